@@ -1,0 +1,1 @@
+//! Response-time analysis for fixed-priority systems

@@ -1,0 +1,1 @@
+//! Callback threads: one LocalPool and one priority each

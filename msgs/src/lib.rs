@@ -1,0 +1,1 @@
+//! Messages of fixed layout whose bytes in memory are their CDR

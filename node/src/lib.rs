@@ -1,0 +1,1 @@
+//! Zero-copy, real-time middleware for robots: nodes, topics, timers

@@ -1,0 +1,1 @@
+//! Real-time set-up of threads and memory, each setting read back

@@ -1,0 +1,1 @@
+//! One highest-priority thread that waits for events and wakes callback threads

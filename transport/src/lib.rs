@@ -1,0 +1,1 @@
+//! Topics over shared memory, and the doorbell that announces their samples

@@ -1,0 +1,3 @@
+//! What CI runs and what people run: test, bench, stress
+
+fn main() {}
