@@ -1,1 +1,15 @@
-//! Measurements, one question each
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Measurements, one question each.
+//!
+//! | binary | question |
+//! |---|---|
+//! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
+//!
+//! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
+//! the machine. Absolute times belong to the machine; ratios within a run are what is compared.
+
+mod distribution;
+mod machine;
+
+pub use distribution::Distribution;
+pub use machine::{StealMeter, machine, version_of};

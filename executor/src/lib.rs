@@ -1,1 +1,50 @@
-//! Callback threads: one LocalPool and one priority each
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Callback threads: one `LocalPool` and one priority each.
+//!
+//! - [`Executor::spawn_callback`] gives a future a thread of its own: named, pinned, at its own `SCHED_FIFO` priority,
+//!   so that the kernel's scheduler decides between callbacks and response-time analysis applies to them. The thread
+//!   runs a [`futures::executor::LocalPool`], which parks when nothing is ready.
+//! - A [`CallbackGroup`] is several callbacks on one thread that never overlap, served in order of release.
+//! - [`CallbackOptions::busy_poll`] trades a core for the wake-up: the thread polls and never parks.
+//! - Each callback has [`CallbackStats`]: releases, completions, overruns, execution and response times. Streams record
+//!   into them through [`job`], without any code in the callback.
+//! - [`assign`] turns periods or deadlines into priorities.
+//!
+//! Everything that claims memory happens before a thread turns real-time. What runs after that is in `hot.rs`, and
+//! allocates nothing.
+//!
+//! ```
+//! use futures::{StreamExt, stream};
+//! use tautline_executor::{CallbackOptions, Executor, Realtime};
+//!
+//! let executor = Executor::new(Realtime::Off); // Realtime::Required on a robot
+//! let odometry = stream::iter([1.0, 2.0]);
+//! let options = CallbackOptions::fifo(20).name("/odom");
+//! let callback = executor.spawn_callback(options, odometry.for_each(|speed| async move { assert!(speed > 0.0) }))?;
+//! callback.join()?;
+//! executor.shutdown()?;
+//! # Ok::<(), tautline_executor::ExecutorError>(())
+//! ```
+#![forbid(unsafe_code)]
+
+mod callback;
+mod error;
+mod executor;
+mod group;
+mod hot;
+mod options;
+mod registry;
+mod stats;
+
+pub mod assign;
+pub mod job;
+
+pub use callback::CallbackHandle;
+pub use error::{ExecutorError, Panic};
+pub use executor::Executor;
+pub use group::CallbackGroup;
+pub use hot::busy_polling;
+pub use options::CallbackOptions;
+pub use registry::ThreadRegistration;
+pub use stats::{Bucket, CallbackStats, Histogram, HistogramSnapshot};
+pub use tautline_rt::{CoreSet, Policy, Realtime};

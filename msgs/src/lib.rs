@@ -1,1 +1,66 @@
-//! Messages of fixed layout whose bytes in memory are their CDR
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Messages of fixed layout whose bytes in memory are their CDR.
+//!
+//! A topic carries one format, on the network and in shared memory: the XCDR1 little-endian body that ROS 2 sends
+//! (without its 4 encapsulation bytes), starting at an 8-byte aligned address. For a [`Plain`] type these bytes *are*
+//! the Rust value, so writing and reading a message is writing and reading memory.
+//!
+//! ```
+//! use tautline_msgs::{Message, Plain};
+//!
+//! #[derive(Message, Clone, Copy, Debug, PartialEq)]
+//! #[message(name = "demo_msgs/msg/Tick", crate = "tautline_msgs")] // `crate` is not needed with package `tautline`
+//! #[repr(C)]
+//! struct Tick {
+//!     stamp_ns: u64,
+//!     count: u32,
+//!     valid: bool,
+//! }
+//!
+//! #[repr(align(8))]
+//! struct Body([u8; 16]);
+//!
+//! // What `ros2 topic pub` would have sent: 8 + 4 + 1 bytes, here in a buffer with room for the trailing padding.
+//! let body = Body([1, 0, 0, 0, 0, 0, 0, 0, 7, 0, 0, 0, 1, 0, 0, 0]);
+//! let tick: &Tick = tautline_msgs::from_bytes(&body.0)?;
+//! assert_eq!(*tick, Tick { stamp_ns: 1, count: 7, valid: true });
+//! assert_eq!(Tick::TYPE_NAME, "demo_msgs/msg/Tick");
+//! assert_eq!(Tick::CDR_SIZE, 13);
+//! # Ok::<(), tautline_msgs::Invalid>(())
+//! ```
+//!
+//! | module | holds |
+//! |---|---|
+//! | `message` | [`Message`]: the ROS name of a type |
+//! | `plain` | [`Plain`]: layout and validity; [`from_bytes`], [`write_cdr`] |
+//! | `primitives` | `Plain` for integers, floats, `bool`, `char`, arrays |
+//! | `invalid` | [`Invalid`]: why bytes are not a value |
+//! | `layout` | the compile-time proof that C layout is CDR layout, called by the derive |
+//!
+//! Types of variable size (strings, sequences) will be views over the same bytes, in a module beside `plain`; ROS 2
+//! packages and their RIHS01 hashes beside `message`.
+
+mod invalid;
+#[doc(hidden)]
+pub mod layout;
+mod message;
+mod plain;
+mod primitives;
+
+pub use invalid::Invalid;
+pub use message::Message;
+pub use plain::{Plain, from_bytes, write_cdr};
+/// Derives [`Plain`] for a struct or field-less enum, and the trait [`Message`](trait@Message) for a struct that is a
+/// topic's type.
+///
+/// - `#[message(name = "demo_msgs/msg/Tick")]` on a struct: its ROS name; implements `Message` as well.
+/// - `#[message(nested)]` on a struct: only a field of other messages; implements `Plain` alone.
+/// - `#[message(crate = "path")]`: where this crate is found, default `::tautline::msgs`.
+///
+/// A struct is `#[repr(C)]` with named [`Plain`] fields; an enum is `#[repr(u8)]` (or `i8`, `u16`, `i16`, `u32`,
+/// `i32`) without fields and has a variant of value 0. Both are `Clone + Copy`. A struct whose C layout differs from
+/// its CDR does not compile; the error names the field and the padding to insert.
+pub use tautline_msgs_derive::Message;
+
+#[cfg(target_endian = "big")]
+compile_error!("plain messages are little-endian CDR read in place: big-endian targets are not supported");

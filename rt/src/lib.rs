@@ -1,1 +1,44 @@
-//! Real-time set-up of threads and memory, each setting read back
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Real-time set-up of threads and memory, each setting read back.
+//!
+//! - [`ThreadBuilder`] starts a thread with a [`Policy`] and a [`CoreSet`], and reports success only after the
+//!   kernel has confirmed both. [`Realtime::Off`] is the explicit opt-out for machines without the privilege.
+//! - [`set_policy`], [`set_affinity`] do the same for a thread that exists; [`threads`] reads every thread back.
+//! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
+//!   cores out of idle states.
+//! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
+//!
+//! Everything except [`clock`] is set-up: it allocates, reads files and makes syscalls. No other crate of the
+//! workspace calls `sched_*` or `mlock*`.
+//!
+//! ```
+//! use tautline_rt::{Policy, Realtime, ThreadBuilder};
+//!
+//! let thread = ThreadBuilder::new("worker")
+//!     .policy(Policy::Fifo(20))
+//!     .realtime(Realtime::Off) // without this line, a missing privilege is an error that names the fix
+//!     .spawn(|| {
+//!         let table = [1, 2, 3]; // set-up, before the thread is real-time
+//!         move || table.iter().sum::<i32>() // the real-time part
+//!     })?;
+//! assert_eq!(thread.join()?, 6);
+//! # Ok::<(), tautline_rt::RtError>(())
+//! ```
+
+mod cores;
+mod error;
+mod idle;
+mod memory;
+mod policy;
+mod thread;
+
+pub mod clock;
+pub mod host;
+pub mod permission;
+
+pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
+pub use error::RtError;
+pub use idle::IdleHold;
+pub use memory::{MemoryLock, PageFaults, lock_memory, page_faults, prefault_stack, tune_malloc};
+pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
+pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads};

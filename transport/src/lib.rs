@@ -1,1 +1,57 @@
-//! Topics over shared memory, and the doorbell that announces their samples
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Topics over shared memory, and the doorbell that announces their samples.
+//!
+//! A [`Participant`] joins a domain and creates publishers and subscriptions. A [`Publisher`] loans a sample, which is
+//! written in place and published without waiting; a [`Subscription`] takes it and reads it in place. The samples travel
+//! through iceoryx2; that one is there is announced by Tautline's own [`Doorbell`], one per sampler: iceoryx2's event
+//! service can lose a wake-up for ever.
+//!
+//! - **Zero copy.** What lies in shared memory is the message's CDR, which for [plain](tautline_msgs::Plain) types is
+//!   the type's memory.
+//! - **Nothing waits in publish.** A slow keep-last subscription loses its oldest samples and counts them; a full
+//!   keep-all one makes publish return `Full` with the loan.
+//! - **No lock between threads of different priority** on the way of a sample, in this process or another.
+//! - **Crashes.** A process may be killed at any instant: others go on, the janitor removes what it left.
+//!
+//! ```
+//! # use tautline_transport::{Limits, Participant, Qos};
+//! # #[derive(tautline_msgs::Message, Clone, Copy)] #[repr(C)]
+//! # #[message(name = "demo_msgs/msg/Count", crate = "tautline_msgs")]
+//! # struct Count { n: u64 }
+//! let participant = Participant::new(120)?;
+//! let subscription = participant.create_subscription::<Count>("/count", Qos::default(), Limits::default())?;
+//! let publisher = participant.create_publisher::<Count>("/count", Qos::default(), Limits::default())?;
+//!
+//! let mut loan = publisher.loan().expect("a loan is free");
+//! loan.n = 7;
+//! loan.publish().expect("keep-last never refuses");
+//!
+//! let sample = subscription.take().expect("nothing else is held").expect("it was just published");
+//! assert_eq!((sample.n, sample.info().sequence_number), (7, 1));
+//! # Ok::<(), tautline_transport::TransportError>(())
+//! ```
+
+mod address;
+mod doorbell;
+mod error;
+mod header;
+mod history;
+mod janitor;
+mod lease;
+mod memory;
+mod participant;
+mod ports;
+mod publisher;
+mod qos;
+mod subscription;
+mod sync;
+mod topic;
+
+pub use doorbell::{Doorbell, SLOTS, Slot};
+pub use error::{LoanError, PublishError, TakeError, TransportError};
+pub use header::{Gid, MessageInfo};
+pub use memory::{TopicMemory, topic_memory};
+pub use participant::{MAX_DOMAIN, Participant};
+pub use publisher::{Loan, Publisher, Unpublished};
+pub use qos::{Durability, History, Limits, Qos, Reliability};
+pub use subscription::{Counters, Sample, Subscription};

@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+use plotters::backend::SVGBackend;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::{DEADLINE, PERCENTILE, PlotError};
+
+/// The drawing area in pixels, with the few shapes the picture is made of.
+pub struct Canvas<'a>(DrawingArea<SVGBackend<'a>, Shift>);
+
+impl<'a> Canvas<'a> {
+    pub fn new(svg: &'a mut String, (width, height): (i32, i32)) -> Self {
+        Self(SVGBackend::with_string(svg, (width as u32, height as u32)).into_drawing_area())
+    }
+
+    /// Completes the document.
+    pub fn finish(self) -> Result<(), PlotError> {
+        self.0.present().map_err(drawing)
+    }
+
+    pub fn rectangle(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor) -> Result<(), PlotError> {
+        self.0.draw(&Rectangle::new([from, to], colour.filled())).map_err(drawing)
+    }
+
+    pub fn line(
+        &self,
+        from: (i32, i32),
+        to: (i32, i32),
+        colour: RGBColor,
+        width: u32,
+    ) -> Result<(), PlotError> {
+        self.0.draw(&PathElement::new([from, to], colour.stroke_width(width))).map_err(drawing)
+    }
+
+    /// The deadline: a vertical, dashed line.
+    pub fn dashed(&self, x: i32, top: i32, bottom: i32) -> Result<(), PlotError> {
+        (top..bottom).step_by(8).try_for_each(|y| self.line((x, y), (x, (y + 5).min(bottom)), DEADLINE, 2))
+    }
+
+    /// The p99: a triangle that points down.
+    pub fn mark(&self, x: i32, y: i32) -> Result<(), PlotError> {
+        self.0.draw(&Polygon::new([(x - 5, y), (x + 5, y), (x, y + 8)], PERCENTILE)).map_err(drawing)
+    }
+
+    pub fn text(&self, text: &str, at: (i32, i32), words: Words) -> Result<(), PlotError> {
+        // The SVG backend divides sizes by 1.24.
+        let style = if words.bold { FontStyle::Bold } else { FontStyle::Normal };
+        let font = FontDesc::new(FontFamily::SansSerif, f64::from(words.pixels) * 1.24, style);
+        let style = TextStyle::from(font.transform(words.transform)).color(&words.colour).pos(words.pos);
+        self.0.draw(&Text::new(text, at, style)).map_err(drawing)
+    }
+}
+
+/// A text style; `pixels` is the size a browser shows.
+pub fn text(pixels: u32, colour: RGBColor, h: HPos, v: VPos) -> Words {
+    Words { pixels, colour, pos: Pos::new(h, v), bold: false, transform: FontTransform::None }
+}
+
+pub struct Words {
+    pixels: u32,
+    colour: RGBColor,
+    pos: Pos,
+    bold: bool,
+    transform: FontTransform,
+}
+
+impl Words {
+    pub fn bold(self) -> Self {
+        Self { bold: true, ..self }
+    }
+
+    pub fn transform(self, transform: FontTransform) -> Self {
+        Self { transform, ..self }
+    }
+}
+
+fn drawing(error: impl std::fmt::Display) -> PlotError {
+    PlotError::Drawing(error.to_string())
+}

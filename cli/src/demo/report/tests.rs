@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+use super::*;
+
+/// The five topics, with latencies as given by `latencies_ms`.
+fn report(latencies_ms: [&[f64]; 5]) -> DemoReport {
+    let set = [(10, 2), (20, 4), (50, 5), (100, 15), (200, 50)];
+    let ms = Duration::from_millis;
+    let run = |(i, ((period, wcet), latencies)): (usize, ((u64, u64), &[f64]))| TopicRun {
+        task: Task::new(format!("topic{}", i + 1), ms(period), ms(wcet), 20 - i as u8),
+        latencies_ns: latencies.iter().map(|ms| (ms * 1e6).round() as u64).collect(),
+        lost: 0,
+        max_queue: 1,
+    };
+    let runs = set.into_iter().zip(latencies_ms).enumerate().map(run).collect();
+    DemoReport {
+        realtime: true,
+        core: 1,
+        seconds: 20.0,
+        steal_ticks: 0,
+        kernel: "6.1.0".into(),
+        topics: topic_reports(runs, Duration::from_micros(60)),
+        preemption: "PREEMPT_RT".into(),
+        overhead_us: 60.0,
+        sampler_priority: 25,
+    }
+}
+
+fn good() -> DemoReport {
+    report([&[2.1, 2.05], &[6.1], &[13.1], &[36.2], &[173.5]])
+}
+
+fn text(report: &DemoReport, colour: bool) -> String {
+    let mut out = Vec::new();
+    write_table(report, &mut out, colour).unwrap();
+    String::from_utf8(out).unwrap()
+}
+
+/// Without line breaks, for they may come between any two words.
+fn prose(report: &DemoReport) -> String {
+    text(report, false).replace('\n', " ")
+}
+
+#[test]
+fn prediction_is_that_of_the_analysis() {
+    let tasks: Vec<_> = {
+        let ms = Duration::from_millis;
+        vec![Task::new("a", ms(10), ms(2), 20), Task::new("b", ms(20), ms(17), 19)]
+    };
+    let found = predict(&tasks, Duration::from_millis(1));
+    assert_eq!(found[0], Prediction { rta_ns: Some(2_000_000), rta_overhead_ns: Some(4_000_000) });
+    assert_eq!(found[1], Prediction { rta_ns: None, rta_overhead_ns: None });
+}
+
+#[test]
+fn percentiles_are_exact() {
+    let samples: Vec<u64> = (1..=200).collect();
+    assert_eq!([50, 99, 100].map(|p| percentile(&samples, p)), [Some(100), Some(198), Some(200)]);
+    assert_eq!([50, 99, 100].map(|p| percentile(&[7], p)), [Some(7); 3]);
+    assert_eq!(percentile(&[], 99), None);
+}
+
+#[test]
+fn json_keeps_its_contract() {
+    let mut out = Vec::new();
+    write_json(&good(), &mut out).unwrap();
+    let out = String::from_utf8(out).unwrap();
+    let expected = r#"{"realtime":true,"core":1,"seconds":20.0,"steal_ticks":0,"kernel":"6.1.0","topics":[{"topic":"topic1","period_ms":10.0,"wcet_ms":2.0,"priority":20,"n":2,"p50_ms":2.05,"p99_ms":2.1,"max_ms":2.1,"rta_ms":2.0,"rta_overhead_ms":2.3,"deadline_misses":0,"lost":0,"max_queue":1,"#;
+    assert!(out.starts_with(expected), "{out}");
+    assert!(out.ends_with("}\n") && !out.contains("latencies"), "{out}");
+}
+
+#[test]
+fn table_lines_up_and_says_that_all_is_well() {
+    let out = text(&good(), false);
+    let rows: Vec<_> = out.lines().take(8).collect();
+    assert_eq!(
+        rows,
+        [
+            "topic   period  wcet  prio  n     p50     p99     max     RTA      RTA+  misses  lost    max",
+            "            ms    ms               ms      ms      ms      ms  overhead                queue",
+            "─────────────────────────────────────────────────────────────────────────────────────────────",
+            "topic1      10     2    20  2    2.05    2.10    2.10    2.00      2.30       0     0      1",
+            "topic2      20     4    19  1    6.10    6.10    6.10    6.00      6.30       0     0      1",
+            "topic3      50     5    18  1   13.10   13.10   13.10   13.00     13.36       0     0      1",
+            "topic4     100    15    17  1   36.20   36.20   36.20   36.00     36.54       0     0      1",
+            "topic5     200    50    16  1  173.50  173.50  173.50  170.00    174.04       0     0      1",
+        ]
+    );
+    assert!(out.contains("All deadlines met: 6 messages, none late, none lost.\n"), "{out}");
+    assert!(out.contains("the closest was topic5 at 99.7 % of it.\n"), "{out}");
+    assert!(prose(&good()).ends_with("steal 0 ticks, kernel 6.1.0, preemption PREEMPT_RT. "), "{out}");
+    assert!(out.lines().all(|line| line.chars().count() <= 100), "{out}");
+}
+
+#[test]
+fn misses_are_named_and_explained() {
+    let mut report = report([&[2.1, 12.5], &[6.1], &[13.1], &[36.2], &[201.0]]);
+    let out = prose(&report);
+    assert!(out.contains("2 deadlines missed: topic1 (1 of 2), topic5 (1 of 1). "), "{out}");
+    assert!(out.contains("Prediction exceeded: topic1 (max 12.50 ms, predicted 2.30 ms), topic5"), "{out}");
+    assert!(out.contains("look for interrupts"), "{out}");
+
+    report.steal_ticks = 3;
+    let out = prose(&report);
+    assert!(
+        out.contains("gave 30 ms of processor time to others") && !out.contains("look for interrupts"),
+        "{out}"
+    );
+
+    report.realtime = false;
+    let out = prose(&report);
+    assert!(
+        out.contains("no bound applies") && out.contains("setcap") && !out.contains("Prediction"),
+        "{out}"
+    );
+}
+
+#[test]
+fn a_silent_topic_a_lossy_one_and_an_overloaded_core_are_explained() {
+    let silent = report([&[2.1], &[], &[13.1], &[36.2], &[173.5]]);
+    let out = prose(&silent);
+    assert!(out.contains("No verdict") && out.contains("Nothing arrived on topic2: "), "{out}");
+    assert_eq!(silent.topics[1].p99_ms, None);
+
+    let mut lossy = good();
+    lossy.topics[0].lost = 4;
+    lossy.topics[4].rta_overhead_ms = None;
+    lossy.preemption = "voluntary".into();
+    let out = prose(&lossy);
+    assert!(out.contains("4 messages lost: topic1 (4)"), "{out}");
+    assert!(out.contains("No prediction for topic5") && out.contains("preempt=full"), "{out}");
+}
+
+#[test]
+fn colour_is_opt_in() {
+    let late = report([&[12.5], &[6.1], &[13.1], &[36.2], &[173.5]]);
+    assert!(!text(&late, false).contains('\x1b'));
+    let out = text(&late, true);
+    let red: Vec<_> = out.lines().filter(|line| line.starts_with("\x1b[31m")).collect();
+    assert_eq!(red.len(), 3, "the row and two verdicts: {out}");
+    assert!(text(&good(), true).contains("\x1b[32mAll deadlines met"));
+}

@@ -1,0 +1,218 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The report for people: table, verdict, circumstances.
+use std::io::{self, Write};
+
+use anstyle::{AnsiColor, Style};
+use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
+
+use super::{DemoReport, TopicReport};
+
+/// Sentences are broken before this column; the table is about as wide.
+const WIDTH: usize = 100;
+
+/// Writes the report for people: a table, the verdict, the circumstances, and what explains anything odd.
+///
+/// # Errors
+/// Whatever `out` fails with.
+pub fn write_table(report: &DemoReport, out: &mut impl Write, colour: bool) -> io::Result<()> {
+    let paint =
+        |style: Style, text: &str| if colour { format!("{style}{text}{style:#}") } else { text.into() };
+    let (good, bad) = (AnsiColor::Green.on_default(), AnsiColor::Red.on_default());
+
+    let table = table(&report.topics);
+    let lines: Vec<_> = table.lines().collect();
+    let head = lines.len() - report.topics.len();
+    for (i, line) in lines.iter().enumerate() {
+        let failed = i.checked_sub(head).is_some_and(|row| report.topics[row].failed());
+        let line = line.trim_end();
+        writeln!(out, "{}", if failed { paint(bad, line) } else { line.to_owned() })?;
+    }
+    writeln!(out)?;
+    for (holds, text) in [deadline_verdict(report), prediction_verdict(report)].into_iter().flatten() {
+        writeln!(out, "{}", paint(if holds { good } else { bad }, &wrap(&text)))?;
+    }
+    writeln!(out, "{}", wrap(&circumstances(report)))?;
+    explanations(report).iter().try_for_each(|text| writeln!(out, "{}", wrap(text)))
+}
+
+fn table(topics: &[TopicReport]) -> Table {
+    let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
+    let mut table = Table::new();
+    table.load_style(style).set_header([
+        "topic",
+        "period\nms",
+        "wcet\nms",
+        "prio",
+        "n",
+        "p50\nms",
+        "p99\nms",
+        "max\nms",
+        "RTA\nms",
+        "RTA+\noverhead",
+        "misses",
+        "lost",
+        "max\nqueue",
+    ]);
+    let time = |time: Option<f64>| time.map_or("-".into(), |ms| format!("{ms:.2}"));
+    for t in topics {
+        table.add_row([
+            t.topic.clone(),
+            t.period_ms.to_string(),
+            t.wcet_ms.to_string(),
+            t.priority.to_string(),
+            t.n.to_string(),
+            time(t.p50_ms),
+            time(t.p99_ms),
+            time(t.max_ms),
+            time(t.rta_ms),
+            time(t.rta_overhead_ms),
+            t.deadline_misses.to_string(),
+            t.lost.to_string(),
+            t.max_queue.to_string(),
+        ]);
+    }
+    for (i, column) in table.column_iter_mut().enumerate() {
+        column.set_padding((0, 1));
+        if i > 0 {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+/// Whether deadlines were met, in words.
+fn deadline_verdict(report: &DemoReport) -> Option<(bool, String)> {
+    let topics = &report.topics;
+    let total: u64 = topics.iter().map(|t| t.n).sum();
+    let missed: u64 = topics.iter().map(|t| t.deadline_misses).sum();
+    let lost: u64 = topics.iter().map(|t| t.lost).sum();
+    if missed > 0 {
+        let which = list(topics, |t| {
+            (t.deadline_misses > 0).then(|| format!("{} ({} of {})", t.topic, t.deadline_misses, t.n))
+        });
+        return Some((false, format!("{missed} deadlines missed: {which}.")));
+    }
+    if lost > 0 {
+        let which = list(topics, |t| (t.lost > 0).then(|| format!("{} ({})", t.topic, t.lost)));
+        return Some((false, format!("{lost} messages lost: {which}; all others met their deadline.")));
+    }
+    if topics.iter().any(|t| t.n == 0) {
+        return Some((false, "No verdict: not every topic was measured.".into()));
+    }
+    (total > 0).then(|| (true, format!("All deadlines met: {total} messages, none late, none lost.")))
+}
+
+/// Whether the measurement stayed within the prediction, in words; nothing to say if no bound applies.
+fn prediction_verdict(report: &DemoReport) -> Option<(bool, String)> {
+    if !report.realtime {
+        return None;
+    }
+    let beyond = list(&report.topics, |t| {
+        let (max, bound) = t.beyond_prediction()?;
+        Some(format!("{} (max {max:.2} ms, predicted {bound:.2} ms)", t.topic))
+    });
+    if !beyond.is_empty() {
+        return Some((false, format!("Prediction exceeded: {beyond}.")));
+    }
+    let share = |t: &TopicReport| Some((t.max_ms? / t.rta_overhead_ms?, t.topic.clone()));
+    let (share, topic) = report.topics.iter().filter_map(share).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let text = format!(
+        "Prediction held: no response time above RTA+overhead; the closest was {topic} at {:.1} % of it.",
+        share * 100.0
+    );
+    Some((true, text))
+}
+
+fn circumstances(report: &DemoReport) -> String {
+    format!(
+        "{:.1} s on core {}, sampler at priority {}, {:.1} µs of middleware per message; \
+         steal {} ticks, kernel {}, preemption {}.",
+        report.seconds,
+        report.core,
+        report.sampler_priority,
+        report.overhead_us,
+        report.steal_ticks,
+        report.kernel,
+        report.preemption
+    )
+}
+
+/// A line for each circumstance that would puzzle a reader of the table.
+fn explanations(report: &DemoReport) -> Vec<String> {
+    let mut texts = Vec::new();
+    if !report.realtime {
+        texts.push(
+            "Not real-time: no bound applies, and the RTA columns show what real-time priorities would give. \
+             To mend, run as root, or give the program the privilege \
+             (sudo setcap cap_sys_nice,cap_ipc_lock+ep <path of taut>), or add \
+             '<user> - rtprio 99' and '<user> - memlock unlimited' to /etc/security/limits.conf and log in again."
+                .into(),
+        );
+    }
+    if report.steal_ticks > 0 {
+        texts.push(format!(
+            "Steal: the hypervisor gave {} ms of processor time to others during the run; outliers of about 10 ms \
+             go with that, not with the priorities. Repeat on an idle host, or on hardware of your own.",
+            report.steal_ticks * 10
+        ));
+    }
+    let beyond = report.topics.iter().any(|t| t.beyond_prediction().is_some());
+    if report.realtime && beyond && report.steal_ticks == 0 {
+        texts.push(
+            "The prediction covers the callbacks and the middleware of this core only: look for interrupts, other \
+             real-time threads on the core, throttling (kernel.sched_rt_runtime_us), or a callback that runs longer \
+             than its wcet."
+                .into(),
+        );
+    }
+    let unbounded = list(&report.topics, |t| t.rta_overhead_ms.is_none().then(|| t.topic.clone()));
+    if !unbounded.is_empty() {
+        texts.push(format!(
+            "No prediction for {unbounded}: with the overhead, the work at that priority and above needs more than \
+             the core; lower a rate or a wcet."
+        ));
+    }
+    let lossy = list(&report.topics, |t| (t.lost > 0).then(|| t.topic.clone()));
+    if !lossy.is_empty() {
+        texts.push(format!(
+            "Lost on {lossy}: messages were overwritten while their callback was busy; its queue is too short for \
+             its response time."
+        ));
+    }
+    let silent = list(&report.topics, |t| (t.n == 0).then(|| t.topic.clone()));
+    if !silent.is_empty() {
+        texts.push(format!(
+            "Nothing arrived on {silent}: the run was shorter than its period, its publisher did not run, or its \
+             callback never got the core."
+        ));
+    }
+    let preemption = report.preemption.to_lowercase();
+    if preemption.contains("voluntary") || preemption.contains("none") {
+        texts.push(format!(
+            "A kernel with preemption {} may finish a system call of any thread first; boot with preempt=full, or \
+             use a PREEMPT_RT kernel.",
+            report.preemption
+        ));
+    }
+    texts
+}
+
+fn list(topics: &[TopicReport], text: impl Fn(&TopicReport) -> Option<String>) -> String {
+    topics.iter().filter_map(text).collect::<Vec<_>>().join(", ")
+}
+
+/// Breaks a text between words.
+fn wrap(text: &str) -> String {
+    let (mut wrapped, mut column) = (String::new(), 0);
+    for word in text.split(' ') {
+        let length = word.chars().count();
+        if column > 0 {
+            let fits = column + 1 + length <= WIDTH;
+            wrapped.push(if fits { ' ' } else { '\n' });
+            column = if fits { column + 1 } else { 0 };
+        }
+        wrapped.push_str(word);
+        column += length;
+    }
+    wrapped
+}

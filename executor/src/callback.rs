@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A callback that has been spawned.
+
+use std::fmt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tautline_rt::{JoinHandle, RtError, ThreadInfo, current_tid};
+
+use crate::hot::Control;
+use crate::registry::ThreadRegistration;
+use crate::{CallbackStats, ExecutorError, Panic};
+
+/// A callback and its thread; dropping it changes nothing, for the executor keeps the thread.
+#[derive(Debug, Clone)]
+pub struct CallbackHandle {
+    callback: Arc<Callback>,
+}
+
+impl CallbackHandle {
+    pub(crate) fn new(callback: Arc<Callback>) -> CallbackHandle {
+        CallbackHandle { callback }
+    }
+
+    /// The callback's name, in full.
+    pub fn name(&self) -> &str {
+        self.callback.stats.name()
+    }
+
+    /// Its thread, as read back from the kernel when it started.
+    pub fn thread(&self) -> &ThreadInfo {
+        &self.callback.info
+    }
+
+    /// What it has done so far. Of a group: the jobs of all its members.
+    pub fn stats(&self) -> &Arc<CallbackStats> {
+        &self.callback.stats
+    }
+
+    /// Tells the callback to end the next time it waits, and does not wait for that. Its future is dropped on its own
+    /// thread. A callback that computes without ever waiting goes on.
+    pub fn stop(&self) {
+        self.callback.control.stop();
+    }
+
+    /// Says whether the future has ended: by itself, stopped or with a panic.
+    pub fn is_finished(&self) -> bool {
+        self.callback.end.has_come()
+    }
+
+    /// Waits until the future has ended and its thread is gone.
+    ///
+    /// # Errors
+    /// [`ExecutorError::Panicked`] if the callback panicked, [`ExecutorError::JoinsItself`] on its own thread.
+    pub fn join(self) -> Result<(), ExecutorError> {
+        match self.callback.join()? {
+            None => Ok(()),
+            Some(panic) => Err(ExecutorError::Panicked { callbacks: vec![panic] }),
+        }
+    }
+}
+
+/// What the executor and the handles share.
+pub(crate) struct Callback {
+    pub stats: Arc<CallbackStats>,
+    pub control: Arc<Control>,
+    pub end: Arc<End>,
+    pub info: ThreadInfo,
+    pub thread: Mutex<Thread>,
+}
+
+pub(crate) enum Thread {
+    Running(JoinHandle<()>),
+    Joined(Option<Panic>),
+}
+
+impl Callback {
+    /// Waits for the thread; whoever comes later gets the same answer.
+    pub fn join(&self) -> Result<Option<Panic>, ExecutorError> {
+        let name = || self.stats.name().to_owned();
+        if self.info.tid == current_tid() {
+            return Err(ExecutorError::JoinsItself { name: name() });
+        }
+        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Thread::Running(running) = std::mem::replace(&mut *thread, Thread::Joined(None)) {
+            *thread = Thread::Joined(running.join().err().map(|error| match error {
+                RtError::Panicked { message, .. } => Panic { callback: name(), message },
+                other => Panic { callback: name(), message: other.to_string() },
+            }));
+        }
+        match &*thread {
+            Thread::Joined(panic) => Ok(panic.clone()),
+            Thread::Running(_) => Ok(None),
+        }
+    }
+}
+
+impl fmt::Debug for Callback {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Callback").field("name", &self.stats.name()).field("thread", &self.info).finish()
+    }
+}
+
+/// Whether a callback's future has ended.
+#[derive(Debug, Default)]
+pub(crate) struct End(AtomicBool);
+
+impl End {
+    pub fn has_come(&self) -> bool {
+        // Acquire: pairs with the Release in `Presence`.
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+/// Held by the thread while its future lives; its drop reports the end, whatever the reason.
+pub(crate) struct Presence {
+    pub end: Arc<End>,
+    pub _registration: ThreadRegistration,
+}
+
+impl Drop for Presence {
+    fn drop(&mut self) {
+        self.end.0.store(true, Ordering::Release);
+    }
+}

@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Starting callback threads and ending them.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use futures::executor::LocalPool;
+use futures::future::LocalFutureObj;
+use futures::task::LocalSpawn;
+use tautline_rt::{
+    CoreSet, Policy, Realtime, RtError, ThreadBuilder, current_affinity, current_policy, host::online_cores,
+};
+
+use crate::callback::{Callback, End, Presence, Thread};
+use crate::group::CallbackGroup;
+use crate::hot::{self, Control, Controlled, GroupFuture, Measured};
+use crate::registry::{Registry, Seat};
+use crate::{CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, ThreadRegistration};
+
+/// Owns the callback threads of a process; dropping it ends them.
+#[derive(Debug)]
+pub struct Executor {
+    realtime: Realtime,
+    registry: Registry,
+    spawned: AtomicUsize,
+    callbacks: Mutex<Vec<Arc<Callback>>>,
+}
+
+impl Executor {
+    /// An executor without threads. With [`Realtime::Off`] policies are not applied, everything else is.
+    pub fn new(realtime: Realtime) -> Executor {
+        let (registry, spawned, callbacks) = Default::default();
+        Executor { realtime, registry, spawned, callbacks }
+    }
+
+    /// Gives a future a thread of its own. On return the kernel has confirmed the thread's policy and cores.
+    ///
+    /// A future that holds items which are not `Send` is made in its thread: see [`Executor::spawn_local`].
+    ///
+    /// # Errors
+    /// [`ExecutorError::Thread`] with the fix if a setting is refused; [`ExecutorError::Starved`] and the
+    /// `BusyPoll` errors if busy polling would do harm. There is then no thread.
+    pub fn spawn_callback(
+        &self,
+        options: CallbackOptions,
+        future: impl Future<Output = ()> + Send + 'static,
+    ) -> Result<CallbackHandle, ExecutorError> {
+        self.spawn_local(options, move || future)
+    }
+
+    /// Gives a future a thread of its own and makes it there, before the thread turns real-time; it need not be `Send`.
+    ///
+    /// # Errors
+    /// As [`Executor::spawn_callback`]; a panic of `make` is an [`ExecutorError::Thread`].
+    pub fn spawn_local<M, F>(
+        &self,
+        options: CallbackOptions,
+        make: M,
+    ) -> Result<CallbackHandle, ExecutorError>
+    where
+        M: FnOnce() -> F + Send + 'static,
+        F: Future<Output = ()> + 'static,
+    {
+        let execution_time = options.execution_time;
+        self.start(options, move |stats| {
+            let measured = Measured { stats, execution_time };
+            (Some(measured), Box::pin(make()))
+        })
+    }
+
+    /// Gives a group of callbacks one thread. The handle's statistics cover all members.
+    ///
+    /// # Errors
+    /// As [`Executor::spawn_callback`].
+    pub fn spawn_group(
+        &self,
+        options: CallbackOptions,
+        group: CallbackGroup,
+    ) -> Result<CallbackHandle, ExecutorError> {
+        let execution_time = options.execution_time;
+        self.start(options, move |stats| {
+            let total = Measured { stats, execution_time };
+            // No jobs of the thread as a whole: the group measures its members.
+            (None, Box::pin(GroupFuture { members: group.into_members(), running: None, total }))
+        })
+    }
+
+    /// Makes a thread known that the executor did not start, such as the sampler, so that no busy poller starves it.
+    ///
+    /// # Errors
+    /// [`ExecutorError::Starved`] if a busy poller already would.
+    pub fn register_thread(
+        &self,
+        name: &str,
+        policy: Policy,
+        cores: CoreSet,
+    ) -> Result<ThreadRegistration, ExecutorError> {
+        let seat = Seat { name: name.to_owned(), priority: policy.realtime_priority(), cores, busy: false };
+        self.registry.claim(seat, CoreSet::MAX)
+    }
+
+    /// Tells every callback to end and waits until all their threads are gone. A callback that computes without ever
+    /// waiting keeps this waiting, too.
+    ///
+    /// # Errors
+    /// [`ExecutorError::Panicked`] names every callback that has panicked since the executor was made;
+    /// [`ExecutorError::JoinsItself`] on a callback's thread, which then goes on until it waits.
+    pub fn shutdown(self) -> Result<(), ExecutorError> {
+        self.end_all()
+    }
+
+    fn end_all(&self) -> Result<(), ExecutorError> {
+        let callbacks = std::mem::take(&mut *self.callbacks.lock().unwrap_or_else(PoisonError::into_inner));
+        callbacks.iter().for_each(|callback| callback.control.stop());
+        let (mut panics, mut joins_itself) = (Vec::new(), None);
+        for callback in callbacks {
+            match callback.join() {
+                Ok(panic) => panics.extend(panic),
+                Err(error) => joins_itself = Some(error),
+            }
+        }
+        match joins_itself {
+            _ if !panics.is_empty() => Err(ExecutorError::Panicked { callbacks: panics }),
+            Some(error) => Err(error),
+            None => Ok(()),
+        }
+    }
+
+    fn start<M>(&self, mut options: CallbackOptions, make: M) -> Result<CallbackHandle, ExecutorError>
+    where
+        M: FnOnce(Arc<CallbackStats>) -> (Option<Measured>, Pin<Box<dyn Future<Output = ()>>>)
+            + Send
+            + 'static,
+    {
+        let number = self.spawned.fetch_add(1, Ordering::Relaxed);
+        if options.name.is_empty() {
+            options.name = format!("#{number}");
+        }
+        let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
+        let (seat, online) = self.seat(&options).map_err(refused)?;
+        let registration = self.registry.claim(seat, online)?;
+
+        let stats = Arc::new(CallbackStats::new(options.name.as_str(), options.effective_deadline()));
+        let (control, end) = (Arc::<Control>::default(), Arc::<End>::default());
+        let presence = Presence { end: Arc::clone(&end), _registration: registration };
+        let (busy, thread_stats, thread_control) =
+            (options.busy_poll, Arc::clone(&stats), Arc::clone(&control));
+        let mut builder = ThreadBuilder::new(format!("cb:{}", options.name))
+            .policy(options.policy)
+            .stack_bytes(options.stack_bytes)
+            .realtime(self.realtime);
+        builder.cores = options.cores;
+        let thread = builder.spawn(move || {
+            let (measured, future) = make(thread_stats);
+            hot::enter(measured, busy);
+            let mut pool = LocalPool::new();
+            let future = Controlled { future, control: Arc::clone(&thread_control), busy };
+            let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
+            debug_assert!(spawned.is_ok(), "the pool lives");
+            // A first poll, which does not reach the callback: it makes the pool claim its memory.
+            pool.run_until_stalled();
+            move || {
+                let _presence = presence;
+                let mut pool = pool;
+                thread_control.start();
+                pool.run();
+            }
+        });
+        let thread = thread.map_err(refused)?;
+
+        let info = thread.info().clone();
+        let thread = Mutex::new(Thread::Running(thread));
+        let callback = Arc::new(Callback { stats, control, end, info, thread });
+        self.keep(Arc::clone(&callback));
+        Ok(CallbackHandle::new(callback))
+    }
+
+    /// The place the thread will have, as far as it is known before it runs.
+    fn seat(&self, options: &CallbackOptions) -> Result<(Seat, usize), RtError> {
+        let policy = match self.realtime {
+            Realtime::Required => options.policy,
+            Realtime::Off => current_policy()?,
+        };
+        let cores = match options.cores {
+            Some(cores) => {
+                cores.check()?;
+                cores
+            }
+            None => current_affinity()?,
+        };
+        let (priority, busy) = (policy.realtime_priority(), options.busy_poll);
+        Ok((Seat { name: options.name.clone(), priority, cores, busy }, online_cores()?.len()))
+    }
+
+    /// Remembers a callback and forgets those that have ended well, so that the list does not grow for ever.
+    fn keep(&self, callback: Arc<Callback>) {
+        let mut callbacks = self.callbacks.lock().unwrap_or_else(PoisonError::into_inner);
+        callbacks.retain(|old| !(old.end.has_come() && matches!(old.join(), Ok(None))));
+        callbacks.push(callback);
+    }
+}
+
+impl Drop for Executor {
+    /// As [`Executor::shutdown`]; panics have been printed by the threads they ended.
+    fn drop(&mut self) {
+        let _ = self.end_all();
+    }
+}

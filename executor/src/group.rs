@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Callbacks that exclude each other.
+
+use std::future::Future;
+use std::sync::Arc;
+
+use futures::Stream;
+
+use crate::CallbackStats;
+use crate::hot::{Member, StreamMember};
+
+/// Several callbacks on one thread, of which one runs at a time, to completion, in order of release (ROS 2's mutually
+/// exclusive callback group). Give it a thread with [`Executor::spawn_group`](crate::Executor::spawn_group).
+///
+/// # Order
+/// The group is one FIFO of (callback, message). Before each job it looks at the next message of every member and runs
+/// the one released first; among equals, the member added first. It runs one message and looks again: it never drains
+/// a stream. So the bound for a FIFO of jobs holds, for every member alike: with request bound functions `rbf_j`,
+///
+/// ```text
+/// R = max over A of (sum over j of rbf_j(A + epsilon)) - A
+/// ```
+///
+/// and `ceil(R / T_i)` messages of depth suffice for member `i`. A `for_each` over merged or joined streams has no
+/// bound as good: it empties one stream before it looks at the next, whatever waits there, and exceeds this one. All
+/// it shares with any work-conserving order is the busy period, the least `L` with `L = sum ceil(L / T_j) C_j`.
+///
+/// # Look-ahead
+/// Each member holds the next message of its stream until its turn: allow for one borrowed sample more than the
+/// callback itself keeps.
+///
+/// ```
+/// use futures::stream;
+/// use std::sync::mpsc;
+/// use tautline_executor::{CallbackGroup, CallbackOptions, Executor, Realtime};
+///
+/// let (log, logged) = mpsc::channel();
+/// let mut group = CallbackGroup::new();
+/// for (name, releases) in [("/a", [1, 4]), ("/b", [2, 3])] {
+///     let log = log.clone();
+///     group.add(name, stream::iter(releases), |release| *release, move |release| {
+///         log.send((name, release)).unwrap();
+///         async {}
+///     });
+/// }
+/// let executor = Executor::new(Realtime::Off);
+/// executor.spawn_group(CallbackOptions::fifo(20), group)?.join()?;
+/// assert_eq!(logged.try_iter().collect::<Vec<_>>(), [("/a", 1), ("/b", 2), ("/b", 3), ("/a", 4)]);
+/// # Ok::<(), tautline_executor::ExecutorError>(())
+/// ```
+#[derive(Default)]
+#[must_use = "hand it to Executor::spawn_group"]
+pub struct CallbackGroup {
+    /// Members are made in their thread, since a callback's future need not be `Send`.
+    recipes: Vec<Box<dyn FnOnce() -> Box<dyn Member> + Send>>,
+}
+
+impl CallbackGroup {
+    /// A group without members.
+    pub fn new() -> CallbackGroup {
+        CallbackGroup::default()
+    }
+
+    /// Adds a callback for the items of a stream. `release` gives an item's release in ns of `CLOCK_MONOTONIC`; a
+    /// stream's items must come in order of release. Neither items nor the callback's futures need be `Send`.
+    ///
+    /// Returns the member's statistics; give them a deadline with [`CallbackStats::set_deadline`].
+    pub fn add<S, F, Fut>(
+        &mut self,
+        name: impl Into<String>,
+        stream: S,
+        release: fn(&S::Item) -> u64,
+        callback: F,
+    ) -> Arc<CallbackStats>
+    where
+        S: Stream + Send + 'static,
+        F: FnMut(S::Item) -> Fut + Send + 'static,
+        Fut: Future<Output = ()> + 'static,
+    {
+        let stats = Arc::new(CallbackStats::new(name, None));
+        let member_stats = Arc::clone(&stats);
+        self.recipes.push(Box::new(move || {
+            Box::new(StreamMember {
+                stream: Box::pin(stream),
+                ended: false,
+                release,
+                callback,
+                next: None,
+                future: Box::pin(None),
+                begun: None,
+                stats: member_stats,
+            })
+        }));
+        stats
+    }
+
+    /// Makes the members, in the thread that will run them.
+    pub(crate) fn into_members(self) -> Box<[Box<dyn Member>]> {
+        self.recipes.into_iter().map(|make| make()).collect()
+    }
+}
+
+impl std::fmt::Debug for CallbackGroup {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("CallbackGroup").field("members", &self.recipes.len()).finish()
+    }
+}

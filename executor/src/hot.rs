@@ -1,0 +1,304 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The hot path: all that runs on a real-time callback thread between two callbacks.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::cell::{Cell, RefCell};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::task::{Context, Poll, ready};
+
+use futures::Stream;
+use futures::task::AtomicWaker;
+use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
+
+use crate::stats::{CallbackStats, Histogram, bucket_of};
+
+thread_local! {
+    static MEASURED: RefCell<Option<Measured>> = const { RefCell::new(None) };
+    static BUSY: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Where the jobs of this thread's callback are recorded.
+pub(crate) struct Measured {
+    pub stats: Arc<CallbackStats>,
+    pub execution_time: bool,
+}
+
+/// Prepares the current thread for a callback, before it turns real-time.
+pub(crate) fn enter(measured: Option<Measured>, busy: bool) {
+    MEASURED.set(measured);
+    BUSY.set(busy);
+}
+
+/// Says whether the current thread polls its callback in a loop. A stream need then not arrange for a wake; if it is
+/// polled through a combinator that only polls what was woken (`join_all`, `FuturesUnordered`), it calls
+/// `cx.waker().wake_by_ref()` when it returns `Pending`.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall.
+pub fn busy_polling() -> bool {
+    BUSY.get()
+}
+
+// ---- Running a future until it ends or is told to stop ----
+
+/// What a callback's thread and its handle share.
+#[derive(Default)]
+pub(crate) struct Control {
+    started: AtomicBool,
+    stopped: AtomicBool,
+    waker: AtomicWaker,
+}
+
+impl Control {
+    /// Lets the future be polled.
+    pub fn start(&self) {
+        self.started.store(true, Ordering::Release);
+        self.waker.wake();
+    }
+
+    /// Ends the future at its next poll, which this brings about.
+    pub fn stop(&self) {
+        self.stopped.store(true, Ordering::Release);
+        self.waker.wake();
+    }
+}
+
+/// A callback's future: held back until started, ended when stopped, polled again and again when busy.
+pub(crate) struct Controlled {
+    pub future: Pin<Box<dyn Future<Output = ()>>>,
+    pub control: Arc<Control>,
+    pub busy: bool,
+}
+
+impl Future for Controlled {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        // Before the flags are read, so that a change after reading them wakes.
+        self.control.waker.register(cx.waker());
+        // Acquire: each pairs with the Release in `Control`.
+        if self.control.stopped.load(Ordering::Acquire) {
+            return Poll::Ready(());
+        }
+        if !self.control.started.load(Ordering::Acquire) {
+            return Poll::Pending;
+        }
+        let polled = self.future.as_mut().poll(cx);
+        if polled.is_pending() && self.busy {
+            cx.waker().wake_by_ref();
+        }
+        polled
+    }
+}
+
+// ---- Measuring jobs ----
+
+/// A job that has begun: see [`job`](crate::job).
+#[derive(Debug)]
+#[must_use = "call finish() when the item has been dealt with"]
+pub struct Job {
+    begun: Option<Begun>,
+}
+
+/// Begins a job of the current thread's callback that was released at `release_ns` of `CLOCK_MONOTONIC`.
+///
+/// # Real-time
+/// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off.
+pub fn begin(release_ns: u64) -> Job {
+    let begun = measured(|to| {
+        to.stats.release();
+        Begun::now(release_ns, to.execution_time)
+    });
+    Job { begun }
+}
+
+impl Job {
+    /// Ends the job and records its response and execution time. Call it on the thread that began the job.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off.
+    pub fn finish(self) {
+        if let Some(begun) = self.begun {
+            let (response_ns, execution_ns) = begun.times();
+            measured(|to| to.stats.complete(response_ns, execution_ns));
+        }
+    }
+}
+
+/// `None` on a thread that is not measured, or that is going down.
+fn measured<R>(record: impl FnOnce(&Measured) -> R) -> Option<R> {
+    MEASURED.try_with(|to| to.try_borrow().ok()?.as_ref().map(record)).ok()?
+}
+
+/// The clocks at the begin of a job.
+#[derive(Debug)]
+pub(crate) struct Begun {
+    release_ns: u64,
+    cpu_ns: Option<u64>,
+}
+
+impl Begun {
+    fn now(release_ns: u64, execution_time: bool) -> Begun {
+        Begun { release_ns, cpu_ns: execution_time.then(thread_cpu_ns) }
+    }
+
+    /// Response and execution time, up to now.
+    fn times(&self) -> (u64, Option<u64>) {
+        let execution_ns = self.cpu_ns.map(|begin| thread_cpu_ns().saturating_sub(begin));
+        (monotonic_ns().saturating_sub(self.release_ns), execution_ns)
+    }
+}
+
+impl Histogram {
+    /// Counts one value. Only one thread may record, or values are lost.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn record(&self, ns: u64) {
+        if ns > self.max_ns.load(Ordering::Relaxed) {
+            self.max_ns.store(ns, Ordering::Relaxed);
+        }
+        add(&self.sum_ns, ns);
+        if let Some(bucket) = self.buckets.get(bucket_of(ns)) {
+            // Release: whoever sees the count sees the maximum, too.
+            bucket.store(bucket.load(Ordering::Relaxed) + 1, Ordering::Release);
+        }
+    }
+}
+
+impl CallbackStats {
+    pub(crate) fn release(&self) {
+        add(&self.releases, 1);
+    }
+
+    pub(crate) fn complete(&self, response_ns: u64, execution_ns: Option<u64>) {
+        let deadline_ns = self.deadline_ns.load(Ordering::Relaxed);
+        if deadline_ns != 0 && response_ns > deadline_ns {
+            add(&self.overruns, 1);
+        }
+        self.response().record(response_ns);
+        if let Some(ns) = execution_ns {
+            self.execution().record(ns);
+        }
+        add(&self.completions, 1);
+    }
+}
+
+/// For counters with one writer: cheaper than a read-modify-write.
+fn add(counter: &AtomicU64, by: u64) {
+    counter.store(counter.load(Ordering::Relaxed).wrapping_add(by), Ordering::Relaxed);
+}
+
+// ---- Callback groups ----
+
+/// All members of a group, as one future. One poll runs at most one job, then yields to the stop flag.
+pub(crate) struct GroupFuture {
+    pub members: Box<[Box<dyn Member>]>,
+    pub running: Option<usize>,
+    /// Counts the jobs of all members.
+    pub total: Measured,
+}
+
+impl Future for GroupFuture {
+    type Output = ();
+
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        let group = self.get_mut();
+        let next = match group.running {
+            Some(index) => index,
+            None => match ready!(oldest(&mut group.members, cx)) {
+                Some(index) => index,
+                None => return Poll::Ready(()),
+            },
+        };
+        // Only a job that has to wait is still running at the next poll.
+        group.running = Some(next);
+        if let Some(member) = group.members.get_mut(next) {
+            ready!(member.run(&group.total, cx));
+        }
+        group.running = None;
+        cx.waker().wake_by_ref();
+        Poll::Pending
+    }
+}
+
+/// Asks every member for its next item and picks the one released first, the first added among equals.
+/// Pending: no item yet. `None`: all streams have ended.
+fn oldest(members: &mut [Box<dyn Member>], cx: &mut Context<'_>) -> Poll<Option<usize>> {
+    let mut oldest: Option<(u64, usize)> = None;
+    let mut waiting = false;
+    for (index, member) in members.iter_mut().enumerate() {
+        match member.look_ahead(cx) {
+            Poll::Ready(Some(release_ns)) if oldest.is_none_or(|(least, _)| release_ns < least) => {
+                oldest = Some((release_ns, index));
+            }
+            Poll::Ready(_) => {}
+            Poll::Pending => waiting = true,
+        }
+    }
+    match oldest {
+        Some((_, index)) => Poll::Ready(Some(index)),
+        None if waiting => Poll::Pending,
+        None => Poll::Ready(None),
+    }
+}
+
+/// A stream and its callback, with their types hidden.
+pub(crate) trait Member {
+    /// The release of the next item, which is taken from the stream and kept; `None` after the last one.
+    fn look_ahead(&mut self, cx: &mut Context<'_>) -> Poll<Option<u64>>;
+
+    /// Runs the callback on the item kept, or goes on with it.
+    fn run(&mut self, total: &Measured, cx: &mut Context<'_>) -> Poll<()>;
+}
+
+pub(crate) struct StreamMember<S: Stream, F, Fut> {
+    pub stream: Pin<Box<S>>,
+    pub ended: bool,
+    pub release: fn(&S::Item) -> u64,
+    pub callback: F,
+    pub next: Option<S::Item>,
+    /// The place of the callback's future, claimed once and used for every job.
+    pub future: Pin<Box<Option<Fut>>>,
+    pub begun: Option<Begun>,
+    pub stats: Arc<CallbackStats>,
+}
+
+impl<S, F, Fut> Member for StreamMember<S, F, Fut>
+where
+    S: Stream,
+    F: FnMut(S::Item) -> Fut,
+    Fut: Future<Output = ()>,
+{
+    fn look_ahead(&mut self, cx: &mut Context<'_>) -> Poll<Option<u64>> {
+        if self.next.is_none() && !self.ended {
+            self.next = ready!(self.stream.as_mut().poll_next(cx));
+            self.ended = self.next.is_none();
+        }
+        Poll::Ready(self.next.as_ref().map(self.release))
+    }
+
+    fn run(&mut self, total: &Measured, cx: &mut Context<'_>) -> Poll<()> {
+        if let Some(item) = self.next.take() {
+            self.stats.release();
+            total.stats.release();
+            self.begun = Some(Begun::now((self.release)(&item), total.execution_time));
+            self.future.set(Some((self.callback)(item)));
+        }
+        if let Some(future) = self.future.as_mut().as_pin_mut() {
+            ready!(future.poll(cx));
+        }
+        // Dropped before the clock is read: an item's end is part of its job.
+        self.future.set(None);
+        if let Some(begun) = self.begun.take() {
+            let (response_ns, execution_ns) = begun.times();
+            self.stats.complete(response_ns, execution_ns);
+            total.stats.complete(response_ns, execution_ns);
+        }
+        Poll::Ready(())
+    }
+}

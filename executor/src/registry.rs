@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who runs where, at which priority: so that no busy poller starves another thread.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tautline_rt::CoreSet;
+
+use crate::ExecutorError;
+
+/// The threads an executor knows of.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Registry {
+    seats: Arc<Mutex<Vec<Arc<Seat>>>>,
+}
+
+/// A thread's place among the others.
+#[derive(Debug)]
+pub(crate) struct Seat {
+    pub name: String,
+    /// `None` for time sharing, which is below every real-time priority.
+    pub priority: Option<u8>,
+    pub cores: CoreSet,
+    pub busy: bool,
+}
+
+/// Keeps a thread known to the executor until dropped.
+#[derive(Debug)]
+#[must_use = "the thread is forgotten as soon as this is dropped"]
+pub struct ThreadRegistration {
+    registry: Registry,
+    seat: Arc<Seat>,
+}
+
+impl Registry {
+    /// Registers a thread of a machine with `online` cores, unless it or another would then starve.
+    pub fn claim(&self, seat: Seat, online: usize) -> Result<ThreadRegistration, ExecutorError> {
+        if seat.busy {
+            if seat.cores.len() != 1 {
+                return Err(ExecutorError::BusyPollCores { name: seat.name, cores: seat.cores.to_string() });
+            }
+            if let (Some(priority), 0..=1) = (seat.priority, online) {
+                return Err(ExecutorError::BusyPollOnlyCore { name: seat.name, priority });
+            }
+        }
+        let seat = Arc::new(seat);
+        let mut seats = self.seats.lock().unwrap_or_else(PoisonError::into_inner);
+        seats.push(Arc::clone(&seat));
+        if let Some(starvation) = starvation(&seats) {
+            seats.pop();
+            return Err(starvation);
+        }
+        Ok(ThreadRegistration { registry: self.clone(), seat })
+    }
+}
+
+impl Drop for ThreadRegistration {
+    fn drop(&mut self) {
+        let mut seats = self.registry.seats.lock().unwrap_or_else(PoisonError::into_inner);
+        seats.retain(|seat| !Arc::ptr_eq(seat, &self.seat));
+    }
+}
+
+/// The first thread of which every core is held by a real-time busy poller of its priority or above.
+fn starvation(seats: &[Arc<Seat>]) -> Option<ExecutorError> {
+    seats.iter().find_map(|starved| {
+        let holder = |core| {
+            let mut others = seats.iter().filter(|other| !Arc::ptr_eq(other, starved));
+            others.find(|other| {
+                other.busy
+                    && other.priority.is_some()
+                    && other.priority >= starved.priority
+                    && other.cores.contains(core)
+            })
+        };
+        let holders: Option<Vec<_>> = starved.cores.iter().map(holder).collect();
+        let busy = holders?.into_iter().next()?;
+        Some(ExecutorError::Starved {
+            busy: busy.name.clone(),
+            busy_priority: busy.priority?,
+            starved: starved.name.clone(),
+            cores: starved.cores.to_string(),
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seat(name: &str, priority: Option<u8>, cores: &[usize]) -> Seat {
+        Seat { name: name.to_owned(), priority, cores: cores.iter().copied().collect(), busy: false }
+    }
+
+    fn busy(name: &str, priority: Option<u8>, cores: &[usize]) -> Seat {
+        Seat { busy: true, ..seat(name, priority, cores) }
+    }
+
+    /// `Err` names the busy poller and the starved thread.
+    fn claim(registry: &Registry, seat: Seat) -> Result<ThreadRegistration, (String, String)> {
+        registry.claim(seat, 4).map_err(|error| match error {
+            ExecutorError::Starved { busy, starved, .. } => (busy, starved),
+            other => panic!("{other}"),
+        })
+    }
+
+    fn refused(busy: &str, starved: &str) -> (String, String) {
+        (busy.to_owned(), starved.to_owned())
+    }
+
+    #[test]
+    fn a_busy_poller_may_not_starve_those_that_are_there() {
+        let registry = Registry::default();
+        let _low = claim(&registry, seat("low", Some(10), &[1])).unwrap();
+        let _free = claim(&registry, seat("free", Some(5), &[1, 2])).unwrap();
+        let _sampler = claim(&registry, seat("sampler", Some(90), &[0])).unwrap();
+        assert_eq!(claim(&registry, busy("b", Some(10), &[1])).unwrap_err(), refused("b", "low"));
+        let _below = claim(&registry, busy("below", Some(9), &[1])).unwrap();
+        let _under_the_sampler = claim(&registry, busy("c", Some(20), &[0])).unwrap();
+        // Both cores of `free` would be held.
+        assert_eq!(claim(&registry, busy("d", Some(5), &[2])).unwrap_err(), refused("below", "free"));
+        // Time sharing starves nobody.
+        let _shared = claim(&registry, busy("e", None, &[1])).unwrap_err();
+        let _shared = claim(&registry, busy("f", None, &[2])).unwrap();
+    }
+
+    #[test]
+    fn nobody_may_come_to_starve_below_a_busy_poller() {
+        let registry = Registry::default();
+        let poller = claim(&registry, busy("b", Some(20), &[1])).unwrap();
+        for priority in [None, Some(1), Some(20)] {
+            assert_eq!(claim(&registry, seat("late", priority, &[1])).unwrap_err(), refused("b", "late"));
+        }
+        let _above = claim(&registry, seat("above", Some(21), &[1])).unwrap();
+        let _elsewhere = claim(&registry, seat("elsewhere", Some(1), &[1, 3])).unwrap();
+        assert_eq!(claim(&registry, busy("b2", Some(30), &[1])).unwrap_err(), refused("b2", "b"));
+        drop(poller);
+        let _late = claim(&registry, seat("late", Some(20), &[1])).unwrap();
+    }
+
+    #[test]
+    fn a_busy_poller_needs_a_core_of_its_own() {
+        let registry = Registry::default();
+        for cores in [&[][..], &[0, 1]] {
+            let error = registry.claim(busy("b", None, cores), 4).unwrap_err();
+            assert!(matches!(error, ExecutorError::BusyPollCores { .. }), "{error}");
+        }
+        let error = registry.claim(busy("b", Some(1), &[0]), 1).unwrap_err();
+        assert!(matches!(error, ExecutorError::BusyPollOnlyCore { priority: 1, .. }), "{error}");
+        let _shared = registry.claim(busy("b", None, &[0]), 1).unwrap();
+    }
+}

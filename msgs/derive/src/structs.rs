@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Structs: `Plain` field by field, the proof of their layout, and `Message` if they have a name.
+
+use proc_macro2::{Span, TokenStream, TokenTree};
+use quote::{ToTokens, quote, quote_spanned};
+use syn::spanned::Spanned;
+use syn::{DataStruct, DeriveInput, Error, Field, Fields, Ident, Path, Result, Type};
+
+use crate::attributes::{Attributes, Repr};
+
+pub fn expand(
+    input: &DeriveInput,
+    data: &DataStruct,
+    attributes: &Attributes,
+    repr: &Repr,
+) -> Result<TokenStream> {
+    let name = &input.ident;
+    let krate = &attributes.krate;
+    let message = message_impl(name, attributes)?;
+    if !repr.has("C") {
+        return Err(Error::new_spanned(
+            name,
+            format!("the layout of struct `{name}` is not stated: add `#[repr(C)]`"),
+        ));
+    }
+    let fields = named_fields(name, data)?;
+    for field in &fields {
+        check_type(&field.ty)?;
+    }
+
+    let idents: Vec<_> = fields.iter().filter_map(|field| field.ident.as_ref()).collect();
+    let types: Vec<_> = fields.iter().map(|field| &field.ty).collect();
+    let (first, last) = (types[0], types[types.len() - 1]);
+    let last_ident = idents[idents.len() - 1];
+    // One error at the field of a type that is not plain, in place of one for each use below.
+    let bounds = types.iter().map(|ty| {
+        let krate = respanned(krate, ty.span());
+        quote_spanned!(ty.span()=> #ty: #krate::Plain)
+    });
+    let proofs = fields.windows(2).map(|pair| proof(name, krate, pair[0], pair[1]));
+
+    // The last line before the impl evaluates the arrays' own proof, also where no field follows them.
+    Ok(quote! {
+        #message
+
+        #(#proofs)*
+        const _: usize = <#name as #krate::Plain>::CDR_SIZE;
+
+        // SAFETY: `repr(C)`, all fields are `Plain`, and the asserts above prove that C places them where CDR does.
+        #[automatically_derived]
+        unsafe impl #krate::Plain for #name
+        where
+            #(#bounds,)*
+        {
+            const CDR_SIZE: usize =
+                ::core::mem::offset_of!(#name, #last_ident) + <#last as #krate::Plain>::CDR_SIZE;
+            const FIRST_ALIGN: usize = <#first as #krate::Plain>::FIRST_ALIGN;
+            const ALWAYS_VALID: bool = true #(&& <#types as #krate::Plain>::ALWAYS_VALID)*;
+
+            #[inline]
+            fn validate(bytes: &[u8]) -> ::core::result::Result<(), #krate::Invalid> {
+                #(#krate::layout::validate_at::<#types>(bytes, ::core::mem::offset_of!(#name, #idents))?;)*
+                ::core::result::Result::Ok(())
+            }
+
+            #[inline]
+            fn write_fields(&self, out: &mut [u8]) {
+                #(#krate::Plain::write_fields(&self.#idents, &mut out[::core::mem::offset_of!(#name, #idents)..]);)*
+            }
+        }
+    })
+}
+
+fn message_impl(name: &Ident, attributes: &Attributes) -> Result<TokenStream> {
+    let krate = &attributes.krate;
+    match (&attributes.name, attributes.nested) {
+        (Some(type_name), _) => Ok(quote! {
+            #[automatically_derived]
+            impl #krate::Message for #name {
+                const TYPE_NAME: &'static str = #type_name;
+            }
+        }),
+        (None, Some(_)) => Ok(TokenStream::new()),
+        (None, None) => Err(Error::new_spanned(
+            name,
+            format!(
+                "message `{name}` has no ROS name: add `#[message(name = \"my_msgs/msg/{name}\")]`, or \
+                 `#[message(nested)]` if it is only a field of other messages"
+            ),
+        )),
+    }
+}
+
+fn named_fields<'a>(name: &Ident, data: &'a DataStruct) -> Result<Vec<&'a Field>> {
+    match &data.fields {
+        Fields::Named(fields) if !fields.named.is_empty() => Ok(fields.named.iter().collect()),
+        Fields::Unnamed(_) => Err(Error::new_spanned(
+            name,
+            format!(
+                "the fields of message `{name}` need names, as in a .msg file: write `struct {name} {{ .. }}`"
+            ),
+        )),
+        _ => Err(Error::new_spanned(
+            name,
+            format!(
+                "message `{name}` is empty: add `structure_needs_at_least_one_member: u8`, as ROS 2 does"
+            ),
+        )),
+    }
+}
+
+/// Refuses by name what rustc would refuse with a longer text.
+fn check_type(ty: &Type) -> Result<()> {
+    let advice = match ty {
+        Type::Reference(_) | Type::Ptr(_) | Type::BareFn(_) => {
+            "an address means nothing in another process: hold the value"
+        }
+        Type::Array(array) => return check_type(&array.elem),
+        Type::Tuple(_) => "a tuple has no stated layout: use a struct with `#[derive(Message)]`",
+        Type::Path(path) if path.path.is_ident("usize") => {
+            "`usize` differs between machines: use `u64` or `u32`"
+        }
+        Type::Path(path) if path.path.is_ident("isize") => {
+            "`isize` differs between machines: use `i64` or `i32`"
+        }
+        Type::Path(path) if path.path.is_ident("u128") || path.path.is_ident("i128") => {
+            "CDR has no integers of 128 bits: use `[u64; 2]`"
+        }
+        Type::Path(path)
+            if path
+                .path
+                .segments
+                .last()
+                .is_some_and(|last| last.ident == "String" || last.ident == "Vec") =>
+        {
+            "this type has no fixed size: use an array of the greatest length and a field for the length"
+        }
+        _ => return Ok(()),
+    };
+    Err(Error::new_spanned(ty, advice))
+}
+
+/// A compile-time check that `field` lies where CDR places it after `previous`.
+fn proof(name: &Ident, krate: &Path, previous: &Field, field: &Field) -> TokenStream {
+    let struct_name = name.to_string();
+    let [previous, described] = [previous, field].map(|field| {
+        let (ident, ty) = (&field.ident, &field.ty);
+        let field_name = ident.to_token_stream().to_string();
+        let type_name = type_text(ty);
+        quote! {
+            #krate::layout::Field {
+                name: #field_name,
+                type_name: #type_name,
+                offset: ::core::mem::offset_of!(#name, #ident),
+                size: ::core::mem::size_of::<#ty>(),
+                cdr_size: <#ty as #krate::Plain>::CDR_SIZE,
+                first_align: <#ty as #krate::Plain>::FIRST_ALIGN,
+            }
+        }
+    });
+    let krate = respanned(krate, field.span());
+    quote_spanned! {field.span()=>
+        const _: () = #krate::layout::check(#struct_name, &#previous, &#described);
+    }
+}
+
+/// `path` with the place `span`, so that rustc points there.
+fn respanned(path: &Path, span: Span) -> TokenStream {
+    let at_span = |mut token: TokenTree| {
+        token.set_span(span);
+        token
+    };
+    path.to_token_stream().into_iter().map(at_span).collect()
+}
+
+/// `[u8; 3]` instead of `[u8 ; 3]`.
+fn type_text(ty: &Type) -> String {
+    ty.to_token_stream().to_string().replace(" ;", ";").replace(" :: ", "::")
+}

@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use core::any::type_name;
+
+use crate::Invalid;
+
+/// A type of fixed size whose C layout is its XCDR1 little-endian layout: a reference to the bytes is a reference to
+/// the value.
+///
+/// In XCDR1 a primitive is aligned to its own size (at most 8), counted from the start of the body; structs and arrays
+/// add no alignment of their own, and nothing follows the last primitive. C differs in two places: it aligns a nested
+/// struct to its largest field, and it pads a nested struct at its end. Derived types are checked for both at compile
+/// time. An enum is written as the integer of its `repr`, a `char` as `uint32`.
+///
+/// # Safety
+///
+/// Implement it with `#[derive(Message)]`. By hand, all of this must hold:
+///
+/// - Placed at a multiple of 8, every primitive of the type lies where XCDR1 places it, and
+///   `align_of::<Self>() <= 8`.
+/// - `CDR_SIZE` is where the last primitive ends: `size_of::<Self>()` without the trailing padding.
+/// - `FIRST_ALIGN` is the alignment of the first primitive.
+/// - If [`validate`](Plain::validate) returns `Ok`, these bytes are a valid `Self`; with `ALWAYS_VALID`, all
+///   initialised bytes are.
+/// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
+///   without touching it. (References, `NonZero` integers and enums without a variant 0 are therefore excluded.)
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is not a plain type: its bytes in memory are not its CDR",
+    label = "not a plain type",
+    note = "plain are u8..u64, i8..i64, f32, f64, bool, char, arrays of these, and structs and enums with `#[derive(Message)]`",
+    note = "text of limited length can be a `[u8; N]` with a length field"
+)]
+pub unsafe trait Plain: Copy + Send + Sync + 'static {
+    /// Bytes from the start of the value to the end of its last primitive.
+    ///
+    /// `CDR_SIZE <= size_of::<Self>() <= CDR_SIZE.next_multiple_of(8)`: a body stored in a buffer rounded up to
+    /// 8 bytes can be referenced.
+    const CDR_SIZE: usize;
+
+    /// The alignment of the first primitive in bytes: 1, 2, 4 or 8.
+    const FIRST_ALIGN: usize;
+
+    /// Whether any initialised bytes are a valid value, so that there is nothing to validate.
+    const ALWAYS_VALID: bool;
+
+    /// Checks that `bytes` hold a valid value: each `bool` is 0 or 1, each `char` a Unicode scalar value, each enum
+    /// one of its variants. Bytes past `CDR_SIZE` are not looked at; alignment does not matter.
+    ///
+    /// # Real-time
+    ///
+    /// Wait-free; no allocation; no syscall. Constant for [`ALWAYS_VALID`](Plain::ALWAYS_VALID) types, otherwise linear
+    /// in the number of fields and array elements that can be invalid.
+    ///
+    /// # Errors
+    ///
+    /// [`Invalid::Length`] if a field lies past the end, [`Invalid::Value`] for the first invalid field.
+    fn validate(bytes: &[u8]) -> Result<(), Invalid>;
+
+    /// Writes the primitives to the start of `out`, which holds at least `CDR_SIZE` bytes; leaves padding as it is.
+    /// Call [`write_cdr`] instead.
+    #[doc(hidden)]
+    fn write_fields(&self, out: &mut [u8]);
+}
+
+/// The value that `bytes` hold, in place.
+///
+/// `bytes` is at least `size_of::<T>()` long, trailing padding included, and starts at a multiple of
+/// `align_of::<T>()`. Bytes beyond are ignored.
+///
+/// # Real-time
+///
+/// Wait-free; no allocation; no syscall. Constant for [`Plain::ALWAYS_VALID`] types, otherwise as [`Plain::validate`].
+///
+/// # Errors
+///
+/// [`Invalid`] if the bytes are too few, misaligned, or no valid `T`.
+#[inline]
+pub fn from_bytes<T: Plain>(bytes: &[u8]) -> Result<&T, Invalid> {
+    const { assert!(align_of::<T>() <= 8 && T::CDR_SIZE <= size_of::<T>()) }
+    if bytes.len() < size_of::<T>() {
+        return Err(Invalid::Length {
+            type_name: type_name::<T>(),
+            needed: size_of::<T>(),
+            len: bytes.len(),
+        });
+    }
+    let value = bytes.as_ptr().cast::<T>();
+    if !value.is_aligned() {
+        return Err(Invalid::Alignment { type_name: type_name::<T>(), align: align_of::<T>() });
+    }
+    if !T::ALWAYS_VALID {
+        T::validate(bytes)?;
+    }
+    // SAFETY: in bounds, aligned and initialised as just checked and by `&[u8]`; a valid `T` by the contract of
+    // `Plain`; the result borrows `bytes`, and `T: Plain` has no way to change it through `&T`.
+    Ok(unsafe { &*value })
+}
+
+/// Writes the CDR body of `value` to the start of `out` and returns its length, [`Plain::CDR_SIZE`].
+///
+/// Copies field by field and zeroes the padding between fields: reading a struct as bytes would read its padding,
+/// which is not initialised. On the hot path write into the loan instead.
+///
+/// # Real-time
+///
+/// Wait-free; no allocation; no syscall. Linear in the number of primitives.
+///
+/// # Errors
+///
+/// [`Invalid::Length`] if `out` is shorter than `CDR_SIZE`; nothing is written then.
+pub fn write_cdr<T: Plain>(value: &T, out: &mut [u8]) -> Result<usize, Invalid> {
+    let len = out.len();
+    let Some(body) = out.get_mut(..T::CDR_SIZE) else {
+        return Err(Invalid::Length { type_name: type_name::<T>(), needed: T::CDR_SIZE, len });
+    };
+    body.fill(0);
+    value.write_fields(body);
+    Ok(T::CDR_SIZE)
+}

@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Sets of cores, and binding threads to them.
+
+use std::{fmt, io};
+
+use rustix::thread::{CpuSet, Pid, sched_getaffinity, sched_setaffinity};
+
+use crate::{RtError, current_tid, host};
+
+/// A set of cores: a fixed bit mask, plain data.
+///
+/// Building one asks nobody; whether its cores exist is checked by [`CoreSet::check`] and by whatever uses it.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct CoreSet {
+    bits: [u64; CoreSet::MAX / 64],
+    /// The first core that the mask cannot hold, plus one: kept so that the error can name it.
+    beyond: usize,
+}
+
+impl CoreSet {
+    /// Cores 0..1024 can be named, as in the kernel's fixed-size mask.
+    pub const MAX: usize = 1024;
+
+    /// The empty set.
+    pub const fn empty() -> CoreSet {
+        CoreSet { bits: [0; Self::MAX / 64], beyond: 0 }
+    }
+
+    /// One core.
+    pub const fn one(core: usize) -> CoreSet {
+        CoreSet::empty().with(core)
+    }
+
+    /// This set and `core`.
+    #[must_use]
+    pub const fn with(mut self, core: usize) -> CoreSet {
+        if core < Self::MAX {
+            self.bits[core / 64] |= 1 << (core % 64);
+        } else if self.beyond == 0 {
+            self.beyond = core.saturating_add(1);
+        }
+        self
+    }
+
+    /// All cores this process may be bound to: those online that its cpuset grants, however it is bound now.
+    ///
+    /// # Errors
+    /// [`RtError::Spawn`] or [`RtError::Kernel`] if the short-lived thread that asks the kernel cannot do so.
+    pub fn allowed() -> Result<CoreSet, RtError> {
+        // The kernel cuts what it is asked for down to the cpuset: ask for everything and read back.
+        let probe = || {
+            let online = host::online_cores()?;
+            bind(None, online).map_err(|source| RtError::Kernel { what: "sched_setaffinity", source })?;
+            current_affinity()
+        };
+        std::thread::scope(|scope| {
+            let name = "core-probe".to_owned();
+            let thread = std::thread::Builder::new().name(name.clone()).spawn_scoped(scope, probe);
+            let thread = thread.map_err(|source| RtError::Spawn { name: name.clone(), source })?;
+            thread.join().map_err(|_| RtError::Panicked { name, message: "probing cores".to_owned() })?
+        })
+    }
+
+    /// Says whether `core` is in the set.
+    pub const fn contains(&self, core: usize) -> bool {
+        core < Self::MAX && self.bits[core / 64] & (1 << (core % 64)) != 0
+    }
+
+    /// The number of cores in the set.
+    pub fn len(&self) -> usize {
+        self.bits.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// Says whether the set has no core.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The cores in ascending order.
+    pub fn iter(&self) -> impl Iterator<Item = usize> + use<> {
+        let set = *self;
+        (0..Self::MAX).filter(move |core| set.contains(*core))
+    }
+
+    /// Says whether a thread could be bound to this set: it is not empty and each core is online.
+    ///
+    /// # Errors
+    /// [`RtError::NoCores`] and [`RtError::UnknownCore`], which name the cores that exist.
+    pub fn check(&self) -> Result<(), RtError> {
+        let online = host::online_cores()?;
+        if let Some(core) =
+            self.beyond.checked_sub(1).or_else(|| self.iter().find(|core| !online.contains(*core)))
+        {
+            return Err(RtError::UnknownCore { core, online: online.to_string() });
+        }
+        if self.is_empty() { Err(RtError::NoCores { online: online.to_string() }) } else { Ok(()) }
+    }
+}
+
+impl FromIterator<usize> for CoreSet {
+    fn from_iter<I: IntoIterator<Item = usize>>(cores: I) -> CoreSet {
+        cores.into_iter().fold(CoreSet::empty(), CoreSet::with)
+    }
+}
+
+/// As the kernel writes lists of cores: `0-3,8`.
+impl fmt::Display for CoreSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut separator = "";
+        let mut core = 0;
+        while core < Self::MAX {
+            let first = core;
+            while self.contains(core) {
+                core += 1;
+            }
+            match core - first {
+                0 => core += 1,
+                1 => write!(f, "{separator}{first}")?,
+                _ => write!(f, "{separator}{first}-{}", core - 1)?,
+            }
+            if self.contains(first) {
+                separator = ",";
+            }
+        }
+        if separator.is_empty() { f.write_str("none") } else { Ok(()) }
+    }
+}
+
+impl fmt::Debug for CoreSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "CoreSet({self})")
+    }
+}
+
+/// Binds the current thread to `cores` and reads the binding back.
+///
+/// # Errors
+/// [`RtError::UnknownCore`] or [`RtError::CoreNotAllowed`], which name the cores to choose from;
+/// [`RtError::CoresNotKept`] if the kernel then reports other cores.
+pub fn set_affinity(cores: CoreSet) -> Result<(), RtError> {
+    set_affinity_of(current_tid(), cores)
+}
+
+/// Binds thread `tid` to `cores` and reads the binding back.
+///
+/// # Errors
+/// As [`set_affinity`]; [`RtError::NoSuchThread`] when the thread has ended.
+pub fn set_affinity_of(tid: u32, cores: CoreSet) -> Result<(), RtError> {
+    cores.check()?;
+    let thread = pid(tid)?;
+    if let Err(source) = bind(Some(thread), cores) {
+        return Err(match source.raw_os_error() {
+            Some(libc::EINVAL) => not_allowed(cores)?,
+            _ => RtError::of_thread("sched_setaffinity", tid, source),
+        });
+    }
+    let reported = affinity_of(tid)?;
+    if reported == cores {
+        Ok(())
+    } else if cores.iter().all(|core| reported.contains(core)) {
+        Err(RtError::CoresNotKept { tid, asked: cores.to_string(), reported: reported.to_string() })
+    } else {
+        Err(not_allowed(cores)?)
+    }
+}
+
+/// The cores the current thread may run on, as the kernel reports them.
+///
+/// # Errors
+/// [`RtError::Kernel`] if the kernel does not answer.
+pub fn current_affinity() -> Result<CoreSet, RtError> {
+    affinity_of(current_tid())
+}
+
+/// The cores thread `tid` may run on, as the kernel reports them.
+///
+/// # Errors
+/// [`RtError::NoSuchThread`] when the thread has ended.
+pub fn affinity_of(tid: u32) -> Result<CoreSet, RtError> {
+    let mask = sched_getaffinity(Some(pid(tid)?))
+        .map_err(|errno| RtError::of_thread("sched_getaffinity", tid, errno.into()))?;
+    Ok((0..CpuSet::MAX_CPU).filter(|core| mask.is_set(*core)).collect())
+}
+
+fn bind(thread: Option<Pid>, cores: CoreSet) -> io::Result<()> {
+    let mut mask = CpuSet::new();
+    cores.iter().for_each(|core| mask.set(core));
+    Ok(sched_setaffinity(thread, &mask)?)
+}
+
+fn not_allowed(asked: CoreSet) -> Result<RtError, RtError> {
+    Ok(RtError::CoreNotAllowed { asked: asked.to_string(), allowed: CoreSet::allowed()?.to_string() })
+}
+
+/// Only a positive id names a thread: 0 would be the caller, and above `i32::MAX` none.
+pub(crate) fn pid(tid: u32) -> Result<Pid, RtError> {
+    i32::try_from(tid).ok().and_then(Pid::from_raw).ok_or(RtError::NoSuchThread { tid })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sets_print_as_the_kernel_writes_them() {
+        for (cores, text) in [
+            (&[][..], "none"),
+            (&[0], "0"),
+            (&[0, 1, 2, 3, 8], "0-3,8"),
+            (&[63, 64, 200, 1023], "63-64,200,1023"),
+        ] {
+            let set: CoreSet = cores.iter().copied().collect();
+            assert_eq!(set.to_string(), text);
+            assert_eq!(set.iter().collect::<Vec<_>>(), cores);
+            assert_eq!(set.len(), cores.len());
+        }
+    }
+
+    #[test]
+    fn an_unknown_core_is_named_with_those_that_exist() {
+        let online = host::online_cores().unwrap();
+        for core in [1023, 1024, 70_000, usize::MAX - 1] {
+            if online.contains(core) {
+                continue;
+            }
+            let message = set_affinity(CoreSet::one(core)).unwrap_err().to_string();
+            assert_eq!(message, format!("core {core} does not exist here: choose from {online}"));
+        }
+        assert!(matches!(set_affinity(CoreSet::empty()), Err(RtError::NoCores { .. })));
+    }
+}

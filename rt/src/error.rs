@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What can go wrong, each with the line that mends it.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::Policy;
+
+/// Why a real-time setting was refused. Each message names the thing, the limit and the fix.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RtError {
+    /// A real-time priority outside 1..=99.
+    #[error("priority {priority} is out of range: SCHED_FIFO and SCHED_RR take 1 (lowest) to 99 (highest)")]
+    BadPriority {
+        /// The priority asked for.
+        priority: u8,
+    },
+    /// A nice value outside -20..=19.
+    #[error("nice {nice} is out of range: SCHED_OTHER takes -20 (most time) to 19 (least)")]
+    BadNice {
+        /// The nice value asked for.
+        nice: i8,
+    },
+    /// [`Policy::Unmanaged`] can be read, not set.
+    #[error("kernel policy {number} can be read but not set: use Policy::Fifo, RoundRobin or Other")]
+    UnmanagedPolicy {
+        /// The kernel's number of the policy.
+        number: u32,
+    },
+    /// A core set without cores.
+    #[error("the core set is empty: name at least one of the cores {online}")]
+    NoCores {
+        /// The cores that are online.
+        online: String,
+    },
+    /// A core that is not online.
+    #[error("core {core} does not exist here: choose from {online}")]
+    UnknownCore {
+        /// The core asked for.
+        core: usize,
+        /// The cores that are online.
+        online: String,
+    },
+    /// A core that is online but withheld from this process by its cpuset.
+    #[error(
+        "cores {asked} are not all allowed to this process: choose from {allowed}, or widen its cpuset \
+         (AllowedCPUs= of the systemd unit, --cpuset-cpus of the container)"
+    )]
+    CoreNotAllowed {
+        /// The cores asked for.
+        asked: String,
+        /// The cores the process may use.
+        allowed: String,
+    },
+    /// The kernel accepted a policy and then reported another.
+    #[error(
+        "thread {tid} was set to {asked}, yet the kernel reports {reported}: stop whatever else sets its policy"
+    )]
+    PolicyNotKept {
+        /// The thread.
+        tid: u32,
+        /// What was set.
+        asked: Policy,
+        /// What was read back.
+        reported: Policy,
+    },
+    /// The kernel accepted an affinity and then reported another.
+    #[error(
+        "thread {tid} was bound to cores {asked}, yet the kernel reports {reported}: stop whatever else binds it"
+    )]
+    CoresNotKept {
+        /// The thread.
+        tid: u32,
+        /// What was set.
+        asked: String,
+        /// What was read back.
+        reported: String,
+    },
+    /// No privilege for real-time priorities at all.
+    #[error(
+        "real-time priority {priority} needs CAP_SYS_NICE: run `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, \
+         or add the line `@realtime - rtprio 98` to /etc/security/limits.d/90-tautline.conf, join the group \
+         `realtime` and log in again",
+        exe.display()
+    )]
+    MissingCapability {
+        /// The priority asked for.
+        priority: u8,
+        /// This executable.
+        exe: PathBuf,
+    },
+    /// `RLIMIT_RTPRIO` allows lower priorities only.
+    #[error(
+        "real-time priority {priority} is above this user's limit of {limit} (RLIMIT_RTPRIO): put the line \
+         `@realtime - rtprio {priority}` into /etc/security/limits.d/90-tautline.conf and log in again, or \
+         choose at most {limit}"
+    )]
+    PriorityLimit {
+        /// The priority asked for.
+        priority: u8,
+        /// The highest one allowed.
+        limit: u64,
+    },
+    /// The process's cpu cgroup has no real-time runtime (`CONFIG_RT_GROUP_SCHED`).
+    #[error(
+        "real-time priority {priority} is refused because the cpu cgroup has no real-time runtime: run \
+         `echo 950000 | sudo tee {}`",
+        path.display()
+    )]
+    NoGroupRuntime {
+        /// The priority asked for.
+        priority: u8,
+        /// The file that holds the runtime, in µs.
+        path: PathBuf,
+    },
+    /// Refused although privilege and limits would do: a container's filter, or a cgroup that hides its runtime.
+    #[error(
+        "real-time priority {priority} is refused although privilege and limits suffice: in a container start it \
+         with `--cap-add sys_nice --ulimit rtprio=99`; otherwise leave the cpu cgroup with \
+         `echo $$ | sudo tee /sys/fs/cgroup/cgroup.procs`"
+    )]
+    RealtimeRefused {
+        /// The priority asked for.
+        priority: u8,
+    },
+    /// Too little privilege to lower the nice value.
+    #[error(
+        "nice {nice} needs CAP_SYS_NICE: run `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, or put the line \
+         `@realtime - nice {nice}` into /etc/security/limits.d/90-tautline.conf and log in again",
+        exe.display()
+    )]
+    NiceRefused {
+        /// The nice value asked for.
+        nice: i8,
+        /// This executable.
+        exe: PathBuf,
+    },
+    /// Memory may not be locked, or not as much.
+    #[error(
+        "memory cannot be locked with a limit of {limit} (RLIMIT_MEMLOCK): run \
+         `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, or put the line `@realtime - memlock unlimited` into \
+         /etc/security/limits.d/90-tautline.conf and log in again",
+        exe.display()
+    )]
+    MemoryLock {
+        /// The limit, with its unit.
+        limit: String,
+        /// This executable.
+        exe: PathBuf,
+        /// The kernel's answer.
+        source: io::Error,
+    },
+    /// `/dev/cpu_dma_latency` cannot be held.
+    #[error(
+        "idle states cannot be held off through /dev/cpu_dma_latency: run as root, or put the line \
+         `KERNEL==\"cpu_dma_latency\", GROUP=\"realtime\", MODE=\"0660\"` into \
+         /etc/udev/rules.d/90-tautline.rules and run `sudo udevadm trigger --name-match=cpu_dma_latency`"
+    )]
+    Idle {
+        /// The kernel's answer.
+        source: io::Error,
+    },
+    /// A stack size no thread can have.
+    #[error("a stack of {bytes} bytes for thread `{name}` is too large: choose at most {max} bytes")]
+    StackTooLarge {
+        /// The thread.
+        name: String,
+        /// The size asked for.
+        bytes: usize,
+        /// The largest size accepted.
+        max: usize,
+    },
+    /// No thread could be started.
+    #[error(
+        "thread `{name}` cannot be started: raise the limit of processes (ulimit -u) or of memory (ulimit -v, -l)"
+    )]
+    Spawn {
+        /// The thread.
+        name: String,
+        /// The system's answer.
+        source: io::Error,
+    },
+    /// A thread panicked, in its set-up or later.
+    #[error("thread `{name}` panicked: {message}")]
+    Panicked {
+        /// The thread.
+        name: String,
+        /// The panic's message.
+        message: String,
+    },
+    /// A thread that does not exist (any more).
+    #[error("thread {tid} does not exist: take its id from threads() while it runs")]
+    NoSuchThread {
+        /// The thread.
+        tid: u32,
+    },
+    /// Any other answer of the kernel.
+    #[error("{what} failed: {source}")]
+    Kernel {
+        /// The call or the file.
+        what: &'static str,
+        /// The kernel's answer.
+        source: io::Error,
+    },
+}
+
+impl RtError {
+    /// Sorts an errno of a call that addresses a thread.
+    pub(crate) fn of_thread(what: &'static str, tid: u32, source: io::Error) -> RtError {
+        match source.raw_os_error() {
+            Some(libc::ESRCH) => RtError::NoSuchThread { tid },
+            _ => RtError::Kernel { what, source },
+        }
+    }
+}

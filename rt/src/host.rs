@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What machine this is, as far as real time is concerned.
+
+use std::{fmt, fs};
+
+use rustix::system::uname;
+
+use crate::{CoreSet, RtError};
+
+/// When the kernel may interrupt its own work for a more urgent thread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Preemption {
+    /// `PREEMPT_RT`: nearly always.
+    Rt,
+    /// `PREEMPT_DYNAMIC`: chosen when booting, see [`HostInfo::preempt_mode`].
+    Dynamic,
+    /// `PREEMPT`: outside its critical sections.
+    Full,
+    /// Only where it offers to.
+    Voluntary,
+}
+
+impl fmt::Display for Preemption {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Preemption::Rt => "PREEMPT_RT",
+            Preemption::Dynamic => "PREEMPT_DYNAMIC",
+            Preemption::Full => "PREEMPT",
+            Preemption::Voluntary => "PREEMPT_VOLUNTARY or PREEMPT_NONE",
+        })
+    }
+}
+
+/// The kernel and its real-time settings.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HostInfo {
+    /// The kernel's release, such as `6.8.0-45-generic`.
+    pub kernel: String,
+    /// How it was built to preempt.
+    pub preemption: Preemption,
+    /// The mode in force under [`Preemption::Dynamic`] (`none`, `voluntary`, `full` or `lazy`), if it can be read.
+    pub preempt_mode: Option<String>,
+    /// Real-time threads get at most this many µs in every [`rt_period_us`](Self::rt_period_us); -1: no limit.
+    pub rt_runtime_us: Option<i64>,
+    /// The period of that limit, in µs.
+    pub rt_period_us: Option<i64>,
+}
+
+impl HostInfo {
+    /// Reads the settings; what cannot be read is `None`.
+    pub fn read() -> HostInfo {
+        let name = uname();
+        let number = |path| fs::read_to_string(path).ok().and_then(|text| text.trim().parse().ok());
+        let is_rt = number("/sys/kernel/realtime") == Some(1);
+        let mode = fs::read_to_string("/sys/kernel/debug/sched/preempt").ok();
+        HostInfo {
+            kernel: name.release().to_string_lossy().into_owned(),
+            preemption: if is_rt { Preemption::Rt } else { preemption(&name.version().to_string_lossy()) },
+            preempt_mode: mode.and_then(|text| selected(&text)),
+            rt_runtime_us: number("/proc/sys/kernel/sched_rt_runtime_us"),
+            rt_period_us: number("/proc/sys/kernel/sched_rt_period_us"),
+        }
+    }
+}
+
+/// The cores that are online.
+///
+/// # Errors
+/// [`RtError::Kernel`] if `/sys/devices/system/cpu/online` cannot be read.
+pub fn online_cores() -> Result<CoreSet, RtError> {
+    let text = fs::read_to_string("/sys/devices/system/cpu/online")
+        .map_err(|source| RtError::Kernel { what: "reading /sys/devices/system/cpu/online", source })?;
+    Ok(parse_cores(&text))
+}
+
+/// Time that the hypervisor gave to others while this machine, or this core, wanted to run, in ticks of 10 ms since
+/// booting. 0 where the kernel reports none, as on bare metal or for a core that does not exist.
+pub fn steal_ticks(core: Option<usize>) -> u64 {
+    fs::read_to_string("/proc/stat").map_or(0, |stat| parse_steal(&stat, core))
+}
+
+fn preemption(version: &str) -> Preemption {
+    let has = |word| version.split_whitespace().any(|w| w == word);
+    match () {
+        () if has("PREEMPT_RT") => Preemption::Rt,
+        () if has("PREEMPT_DYNAMIC") => Preemption::Dynamic,
+        () if has("PREEMPT") => Preemption::Full,
+        () => Preemption::Voluntary,
+    }
+}
+
+/// The bracketed word of `none voluntary (full)`.
+fn selected(text: &str) -> Option<String> {
+    let (_, rest) = text.split_once('(')?;
+    Some(rest.split_once(')')?.0.to_owned())
+}
+
+/// Reads a list such as `0-3,8`.
+fn parse_cores(list: &str) -> CoreSet {
+    let ranges = list.trim().split(',').filter_map(|part| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        Some(first.parse().ok()?..=last.parse::<usize>().ok()?.min(CoreSet::MAX - 1))
+    });
+    ranges.flatten().collect()
+}
+
+/// The 8th number of the line `cpu` (all cores) or `cpuN`.
+fn parse_steal(stat: &str, core: Option<usize>) -> u64 {
+    let label = core.map_or("cpu".to_owned(), |core| format!("cpu{core}"));
+    let mut fields =
+        stat.lines().map(str::split_whitespace).filter(|f| f.clone().next() == Some(label.as_str()));
+    fields.next().and_then(|mut line| line.nth(8)).and_then(|ticks| ticks.parse().ok()).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kernel_texts_are_read() {
+        assert_eq!(preemption("#1 SMP PREEMPT_RT Debian 6.1"), Preemption::Rt);
+        assert_eq!(preemption("#45-Ubuntu SMP PREEMPT_DYNAMIC Fri"), Preemption::Dynamic);
+        assert_eq!(preemption("#1 SMP PREEMPT Mon"), Preemption::Full);
+        assert_eq!(preemption("#1 SMP Mon"), Preemption::Voluntary);
+        assert_eq!(selected("none voluntary (full)\n").as_deref(), Some("full"));
+        assert_eq!(parse_cores("0-3,8,10-11\n").to_string(), "0-3,8,10-11");
+        assert_eq!(parse_cores("garbage").len(), 0);
+        let stat =
+            "cpu  1 2 3 4 5 6 7 88 9 10\ncpu0 1 2 3 4 5 6 7 40 9 10\ncpu1 1 2 3 4 5 6 7 48 9 10\nintr 5\n";
+        assert_eq!([None, Some(0), Some(1), Some(2)].map(|core| parse_steal(stat, core)), [88, 40, 48, 0]);
+    }
+
+    #[test]
+    fn this_host_can_be_read() {
+        let host = HostInfo::read();
+        assert!(!host.kernel.is_empty());
+        assert!(host.rt_period_us.is_none_or(|us| us > 0));
+        assert!(!online_cores().unwrap().is_empty());
+        assert!(steal_ticks(None) >= steal_ticks(Some(CoreSet::MAX)));
+    }
+}

@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a sampler serves besides samples: timers and guard conditions, made from any thread.
+
+use crate::timer::{Timer, TimerWords};
+use std::future::poll_fn;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tautline_rt::clock::monotonic_ns;
+use tautline_transport::{Doorbell, Participant, SLOTS, Slot, TransportError};
+
+/// The part of a sampler that other threads hold: they make timers and guard conditions here, and stop the sampler.
+#[derive(Clone)]
+pub struct Events {
+    pub(crate) shared: Arc<Shared>,
+}
+
+pub(crate) struct Shared {
+    pub(crate) doorbell: Arc<Doorbell>,
+    pub(crate) timers: Box<[TimerWords]>,
+    stop: AtomicBool,
+    stop_slot: Slot,
+}
+
+impl Events {
+    pub(crate) fn new(participant: &Participant) -> Result<Self, TransportError> {
+        let shared = Shared {
+            doorbell: participant.doorbell().clone(),
+            timers: (0..SLOTS).map(|_| TimerWords::default()).collect(),
+            stop: AtomicBool::new(false),
+            stop_slot: participant.claim_slot()?,
+        };
+        Ok(Events { shared: Arc::new(shared) })
+    }
+
+    /// A timer whose first release is one period from now.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if the context has no slot left.
+    pub fn timer(&self, period: Duration) -> Result<Timer, TransportError> {
+        let period_ns = (period.as_nanos() as u64).max(1);
+        self.timer_at(monotonic_ns().saturating_add(period_ns), period)
+    }
+
+    /// A timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`; periods below 1 ns are 1 ns.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if the context has no slot left.
+    pub fn timer_at(&self, first_release_ns: u64, period: Duration) -> Result<Timer, TransportError> {
+        let slot = self.shared.doorbell.claim()?;
+        Ok(Timer::arm(self.shared.clone(), slot, first_release_ns, (period.as_nanos() as u64).max(1)))
+    }
+
+    /// A condition that any thread can trigger and one task waits for.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if the context has no slot left.
+    pub fn guard_condition(&self) -> Result<GuardCondition, TransportError> {
+        let condition = Condition { slot: self.shared.doorbell.claim()?, triggered: AtomicU64::new(0) };
+        Ok(GuardCondition { condition: Arc::new(condition), seen: 0 })
+    }
+
+    /// Makes `spin` return, now or when it is next called.
+    ///
+    /// # Real-time
+    /// Wait-free; at most one futex wake.
+    pub fn stop(&self) {
+        self.shared.stop.store(true, Ordering::Release);
+        self.shared.stop_slot.ring();
+    }
+
+    /// Whether the sampler was stopped.
+    pub fn is_stopped(&self) -> bool {
+        self.shared.stop.load(Ordering::Acquire)
+    }
+}
+
+struct Condition {
+    slot: Slot,
+    triggered: AtomicU64,
+}
+
+/// Wakes one task when [triggered](GuardCondition::trigger), from any thread. A clone is the same condition, with its
+/// own memory of what it has seen.
+#[derive(Clone)]
+pub struct GuardCondition {
+    condition: Arc<Condition>,
+    seen: u64,
+}
+
+impl GuardCondition {
+    /// Triggers the condition. Triggers that come before the task looks count as one.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; at most one futex wake.
+    pub fn trigger(&self) {
+        // Release: pairs with the Acquire in `poll_triggered`.
+        self.condition.triggered.fetch_add(1, Ordering::Release);
+        self.condition.slot.ring();
+    }
+
+    /// Waits until the condition was triggered since the last wait (or since it was made). Only one task may wait at a
+    /// time: a second one takes the first one's place.
+    ///
+    /// # Real-time
+    /// Each poll wait-free; no allocation.
+    pub async fn triggered(&mut self) {
+        poll_fn(|context| self.poll_triggered(context)).await;
+    }
+
+    /// The poll behind [`triggered`](Self::triggered).
+    pub fn poll_triggered(&mut self, context: &mut Context<'_>) -> Poll<()> {
+        self.condition.slot.waker().register(context.waker());
+        let triggered = self.condition.triggered.load(Ordering::Acquire);
+        if triggered == self.seen {
+            return Poll::Pending;
+        }
+        self.seen = triggered;
+        Poll::Ready(())
+    }
+}

@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The sampler's loop.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use crate::events::Shared;
+use crate::sampler::{Sampler, Wait};
+use core::cmp::Reverse;
+use core::sync::atomic::Ordering;
+use core::time::Duration;
+use std::collections::BinaryHeap;
+use tautline_rt::clock::monotonic_ns;
+use tautline_transport::SLOTS;
+
+/// The timers by their next release. As many entries as there are slots, so pushing never allocates.
+pub(crate) struct Agenda {
+    due: BinaryHeap<Reverse<(u64, usize)>>,
+}
+
+impl Agenda {
+    pub(crate) fn new() -> Self {
+        Agenda { due: BinaryHeap::with_capacity(SLOTS) }
+    }
+
+    /// A timer was armed or dropped at `slot`. Setup of a timer, so O(timers) may pass.
+    fn update(&mut self, shared: &Shared, slot: usize) {
+        let Some(words) = shared.timers.get(slot) else { return };
+        if !words.changed.load(Ordering::Relaxed) || !words.changed.swap(false, Ordering::Acquire) {
+            return;
+        }
+        self.due.retain(|Reverse((_, other))| *other != slot);
+        if words.period_ns.load(Ordering::Relaxed) != 0 {
+            self.due.push(Reverse((words.first_release_ns.load(Ordering::Relaxed), slot)));
+        }
+    }
+
+    /// Releases every timer that is due. A timer that is late by several periods is released once; the releases between
+    /// are counted as missed by its task.
+    fn release(&mut self, shared: &Shared) -> usize {
+        let Some(Reverse((first, _))) = self.due.peek() else { return 0 };
+        let now = monotonic_ns();
+        if *first > now {
+            return 0;
+        }
+        let mut count = 0;
+        // Bounded: each timer's next release is put after `now`.
+        while let Some(mut next) = self.due.peek_mut() {
+            let Reverse((release_ns, slot)) = *next;
+            if release_ns > now {
+                break;
+            }
+            let Some(words) = shared.timers.get(slot) else { break };
+            let period_ns = words.period_ns.load(Ordering::Relaxed);
+            if period_ns == 0 {
+                // Dropped; its ring is on the way.
+                std::collections::binary_heap::PeekMut::pop(next);
+                continue;
+            }
+            let elapsed = (now - release_ns) / period_ns + 1;
+            *next = Reverse((release_ns.saturating_add(elapsed.saturating_mul(period_ns)), slot));
+            drop(next);
+            words.released.fetch_add(elapsed, Ordering::Release);
+            shared.doorbell.wake(slot);
+            count += 1;
+        }
+        count
+    }
+
+    fn next_release(&self) -> Option<u64> {
+        self.due.peek().map(|Reverse((release_ns, _))| *release_ns)
+    }
+}
+
+impl Sampler {
+    /// Wakes what is ready, waiting up to `timeout` for something to become ready; `None` waits as long as it takes.
+    /// Returns the number of events served. [`Events::stop`](crate::Events::stop) ends the wait.
+    ///
+    /// # Real-time
+    /// O(ready) per wake; no allocation; no lock; one syscall to wait and one per thread that is woken.
+    pub fn spin_once(&mut self, timeout: Option<Duration>) -> usize {
+        let deadline_ns = timeout.map(|timeout| monotonic_ns().saturating_add(timeout.as_nanos() as u64));
+        loop {
+            let served = self.serve();
+            let expired = || deadline_ns.is_some_and(|deadline| monotonic_ns() >= deadline);
+            if served != 0 || self.events.is_stopped() || expired() {
+                return served;
+            }
+            self.wait_until(deadline_ns);
+        }
+    }
+
+    /// Serves events until [`Events::stop`](crate::Events::stop) is called.
+    ///
+    /// # Real-time
+    /// Per wake as [`spin_once`](Self::spin_once).
+    pub fn spin(&mut self) {
+        while !self.events.is_stopped() {
+            if self.serve() == 0 {
+                self.wait_until(None);
+            }
+        }
+    }
+
+    /// Takes the rings first, so that a timer armed by one of them is looked at at once.
+    fn serve(&mut self) -> usize {
+        let (shared, agenda) = (&*self.events.shared, &mut self.agenda);
+        let rung = shared.doorbell.drain(|slot| agenda.update(shared, slot));
+        rung + agenda.release(shared)
+    }
+
+    fn wait_until(&self, deadline_ns: Option<u64>) {
+        let until = match (deadline_ns, self.agenda.next_release()) {
+            (Some(deadline), Some(release)) => Some(deadline.min(release)),
+            (deadline, release) => deadline.or(release),
+        };
+        let doorbell = &self.events.shared.doorbell;
+        if let Wait::Adaptive(spin) = self.wait {
+            let give_up_ns = monotonic_ns().saturating_add(spin.as_nanos() as u64);
+            loop {
+                if doorbell.is_pending() {
+                    return;
+                }
+                let now = monotonic_ns();
+                if until.is_some_and(|until| now >= until) {
+                    return;
+                }
+                if now >= give_up_ns {
+                    break;
+                }
+                core::hint::spin_loop();
+            }
+        }
+        doorbell.sleep(until);
+    }
+}

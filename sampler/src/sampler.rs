@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The sampler: made once per participant, run by one thread.
+
+use crate::events::Events;
+use crate::hot::Agenda;
+use std::time::Duration;
+use tautline_rt::{RtError, ThreadBuilder};
+use tautline_transport::{Participant, TransportError};
+
+/// How a sampler waits when nothing is pending.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Wait {
+    /// Sleeps at once.
+    #[default]
+    Block,
+    /// Spins for this long before it sleeps. While it spins nothing of lower priority runs on its core.
+    Adaptive(Duration),
+}
+
+/// Waits for samples, timers and guard conditions, and wakes the tasks that wait for them.
+///
+/// Runs on the thread that calls [`spin`](Sampler::spin) or [`spin_once`](Sampler::spin_once), or on one of its own
+/// ([`start`](Sampler::start)). Give that thread the highest priority of the process.
+pub struct Sampler {
+    pub(crate) events: Events,
+    pub(crate) agenda: Agenda,
+    pub(crate) wait: Wait,
+}
+
+impl Sampler {
+    /// The sampler of `participant`, which must have no other.
+    ///
+    /// # Real-time
+    /// Setup only: allocates all that it will ever need.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if the participant has no slot left.
+    pub fn new(participant: &Participant) -> Result<Self, TransportError> {
+        Ok(Sampler { events: Events::new(participant)?, agenda: Agenda::new(), wait: Wait::Block })
+    }
+
+    /// The same, waiting another way.
+    #[must_use]
+    pub fn with_wait(mut self, wait: Wait) -> Self {
+        self.wait = wait;
+        self
+    }
+
+    /// What other threads hold to make timers and guard conditions and to stop the sampler.
+    pub fn events(&self) -> &Events {
+        &self.events
+    }
+
+    /// Runs the sampler on a thread of its own, which `thread` describes: give it the highest priority.
+    ///
+    /// # Errors
+    /// [`RtError`] if the thread cannot be had as described.
+    pub fn start(mut self, thread: ThreadBuilder) -> Result<SamplerThread, RtError> {
+        let events = self.events.clone();
+        let join = thread.spawn(move || {
+            move || {
+                self.spin();
+                self
+            }
+        })?;
+        Ok(SamplerThread { events, join: Some(join) })
+    }
+}
+
+/// A sampler that runs on a thread of its own. Dropping it stops the sampler and joins the thread.
+pub struct SamplerThread {
+    events: Events,
+    join: Option<tautline_rt::JoinHandle<Sampler>>,
+}
+
+impl SamplerThread {
+    /// What other threads hold to make timers and guard conditions and to stop the sampler.
+    pub fn events(&self) -> &Events {
+        &self.events
+    }
+
+    /// Stops the sampler, joins its thread and gives the sampler back.
+    ///
+    /// # Errors
+    /// [`RtError`] if the thread panicked.
+    pub fn stop(mut self) -> Result<Option<Sampler>, RtError> {
+        self.events.stop();
+        self.join.take().map(tautline_rt::JoinHandle::join).transpose()
+    }
+}
+
+impl Drop for SamplerThread {
+    fn drop(&mut self) {
+        self.events.stop();
+        if let Some(join) = self.join.take() {
+            let _ = join.join();
+        }
+    }
+}

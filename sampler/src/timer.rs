@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Absolute periodic timers, released by the sampler.
+
+use crate::events::Shared;
+use futures::Stream;
+use std::future::poll_fn;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::task::{Context, Poll};
+use tautline_transport::Slot;
+
+/// What a timer and the sampler tell each other, one per slot.
+#[derive(Default)]
+pub(crate) struct TimerWords {
+    /// The timer was armed or dropped: the sampler brings its queue up to date.
+    pub(crate) changed: AtomicBool,
+    /// Zero: there is no timer here.
+    pub(crate) period_ns: AtomicU64,
+    pub(crate) first_release_ns: AtomicU64,
+    /// Releases so far; the only word that the sampler writes.
+    pub(crate) released: AtomicU64,
+}
+
+/// One release of a timer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tick {
+    /// The instant at which this release was due, in `CLOCK_MONOTONIC` nanoseconds.
+    pub release_ns: u64,
+    /// Counts the timer's releases, from 1.
+    pub index: u64,
+    /// Releases since the previous tick that nobody took.
+    pub missed: u64,
+}
+
+/// A periodic timer: release *k* (from 1) is at `first + (k - 1) * period`. No drift; setting the system's clock does
+/// not disturb it.
+///
+/// A task that is late gets the newest release and the number of those it missed, not all of them in a bunch.
+pub struct Timer {
+    shared: Arc<Shared>,
+    slot: Slot,
+    first_release_ns: u64,
+    period_ns: u64,
+    seen: u64,
+    missed: u64,
+}
+
+impl Timer {
+    pub(crate) fn arm(shared: Arc<Shared>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
+        let words = &shared.timers[slot.index()];
+        words.first_release_ns.store(first_release_ns, Ordering::Relaxed);
+        words.released.store(0, Ordering::Relaxed);
+        words.period_ns.store(period_ns, Ordering::Relaxed);
+        // Release: pairs with the Acquire in the sampler, which then reads the words above.
+        words.changed.store(true, Ordering::Release);
+        slot.ring();
+        Timer { shared, slot, first_release_ns, period_ns, seen: 0, missed: 0 }
+    }
+
+    /// Period in nanoseconds.
+    pub fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
+
+    /// Releases that this timer's task missed so far.
+    pub fn missed(&self) -> u64 {
+        self.missed
+    }
+
+    /// Waits for the next release.
+    ///
+    /// # Real-time
+    /// Each poll wait-free; no allocation; no syscall.
+    pub async fn tick(&mut self) -> Tick {
+        poll_fn(|context| self.poll_tick(context)).await
+    }
+
+    /// The poll behind [`tick`](Self::tick).
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
+        self.slot.waker().register(context.waker());
+        // Acquire: pairs with the sampler's Release.
+        let released = self.shared.timers[self.slot.index()].released.load(Ordering::Acquire);
+        if released == self.seen {
+            return Poll::Pending;
+        }
+        let missed = released - self.seen - 1;
+        self.seen = released;
+        self.missed += missed;
+        let release_ns = self.first_release_ns + (released - 1) * self.period_ns;
+        Poll::Ready(Tick { release_ns, index: released, missed })
+    }
+}
+
+impl Stream for Timer {
+    type Item = Tick;
+
+    /// # Real-time
+    /// As [`Timer::poll_tick`]. Never ends.
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Tick>> {
+        self.poll_tick(context).map(Some)
+    }
+}
+
+impl Drop for Timer {
+    fn drop(&mut self) {
+        let words = &self.shared.timers[self.slot.index()];
+        words.period_ns.store(0, Ordering::Relaxed);
+        words.changed.store(true, Ordering::Release);
+        self.slot.ring();
+    }
+}

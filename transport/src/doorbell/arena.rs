@@ -1,0 +1,316 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The file behind a doorbell: creating, mapping, locking and removing it; typed access to its words.
+
+use super::SLOTS;
+use super::hot::Bell;
+use crate::error::TransportError;
+use crate::header::Gid;
+use crate::sync::{AtomicU32, AtomicU64, FutexWord, Ordering};
+use rustix::fs::{FlockOperation, Mode, OFlags};
+use rustix::mm::{MapFlags, ProtFlags};
+use std::fmt;
+use std::hash::{BuildHasher, Hasher};
+use std::io;
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+use std::ptr::NonNull;
+
+/// Publishers that one subscription can tell apart: the most publishers of a topic.
+pub(crate) const LINKS: usize = 64;
+const MAGIC: u64 = u64::from_le_bytes(*b"tautline");
+const VERSION: u32 = 1;
+const DIRECTORY: &str = "/dev/shm";
+
+/// Meaning of a slot's flag word.
+pub(crate) mod slot_flags {
+    /// The subscription polls by itself: publishers need not ring.
+    pub const QUIET: u32 = 1;
+    /// The subscription keeps all: a publisher that keeps all must not overwrite in its queue.
+    pub const KEEP_ALL: u32 = 2;
+    /// The publisher keeps samples for late joiners.
+    pub const TRANSIENT_LOCAL: u32 = 4;
+}
+
+/// Owner word of a link nobody uses.
+const FREE: u64 = 0;
+/// Owner word of a link whose publisher has ended; its numbers stay readable until it is claimed again.
+const OWNER_DEAD: u64 = 1;
+
+/// Identifies an arena among all of a domain. Random: process ids repeat, and containers share `/dev/shm`.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct ArenaId(pub(crate) u64);
+
+impl fmt::Display for ArenaId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
+}
+
+/// What lies in the file. Every field is an atomic whose zero is a valid idle state, so fresh pages need no set-up, and
+/// whatever another process writes is a value, never undefined behaviour.
+#[repr(C)]
+struct Layout {
+    magic: AtomicU64,
+    version: AtomicU32,
+    janitor: FutexWord,
+    bell: Bell,
+    slots: [SlotWords; SLOTS],
+    links: [[Link; LINKS]; SLOTS],
+}
+
+#[repr(C)]
+struct SlotWords {
+    flags: AtomicU32,
+    epoch: AtomicU32,
+}
+
+/// One publisher seen from one subscription. Two cache lines, one for each writer.
+#[repr(C)]
+pub(crate) struct Link {
+    pub(crate) out: LinkOut,
+    pub(crate) taken: Taken,
+}
+
+/// Written by the publisher.
+#[repr(C, align(64))]
+pub(crate) struct LinkOut {
+    owner: AtomicU64,
+    gid: [AtomicU64; 2],
+    start: AtomicU64,
+    pub(crate) sent: AtomicU64,
+    waiter_arena: AtomicU64,
+    waiter_slot: AtomicU32,
+    pub(crate) waiting: AtomicU32,
+}
+
+/// Written by the subscription: the sequence number it took last.
+#[repr(C, align(64))]
+pub(crate) struct Taken(pub(crate) AtomicU64);
+
+impl Link {
+    /// Claims the link for a publisher whose next sample will have the sequence number `start`.
+    fn claim(&self, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> bool {
+        let current = self.out.owner.load(Ordering::Relaxed);
+        let [low, high] = gid.words();
+        // The owner word is the gid's low half, moved away from the two reserved values.
+        let owner = low | 2;
+        if current != FREE && current != OWNER_DEAD {
+            return false;
+        }
+        if self.out.owner.compare_exchange(current, owner, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+            return false;
+        }
+        self.out.start.store(start, Ordering::Relaxed);
+        self.out.sent.store(start.saturating_sub(1), Ordering::Relaxed);
+        self.taken.0.store(start.saturating_sub(1), Ordering::Relaxed);
+        self.out.waiting.store(0, Ordering::Relaxed);
+        self.out.waiter_arena.store(waiter.0.0, Ordering::Relaxed);
+        self.out.waiter_slot.store(waiter.1 as u32, Ordering::Relaxed);
+        self.out.gid[0].store(low, Ordering::Relaxed);
+        // Release: pairs with the Acquire in `gid`; who reads this gid reads this claim's start.
+        self.out.gid[1].store(high, Ordering::Release);
+        true
+    }
+
+    pub(crate) fn gid(&self) -> Gid {
+        let high = self.out.gid[1].load(Ordering::Acquire);
+        Gid::from_words([self.out.gid[0].load(Ordering::Relaxed), high])
+    }
+
+    pub(crate) fn start(&self) -> u64 {
+        self.out.start.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn waiter(&self) -> (ArenaId, usize) {
+        let arena = ArenaId(self.out.waiter_arena.load(Ordering::Relaxed));
+        (arena, self.out.waiter_slot.load(Ordering::Relaxed) as usize)
+    }
+
+    /// The publisher ends. Its numbers stay, so that samples still queued are counted rightly.
+    pub(crate) fn release(&self) {
+        self.out.owner.store(OWNER_DEAD, Ordering::Release);
+    }
+
+    pub(crate) fn is_claimed(&self) -> bool {
+        self.out.owner.load(Ordering::Acquire) > OWNER_DEAD
+    }
+}
+
+/// A mapped arena: this process's own, or a peer's. Unmapped when dropped; the owner's file is removed as well.
+pub(crate) struct Arena {
+    id: ArenaId,
+    map: NonNull<Layout>,
+    /// The owner holds the lock on the file as long as it lives; a peer needs no descriptor.
+    owned: Option<(PathBuf, OwnedFd)>,
+}
+
+// SAFETY: the mapping holds atomics only and stays until the last owner drops the Arena.
+unsafe impl Send for Arena {}
+// SAFETY: as above: shared access is through atomics.
+unsafe impl Sync for Arena {}
+
+impl Arena {
+    pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
+        let id = ArenaId(random());
+        let path = path(domain, id);
+        let make = || -> io::Result<Arena> {
+            let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+            rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+            rustix::fs::ftruncate(&file, size_of::<Layout>() as u64)?;
+            let map = map(&file)?;
+            let arena = Arena { id, map, owned: Some((path.clone(), file)) };
+            arena.layout().version.store(VERSION, Ordering::Relaxed);
+            // Release: pairs with the Acquire in `open`; the version is there when the magic is.
+            arena.layout().magic.store(MAGIC, Ordering::Release);
+            Ok(arena)
+        };
+        make().map_err(|source| TransportError::Arena { path: path.clone(), source })
+    }
+
+    /// Maps a peer's arena. What it holds are claims: indices are checked wherever they are used.
+    pub(crate) fn open(domain: u32, id: ArenaId) -> Result<Self, TransportError> {
+        let path = path(domain, id);
+        let refuse = |source: io::Error| TransportError::Arena { path: path.clone(), source };
+        let file = rustix::fs::open(&path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())
+            .map_err(|errno| refuse(errno.into()))?;
+        let size = rustix::fs::fstat(&file).map_err(|errno| refuse(errno.into()))?.st_size;
+        if size < size_of::<Layout>() as i64 {
+            return Err(refuse(io::Error::other("shorter than an arena: made by another version of Tautline?")));
+        }
+        let arena = Arena { id, map: map(&file).map_err(refuse)?, owned: None };
+        let layout = arena.layout();
+        if layout.magic.load(Ordering::Acquire) != MAGIC || layout.version.load(Ordering::Relaxed) != VERSION {
+            return Err(refuse(io::Error::other("not an arena of this version of Tautline")));
+        }
+        Ok(arena)
+    }
+
+    pub(crate) fn id(&self) -> ArenaId {
+        self.id
+    }
+
+    fn layout(&self) -> &Layout {
+        // SAFETY: `map` is a live mapping of at least size_of::<Layout>() bytes, page-aligned, and every bit pattern of
+        // a Layout is valid (atomics only).
+        unsafe { self.map.as_ref() }
+    }
+
+    pub(crate) fn bell(&self) -> &Bell {
+        &self.layout().bell
+    }
+
+    /// The word on which this process's janitor sleeps.
+    pub(crate) fn janitor(&self) -> &FutexWord {
+        &self.layout().janitor
+    }
+
+    /// Asks the owner's janitor to look after its topics now.
+    pub(crate) fn call_janitor(&self) {
+        self.janitor().0.fetch_add(1, Ordering::Release);
+        self.janitor().wake();
+    }
+
+    pub(crate) fn flags(&self, slot: usize) -> u32 {
+        self.layout().slots.get(slot).map_or(0, |words| words.flags.load(Ordering::Relaxed))
+    }
+
+    pub(crate) fn set_flags(&self, slot: usize, flags: u32) {
+        self.layout().slots[slot].flags.store(flags, Ordering::Relaxed);
+    }
+
+    /// # Panics
+    /// If `slot` is not below [`SLOTS`]: check a claim first.
+    pub(crate) fn epoch(&self, slot: usize) -> &AtomicU32 {
+        &self.layout().slots[slot].epoch
+    }
+
+    /// Tells the publisher behind `slot` that its topic's participants changed.
+    pub(crate) fn advance_epoch(&self, slot: usize) {
+        if let Some(words) = self.layout().slots.get(slot) {
+            words.epoch.fetch_add(1, Ordering::Release);
+        }
+    }
+
+    pub(crate) fn links(&self, slot: usize) -> &[Link] {
+        self.layout().links.get(slot).map_or(&[], |links| links)
+    }
+
+    /// Claims a link of the subscription behind `slot` for a publisher; `None` if all are taken.
+    pub(crate) fn claim_link(&self, slot: usize, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> Option<usize> {
+        self.links(slot).iter().position(|link| link.claim(gid, start, waiter))
+    }
+
+    /// Makes a slot look never used.
+    pub(crate) fn reset(&self, slot: usize) {
+        self.set_flags(slot, 0);
+        for link in self.links(slot).iter().filter(|link| link.out.owner.load(Ordering::Relaxed) != FREE) {
+            link.out.gid[0].store(0, Ordering::Relaxed);
+            link.out.gid[1].store(0, Ordering::Relaxed);
+            link.out.owner.store(FREE, Ordering::Release);
+        }
+    }
+}
+
+impl Drop for Arena {
+    fn drop(&mut self) {
+        if let Some((path, _lock)) = &self.owned {
+            let _ = rustix::fs::unlink(path);
+        }
+        // SAFETY: `map` came from mmap with this length and nothing borrows from a dropped Arena.
+        let _ = unsafe { rustix::mm::munmap(self.map.as_ptr().cast(), size_of::<Layout>()) };
+    }
+}
+
+/// Removes the arenas of `domain` whose owners died: the kernel dropped their locks.
+pub(crate) fn remove_stale_arenas(domain: u32) {
+    let Ok(entries) = std::fs::read_dir(DIRECTORY) else { return };
+    let prefix = file_prefix(domain);
+    for entry in entries.flatten() {
+        if !entry.file_name().to_string_lossy().starts_with(&prefix) {
+            continue;
+        }
+        let path = entry.path();
+        let Ok(file) = rustix::fs::open(&path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty()) else {
+            continue;
+        };
+        // A file without its magic is being made: its owner has not locked it yet, or died in those microseconds.
+        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() && !is_young(&path) {
+            let _ = rustix::fs::unlink(&path);
+        }
+    }
+}
+
+/// Between creating a file and locking it its owner looks dead: leave new files alone.
+fn is_young(path: &Path) -> bool {
+    let age = std::fs::metadata(path).and_then(|meta| meta.modified()).ok().and_then(|time| time.elapsed().ok());
+    age.is_none_or(|age| age.as_millis() < 200)
+}
+
+fn map(file: &OwnedFd) -> io::Result<NonNull<Layout>> {
+    // SAFETY: a new shared mapping at an address of the kernel's choice; the length is not zero.
+    let address = unsafe {
+        rustix::mm::mmap(
+            std::ptr::null_mut(),
+            size_of::<Layout>(),
+            ProtFlags::READ | ProtFlags::WRITE,
+            MapFlags::SHARED,
+            file,
+            0,
+        )
+    }?;
+    NonNull::new(address.cast()).ok_or_else(|| io::Error::other("mapped at address zero"))
+}
+
+fn path(domain: u32, id: ArenaId) -> PathBuf {
+    Path::new(DIRECTORY).join(format!("{}{id}", file_prefix(domain)))
+}
+
+fn file_prefix(domain: u32) -> String {
+    format!("taut_{domain}_arena_")
+}
+
+/// Random enough for a name: the seeds of the standard library's hash maps.
+fn random() -> u64 {
+    std::collections::hash_map::RandomState::new().build_hasher().finish() | 1
+}

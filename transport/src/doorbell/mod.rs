@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The doorbell: how a publisher in any process tells a sampler that something is there.
+//!
+//! Each sampler owns one *arena*, a file in `/dev/shm` that any process of the domain may map:
+//!
+//! - the [`Bell`](hot::Bell): a bitmap of pending slots and an eventcount on which the sampler sleeps;
+//! - per slot two words: flags, and an epoch that others advance when a topic's participants change;
+//! - per slot a page of links: what one publisher and one subscription tell each other (sent, taken, waiting).
+//!
+//! A subscription, a publisher, a timer and a guard condition each own a slot. Only the owner of an arena creates or
+//! removes it; a file whose owner died is unlocked and is removed by whoever finds it.
+
+mod arena;
+pub(crate) mod hot;
+#[cfg(all(test, taut_loom))]
+mod loom;
+
+pub(crate) use arena::{Arena, ArenaId, Link, remove_stale_arenas, slot_flags};
+
+use crate::error::TransportError;
+use crate::sync::Ordering;
+use futures::task::AtomicWaker;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Slots of an arena: the most subscriptions, publishers, timers and guard conditions that one context can have.
+#[cfg(not(taut_loom))]
+pub const SLOTS: usize = 1024;
+#[cfg(taut_loom)]
+pub(crate) const SLOTS: usize = 64;
+
+/// A sampler's own doorbell: its arena, and the wakers behind the slots.
+pub struct Doorbell {
+    arena: Arena,
+    wakers: Box<[AtomicWaker]>,
+    free: Mutex<FreeSlots>,
+}
+
+impl Doorbell {
+    /// Creates the arena of a new sampler in `domain`.
+    ///
+    /// # Errors
+    /// [`TransportError::Arena`] if `/dev/shm` cannot hold it.
+    pub(crate) fn create(domain: u32) -> Result<Arc<Self>, TransportError> {
+        Ok(Arc::new(Doorbell {
+            arena: Arena::create(domain)?,
+            wakers: (0..SLOTS).map(|_| AtomicWaker::new()).collect(),
+            free: Mutex::new(FreeSlots::new()),
+        }))
+    }
+
+    pub(crate) fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    /// Claims a slot, clean of its previous owner's state. It is free again when the returned guard is dropped.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if all are taken.
+    pub fn claim(self: &Arc<Self>) -> Result<Slot, TransportError> {
+        let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let index = free.take().ok_or(TransportError::Slots { limit: SLOTS })?;
+        self.arena.reset(index);
+        Ok(Slot { doorbell: self.clone(), index })
+    }
+
+    /// Takes every pending slot: wakes the task registered there and tells `each` which slot it was. Returns how many.
+    ///
+    /// # Real-time
+    /// O(pending + 16); no allocation; a syscall for each waker whose thread sleeps.
+    pub fn drain(&self, mut each: impl FnMut(usize)) -> usize {
+        self.arena.bell().drain(|index| {
+            self.wake(index);
+            each(index);
+        })
+    }
+
+    /// Sleeps until something is pending or the absolute `CLOCK_MONOTONIC` time `deadline_ns`; may return early. Only
+    /// the thread that drains may call it.
+    ///
+    /// # Real-time
+    /// One syscall; no allocation.
+    pub fn sleep(&self, deadline_ns: Option<u64>) {
+        self.arena.bell().sleep(deadline_ns);
+    }
+
+    /// Whether something is pending.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn is_pending(&self) -> bool {
+        self.arena.bell().is_pending()
+    }
+
+    /// Wakes the task registered at `slot`.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; a syscall if the task's thread sleeps.
+    pub fn wake(&self, slot: usize) {
+        if let Some(waker) = self.wakers.get(slot) {
+            waker.wake();
+        }
+    }
+}
+
+/// A claimed slot of this process's own arena.
+pub struct Slot {
+    doorbell: Arc<Doorbell>,
+    index: usize,
+}
+
+impl Slot {
+    /// Index of the slot, below [`SLOTS`].
+    pub fn index(&self) -> usize {
+        self.index
+    }
+
+    /// The waker that a ring of this slot wakes. Register before looking at the source.
+    pub fn waker(&self) -> &AtomicWaker {
+        &self.doorbell.wakers[self.index]
+    }
+
+    /// Marks this slot pending and wakes the sampler if it sleeps.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; at most one futex wake.
+    pub fn ring(&self) {
+        self.doorbell.arena.bell().ring(self.index);
+    }
+
+    pub(crate) fn doorbell(&self) -> &Arc<Doorbell> {
+        &self.doorbell
+    }
+
+    pub(crate) fn flags(&self) -> u32 {
+        self.doorbell.arena.flags(self.index)
+    }
+
+    pub(crate) fn set_flags(&self, flags: u32) {
+        self.doorbell.arena.set_flags(self.index, flags);
+    }
+
+    /// The epoch that others advance when the topic's participants change. Acquire: pairs with `advance_epoch`.
+    pub(crate) fn epoch(&self) -> u32 {
+        self.doorbell.arena.epoch(self.index).load(Ordering::Acquire)
+    }
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        self.doorbell.wakers[self.index].take();
+        self.doorbell.free.lock().unwrap_or_else(PoisonError::into_inner).give_back(self.index);
+    }
+}
+
+/// First in, first out: a slot rests as long as possible before it is used again, so that a publisher that has not
+/// yet noticed the end of a subscription does not ring its successor (harmless, but a spurious wake-up).
+struct FreeSlots {
+    queue: std::collections::VecDeque<usize>,
+}
+
+impl FreeSlots {
+    fn new() -> Self {
+        FreeSlots { queue: (0..SLOTS).collect() }
+    }
+
+    fn take(&mut self) -> Option<usize> {
+        self.queue.pop_front()
+    }
+
+    fn give_back(&mut self, index: usize) {
+        self.queue.push_back(index);
+    }
+}

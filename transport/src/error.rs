@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What can go wrong: [`TransportError`] while setting up, one small enum per operation while running.
+
+use std::io;
+use std::path::PathBuf;
+
+/// Why a participant, a topic, a publisher or a subscription could not be made. Each says what to change.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TransportError {
+    /// The file of the doorbell could not be made or mapped.
+    #[error("the doorbell {} cannot be used: {source}; check that /dev/shm exists, is writable and has 8 MiB free", path.display())]
+    Arena {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A context has no slot left.
+    #[error("this context already has {limit} subscriptions, publishers, timers and guard conditions, its limit; make a second Context for more")]
+    Slots {
+        /// The limit.
+        limit: usize,
+    },
+    /// iceoryx2 refused to make its node.
+    #[error("no iceoryx2 node in domain {domain}: {reason}; shared memory is private to a user, so another user's processes in this domain look like this: remove their files from /tmp/iceoryx2 and /dev/shm, or choose another TAUT_DOMAIN")]
+    Node {
+        /// The domain.
+        domain: u32,
+        /// iceoryx2's word for it.
+        reason: String,
+    },
+    /// The name cannot be a topic's.
+    #[error("'{topic}' cannot be a topic name: {reason}")]
+    TopicName {
+        /// The name.
+        topic: String,
+        /// Why not.
+        reason: String,
+    },
+    /// The topic exists with another type.
+    #[error("topic '{topic}' carries '{existing}', not '{requested}': rename one of them, or use the same type")]
+    TypeMismatch {
+        /// The topic.
+        topic: String,
+        /// The type it has, and its size.
+        existing: String,
+        /// The type asked for, and its size.
+        requested: String,
+    },
+    /// A limit of the topic is below what is asked for.
+    #[error("topic '{topic}' was opened with {limit} = {existing}, but {requested} {}: raise `Limits::{limit}` where the topic is opened first", if *.requested == 1 { "is needed" } else { "are needed" })]
+    Limit {
+        /// The topic.
+        topic: String,
+        /// Name of the field of [`Limits`](crate::Limits).
+        limit: &'static str,
+        /// What the topic has.
+        existing: usize,
+        /// What would be needed.
+        requested: usize,
+    },
+    /// A limit outside what can be set.
+    #[error("topic '{topic}': {limit} = {requested} is outside 1 to {max}")]
+    LimitRange {
+        /// The topic.
+        topic: String,
+        /// Name of the field.
+        limit: &'static str,
+        /// The value asked for.
+        requested: usize,
+        /// The greatest value.
+        max: usize,
+    },
+    /// A quality of service that is not enforced yet must not be asked for.
+    #[error("topic '{topic}': QoS {setting} is not enforced by this version; leave it at its default rather than rely on it")]
+    Unsupported {
+        /// The topic.
+        topic: String,
+        /// The field of [`Qos`](crate::Qos).
+        setting: &'static str,
+    },
+    /// iceoryx2 refused.
+    #[error("topic '{topic}': {what} failed in iceoryx2: {reason}")]
+    Iceoryx {
+        /// The topic.
+        topic: String,
+        /// Which step.
+        what: &'static str,
+        /// iceoryx2's word for it.
+        reason: String,
+    },
+    /// A low-priority thread could not be started.
+    #[error("the janitor thread could not be started: {0}")]
+    Janitor(#[source] tautline_rt::RtError),
+}
+
+/// Why no sample could be loaned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum LoanError {
+    /// As many loans as the topic's `Limits::loans` are out already.
+    #[error("every loan of this publisher is in use: publish or drop one, or raise `Limits::loans`")]
+    Exhausted,
+    /// The message is larger than the topic's samples.
+    #[error("the message is larger than this topic's samples")]
+    TooLarge,
+    /// A loan taken in another thread is still alive there.
+    #[error("a loan of this publisher lives in another thread: publish or drop it there first")]
+    WrongThread,
+    /// iceoryx2 has no memory left for this publisher.
+    #[error("the publisher's shared memory is exhausted: is /dev/shm full?")]
+    OutOfMemory,
+}
+
+/// Why a sample was not published.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum PublishError {
+    /// A keep-all subscription has no room: nothing was sent to anybody.
+    #[error("a keep-all subscription's queue is full: publish again when it has taken, or await `publish_when_ready`")]
+    Full,
+    /// No sample could be loaned for the message.
+    #[error(transparent)]
+    Loan(#[from] LoanError),
+    /// iceoryx2 could not deliver to every subscription; those missed count it as lost.
+    #[error("the sample could not be delivered to every subscription")]
+    Incomplete,
+}
+
+/// Why nothing was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum TakeError {
+    /// This subscription holds as many samples as the topic's `Limits::held` allows.
+    #[error("this subscription holds as many samples as its topic allows: drop one, or raise `Limits::held`")]
+    TooManyHeld,
+    /// A sample taken in another thread is still alive there.
+    #[error("a sample of this subscription lives in another thread: drop it there first")]
+    WrongThread,
+    /// The bytes are not a message of this type.
+    #[error("the sample is not a valid message: {0}")]
+    Invalid(tautline_msgs::Invalid),
+    /// A publisher's memory could not be mapped.
+    #[error("a publisher's shared memory could not be mapped: its samples do not arrive; is the process at its limit of open files?")]
+    Connection,
+}

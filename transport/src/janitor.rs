@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The janitor: an ordinary thread of each participant that does what no real-time thread may wait for.
+//!
+//! - Removes what dead processes left: iceoryx2 nodes, arenas, links.
+//! - Tells this process's publishers and subscriptions when a topic's ports changed without a word, as they do when a
+//!   process is killed; finishes a ring that a killed process began.
+//! - Serves late joiners of transient-local publishers (see [`history`](crate::history)).
+//!
+//! Its lock is taken by creating and dropping ports, never by publish or take.
+
+use crate::doorbell::{Doorbell, remove_stale_arenas};
+use crate::error::TransportError;
+use crate::history::Keeper;
+use crate::ports;
+use crate::sync::Ordering;
+use crate::topic::{IoxNode, Topic};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tautline_rt::clock::monotonic_ns;
+
+/// How often the janitor looks around when nobody calls it.
+const PERIOD: Duration = Duration::from_millis(250);
+/// How often it looks for dead processes, which costs milliseconds of system calls.
+const CLEANUP_PERIOD: Duration = Duration::from_millis(500);
+
+/// A publisher or subscription of this process that wants to hear of changes of its topic.
+pub(crate) struct Watch {
+    pub(crate) topic: Arc<Topic>,
+    pub(crate) slot: usize,
+    pub(crate) is_publisher: bool,
+    pub(crate) fingerprint: u64,
+}
+
+#[derive(Default)]
+struct Charges {
+    watches: Vec<Watch>,
+    keepers: Vec<(usize, Keeper)>,
+}
+
+struct Shared {
+    domain: u32,
+    doorbell: Arc<Doorbell>,
+    node: Arc<IoxNode>,
+    charges: Mutex<Charges>,
+    stop: AtomicBool,
+}
+
+impl Shared {
+    fn charges(&self) -> MutexGuard<'_, Charges> {
+        self.charges.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Handle of the janitor thread; dropping it ends the thread and waits for it.
+pub(crate) struct Janitor {
+    shared: Arc<Shared>,
+    thread: Option<tautline_rt::JoinHandle<()>>,
+}
+
+impl Janitor {
+    pub(crate) fn start(domain: u32, doorbell: Arc<Doorbell>, node: Arc<IoxNode>) -> Result<Self, TransportError> {
+        let (charges, stop) = (Mutex::default(), AtomicBool::new(false));
+        let shared = Arc::new(Shared { domain, doorbell, node, charges, stop });
+        let thread = {
+            let shared = shared.clone();
+            tautline_rt::ThreadBuilder::new("janitor")
+                .policy(tautline_rt::Policy::Other { nice: 5 })
+                .spawn(move || move || run(&shared))
+                .map_err(TransportError::Janitor)?
+        };
+        Ok(Janitor { shared, thread: Some(thread) })
+    }
+
+    pub(crate) fn watch(&self, watch: Watch) {
+        self.shared.charges().watches.push(watch);
+    }
+
+    pub(crate) fn keep(&self, slot: usize, keeper: Keeper) {
+        self.shared.charges().keepers.push((slot, keeper));
+    }
+
+    /// Forgets everything about the port behind `slot`.
+    pub(crate) fn forget(&self, slot: usize) {
+        let mut charges = self.shared.charges();
+        charges.watches.retain(|watch| watch.slot != slot);
+        charges.keepers.retain(|(keeper, _)| *keeper != slot);
+    }
+}
+
+impl Drop for Janitor {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, std::sync::atomic::Ordering::Release);
+        self.shared.doorbell.arena().call_janitor();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn run(shared: &Shared) {
+    let mut next_cleanup = Instant::now() + CLEANUP_PERIOD;
+    let word = shared.doorbell.arena().janitor();
+    loop {
+        // Acquire: pairs with the Release of `call_janitor`; a call after this load ends the wait below at once.
+        let calls = word.0.load(Ordering::Acquire);
+        if shared.stop.load(std::sync::atomic::Ordering::Acquire) {
+            return;
+        }
+        look_around(shared);
+        if Instant::now() >= next_cleanup {
+            shared.node.try_cleanup_dead_nodes();
+            remove_stale_arenas(shared.domain);
+            next_cleanup = Instant::now() + CLEANUP_PERIOD;
+        }
+        word.wait(calls, Some(monotonic_ns() + PERIOD.as_nanos() as u64));
+    }
+}
+
+fn look_around(shared: &Shared) {
+    let arena = shared.doorbell.arena();
+    arena.bell().rescue();
+    let mut charges = shared.charges();
+    for (_, keeper) in &mut charges.keepers {
+        keeper.serve();
+    }
+    for watch in &mut charges.watches {
+        let now = ports::fingerprint(&watch.topic);
+        if now == watch.fingerprint {
+            continue;
+        }
+        watch.fingerprint = now;
+        if watch.is_publisher {
+            arena.advance_epoch(watch.slot);
+        } else {
+            release_dead_links(shared, watch);
+        }
+        // A publisher killed between sending and ringing left samples that nobody announced; a subscription that died
+        // may be what an async publish waits for.
+        arena.bell().ring(watch.slot);
+    }
+}
+
+/// Links of publishers that were killed are free for others; their numbers stay until then.
+fn release_dead_links(shared: &Shared, watch: &Watch) {
+    let alive = ports::publishers(&watch.topic);
+    for link in shared.doorbell.arena().links(watch.slot) {
+        if link.is_claimed() && !alive.iter().any(|port| port.gid == link.gid()) {
+            link.release();
+        }
+    }
+}

@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A process's membership of a domain: its iceoryx2 node, its doorbell, its janitor.
+
+use crate::doorbell::{Doorbell, Slot};
+use crate::error::TransportError;
+use crate::janitor::Janitor;
+use crate::publisher::Publisher;
+use crate::qos::{Limits, Qos};
+use crate::subscription::Subscription;
+use crate::topic::IoxNode;
+use iceoryx2::prelude::*;
+use std::sync::Arc;
+use tautline_msgs::{Message, Plain};
+
+/// Greatest domain number, as in ROS 2.
+pub const MAX_DOMAIN: u32 = 232;
+
+/// Membership of a domain. Processes see each other's topics if they are in the same domain, on the same host, as the
+/// same user. A clone is the same membership.
+#[derive(Clone)]
+pub struct Participant {
+    shared: Arc<Shared>,
+}
+
+pub(crate) struct Shared {
+    pub(crate) domain: u32,
+    pub(crate) doorbell: Arc<Doorbell>,
+    pub(crate) janitor: Janitor,
+    pub(crate) node: Arc<IoxNode>,
+}
+
+impl Participant {
+    /// Joins `domain`: makes an iceoryx2 node and a doorbell, starts the janitor (an ordinary, low-priority thread that
+    /// cleans up after processes that died and serves late joiners).
+    ///
+    /// # Real-time
+    /// Setup only: allocates, starts a thread.
+    ///
+    /// # Errors
+    /// [`TransportError`]: shared memory cannot be made or belongs to another user.
+    pub fn new(domain: u32) -> Result<Self, TransportError> {
+        set_log_level(LogLevel::Fatal);
+        let refuse = |reason: String| TransportError::Node { domain, reason };
+        if domain > MAX_DOMAIN {
+            return Err(refuse(format!("domains go from 0 to {MAX_DOMAIN}")));
+        }
+        let mut config = Config::default();
+        config.global.prefix =
+            FileName::new(format!("taut_{domain}_").as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
+        let node = NodeBuilder::new()
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(|error| refuse(format!("{error:?}")))?;
+        let node = Arc::new(node);
+        let doorbell = Doorbell::create(domain)?;
+        let janitor = Janitor::start(domain, doorbell.clone(), node.clone())?;
+        Ok(Participant { shared: Arc::new(Shared { domain, doorbell, janitor, node }) })
+    }
+
+    /// The domain.
+    pub fn domain(&self) -> u32 {
+        self.shared.domain
+    }
+
+    /// The doorbell that announces samples to this participant's sampler.
+    pub fn doorbell(&self) -> &Arc<Doorbell> {
+        &self.shared.doorbell
+    }
+
+    /// Claims a slot for a timer or a guard condition.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if all are taken.
+    pub fn claim_slot(&self) -> Result<Slot, TransportError> {
+        self.shared.doorbell.claim()
+    }
+
+    /// Creates a publisher of `topic`, a fully qualified name.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    pub fn create_publisher<T: Message + Plain>(
+        &self,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Publisher<T>, TransportError> {
+        Publisher::create(self.shared.clone(), topic, qos, limits)
+    }
+
+    /// Creates a subscription of `topic`, a fully qualified name. What is published from now on is queued.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    pub fn create_subscription<T: Message + Plain>(
+        &self,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Subscription<T>, TransportError> {
+        Subscription::create(self.shared.clone(), topic, qos, limits)
+    }
+}

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The subscriptions that a publisher rings, brought up to date when the topic's epoch changes.
+
+use crate::doorbell::{Link, Slot, slot_flags};
+use crate::header::Gid;
+use crate::ports::{self, Reached};
+use crate::topic::Topic;
+
+pub(crate) struct Peers {
+    domain: u32,
+    /// The epoch whose ports `matched` shows.
+    pub(crate) epoch: Option<u32>,
+    /// Sequence number of the sample published last.
+    pub(crate) sequence_number: u64,
+    pub(crate) matched: Vec<Matched>,
+}
+
+pub(crate) struct Matched {
+    id: u128,
+    pub(crate) reached: Reached,
+    pub(crate) slot: usize,
+    pub(crate) depth: u64,
+    link: Option<usize>,
+}
+
+impl Matched {
+    /// What this publisher and the subscription tell each other; none if the subscription's links are all taken.
+    pub(crate) fn link(&self) -> Option<&Link> {
+        self.reached.arena().links(self.slot).get(self.link?)
+    }
+
+    pub(crate) fn flags(&self) -> u32 {
+        self.reached.arena().flags(self.slot)
+    }
+
+    pub(crate) fn keeps_all(&self) -> bool {
+        self.flags() & slot_flags::KEEP_ALL != 0
+    }
+}
+
+impl Peers {
+    pub(crate) fn new(domain: u32, capacity: usize) -> Self {
+        Peers { domain, epoch: None, sequence_number: 0, matched: Vec::with_capacity(capacity) }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.matched.len()
+    }
+
+    #[inline]
+    pub(crate) fn refresh_if_changed(&mut self, topic: &Topic, slot: &Slot, gid: Gid) {
+        if self.epoch != Some(slot.epoch()) {
+            self.refresh(topic, slot, gid);
+        }
+    }
+
+    /// Lists the topic's subscriptions, maps the doorbells of new ones and claims a link in each. Only when ports
+    /// appeared or went: allocates, opens files.
+    #[cold]
+    pub(crate) fn refresh(&mut self, topic: &Topic, slot: &Slot, gid: Gid) {
+        // Before listing: what changes after this load changes the epoch again.
+        self.epoch = Some(slot.epoch());
+        let ports = ports::subscriptions(&topic.factory);
+        self.matched.retain(|matched| {
+            let stays = ports.iter().any(|port| port.id == matched.id);
+            if !stays && let Some(link) = matched.link() {
+                link.release();
+            }
+            stays
+        });
+        for port in ports {
+            if self.matched.iter().any(|matched| matched.id == port.id) {
+                continue;
+            }
+            let own = slot.doorbell();
+            let known = self.matched.iter().find(|matched| matched.reached.arena().id() == port.address.arena);
+            let reached = match known {
+                Some(matched) => Some(matched.reached.clone()),
+                None => Reached::reach(self.domain, own, port.address.arena),
+            };
+            // Gone already: its end changes the epoch again.
+            let Some(reached) = reached else { continue };
+            let waiter = (own.arena().id(), slot.index());
+            let link = reached.arena().claim_link(port.address.slot, gid, self.sequence_number + 1, waiter);
+            let depth = port.depth as u64;
+            self.matched.push(Matched { id: port.id, reached, slot: port.address.slot, depth, link });
+        }
+    }
+
+    pub(crate) fn release_links(&self) {
+        for link in self.matched.iter().filter_map(Matched::link) {
+            link.release();
+        }
+    }
+}

@@ -1,0 +1,237 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Taking samples.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::{Counters, State, Subscription};
+use crate::doorbell::{ArenaId, Doorbell, Link};
+use crate::error::TakeError;
+use crate::header::{END_OF_HISTORY, MessageInfo};
+use crate::lease::{Bound, Lease, WrongThread};
+use crate::ports::Reached;
+use crate::sync::{Ordering, fence};
+use crate::topic::{IoxSample, IoxSubscriber};
+use core::marker::PhantomData;
+use core::ops::Deref;
+use core::pin::Pin;
+use core::ptr::NonNull;
+use core::sync::atomic::AtomicU64;
+use core::task::{Context, Poll};
+use futures::Stream;
+use iceoryx2::port::ReceiveError;
+use std::sync::Arc;
+use tautline_msgs::{Message, Plain};
+
+/// A message in shared memory: derefs to `T`. Dropping it gives the memory back to its publisher.
+///
+/// It stays in the thread that took it. At most `Limits::held` of one subscription are alive at once.
+pub struct Sample<T> {
+    // Dropped in this order: the sample touches the port, then the lease tells that it is over.
+    sample: IoxSample,
+    _lease: Lease<IoxSubscriber>,
+    body: NonNull<T>,
+    _message: PhantomData<T>,
+}
+
+impl<T: Plain> Sample<T> {
+    /// The arguments are dropped from the last to the first: here too the sample before the lease.
+    fn new(lease: Lease<IoxSubscriber>, sample: IoxSample) -> Result<Self, tautline_msgs::Invalid> {
+        let body = NonNull::from(tautline_msgs::from_bytes::<T>(sample.payload())?);
+        Ok(Sample { sample, _lease: lease, body, _message: PhantomData })
+    }
+}
+
+impl<T> Sample<T> {
+    /// Sequence number, time stamps, publisher.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn info(&self) -> MessageInfo {
+        self.sample.user_header().info()
+    }
+}
+
+impl<T> Deref for Sample<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        // SAFETY: `body` was made from the bytes of `sample`, checked to be a valid T, and `sample` keeps them. A
+        // publisher does not write to a sample that a subscription holds.
+        unsafe { self.body.as_ref() }
+    }
+}
+
+impl<T: core::fmt::Debug> core::fmt::Debug for Sample<T> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        (**self).fmt(f)
+    }
+}
+
+/// The doorbells of keep-all publishers that asked to be rung, kept mapped.
+pub(super) struct Waiters {
+    domain: u32,
+    known: Vec<Reached>,
+    capacity: usize,
+}
+
+impl Waiters {
+    pub(super) fn new(domain: u32, capacity: usize) -> Self {
+        Waiters { domain, known: Default::default(), capacity }
+    }
+
+    /// Rings the publisher of `link` if it waits for room. The first time for each process: maps its doorbell.
+    fn ring(&mut self, own: &Arc<Doorbell>, link: &Link) {
+        // The take before is visible before the request is looked at; see the publisher's check for room.
+        fence(Ordering::SeqCst);
+        if link.out.waiting.load(Ordering::Relaxed) == 0 || link.out.waiting.swap(0, Ordering::Relaxed) == 0 {
+            return;
+        }
+        let (arena, slot) = link.waiter();
+        if let Some(reached) = self.reach(own, arena) {
+            reached.arena().bell().ring(slot);
+        }
+    }
+
+    #[allow(clippy::disallowed_methods, reason = "once for each process that publishes here")]
+    fn reach(&mut self, own: &Arc<Doorbell>, arena: ArenaId) -> Option<&Reached> {
+        let position = self.known.iter().position(|reached| reached.arena().id() == arena);
+        if position.is_none() {
+            if self.known.len() >= self.capacity {
+                self.known.clear();
+            }
+            self.known.push(Reached::reach(self.domain, own, arena)?);
+        }
+        self.known.get(position.unwrap_or(self.known.len().saturating_sub(1)))
+    }
+}
+
+impl<T: Message + Plain> Subscription<T> {
+    /// Takes the oldest sample of a publisher, if there is one.
+    ///
+    /// # Real-time
+    /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
+    /// and its sampler sleeps. For types with bool, char or enum fields, O(number of these). When publishers have
+    /// appeared or gone since the last call: allocates and maps memory.
+    ///
+    /// # Errors
+    /// [`TakeError`]. An invalid sample is consumed.
+    pub fn take(&self) -> Result<Option<Sample<T>>, TakeError> {
+        let mut state = self.state.borrow_mut();
+        if let Some(sample) = self.take_history(&mut state)? {
+            return Ok(Some(sample));
+        }
+        if state.catch.is_some() {
+            // What is live comes after the history.
+            return Ok(None);
+        }
+        loop {
+            let Some(sample) = receive(&self.port)? else { return Ok(None) };
+            let header = *sample.user_header();
+            let lease = self.port.lend();
+            let links = self.departure.slot.doorbell().arena().links(self.departure.slot.index());
+            let Some(noted) = state.tracker.note(header.gid, header.sequence_number, links) else {
+                drop(sample);
+                continue;
+            };
+            self.counters.note(noted.lost, noted.waiting.min(self.qos.depth as u64));
+            if let Some(link) = noted.link.and_then(|link| links.get(link)) {
+                state.waiters.ring(self.departure.slot.doorbell(), link);
+            }
+            return self.finish(lease, sample).map(Some);
+        }
+    }
+
+    /// The next sample of the history, while that lasts.
+    fn take_history(&self, state: &mut State) -> Result<Option<Sample<T>>, TakeError> {
+        while let Some(catch) = &mut state.catch {
+            let Some(sample) = receive(&catch.inlet)? else {
+                if catch.is_complete() {
+                    state.catch = None;
+                }
+                return Ok(None);
+            };
+            let lease = catch.inlet.lend();
+            let header = *sample.user_header();
+            if header.flags & END_OF_HISTORY != 0 {
+                catch.end(header.gid);
+            } else if state.tracker.note_history(header.gid, header.sequence_number) {
+                self.counters.note(0, 0);
+                return self.finish(lease, sample).map(Some);
+            }
+            // The sample before the lease, as in Sample.
+            drop(sample);
+            drop(lease);
+        }
+        Ok(None)
+    }
+
+    fn finish(&self, lease: Lease<IoxSubscriber>, sample: IoxSample) -> Result<Sample<T>, TakeError> {
+        Sample::new(lease, sample).map_err(|invalid| {
+            add(&self.counters.invalid, 1);
+            TakeError::Invalid(invalid)
+        })
+    }
+
+    /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
+    ///
+    /// # Real-time
+    /// As [`take`](Self::take).
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+        self.departure.slot.waker().register(context.waker());
+        loop {
+            match self.take() {
+                Ok(Some(sample)) => return Poll::Ready(sample),
+                Ok(None) => return Poll::Pending,
+                // Counted; the next one may be good.
+                Err(TakeError::Invalid(_)) => {}
+                Err(TakeError::TooManyHeld | TakeError::WrongThread) => {
+                    add(&self.counters.refused, 1);
+                    if self.port.wake_when_given_back(context.waker()) {
+                        return Poll::Pending;
+                    }
+                }
+                Err(TakeError::Connection) => {
+                    add(&self.counters.refused, 1);
+                    return Poll::Pending;
+                }
+            }
+        }
+    }
+}
+
+impl<T: Message + Plain> Stream for Subscription<T> {
+    type Item = Sample<T>;
+
+    /// # Real-time
+    /// As [`Subscription::take`]. Never ends.
+    fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
+        self.poll_take(context).map(Some)
+    }
+}
+
+impl<T> Unpin for Subscription<T> {}
+
+fn receive(port: &Bound<IoxSubscriber>) -> Result<Option<IoxSample>, TakeError> {
+    let port = port.get().map_err(|WrongThread| TakeError::WrongThread)?;
+    port.receive().map_err(|error| match error {
+        ReceiveError::ExceedsMaxBorrows => TakeError::TooManyHeld,
+        ReceiveError::ConnectionFailure(_) => TakeError::Connection,
+    })
+}
+
+impl Counters {
+    fn note(&self, lost: u64, waiting: u64) {
+        add(&self.received, 1);
+        if lost != 0 {
+            add(&self.lost, lost);
+        }
+        if waiting > self.max_queue.load(Ordering::Relaxed) {
+            self.max_queue.store(waiting, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Only the subscription's thread writes its counters: a load and a store, no locked instruction.
+fn add(counter: &AtomicU64, n: u64) {
+    counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
+}

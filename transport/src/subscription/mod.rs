@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Subscriptions: take a sample and read it in place, or poll for one from a task.
+
+mod hot;
+mod tracker;
+
+pub use hot::Sample;
+
+use crate::address::{Address, Role};
+use crate::doorbell::{Slot, slot_flags};
+use crate::error::TransportError;
+use crate::history::Catch;
+use crate::janitor::Watch;
+use crate::lease::Bound;
+use crate::participant::Shared;
+use crate::ports;
+use crate::qos::{Durability, History, Limits, Qos};
+use crate::topic::{IoxSubscriber, Topic, TypeInfo};
+use std::cell::RefCell;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use tautline_msgs::{Message, Plain};
+use tracker::Tracker;
+
+/// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`take`](Subscription::take).
+///
+/// May be moved to another thread while none of its samples is alive, and is used by one thread at a time.
+pub struct Subscription<T> {
+    // Dropped in this order.
+    port: Bound<IoxSubscriber>,
+    state: RefCell<State>,
+    departure: Departure,
+    counters: Arc<Counters>,
+    qos: Qos,
+    _message: PhantomData<T>,
+}
+
+struct State {
+    tracker: Tracker,
+    catch: Option<Catch>,
+    /// What is taken next is of this publisher: doorbells of publishers that wait for room.
+    waiters: hot::Waiters,
+}
+
+/// What happened to the messages of one subscription, readable from any thread.
+#[derive(Debug, Default)]
+pub struct Counters {
+    received: AtomicU64,
+    lost: AtomicU64,
+    invalid: AtomicU64,
+    refused: AtomicU64,
+    max_queue: AtomicU64,
+}
+
+impl Counters {
+    /// Messages taken.
+    pub fn received(&self) -> u64 {
+        self.received.load(Ordering::Relaxed)
+    }
+
+    /// Messages that were overwritten before they were taken: gaps in the sequence numbers of each publisher. Exact from
+    /// the moment at which the publisher knows of the subscription.
+    pub fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
+    }
+
+    /// Samples thrown away because their bytes are not a valid message.
+    pub fn invalid(&self) -> u64 {
+        self.invalid.load(Ordering::Relaxed)
+    }
+
+    /// Polls of the stream that found it unable to take: too many samples held, or held in another thread.
+    pub fn refused(&self) -> u64 {
+        self.refused.load(Ordering::Relaxed)
+    }
+
+    /// Most messages of one publisher that waited at once, in samples, seen when taking; at most the depth.
+    pub fn max_queue(&self) -> u64 {
+        self.max_queue.load(Ordering::Relaxed)
+    }
+}
+
+impl<T: Message + Plain> Subscription<T> {
+    pub(crate) fn create(shared: Arc<Shared>, topic: &str, qos: Qos, limits: Limits) -> Result<Self, TransportError> {
+        qos.check(topic)?;
+        let transient = qos.durability == Durability::TransientLocal;
+        let type_info = TypeInfo { name: T::TYPE_NAME, len_bytes: size_of::<T>() };
+        let topic = Arc::new(Topic::open(&shared.node, topic, type_info, limits, qos.depth, transient)?);
+        let limit = topic.limits.subscribers;
+        let existing = ports::subscriptions(&topic.factory).len();
+        if existing >= limit {
+            return Err(too_many(&topic, limit));
+        }
+        let slot = shared.doorbell.claim()?;
+        if qos.history == History::KeepAll {
+            slot.set_flags(slot_flags::KEEP_ALL);
+        }
+        let address =
+            Address { role: Role::Subscription, arena: shared.doorbell.arena().id(), slot: slot.index() };
+        let port = topic
+            .factory
+            .subscriber_builder()
+            .name(&address.to_port_name())
+            .buffer_size(qos.depth)
+            .create()
+            .map_err(|error| create_error(&topic, error))?;
+        let catch = if transient { Catch::open(&topic, address, qos.depth)? } else { None };
+        // Publishers learn of the new queue; what they sent before that is found by the first take.
+        ports::announce(shared.domain, &shared.doorbell, &topic, catch.is_some());
+        let fingerprint = ports::fingerprint(&topic);
+        let watch = Watch { topic: topic.clone(), slot: slot.index(), is_publisher: false, fingerprint };
+        shared.janitor.watch(watch);
+        let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);
+        Ok(Subscription {
+            port: Bound::new(port),
+            state: RefCell::new(State { tracker: Tracker::new(), catch, waiters }),
+            departure: Departure { slot, topic, shared },
+            counters: Arc::default(),
+            qos,
+            _message: PhantomData,
+        })
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        &self.departure.topic.name
+    }
+
+    /// The quality of service that was asked for.
+    pub fn qos(&self) -> Qos {
+        self.qos
+    }
+
+    /// The topic's limits, as its first opener set them.
+    pub fn limits(&self) -> Limits {
+        self.departure.topic.limits
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.counters.clone()
+    }
+
+    /// Number of publishers of the topic.
+    pub fn publisher_count(&self) -> usize {
+        ports::publishers(&self.departure.topic).len()
+    }
+
+    /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback).
+    pub fn set_quiet(&self, quiet: bool) {
+        let flags = self.departure.slot.flags();
+        let flags = if quiet { flags | slot_flags::QUIET } else { flags & !slot_flags::QUIET };
+        self.departure.slot.set_flags(flags);
+    }
+}
+
+/// Tells publishers that the subscription's port, dropped just before this, has gone.
+struct Departure {
+    slot: Slot,
+    topic: Arc<Topic>,
+    shared: Arc<Shared>,
+}
+
+impl Drop for Departure {
+    fn drop(&mut self) {
+        self.shared.janitor.forget(self.slot.index());
+        ports::announce(self.shared.domain, &self.shared.doorbell, &self.topic, false);
+    }
+}
+
+fn too_many(topic: &Topic, limit: usize) -> TransportError {
+    TransportError::Limit {
+        topic: topic.name.clone(),
+        limit: "subscribers",
+        existing: limit,
+        requested: limit + 1,
+    }
+}
+
+fn create_error(topic: &Topic, error: iceoryx2::port::subscriber::SubscriberCreateError) -> TransportError {
+    use iceoryx2::port::subscriber::SubscriberCreateError as Iceoryx;
+    match error {
+        Iceoryx::ExceedsMaxSupportedSubscribers => too_many(topic, topic.limits.subscribers),
+        other => topic.iceoryx_error("creating a subscription", other),
+    }
+}

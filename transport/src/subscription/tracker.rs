@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which sample of which publisher comes next: counts what was overwritten, drops what comes twice.
+
+use crate::doorbell::Link;
+use crate::header::Gid;
+use crate::sync::Ordering;
+
+/// Publishers remembered at once. More than a topic has; those that went are forgotten first.
+const CAPACITY: usize = 128;
+
+pub(crate) struct Tracker {
+    seen: Vec<Seen>,
+    /// Where the last publisher was found: most topics have one.
+    last: usize,
+    oldest: usize,
+}
+
+struct Seen {
+    gid: Gid,
+    /// Sequence number expected next.
+    next: u64,
+    link: Option<usize>,
+}
+
+/// What a sample's sequence number says.
+pub(crate) struct Noted {
+    /// Samples missing before this one.
+    pub(crate) lost: u64,
+    /// Samples of this publisher that waited, this one included; 0 if unknown.
+    pub(crate) waiting: u64,
+    /// The link of its publisher.
+    pub(crate) link: Option<usize>,
+}
+
+impl Tracker {
+    pub(crate) fn new() -> Self {
+        Tracker { seen: Vec::with_capacity(CAPACITY), last: 0, oldest: 0 }
+    }
+
+    /// Notes a live sample. `None`: it came already, with the history.
+    ///
+    /// # Real-time
+    /// O(1) for the publisher of the sample before, else O(publishers); no allocation; no syscall.
+    pub(crate) fn note(&mut self, gid: Gid, sequence_number: u64, links: &[Link]) -> Option<Noted> {
+        let index = match self.find(gid) {
+            Some(index) => index,
+            None => {
+                // Matched before it sent this one: it wrote where its count starts for us. Earlier than that, the
+                // sample reached us before the publisher knew of us, and nothing before it was meant for us.
+                let start = links.iter().find(|link| link.gid() == gid).map_or(sequence_number, Link::start);
+                self.remember(gid, start.min(sequence_number))
+            }
+        };
+        let seen = self.seen.get_mut(index)?;
+        if sequence_number < seen.next {
+            return None;
+        }
+        let link = seen
+            .link
+            .filter(|&link| links.get(link).is_some_and(|link| link.gid() == gid))
+            .or_else(|| links.iter().position(|link| link.gid() == gid));
+        let lost = sequence_number - seen.next;
+        seen.next = sequence_number + 1;
+        seen.link = link;
+        let mut waiting = 0;
+        if let Some(link) = link.and_then(|link| links.get(link)) {
+            waiting = (link.out.sent.load(Ordering::Relaxed) + 1).saturating_sub(sequence_number);
+            // Release: pairs with the Acquire in the publisher's check for room.
+            link.taken.0.store(sequence_number, Ordering::Release);
+        }
+        Some(Noted { lost, waiting, link })
+    }
+
+    /// Notes a sample of a history. False: it came already.
+    pub(crate) fn note_history(&mut self, gid: Gid, sequence_number: u64) -> bool {
+        let index = self.find(gid).unwrap_or_else(|| self.remember(gid, sequence_number));
+        let Some(seen) = self.seen.get_mut(index).filter(|seen| sequence_number >= seen.next) else { return false };
+        seen.next = sequence_number + 1;
+        true
+    }
+
+    fn find(&mut self, gid: Gid) -> Option<usize> {
+        if self.seen.get(self.last).is_some_and(|seen| seen.gid == gid) {
+            return Some(self.last);
+        }
+        let index = self.seen.iter().position(|seen| seen.gid == gid)?;
+        self.last = index;
+        Some(index)
+    }
+
+    fn remember(&mut self, gid: Gid, next: u64) -> usize {
+        let seen = Seen { gid, next, link: None };
+        if self.seen.len() < CAPACITY {
+            self.seen.push(seen);
+            return self.seen.len() - 1;
+        }
+        let index = self.oldest;
+        self.oldest = (self.oldest + 1) % CAPACITY;
+        self.seen[index] = seen;
+        index
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    const A: Gid = Gid([1; 16]);
+    const B: Gid = Gid([2; 16]);
+
+    #[test]
+    fn gaps_are_counted_for_each_publisher() {
+        let mut tracker = Tracker::new();
+        let lost = |tracker: &mut Tracker, gid, n| tracker.note(gid, n, &[]).map(|noted| noted.lost);
+        assert_eq!(lost(&mut tracker, A, 5), Some(0), "nothing is known of what came before");
+        assert_eq!(lost(&mut tracker, B, 1), Some(0));
+        assert_eq!(lost(&mut tracker, A, 9), Some(3));
+        assert_eq!(lost(&mut tracker, B, 2), Some(0));
+        assert_eq!(lost(&mut tracker, A, 9), None, "twice");
+    }
+
+    #[test]
+    fn what_the_history_gave_is_not_given_again() {
+        let mut tracker = Tracker::new();
+        assert!(tracker.note_history(A, 3) && tracker.note_history(A, 4));
+        assert!(!tracker.note_history(A, 3));
+        assert!(tracker.note(A, 4, &[]).is_none());
+        assert_eq!(tracker.note(A, 6, &[]).map(|noted| noted.lost), Some(1));
+    }
+
+    #[test]
+    fn more_publishers_than_it_remembers() {
+        let mut tracker = Tracker::new();
+        for n in 0..=CAPACITY as u128 {
+            assert!(tracker.note(Gid(n.to_le_bytes()), 7, &[]).is_some());
+        }
+        assert_eq!(tracker.note(Gid(1u128.to_le_bytes()), 8, &[]).map(|noted| noted.lost), Some(0));
+    }
+}
