@@ -60,7 +60,7 @@ mod tests {
         let periods = [10, 20, 50, 100, 200].map(Duration::from_millis);
         assert_eq!(rate_monotonic(&periods, 20).unwrap(), [20, 19, 18, 17, 16]);
         assert_eq!(deadline_monotonic(&periods, 5).unwrap(), [5, 4, 3, 2, 1]);
-        assert_eq!(rate_monotonic(&[], 1).unwrap(), []);
+        assert!(rate_monotonic(&[], 1).unwrap().is_empty());
     }
 
     #[test]

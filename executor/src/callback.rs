@@ -38,7 +38,8 @@ impl CallbackHandle {
     }
 
     /// Tells the callback to end the next time it waits, and does not wait for that. Its future is dropped on its own
-    /// thread. A callback that computes without ever waiting goes on.
+    /// thread. A callback that never waits goes on, unless its stream asks
+    /// [`stop_requested`](crate::stop_requested).
     pub fn stop(&self) {
         self.callback.control.stop();
     }
@@ -69,9 +70,10 @@ pub(crate) struct Callback {
     pub thread: Mutex<Thread>,
 }
 
-pub(crate) enum Thread {
-    Running(JoinHandle<()>),
-    Joined(Option<Panic>),
+/// A thread, until it has been joined; then how it ended.
+pub(crate) struct Thread {
+    pub running: Option<JoinHandle<()>>,
+    pub panic: Option<Panic>,
 }
 
 impl Callback {
@@ -82,16 +84,13 @@ impl Callback {
             return Err(ExecutorError::JoinsItself { name: name() });
         }
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Thread::Running(running) = std::mem::replace(&mut *thread, Thread::Joined(None)) {
-            *thread = Thread::Joined(running.join().err().map(|error| match error {
+        if let Some(running) = thread.running.take() {
+            thread.panic = running.join().err().map(|error| match error {
                 RtError::Panicked { message, .. } => Panic { callback: name(), message },
                 other => Panic { callback: name(), message: other.to_string() },
-            }));
+            });
         }
-        match &*thread {
-            Thread::Joined(panic) => Ok(panic.clone()),
-            Thread::Running(_) => Ok(None),
-        }
+        Ok(thread.panic.clone())
     }
 }
 

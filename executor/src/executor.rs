@@ -15,7 +15,7 @@ use tautline_rt::{
 
 use crate::callback::{Callback, End, Presence, Thread};
 use crate::group::CallbackGroup;
-use crate::hot::{self, Control, Controlled, GroupFuture, Measured};
+use crate::hot::{self, CallbackThread, Control, Controlled, GroupFuture, Measured};
 use crate::registry::{Registry, Seat};
 use crate::{CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, ThreadRegistration};
 
@@ -82,7 +82,7 @@ impl Executor {
         let execution_time = options.execution_time;
         self.start(options, move |stats| {
             let total = Measured { stats, execution_time };
-            // No jobs of the thread as a whole: the group measures its members.
+            // No jobs of the thread itself: the group measures its members.
             (None, Box::pin(GroupFuture { members: group.into_members(), running: None, total }))
         })
     }
@@ -154,7 +154,7 @@ impl Executor {
         builder.cores = options.cores;
         let thread = builder.spawn(move || {
             let (measured, future) = make(thread_stats);
-            hot::enter(measured, busy);
+            hot::enter(CallbackThread { measured, control: Arc::clone(&thread_control), busy });
             let mut pool = LocalPool::new();
             let future = Controlled { future, control: Arc::clone(&thread_control), busy };
             let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
@@ -171,7 +171,7 @@ impl Executor {
         let thread = thread.map_err(refused)?;
 
         let info = thread.info().clone();
-        let thread = Mutex::new(Thread::Running(thread));
+        let thread = Mutex::new(Thread { running: Some(thread), panic: None });
         let callback = Arc::new(Callback { stats, control, end, info, thread });
         self.keep(Arc::clone(&callback));
         Ok(CallbackHandle::new(callback))

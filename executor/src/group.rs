@@ -25,6 +25,9 @@ use crate::hot::{Member, StreamMember};
 /// bound as good: it empties one stream before it looks at the next, whatever waits there, and exceeds this one. All
 /// it shares with any work-conserving order is the busy period, the least `L` with `L = sum ceil(L / T_j) C_j`.
 ///
+/// Each job costs one poll of every member's stream. A callback that waits keeps the others out; one that panics ends
+/// the whole group.
+///
 /// # Look-ahead
 /// Each member holds the next message of its stream until its turn: allow for one borrowed sample more than the
 /// callback itself keeps.

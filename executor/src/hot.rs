@@ -3,7 +3,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -17,20 +17,30 @@ use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
 use crate::stats::{CallbackStats, Histogram, bucket_of};
 
 thread_local! {
-    static MEASURED: RefCell<Option<Measured>> = const { RefCell::new(None) };
-    static BUSY: Cell<bool> = const { Cell::new(false) };
+    static CURRENT: RefCell<Option<CallbackThread>> = const { RefCell::new(None) };
 }
 
-/// Where the jobs of this thread's callback are recorded.
+/// What streams can learn of the callback thread they run on.
+pub(crate) struct CallbackThread {
+    /// Where jobs are recorded; `None` in a group, which measures its members itself.
+    pub measured: Option<Measured>,
+    pub control: Arc<Control>,
+    pub busy: bool,
+}
+
 pub(crate) struct Measured {
     pub stats: Arc<CallbackStats>,
     pub execution_time: bool,
 }
 
-/// Prepares the current thread for a callback, before it turns real-time.
-pub(crate) fn enter(measured: Option<Measured>, busy: bool) {
-    MEASURED.set(measured);
-    BUSY.set(busy);
+/// Makes the current thread a callback thread, before it turns real-time.
+pub(crate) fn enter(thread: CallbackThread) {
+    CURRENT.set(Some(thread));
+}
+
+/// `None` on any other thread, and on one that is going down.
+fn current<R>(ask: impl FnOnce(&CallbackThread) -> R) -> Option<R> {
+    CURRENT.try_with(|thread| thread.try_borrow().ok()?.as_ref().map(ask)).ok()?
 }
 
 /// Says whether the current thread polls its callback in a loop. A stream need then not arrange for a wake; if it is
@@ -40,7 +50,17 @@ pub(crate) fn enter(measured: Option<Measured>, busy: bool) {
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
 pub fn busy_polling() -> bool {
-    BUSY.get()
+    current(|thread| thread.busy).unwrap_or(false)
+}
+
+/// Says whether the current thread's callback has been told to end. A stream that always has a next item, as under
+/// overload, never lets its callback wait: it asks here and returns `Pending`, which is where the callback ends.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall.
+pub fn stop_requested() -> bool {
+    // Acquire: pairs with the Release in `Control::stop`.
+    current(|thread| thread.control.stopped.load(Ordering::Acquire)).unwrap_or(false)
 }
 
 // ---- Running a future until it ends or is told to stop ----
@@ -109,11 +129,12 @@ pub struct Job {
 /// # Real-time
 /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off.
 pub fn begin(release_ns: u64) -> Job {
-    let begun = measured(|to| {
+    let begun = current(|thread| {
+        let to = thread.measured.as_ref()?;
         to.stats.release();
-        Begun::now(release_ns, to.execution_time)
+        Some(Begun::now(release_ns, to.execution_time))
     });
-    Job { begun }
+    Job { begun: begun.flatten() }
 }
 
 impl Job {
@@ -124,14 +145,13 @@ impl Job {
     pub fn finish(self) {
         if let Some(begun) = self.begun {
             let (response_ns, execution_ns) = begun.times();
-            measured(|to| to.stats.complete(response_ns, execution_ns));
+            current(|thread| {
+                if let Some(to) = &thread.measured {
+                    to.stats.complete(response_ns, execution_ns);
+                }
+            });
         }
     }
-}
-
-/// `None` on a thread that is not measured, or that is going down.
-fn measured<R>(record: impl FnOnce(&Measured) -> R) -> Option<R> {
-    MEASURED.try_with(|to| to.try_borrow().ok()?.as_ref().map(record)).ok()?
 }
 
 /// The clocks at the begin of a job.

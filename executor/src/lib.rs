@@ -43,7 +43,7 @@ pub use callback::CallbackHandle;
 pub use error::{ExecutorError, Panic};
 pub use executor::Executor;
 pub use group::CallbackGroup;
-pub use hot::busy_polling;
+pub use hot::{busy_polling, stop_requested};
 pub use options::CallbackOptions;
 pub use registry::ThreadRegistration;
 pub use stats::{Bucket, CallbackStats, Histogram, HistogramSnapshot};

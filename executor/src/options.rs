@@ -97,8 +97,9 @@ impl CallbackOptions {
 
     /// Polls the callback in a loop on a core of its own: no wake-up, no parking, one core at 100 %.
     ///
-    /// Needs exactly one core, and is refused where it would starve a thread that the executor knows of. At a
-    /// real-time priority the kernel still pauses it for what `sched_rt_runtime_us` leaves to others.
+    /// Needs exactly one core, and is refused where it would starve a thread that the executor knows of. Others it
+    /// cannot protect: at a real-time priority, keep them off that core (`isolcpus`, or their affinity), for all they
+    /// get there is what `sched_rt_runtime_us` leaves them.
     pub const fn busy_poll(mut self) -> CallbackOptions {
         self.busy_poll = true;
         self

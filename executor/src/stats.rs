@@ -31,6 +31,9 @@ impl Histogram {
     }
 
     /// A copy to evaluate. Values recorded meanwhile may be missing from it, or from its mean.
+    ///
+    /// # Real-time
+    /// For other threads than the one that records: allocates 32 KiB.
     pub fn snapshot(&self) -> HistogramSnapshot {
         // Acquire: pairs with the Release in `record`, so the maximum read below covers every value counted here.
         let counts: Box<[u64]> = self.buckets.iter().map(|bucket| bucket.load(Ordering::Acquire)).collect();
@@ -145,10 +148,7 @@ pub struct CallbackStats {
 
 impl CallbackStats {
     /// Statistics of nothing yet.
-    ///
-    /// # Real-time
-    /// Setup only: allocates.
-    pub fn new(name: impl Into<String>, deadline: Option<Duration>) -> CallbackStats {
+    pub(crate) fn new(name: impl Into<String>, deadline: Option<Duration>) -> CallbackStats {
         let stats = CallbackStats {
             name: name.into(),
             releases: AtomicU64::new(0),

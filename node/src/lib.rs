@@ -1,1 +1,59 @@
-//! Zero-copy, real-time middleware for robots: nodes, topics, timers
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Zero-copy, real-time middleware for robots: nodes, topics, timers.
+//!
+//! A [`Context`] joins a domain and owns the sampler and the callback threads. A [`Node`] makes publishers,
+//! subscriptions and timers with ROS 2's names and quality of service. Each callback runs on a thread of its own, at its
+//! own priority; [`Node::spin`] turns the calling thread into the sampler, which wakes them.
+//!
+//! ```no_run
+//! use futures::StreamExt;
+//! use tautline::{CallbackOptions, Context, Message, Node, QosProfile};
+//!
+//! #[derive(Message, Clone, Copy)]
+//! #[repr(C)]
+//! #[message(name = "demo_msgs/msg/Odometry")]
+//! struct Odometry { x: f64, y: f64, heading: f64 }
+//!
+//! let ctx = Context::create()?;
+//! let mut node = Node::create(ctx, "example", "")?;
+//! let odometry = node.subscribe_loaned::<Odometry>("/odom", QosProfile::default())?;
+//! node.spawn_callback(CallbackOptions::fifo(20).core(1), odometry.for_each(|msg| async move {
+//!     let _speed = msg.x; // msg derefs into shared memory
+//! }))?;
+//! node.spin()?; // this thread becomes the sampler, at the highest priority
+//! # Ok::<(), tautline::Error>(())
+//! ```
+//!
+//! Real-time set-up that the system refuses is an error which names the fix. To run without is a choice that is made
+//! explicitly: [`Realtime::Off`], or `TAUT_REALTIME=off` in the environment.
+//!
+//! The names are those of `r2r`, whose programs compile with a changed `use` line where a feature exists here.
+#![forbid(unsafe_code)]
+
+mod context;
+mod error;
+mod names;
+mod node;
+mod qos;
+mod subscription;
+mod timer;
+
+pub use context::{Context, ContextBuilder};
+pub use error::{Error, Result};
+pub use node::Node;
+pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use subscription::Subscription;
+pub use timer::Timer;
+
+pub use tautline_executor::{
+    CallbackGroup, CallbackHandle, CallbackOptions, CallbackStats, CoreSet, ExecutorError, Histogram,
+    HistogramSnapshot, Policy, Realtime, assign,
+};
+pub use tautline_msgs as msgs;
+pub use tautline_msgs::{Message, Plain};
+pub use tautline_rt as rt;
+pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
+pub use tautline_transport::{
+    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, Sample, TakeError, TopicMemory,
+    TransportError, Unpublished, topic_memory,
+};

@@ -88,8 +88,11 @@ impl ThreadBuilder {
         self
     }
 
-    /// Starts the thread. In it, in this order: the cores are set, the stack is touched, `setup` runs and returns
-    /// the body, the policy is set, both are read back. Only then does `spawn` return and the body run.
+    /// Starts the thread. In it, in this order: the stack is touched, `setup` runs and returns the body, the policy
+    /// is set, the cores are set, both are read back. Only then does `spawn` return and the body run.
+    ///
+    /// The cores come last, for on a core that a real-time thread keeps busy a new thread would not get as far as its
+    /// own priority. So `setup` runs where the spawning thread may run.
     ///
     /// What `setup` makes stays in the thread and need not be `Send`; it may allocate, the body had better not.
     ///
@@ -104,6 +107,9 @@ impl ThreadBuilder {
     {
         const MAX_STACK_BYTES: usize = 1 << 30;
         self.policy.check()?;
+        if let Some(cores) = self.cores {
+            cores.check()?;
+        }
         if self.stack_bytes > MAX_STACK_BYTES {
             let (name, bytes) = (self.name, self.stack_bytes);
             return Err(RtError::StackTooLarge { name, bytes, max: MAX_STACK_BYTES });
@@ -140,13 +146,13 @@ impl ThreadBuilder {
     }
 
     fn prepare<S: FnOnce() -> B, B>(&self, setup: S) -> Result<(B, ThreadInfo), RtError> {
-        if let Some(cores) = self.cores {
-            set_affinity(cores)?;
-        }
         prefault_stack(self.stack_bytes);
         let body = setup();
         if self.realtime == Realtime::Required {
             set_policy(self.policy)?;
+        }
+        if let Some(cores) = self.cores {
+            set_affinity(cores)?;
         }
         let info = ThreadInfo {
             tid: current_tid(),

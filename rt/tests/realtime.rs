@@ -5,8 +5,8 @@ use std::sync::mpsc;
 
 use tautline_rt::{
     CoreSet, Policy, Realtime, RtError, ThreadBuilder, current_affinity, current_policy, current_tid,
-    permission::realtime_permitted, policy_of, set_affinity, set_affinity_of, set_policy, set_policy_of,
-    threads,
+    page_faults, permission::realtime_permitted, policy_of, set_affinity, set_affinity_of, set_policy,
+    set_policy_of, threads,
 };
 
 /// Real-time tests need the privilege; with CI set they must run.
@@ -108,6 +108,22 @@ fn a_built_thread_is_as_asked_before_spawn_returns() {
     let (in_setup, in_body) = thread.join().unwrap();
     assert_eq!(in_setup.realtime_priority(), None, "the set-up runs before the thread is real-time");
     assert_eq!(in_body, Policy::Fifo(9));
+}
+
+#[test]
+fn the_body_has_its_stack_already() {
+    #[inline(never)]
+    fn use_stack() {
+        std::hint::black_box(&mut [0u8; 300 * 1024]);
+    }
+    let thread = ThreadBuilder::new("stack").stack_bytes(512 * 1024).spawn(|| {
+        || {
+            let before = page_faults().minor;
+            use_stack();
+            page_faults().minor - before
+        }
+    });
+    assert_eq!(thread.unwrap().join().unwrap(), 0);
 }
 
 #[test]

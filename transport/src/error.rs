@@ -104,9 +104,6 @@ pub enum LoanError {
     /// The message is larger than the topic's samples.
     #[error("the message is larger than this topic's samples")]
     TooLarge,
-    /// A loan taken in another thread is still alive there.
-    #[error("a loan of this publisher lives in another thread: publish or drop it there first")]
-    WrongThread,
     /// iceoryx2 has no memory left for this publisher.
     #[error("the publisher's shared memory is exhausted: is /dev/shm full?")]
     OutOfMemory,
@@ -132,9 +129,6 @@ pub enum TakeError {
     /// This subscription holds as many samples as the topic's `Limits::held` allows.
     #[error("this subscription holds as many samples as its topic allows: drop one, or raise `Limits::held`")]
     TooManyHeld,
-    /// A sample taken in another thread is still alive there.
-    #[error("a sample of this subscription lives in another thread: drop it there first")]
-    WrongThread,
     /// The bytes are not a message of this type.
     #[error("the sample is not a valid message: {0}")]
     Invalid(tautline_msgs::Invalid),

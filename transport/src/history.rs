@@ -11,9 +11,9 @@ use crate::address::{Address, Role};
 use crate::doorbell::Doorbell;
 use crate::error::TransportError;
 use crate::header::{END_OF_HISTORY, Gid, SampleHeader};
-use crate::lease::Bound;
+use crate::lending::{Shelf, Sole};
 use crate::ports::{self, Reached};
-use crate::topic::{IoxPublisher, IoxSubscriber, Topic};
+use crate::topic::{IoxPublisher, IoxSample, IoxSubscriber, Topic};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use tautline_rt::clock::monotonic_ns;
@@ -28,10 +28,10 @@ pub(crate) struct Keeper {
     topic: Arc<Topic>,
     gid: Gid,
     depth: usize,
-    queue: Bound<IoxSubscriber>,
+    queue: Sole<IoxSubscriber>,
     /// What was taken from the queue when an earlier late joiner came.
     kept: VecDeque<(SampleHeader, Vec<u8>)>,
-    outlet: Option<Bound<IoxPublisher>>,
+    outlet: Option<Sole<IoxPublisher>>,
     served: Vec<u128>,
 }
 
@@ -58,7 +58,7 @@ impl Keeper {
             topic: topic.clone(),
             gid,
             depth,
-            queue: Bound::new(queue),
+            queue: Sole::new(queue),
             kept: VecDeque::new(),
             outlet: None,
             served: Vec::new(),
@@ -86,8 +86,7 @@ impl Keeper {
     }
 
     fn keep_what_is_queued(&mut self) {
-        let Ok(queue) = self.queue.get() else { return };
-        while let Ok(Some(sample)) = queue.receive() {
+        while let Ok(Some(sample)) = self.queue.get().receive() {
             if sample.user_header().gid != self.gid {
                 continue;
             }
@@ -109,9 +108,9 @@ impl Keeper {
                 .backpressure_strategy(iceoryx2::prelude::BackpressureStrategy::DiscardData)
                 .create()
                 .map_err(|error| topic.iceoryx_error("serving late joiners", error))?;
-            self.outlet = Some(Bound::new(outlet));
+            self.outlet = Some(Sole::new(outlet));
         }
-        let Some(Ok(outlet)) = self.outlet.as_ref().map(Bound::get) else { return Ok(()) };
+        let Some(outlet) = self.outlet.as_ref().map(Sole::get) else { return Ok(()) };
         let end = SampleHeader { gid: self.gid, flags: END_OF_HISTORY, ..SampleHeader::default() };
         for (header, body) in self.kept.iter().map(|(header, body)| (*header, body.as_slice())).chain([(end, &[][..])])
         {
@@ -128,7 +127,8 @@ impl Keeper {
 
 /// A late joiner's side: open until every publisher that it found has ended its history, or patience runs out.
 pub(crate) struct Catch {
-    pub(crate) inlet: Bound<IoxSubscriber>,
+    pub(crate) inlet: Sole<IoxSubscriber>,
+    pub(crate) shelf: Shelf<IoxSample>,
     awaited: Vec<Gid>,
     give_up_ns: u64,
 }
@@ -148,7 +148,8 @@ impl Catch {
             .buffer_size(depth + 1)
             .create()
             .map_err(|error| topic.iceoryx_error("asking for the history", error))?;
-        Ok(Some(Catch { inlet: Bound::new(inlet), awaited, give_up_ns: monotonic_ns() + PATIENCE_NS }))
+        let (inlet, shelf) = (Sole::new(inlet), Shelf::new(topic.limits.held));
+        Ok(Some(Catch { inlet, shelf, awaited, give_up_ns: monotonic_ns() + PATIENCE_NS }))
     }
 
     /// The mark of `gid` came.

@@ -37,7 +37,7 @@ mod error;
 mod header;
 mod history;
 mod janitor;
-mod lease;
+mod lending;
 mod memory;
 mod participant;
 mod ports;

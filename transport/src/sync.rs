@@ -2,10 +2,10 @@
 //! Atomics and the futex, or loom's models of them (`--cfg taut_loom`).
 
 #[cfg(not(taut_loom))]
-pub(crate) use core::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
+pub(crate) use core::sync::atomic::{AtomicU32, AtomicU64, Ordering, fence};
 
 #[cfg(taut_loom)]
-pub(crate) use loom::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
+pub(crate) use loom::sync::atomic::{AtomicU32, AtomicU64, Ordering, fence};
 
 /// A 32-bit word in shared memory on which threads of any process can sleep.
 #[repr(transparent)]

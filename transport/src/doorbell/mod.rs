@@ -14,6 +14,8 @@ mod arena;
 pub(crate) mod hot;
 #[cfg(all(test, taut_loom))]
 mod loom;
+#[cfg(all(test, not(taut_loom)))]
+mod stress;
 
 pub(crate) use arena::{Arena, ArenaId, Link, remove_stale_arenas, slot_flags};
 

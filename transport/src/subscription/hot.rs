@@ -7,11 +7,10 @@ use super::{Counters, State, Subscription};
 use crate::doorbell::{ArenaId, Doorbell, Link};
 use crate::error::TakeError;
 use crate::header::{END_OF_HISTORY, MessageInfo};
-use crate::lease::{Bound, Lease, WrongThread};
+use crate::lending::{Lent, Shelf, Sole};
 use crate::ports::Reached;
 use crate::sync::{Ordering, fence};
 use crate::topic::{IoxSample, IoxSubscriber};
-use core::marker::PhantomData;
 use core::ops::Deref;
 use core::pin::Pin;
 use core::ptr::NonNull;
@@ -22,24 +21,18 @@ use iceoryx2::port::ReceiveError;
 use std::sync::Arc;
 use tautline_msgs::{Message, Plain};
 
-/// A message in shared memory: derefs to `T`. Dropping it gives the memory back to its publisher.
-///
-/// It stays in the thread that took it. At most `Limits::held` of one subscription are alive at once.
+/// A message in shared memory: derefs to `T`. At most `Limits::held` of one subscription are alive at once; they may be
+/// dropped in any thread.
 pub struct Sample<T> {
-    // Dropped in this order: the sample touches the port, then the lease tells that it is over.
-    sample: IoxSample,
-    _lease: Lease<IoxSubscriber>,
     body: NonNull<T>,
-    _message: PhantomData<T>,
+    info: MessageInfo,
+    _lent: Lent<IoxSample>,
 }
 
-impl<T: Plain> Sample<T> {
-    /// The arguments are dropped from the last to the first: here too the sample before the lease.
-    fn new(lease: Lease<IoxSubscriber>, sample: IoxSample) -> Result<Self, tautline_msgs::Invalid> {
-        let body = NonNull::from(tautline_msgs::from_bytes::<T>(sample.payload())?);
-        Ok(Sample { sample, _lease: lease, body, _message: PhantomData })
-    }
-}
+// SAFETY: a Sample reads its body through `&T`, and `_lent` may be dropped anywhere.
+unsafe impl<T: Sync> Send for Sample<T> {}
+// SAFETY: as above.
+unsafe impl<T: Sync> Sync for Sample<T> {}
 
 impl<T> Sample<T> {
     /// Sequence number, time stamps, publisher.
@@ -47,7 +40,7 @@ impl<T> Sample<T> {
     /// # Real-time
     /// Wait-free; no syscall.
     pub fn info(&self) -> MessageInfo {
-        self.sample.user_header().info()
+        self.info
     }
 }
 
@@ -55,8 +48,8 @@ impl<T> Deref for Sample<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        // SAFETY: `body` was made from the bytes of `sample`, checked to be a valid T, and `sample` keeps them. A
-        // publisher does not write to a sample that a subscription holds.
+        // SAFETY: `body` was made from the bytes of a sample, checked to be a valid T, and `_lent` keeps that sample on
+        // its shelf, mapped. A publisher does not write to a sample that a subscription holds.
         unsafe { self.body.as_ref() }
     }
 }
@@ -125,51 +118,46 @@ impl<T: Message + Plain> Subscription<T> {
             return Ok(None);
         }
         loop {
-            let Some(sample) = receive(&self.port)? else { return Ok(None) };
+            let Some(sample) = receive(&self.port, &self.shelf)? else { return Ok(None) };
             let header = *sample.user_header();
-            let lease = self.port.lend();
             let links = self.departure.slot.doorbell().arena().links(self.departure.slot.index());
-            let Some(noted) = state.tracker.note(header.gid, header.sequence_number, links) else {
-                drop(sample);
-                continue;
-            };
+            let Some(noted) = state.tracker.note(header.gid, header.sequence_number, links) else { continue };
             self.counters.note(noted.lost, noted.waiting.min(self.qos.depth as u64));
             if let Some(link) = noted.link.and_then(|link| links.get(link)) {
                 state.waiters.ring(self.departure.slot.doorbell(), link);
             }
-            return self.finish(lease, sample).map(Some);
+            return self.lend(sample, &self.shelf).map(Some);
         }
     }
 
     /// The next sample of the history, while that lasts.
     fn take_history(&self, state: &mut State) -> Result<Option<Sample<T>>, TakeError> {
         while let Some(catch) = &mut state.catch {
-            let Some(sample) = receive(&catch.inlet)? else {
+            let Some(sample) = receive(&catch.inlet, &catch.shelf)? else {
                 if catch.is_complete() {
                     state.catch = None;
                 }
                 return Ok(None);
             };
-            let lease = catch.inlet.lend();
             let header = *sample.user_header();
             if header.flags & END_OF_HISTORY != 0 {
                 catch.end(header.gid);
             } else if state.tracker.note_history(header.gid, header.sequence_number) {
                 self.counters.note(0, 0);
-                return self.finish(lease, sample).map(Some);
+                return self.lend(sample, &catch.shelf).map(Some);
             }
-            // The sample before the lease, as in Sample.
-            drop(sample);
-            drop(lease);
         }
         Ok(None)
     }
 
-    fn finish(&self, lease: Lease<IoxSubscriber>, sample: IoxSample) -> Result<Sample<T>, TakeError> {
-        Sample::new(lease, sample).map_err(|invalid| {
+    fn lend(&self, sample: IoxSample, shelf: &Shelf<IoxSample>) -> Result<Sample<T>, TakeError> {
+        let info = sample.user_header().info();
+        let body = tautline_msgs::from_bytes::<T>(sample.payload()).map(NonNull::from).map_err(|invalid| {
             add(&self.counters.invalid, 1);
             TakeError::Invalid(invalid)
-        })
+        })?;
+        let lent = shelf.lend(sample).ok_or(TakeError::TooManyHeld)?;
+        Ok(Sample { body, info, _lent: lent })
     }
 
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
@@ -184,9 +172,11 @@ impl<T: Message + Plain> Subscription<T> {
                 Ok(None) => return Poll::Pending,
                 // Counted; the next one may be good.
                 Err(TakeError::Invalid(_)) => {}
-                Err(TakeError::TooManyHeld | TakeError::WrongThread) => {
+                Err(TakeError::TooManyHeld) => {
                     add(&self.counters.refused, 1);
-                    if self.port.wake_when_given_back(context.waker()) {
+                    let state = self.state.borrow();
+                    let shelf = state.catch.as_ref().map_or(&self.shelf, |catch| &catch.shelf);
+                    if !shelf.wake_when_back(context.waker()) {
                         return Poll::Pending;
                     }
                 }
@@ -211,9 +201,12 @@ impl<T: Message + Plain> Stream for Subscription<T> {
 
 impl<T> Unpin for Subscription<T> {}
 
-fn receive(port: &Bound<IoxSubscriber>) -> Result<Option<IoxSample>, TakeError> {
-    let port = port.get().map_err(|WrongThread| TakeError::WrongThread)?;
-    port.receive().map_err(|error| match error {
+/// Receives only what has a place on the shelf.
+fn receive(port: &Sole<IoxSubscriber>, shelf: &Shelf<IoxSample>) -> Result<Option<IoxSample>, TakeError> {
+    if !shelf.reclaim() {
+        return Err(TakeError::TooManyHeld);
+    }
+    port.get().receive().map_err(|error| match error {
         ReceiveError::ExceedsMaxBorrows => TakeError::TooManyHeld,
         ReceiveError::ConnectionFailure(_) => TakeError::Connection,
     })

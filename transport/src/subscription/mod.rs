@@ -11,11 +11,11 @@ use crate::doorbell::{Slot, slot_flags};
 use crate::error::TransportError;
 use crate::history::Catch;
 use crate::janitor::Watch;
-use crate::lease::Bound;
+use crate::lending::{Shelf, Sole};
 use crate::participant::Shared;
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
-use crate::topic::{IoxSubscriber, Topic, TypeInfo};
+use crate::topic::{IoxSample, IoxSubscriber, Topic, TypeInfo};
 use std::cell::RefCell;
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -25,10 +25,12 @@ use tracker::Tracker;
 
 /// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`take`](Subscription::take).
 ///
-/// May be moved to another thread while none of its samples is alive, and is used by one thread at a time.
+/// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
+/// back to the publisher when this subscription next takes.
 pub struct Subscription<T> {
     // Dropped in this order.
-    port: Bound<IoxSubscriber>,
+    port: Sole<IoxSubscriber>,
+    shelf: Shelf<IoxSample>,
     state: RefCell<State>,
     departure: Departure,
     counters: Arc<Counters>,
@@ -70,7 +72,7 @@ impl Counters {
         self.invalid.load(Ordering::Relaxed)
     }
 
-    /// Polls of the stream that found it unable to take: too many samples held, or held in another thread.
+    /// Polls of the stream that found it unable to take: too many samples held, or a publisher's memory out of reach.
     pub fn refused(&self) -> u64 {
         self.refused.load(Ordering::Relaxed)
     }
@@ -113,7 +115,8 @@ impl<T: Message + Plain> Subscription<T> {
         shared.janitor.watch(watch);
         let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);
         Ok(Subscription {
-            port: Bound::new(port),
+            port: Sole::new(port),
+            shelf: Shelf::new(topic.limits.held),
             state: RefCell::new(State { tracker: Tracker::new(), catch, waiters }),
             departure: Departure { slot, topic, shared },
             counters: Arc::default(),

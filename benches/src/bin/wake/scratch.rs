@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
 use crate::Result;
+
+/// Starts the names of all files of all runs; the process id follows.
+const PREFIX: &str = "taut_wake_";
 
 /// Where the systems of one run keep their files; all of them are removed on drop, also those of killed processes.
 pub struct Scratch {
@@ -14,9 +17,15 @@ pub struct Scratch {
 }
 
 impl Scratch {
+    /// Makes the directory and removes what runs that were themselves killed have left.
     pub fn new() -> Result<Self> {
-        let directory = tempfile::Builder::new().prefix("tautline-wake-").tempdir()?;
-        Ok(Self { directory, prefix: format!("taut_wake_{}_", std::process::id()) })
+        for place in places() {
+            remove(&place, |name| {
+                owner(name).is_some_and(|pid| !Path::new(&format!("/proc/{pid}")).exists())
+            });
+        }
+        let prefix = format!("{PREFIX}{}_", std::process::id());
+        Ok(Self { directory: tempfile::Builder::new().prefix(&prefix).tempdir()?, prefix })
     }
 
     /// For files.
@@ -32,11 +41,42 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        for entry in fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
-            if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
-                // Ignored: whatever is not removed now is named after this process.
-                let _ = fs::remove_file(entry.path());
-            }
+        for place in places() {
+            remove(&place, |name| name.starts_with(&self.prefix));
         }
+    }
+}
+
+fn places() -> [PathBuf; 2] {
+    ["/dev/shm".into(), std::env::temp_dir()]
+}
+
+/// The process that made a file of this name, if a run did.
+fn owner(name: &str) -> Option<u32> {
+    name.strip_prefix(PREFIX)?.split('_').next()?.parse().ok()
+}
+
+fn remove(place: &Path, unwanted: impl Fn(&str) -> bool) {
+    for entry in fs::read_dir(place).into_iter().flatten().flatten() {
+        if entry.file_name().to_str().is_some_and(&unwanted) {
+            // Ignored: what cannot be removed belongs to another user, and bothers nobody.
+            let _ = if entry.path().is_dir() {
+                fs::remove_dir_all(entry.path())
+            } else {
+                fs::remove_file(entry.path())
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_files_of_runs_have_an_owner() {
+        assert_eq!(owner("taut_wake_12_ab.data"), Some(12));
+        assert_eq!(owner("taut_wake_x"), None);
+        assert_eq!(owner("iox2_12_"), None);
     }
 }

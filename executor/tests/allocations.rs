@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The hot path does not touch the heap: counted per thread, over 10,000 cycles.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::future::poll_fn;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::{Context, Poll};
+use std::thread::{Thread, current, park};
+
+use futures::stream;
+use futures::task::AtomicWaker;
+use tautline_executor::{CallbackGroup, CallbackOptions, Executor, Realtime, job};
+
+struct Counting;
+
+thread_local!(static HEAP_CALLS: Cell<u64> = const { Cell::new(0) });
+
+fn count() {
+    let _ = HEAP_CALLS.try_with(|calls| calls.set(calls.get() + 1));
+}
+
+// SAFETY: every call is handed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(block, layout) }
+    }
+    unsafe fn realloc(&self, block: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.realloc(block, layout, bytes) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const WARM_UP: u64 = 100;
+const CYCLES: u64 = 10_000;
+
+/// Rung by the test, answered by callbacks.
+struct Bell {
+    waker: AtomicWaker,
+    rung: AtomicU64,
+    answers: AtomicU64,
+    /// The heap calls of the answering thread, so far.
+    heap_calls: AtomicU64,
+    ringer: Thread,
+}
+
+impl Bell {
+    fn new() -> Arc<Bell> {
+        let (waker, rung, answers, heap_calls) = Default::default();
+        Arc::new(Bell { waker, rung, answers, heap_calls, ringer: current() })
+    }
+
+    /// Ready with the number of the ring after `heard`.
+    fn poll(&self, heard: u64, cx: &mut Context<'_>) -> Poll<u64> {
+        self.waker.register(cx.waker());
+        if self.rung.load(Ordering::Acquire) > heard { Poll::Ready(heard + 1) } else { Poll::Pending }
+    }
+
+    fn answer(&self) {
+        self.heap_calls.store(HEAP_CALLS.get(), Ordering::Relaxed);
+        self.answers.fetch_add(1, Ordering::Release);
+        self.ringer.unpark();
+    }
+
+    fn wait_for(&self, answers: u64) {
+        while self.answers.load(Ordering::Acquire) < answers {
+            park();
+        }
+    }
+}
+
+/// Rings all bells again and again; returns the heap calls after the warm-up: the ringer's and each bell's.
+fn cycle(bells: &[&Bell]) -> Vec<u64> {
+    let calls = || -> Vec<u64> {
+        let ringer = HEAP_CALLS.get();
+        let answering = bells.iter().map(|bell| bell.heap_calls.load(Ordering::Relaxed));
+        [ringer].into_iter().chain(answering).collect()
+    };
+    let mut warm = calls();
+    for ring in 1..=WARM_UP + CYCLES {
+        for bell in bells {
+            bell.rung.store(ring, Ordering::Release);
+            bell.waker.wake();
+        }
+        bells.iter().for_each(|bell| bell.wait_for(ring));
+        if ring == WARM_UP {
+            warm = calls();
+            // Not counting the list itself.
+            warm[0] = HEAP_CALLS.get();
+        }
+    }
+    calls().iter().zip(&warm).map(|(now, warm)| now - warm).collect()
+}
+
+#[test]
+fn waking_and_polling_a_callback() {
+    for options in [CallbackOptions::other(), CallbackOptions::other().execution_time(false)] {
+        let bell = Bell::new();
+        let (callback_bell, mut heard, mut job) = (bell.clone(), 0, None);
+        // As a stream does it: a job ends when the next one is asked for.
+        let future = poll_fn(move |cx| {
+            loop {
+                if let Some(job) = job.take() {
+                    job::Job::finish(job);
+                }
+                heard = std::task::ready!(callback_bell.poll(heard, cx));
+                job = Some(job::begin(0));
+                callback_bell.answer();
+            }
+        });
+        let executor = Executor::new(Realtime::Off);
+        let callback = executor.spawn_callback(options, future).unwrap();
+        assert_eq!(cycle(&[&bell]), [0, 0]);
+        assert!(callback.stats().completions() >= CYCLES);
+        executor.shutdown().unwrap();
+    }
+}
+
+#[test]
+fn turns_of_a_group() {
+    let bells = [Bell::new(), Bell::new(), Bell::new()];
+    let mut group = CallbackGroup::new();
+    let mut stats = Vec::new();
+    for bell in &bells {
+        let (stream_bell, callback_bell, mut heard) = (bell.clone(), bell.clone(), 0);
+        let rings = stream::poll_fn(move |cx| {
+            let ring = std::task::ready!(stream_bell.poll(heard, cx));
+            heard = ring;
+            Poll::Ready(Some(ring))
+        });
+        stats.push(group.add(
+            "bell",
+            rings,
+            |ring| *ring,
+            move |_| {
+                let bell = callback_bell.clone();
+                async move { bell.answer() }
+            },
+        ));
+    }
+    let executor = Executor::new(Realtime::Off);
+    executor.spawn_group(CallbackOptions::other(), group).unwrap();
+    assert_eq!(cycle(&[&bells[0], &bells[1], &bells[2]]), [0, 0, 0, 0]);
+    executor.shutdown().unwrap();
+    assert!(stats.iter().all(|member| member.completions() >= CYCLES));
+}

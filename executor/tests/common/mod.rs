@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the tests share.
+#![allow(dead_code, reason = "each test file uses its part")]
+
+use std::sync::{Arc, Mutex};
+
+use tautline_executor::CoreSet;
+use tautline_rt::permission::realtime_permitted;
+
+/// An ordered log of events.
+#[derive(Clone, Default)]
+pub struct Log(Arc<Mutex<Vec<String>>>);
+
+impl Log {
+    pub fn add(&self, event: impl Into<String>) {
+        self.0.lock().unwrap().push(event.into());
+    }
+
+    pub fn events(&self) -> Vec<String> {
+        self.0.lock().unwrap().clone()
+    }
+}
+
+/// Real-time tests need the privilege; with CI set they must run.
+pub fn realtime() -> bool {
+    match realtime_permitted(50) {
+        Ok(()) => true,
+        Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
+        Err(error) => {
+            println!("skipped: {error}");
+            false
+        }
+    }
+}
+
+/// The cores this process may use, in ascending order.
+pub fn cores() -> Vec<usize> {
+    CoreSet::allowed().unwrap().iter().collect()
+}

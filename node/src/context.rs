@@ -1,0 +1,292 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The context: a domain joined, a sampler, callback threads.
+
+use crate::error::{Error, Result};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tautline_executor::{CoreSet, Executor, Policy, Realtime};
+use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
+use tautline_sampler::{Events, Sampler, Wait};
+use tautline_transport::Participant;
+
+/// Membership of a domain, with the sampler and the callback threads of its nodes. A clone is the same context.
+///
+/// When the last clone and the last node are gone, every callback thread is stopped and joined.
+#[derive(Clone)]
+pub struct Context {
+    pub(crate) shared: Arc<Shared>,
+}
+
+pub(crate) struct Shared {
+    // Dropped in this order: callbacks end before what they wait for.
+    pub(crate) executor: Executor,
+    /// Taken by the thread that spins.
+    sampler: Mutex<Option<Sampler>>,
+    pub(crate) events: Events,
+    pub(crate) participant: Participant,
+    settings: ContextBuilder,
+}
+
+/// What a context is asked to be.
+#[derive(Clone, Debug)]
+#[must_use = "call build()"]
+pub struct ContextBuilder {
+    domain: Option<u32>,
+    realtime: Option<Realtime>,
+    sampler_priority: u8,
+    sampler_cores: Option<CoreSet>,
+    wait: Wait,
+    lock_memory: bool,
+    hold_idle: bool,
+}
+
+impl ContextBuilder {
+    /// The sampler's priority if none is set: above any callback's that leaves room for the kernel's own threads.
+    pub const SAMPLER_PRIORITY: u8 = 90;
+
+    /// The domain, 0 to 232. Otherwise `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
+    pub fn domain(mut self, domain: u32) -> Self {
+        self.domain = Some(domain);
+        self
+    }
+
+    /// Whether threads get their real-time policies. Otherwise [`Realtime::Required`], unless `TAUT_REALTIME=off`.
+    pub fn realtime(mut self, realtime: Realtime) -> Self {
+        self.realtime = Some(realtime);
+        self
+    }
+
+    /// `SCHED_FIFO` priority of the sampler, 1 to 99; must be above the callbacks' for their response times to hold.
+    pub fn sampler_priority(mut self, priority: u8) -> Self {
+        self.sampler_priority = priority;
+        self
+    }
+
+    /// The core on which the sampler runs.
+    pub fn sampler_core(mut self, core: usize) -> Self {
+        self.sampler_cores = Some(CoreSet::one(core));
+        self
+    }
+
+    /// How the sampler waits.
+    pub fn wait(mut self, wait: Wait) -> Self {
+        self.wait = wait;
+        self
+    }
+
+    /// Whether spinning in real time locks the process's memory first (as pages are touched). On by default.
+    pub fn lock_memory(mut self, lock: bool) -> Self {
+        self.lock_memory = lock;
+        self
+    }
+
+    /// Whether spinning in real time keeps all cores out of idle states, by `/dev/cpu_dma_latency`: wake-ups become
+    /// several times faster, power consumption rises. On by default; where the file cannot be opened a warning says so.
+    pub fn hold_idle(mut self, hold: bool) -> Self {
+        self.hold_idle = hold;
+        self
+    }
+
+    /// Joins the domain.
+    ///
+    /// # Errors
+    /// [`Error::Environment`] for a variable that is not understood; [`Error::Transport`] if shared memory cannot be
+    /// had.
+    pub fn build(mut self) -> Result<Context> {
+        let domain = match self.domain {
+            Some(domain) => domain,
+            None => domain_of_environment()?,
+        };
+        let realtime = match self.realtime {
+            Some(realtime) => realtime,
+            None => realtime_of_environment()?,
+        };
+        self.realtime = Some(realtime);
+        let participant = Participant::new(domain)?;
+        let sampler = Sampler::new(&participant)?.with_wait(self.wait);
+        let shared = Shared {
+            executor: Executor::new(realtime),
+            events: sampler.events().clone(),
+            sampler: Mutex::new(Some(sampler)),
+            participant,
+            settings: self,
+        };
+        Ok(Context { shared: Arc::new(shared) })
+    }
+}
+
+impl Default for ContextBuilder {
+    fn default() -> Self {
+        ContextBuilder {
+            domain: None,
+            realtime: None,
+            sampler_priority: Self::SAMPLER_PRIORITY,
+            sampler_cores: None,
+            wait: Wait::Block,
+            lock_memory: true,
+            hold_idle: true,
+        }
+    }
+}
+
+fn domain_of_environment() -> Result<u32> {
+    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
+        let Ok(value) = std::env::var(variable) else { continue };
+        if value.is_empty() {
+            continue;
+        }
+        let domain = value.parse().ok().filter(|&domain| domain <= tautline_transport::MAX_DOMAIN);
+        return domain.ok_or(Error::Environment { variable, value, expected: "a domain is a number from 0 to 232" });
+    }
+    Ok(0)
+}
+
+fn realtime_of_environment() -> Result<Realtime> {
+    let variable = "TAUT_REALTIME";
+    match std::env::var(variable) {
+        Err(_) => Ok(Realtime::Required),
+        Ok(value) if value.is_empty() || value == "required" => Ok(Realtime::Required),
+        Ok(value) if value == "off" => Ok(Realtime::Off),
+        Ok(value) => Err(Error::Environment { variable, value, expected: "it may be 'required' or 'off'" }),
+    }
+}
+
+impl Context {
+    /// A context with every default.
+    ///
+    /// # Errors
+    /// As [`ContextBuilder::build`].
+    pub fn create() -> Result<Context> {
+        Context::builder().build()
+    }
+
+    /// A context with settings.
+    pub fn builder() -> ContextBuilder {
+        ContextBuilder::default()
+    }
+
+    /// The domain.
+    pub fn domain(&self) -> u32 {
+        self.shared.participant.domain()
+    }
+
+    /// Whether threads get their real-time policies.
+    pub fn realtime(&self) -> Realtime {
+        self.shared.settings.realtime.unwrap_or_default()
+    }
+
+    /// False once [`shutdown`](Self::shutdown) was called.
+    pub fn is_valid(&self) -> bool {
+        !self.shared.events.is_stopped()
+    }
+
+    /// Ends spinning, now and for ever. May be called from any thread, or a signal's.
+    ///
+    /// # Real-time
+    /// Wait-free; at most one futex wake.
+    pub fn shutdown(&self) {
+        self.shared.events.stop();
+    }
+
+    /// Timers and guard conditions served by this context's sampler.
+    pub fn events(&self) -> &Events {
+        &self.shared.events
+    }
+
+    /// Turns the calling thread into the sampler until [`shutdown`](Self::shutdown): locks the process's memory, sets the
+    /// thread's policy, priority and cores, reads them back, and serves events. Afterwards the thread has its former
+    /// policy and cores again.
+    ///
+    /// With [`Realtime::Off`] it serves events under the policy that the thread has.
+    ///
+    /// # Real-time
+    /// After the set-up per wake: O(ready), no allocation, no lock.
+    ///
+    /// # Errors
+    /// [`Error::AlreadySpinning`]; [`Error::Realtime`] with the fix if a setting is refused.
+    pub fn spin(&self) -> Result<()> {
+        let mut sampler = self.borrow_sampler()?;
+        let _settings = self.become_sampler()?;
+        sampler.get().spin();
+        Ok(())
+    }
+
+    /// Serves what is ready, waiting up to `timeout` for something to become ready. Sets nothing real-time.
+    ///
+    /// If another thread spins this context it only waits.
+    pub fn spin_once(&self, timeout: Duration) {
+        match self.borrow_sampler() {
+            Ok(mut sampler) => {
+                sampler.get().spin_once(Some(timeout));
+            }
+            Err(_) => std::thread::sleep(timeout),
+        }
+    }
+
+    fn sampler(&self) -> MutexGuard<'_, Option<Sampler>> {
+        self.shared.sampler.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn borrow_sampler(&self) -> Result<BorrowedSampler<'_>> {
+        let sampler = self.sampler().take().ok_or(Error::AlreadySpinning)?;
+        Ok(BorrowedSampler { context: self, sampler: Some(sampler) })
+    }
+
+    fn become_sampler(&self) -> Result<SamplerSettings> {
+        let settings = &self.shared.settings;
+        let former = (tautline_rt::current_policy()?, tautline_rt::current_affinity()?);
+        let mut held = SamplerSettings { former, _idle: None, _seat: None };
+        if let Some(cores) = settings.sampler_cores {
+            tautline_rt::set_affinity(cores)?;
+        }
+        if self.realtime() == Realtime::Required {
+            tautline_rt::tune_malloc();
+            if settings.lock_memory {
+                tautline_rt::lock_memory(MemoryLock::OnFault)?;
+            }
+            tautline_rt::prefault_stack(ThreadBuilder::STACK_BYTES / 4);
+            if settings.hold_idle {
+                held._idle = IdleHold::new().inspect_err(|error| tracing::warn!("{error}")).ok();
+            }
+            let policy = Policy::Fifo(settings.sampler_priority);
+            tautline_rt::set_policy(policy)?;
+            let cores = tautline_rt::current_affinity()?;
+            held._seat = Some(self.shared.executor.register_thread("sampler", policy, cores)?);
+        }
+        Ok(held)
+    }
+}
+
+/// Puts the sampler back when its thread is done.
+struct BorrowedSampler<'c> {
+    context: &'c Context,
+    sampler: Option<Sampler>,
+}
+
+impl BorrowedSampler<'_> {
+    fn get(&mut self) -> &mut Sampler {
+        self.sampler.as_mut().expect("taken only by drop")
+    }
+}
+
+impl Drop for BorrowedSampler<'_> {
+    fn drop(&mut self) {
+        *self.context.sampler() = self.sampler.take();
+    }
+}
+
+/// What the sampler's thread holds while it spins, and what it was before.
+struct SamplerSettings {
+    former: (Policy, CoreSet),
+    _idle: Option<IdleHold>,
+    _seat: Option<tautline_executor::ThreadRegistration>,
+}
+
+impl Drop for SamplerSettings {
+    fn drop(&mut self) {
+        let (policy, cores) = self.former;
+        if let Err(error) = tautline_rt::set_policy(policy).and_then(|()| tautline_rt::set_affinity(cores)) {
+            tracing::warn!("the sampler's thread keeps its settings: {error}");
+        }
+    }
+}

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use tautline_executor::ExecutorError;
+use tautline_rt::RtError;
+use tautline_transport::TransportError;
+
+/// What can go wrong while a node is set up. Each message names the thing, the limit and the fix.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A node's, namespace's or topic's name breaks ROS 2's rules.
+    #[error("'{name}' is not a valid {kind}: {reason}")]
+    Name {
+        /// The name as given.
+        name: String,
+        /// What it was meant to name.
+        kind: &'static str,
+        /// The rule that it breaks.
+        reason: String,
+    },
+    /// An environment variable does not say what it should.
+    #[error("{variable}={value} is not understood: {expected}")]
+    Environment {
+        /// The variable.
+        variable: &'static str,
+        /// Its value.
+        value: String,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// A second thread wants to be the sampler.
+    #[error("another thread spins this context already: a context has one sampler")]
+    AlreadySpinning,
+    /// A topic, publisher or subscription could not be made.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// A callback could not be started, or panicked.
+    #[error(transparent)]
+    Executor(#[from] ExecutorError),
+    /// The system refused a real-time setting.
+    #[error(transparent)]
+    Realtime(#[from] RtError),
+}
+
+/// The result of setting something up.
+pub type Result<T> = std::result::Result<T, Error>;

@@ -1,0 +1,207 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Nodes: a name under which topics are published and subscribed to.
+
+use crate::context::Context;
+use crate::error::{Error, Result};
+use crate::names;
+use crate::qos::QosProfile;
+use crate::subscription::Subscription;
+use crate::timer::Timer;
+use futures::{Stream, StreamExt};
+use std::collections::HashMap;
+use std::future::Future;
+use std::time::Duration;
+use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
+use tautline_msgs::{Message, Plain};
+use tautline_transport::{Limits, Publisher, TransportError};
+
+/// A node. Its publishers, subscriptions and timers live on when it is dropped; its context lives as long as it does.
+pub struct Node {
+    context: Context,
+    name: String,
+    namespace: String,
+    limits: HashMap<String, Limits>,
+}
+
+impl Node {
+    /// Creates a node called `name` in `namespace` (`""` is `/`).
+    ///
+    /// # Errors
+    /// [`Error::Name`] with the rule that a name breaks.
+    pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
+        names::check_node(name)?;
+        let namespace = names::absolute_namespace(namespace)?;
+        Ok(Node { context: ctx, name: name.into(), namespace, limits: HashMap::new() })
+    }
+
+    /// The node's name.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn name(&self) -> Result<String> {
+        Ok(self.name.clone())
+    }
+
+    /// The node's namespace.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn namespace(&self) -> Result<String> {
+        Ok(self.namespace.clone())
+    }
+
+    /// The node's name with its namespace.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn fully_qualified_name(&self) -> Result<String> {
+        Ok(format!("{}/{}", self.namespace.trim_end_matches('/'), self.name))
+    }
+
+    /// The node's context.
+    pub fn context(&self) -> &Context {
+        &self.context
+    }
+
+    /// The fully qualified name that `topic` stands for in this node.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn expand_topic_name(&self, topic: &str) -> Result<String> {
+        names::expand_topic(topic, &self.name, &self.namespace)
+    }
+
+    /// Sets the limits that this node gives `topic` if it is the first to open it. Call it before.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn set_topic_limits(&mut self, topic: &str, limits: Limits) -> Result<()> {
+        let topic = self.expand_topic_name(topic)?;
+        self.limits.insert(topic, limits);
+        Ok(())
+    }
+
+    /// Creates a publisher.
+    ///
+    /// # Errors
+    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that is not enforced.
+    pub fn create_publisher<T: Message + Plain>(
+        &mut self,
+        topic: &str,
+        qos_profile: QosProfile,
+    ) -> Result<Publisher<T>> {
+        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        Ok(self.context.shared.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
+    }
+
+    /// Subscribes to a topic: a stream of owned messages, copied out of shared memory.
+    ///
+    /// # Errors
+    /// As [`create_publisher`](Self::create_publisher).
+    pub fn subscribe<T: Message + Plain>(
+        &mut self,
+        topic: &str,
+        qos_profile: QosProfile,
+    ) -> Result<impl Stream<Item = T> + Unpin + Send + use<T>> {
+        Ok(self.subscribe_loaned::<T>(topic, qos_profile)?.map(|sample| *sample))
+    }
+
+    /// Subscribes to a topic: a stream of samples that deref into shared memory.
+    ///
+    /// # Errors
+    /// As [`create_publisher`](Self::create_publisher).
+    pub fn subscribe_loaned<T: Message + Plain>(
+        &mut self,
+        topic: &str,
+        qos_profile: QosProfile,
+    ) -> Result<Subscription<T>> {
+        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let participant = &self.context.shared.participant;
+        let subscription = participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
+        Ok(Subscription::new(subscription))
+    }
+
+    fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
+        let topic = self.expand_topic_name(topic)?;
+        if let Some(setting) = qos_profile.unsupported_liveliness() {
+            return Err(TransportError::Unsupported { topic, setting }.into());
+        }
+        let limits = self.limits.get(&topic).copied().unwrap_or_default();
+        Ok((topic, limits))
+    }
+
+    /// Creates a timer on the monotonic clock whose first release is one period from now.
+    ///
+    /// # Errors
+    /// [`Error::Transport`] if the context has no slot left.
+    pub fn create_wall_timer(&mut self, period: Duration) -> Result<Timer> {
+        Ok(Timer::new(self.context.events().timer(period)?))
+    }
+
+    /// Creates a timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`.
+    ///
+    /// # Errors
+    /// [`Error::Transport`] if the context has no slot left.
+    pub fn create_wall_timer_at(&mut self, first_release_ns: u64, period: Duration) -> Result<Timer> {
+        Ok(Timer::new(self.context.events().timer_at(first_release_ns, period)?))
+    }
+
+    /// Gives a future a thread of its own, with the policy, priority and core of `options`. On return the kernel has
+    /// confirmed them.
+    ///
+    /// # Errors
+    /// [`Error::Executor`] with the fix if a setting is refused.
+    pub fn spawn_callback(
+        &self,
+        options: CallbackOptions,
+        future: impl Future<Output = ()> + Send + 'static,
+    ) -> Result<CallbackHandle> {
+        Ok(self.context.shared.executor.spawn_callback(options, future)?)
+    }
+
+    /// Gives a future a thread of its own and makes it there; it need not be `Send`.
+    ///
+    /// # Errors
+    /// As [`spawn_callback`](Self::spawn_callback).
+    pub fn spawn_local<F: Future<Output = ()> + 'static>(
+        &self,
+        options: CallbackOptions,
+        make: impl FnOnce() -> F + Send + 'static,
+    ) -> Result<CallbackHandle> {
+        Ok(self.context.shared.executor.spawn_local(options, make)?)
+    }
+
+    /// Gives a group of callbacks one thread, on which they run one after the other in order of release.
+    ///
+    /// # Errors
+    /// As [`spawn_callback`](Self::spawn_callback).
+    pub fn spawn_group(&self, options: CallbackOptions, group: CallbackGroup) -> Result<CallbackHandle> {
+        Ok(self.context.shared.executor.spawn_group(options, group)?)
+    }
+
+    /// Turns the calling thread into the sampler: see [`Context::spin`].
+    ///
+    /// # Errors
+    /// As [`Context::spin`].
+    pub fn spin(&self) -> Result<()> {
+        self.context.spin()
+    }
+
+    /// Serves what is ready, waiting up to `timeout`: see [`Context::spin_once`].
+    pub fn spin_once(&mut self, timeout: Duration) {
+        self.context.spin_once(timeout);
+    }
+}
+
+impl std::fmt::Debug for Node {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Node").field("name", &self.name).field("namespace", &self.namespace).finish_non_exhaustive()
+    }
+}
+
+const _: () = {
+    const fn is_send<T: Send>() {}
+    is_send::<Error>();
+    is_send::<Node>();
+    is_send::<Timer>();
+};

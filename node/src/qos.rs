@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! r2r's quality-of-service profile.
+
+use std::time::Duration;
+use tautline_transport::{Durability, History, Qos, Reliability};
+
+/// How many samples stay for a slow subscription.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HistoryPolicy {
+    /// Nothing is overwritten; `depth` bounds the queue (0: 128), and publishing to a full one is refused.
+    KeepAll,
+    /// The newest `depth`.
+    KeepLast,
+    /// As keep-last.
+    SystemDefault,
+}
+
+/// What the network does about samples that get lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ReliabilityPolicy {
+    /// Nothing.
+    BestEffort,
+    /// It sends them again.
+    Reliable,
+    /// As reliable.
+    SystemDefault,
+}
+
+/// Whether late joiners get what was published before they came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DurabilityPolicy {
+    /// The last `depth` samples.
+    TransientLocal,
+    /// No.
+    Volatile,
+    /// As volatile.
+    SystemDefault,
+}
+
+/// How a publisher shows that it is alive. Only the automatic way exists so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LivelinessPolicy {
+    /// By living.
+    Automatic,
+    /// By saying so. Refused so far.
+    ManualByTopic,
+    /// As automatic.
+    SystemDefault,
+}
+
+/// Quality of service of a publisher or a subscription, as in r2r: plain data and setters.
+///
+/// ```
+/// use tautline::QosProfile;
+/// let latched = QosProfile::default().keep_last(1).transient_local();
+/// assert_eq!(latched.depth, 1);
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QosProfile {
+    /// See [`HistoryPolicy`].
+    pub history: HistoryPolicy,
+    /// Queue length in samples; 0 is the system's default, 10.
+    pub depth: usize,
+    /// See [`ReliabilityPolicy`].
+    pub reliability: ReliabilityPolicy,
+    /// See [`DurabilityPolicy`].
+    pub durability: DurabilityPolicy,
+    /// Longest time between samples; 0 is none. Setting it is refused so far.
+    pub deadline: Duration,
+    /// Age at which samples expire; 0 is none. Setting it is refused so far.
+    pub lifespan: Duration,
+    /// See [`LivelinessPolicy`].
+    pub liveliness: LivelinessPolicy,
+    /// Time after which a silent publisher counts as dead; 0 is none. Setting it is refused so far.
+    pub liveliness_lease_duration: Duration,
+    /// Leaves ROS's prefixes away; there are none in Tautline.
+    pub avoid_ros_namespace_conventions: bool,
+}
+
+/// The depth when the profile says 0: ROS 2's default, and for keep-all a bound.
+const DEFAULT_DEPTH: usize = 10;
+const DEFAULT_BOUND: usize = 128;
+
+impl QosProfile {
+    const fn common() -> Self {
+        QosProfile {
+            history: HistoryPolicy::KeepLast,
+            depth: DEFAULT_DEPTH,
+            reliability: ReliabilityPolicy::Reliable,
+            durability: DurabilityPolicy::Volatile,
+            deadline: Duration::ZERO,
+            lifespan: Duration::ZERO,
+            liveliness: LivelinessPolicy::SystemDefault,
+            liveliness_lease_duration: Duration::ZERO,
+            avoid_ros_namespace_conventions: false,
+        }
+    }
+
+    /// Keep last 10, reliable, volatile.
+    #[allow(clippy::should_implement_trait, reason = "const, as in r2r; the trait is implemented too")]
+    pub const fn default() -> Self {
+        Self::common()
+    }
+
+    /// For sensors: keep last 5, best effort, volatile.
+    pub const fn sensor_data() -> Self {
+        Self::common().keep_last(5).best_effort()
+    }
+
+    /// For parameters: keep last 1000, reliable, volatile.
+    pub const fn parameters() -> Self {
+        Self::common().keep_last(1000)
+    }
+
+    /// For services: keep last 10, reliable, volatile.
+    pub const fn services_default() -> Self {
+        Self::common()
+    }
+
+    /// For parameter events: keep last 1000, reliable, volatile.
+    pub const fn parameter_events() -> Self {
+        Self::common().keep_last(1000)
+    }
+
+    /// What the system chooses: keep last 10, reliable, volatile.
+    pub const fn system_default() -> Self {
+        QosProfile {
+            history: HistoryPolicy::SystemDefault,
+            depth: 0,
+            reliability: ReliabilityPolicy::SystemDefault,
+            durability: DurabilityPolicy::SystemDefault,
+            ..Self::common()
+        }
+    }
+
+    /// Sets the history policy.
+    #[must_use]
+    pub const fn history(self, history: HistoryPolicy) -> Self {
+        QosProfile { history, ..self }
+    }
+
+    /// Keeps the newest `depth` samples.
+    #[must_use]
+    pub const fn keep_last(self, depth: usize) -> Self {
+        QosProfile { depth, history: HistoryPolicy::KeepLast, ..self }
+    }
+
+    /// Keeps all samples, up to the bound of `depth`.
+    #[must_use]
+    pub const fn keep_all(self) -> Self {
+        QosProfile { history: HistoryPolicy::KeepAll, depth: 0, ..self }
+    }
+
+    /// Sets the depth, or the bound of keep-all.
+    #[must_use]
+    pub const fn depth(self, depth: usize) -> Self {
+        QosProfile { depth, ..self }
+    }
+
+    /// Sets the reliability policy.
+    #[must_use]
+    pub const fn reliability(self, reliability: ReliabilityPolicy) -> Self {
+        QosProfile { reliability, ..self }
+    }
+
+    /// Lets the network send lost samples again.
+    #[must_use]
+    pub const fn reliable(self) -> Self {
+        self.reliability(ReliabilityPolicy::Reliable)
+    }
+
+    /// Lets the network lose samples.
+    #[must_use]
+    pub const fn best_effort(self) -> Self {
+        self.reliability(ReliabilityPolicy::BestEffort)
+    }
+
+    /// Sets the durability policy.
+    #[must_use]
+    pub const fn durability(self, durability: DurabilityPolicy) -> Self {
+        QosProfile { durability, ..self }
+    }
+
+    /// Late joiners get what comes.
+    #[must_use]
+    pub const fn volatile(self) -> Self {
+        self.durability(DurabilityPolicy::Volatile)
+    }
+
+    /// Late joiners get the last `depth` samples as well.
+    #[must_use]
+    pub const fn transient_local(self) -> Self {
+        self.durability(DurabilityPolicy::TransientLocal)
+    }
+
+    /// Sets the deadline.
+    #[must_use]
+    pub const fn deadline(self, deadline: Duration) -> Self {
+        QosProfile { deadline, ..self }
+    }
+
+    /// Sets the lifespan.
+    #[must_use]
+    pub const fn lifespan(self, lifespan: Duration) -> Self {
+        QosProfile { lifespan, ..self }
+    }
+
+    /// Sets the liveliness policy.
+    #[must_use]
+    pub const fn liveliness(self, liveliness: LivelinessPolicy) -> Self {
+        QosProfile { liveliness, ..self }
+    }
+
+    /// Sets the lease duration.
+    #[must_use]
+    pub const fn liveliness_lease_duration(self, liveliness_lease_duration: Duration) -> Self {
+        QosProfile { liveliness_lease_duration, ..self }
+    }
+
+    /// Sets whether ROS's prefixes are left away.
+    #[must_use]
+    pub const fn avoid_ros_namespace_conventions(self, avoid_ros_namespace_conventions: bool) -> Self {
+        QosProfile { avoid_ros_namespace_conventions, ..self }
+    }
+
+    /// The transport's view of this profile. What is not enforced stays set there, and is refused.
+    pub(crate) fn to_transport(self) -> Qos {
+        let set = |duration: Duration| (duration != Duration::ZERO).then_some(duration);
+        let (history, default_depth) = match self.history {
+            HistoryPolicy::KeepAll => (History::KeepAll, DEFAULT_BOUND),
+            HistoryPolicy::KeepLast | HistoryPolicy::SystemDefault => (History::KeepLast, DEFAULT_DEPTH),
+        };
+        Qos {
+            history,
+            depth: if self.depth == 0 { default_depth } else { self.depth },
+            reliability: match self.reliability {
+                ReliabilityPolicy::BestEffort => Reliability::BestEffort,
+                ReliabilityPolicy::Reliable | ReliabilityPolicy::SystemDefault => Reliability::Reliable,
+            },
+            durability: match self.durability {
+                DurabilityPolicy::TransientLocal => Durability::TransientLocal,
+                DurabilityPolicy::Volatile | DurabilityPolicy::SystemDefault => Durability::Volatile,
+            },
+            deadline: set(self.deadline),
+            lifespan: set(self.lifespan),
+        }
+    }
+
+    /// The name of a liveliness setting that is not enforced, if one is made.
+    pub(crate) fn unsupported_liveliness(self) -> Option<&'static str> {
+        if self.liveliness == LivelinessPolicy::ManualByTopic {
+            return Some("liveliness");
+        }
+        (self.liveliness_lease_duration != Duration::ZERO).then_some("liveliness_lease_duration")
+    }
+}
+
+impl Default for QosProfile {
+    fn default() -> Self {
+        QosProfile::default()
+    }
+}

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A subscription as a stream that measures its callback and knows how its thread waits.
+
+use futures::Stream;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use tautline_executor::{busy_polling, job};
+use tautline_msgs::{Message, Plain};
+use tautline_transport::{Counters, MessageInfo, Sample, TakeError};
+
+/// Receives messages of type `T` from one topic: a stream of [`Sample`]s that deref into shared memory.
+///
+/// On a callback thread each message is a job: its response time counts from the message's release, and the next poll of
+/// this stream ends it. On a busy-polling thread the subscription polls its queue without any doorbell.
+pub struct Subscription<T> {
+    inner: tautline_transport::Subscription<T>,
+    job: Option<job::Job>,
+    quiet: bool,
+}
+
+impl<T: Message + Plain> Subscription<T> {
+    pub(crate) fn new(inner: tautline_transport::Subscription<T>) -> Self {
+        Subscription { inner, job: None, quiet: false }
+    }
+
+    /// Takes the oldest sample, if there is one, without waiting.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Errors
+    /// [`TakeError`].
+    pub fn take(&self) -> Result<Option<Sample<T>>, TakeError> {
+        self.inner.take()
+    }
+
+    /// Received, lost, invalid, highest queue fill: to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.inner.counters()
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.inner.topic()
+    }
+
+    /// Number of publishers of the topic.
+    pub fn publisher_count(&self) -> usize {
+        self.inner.publisher_count()
+    }
+}
+
+impl<T: Message + Plain> Stream for Subscription<T> {
+    type Item = Sample<T>;
+
+    /// # Real-time
+    /// Wait-free; no allocation; on a callback thread that measures execution times one syscall per message. Never ends.
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
+        if let Some(job) = self.job.take() {
+            job.finish();
+        }
+        match self.inner.poll_take(context) {
+            Poll::Ready(sample) => {
+                let MessageInfo { released_ns, .. } = sample.info();
+                self.job = Some(job::begin(released_ns));
+                Poll::Ready(Some(sample))
+            }
+            Poll::Pending => {
+                if busy_polling() {
+                    if !self.quiet {
+                        self.inner.set_quiet(true);
+                        self.quiet = true;
+                    }
+                    context.waker().wake_by_ref();
+                }
+                Poll::Pending
+            }
+        }
+    }
+}

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A timer as in r2r, which measures its callback.
+
+use crate::error::Result;
+use futures::Stream;
+use std::future::poll_fn;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tautline_executor::job;
+use tautline_sampler::Tick;
+
+/// A periodic timer: absolute releases, no drift, missed ones counted. A stream of [`Tick`]s, or [`tick`](Timer::tick).
+///
+/// On a callback thread each tick is a job: its response time counts from the instant at which it was due.
+pub struct Timer {
+    inner: tautline_sampler::Timer,
+    job: Option<job::Job>,
+    last_release_ns: Option<u64>,
+}
+
+impl Timer {
+    pub(crate) fn new(inner: tautline_sampler::Timer) -> Self {
+        Timer { inner, job: None, last_release_ns: None }
+    }
+
+    /// Waits for the next release and returns the time since the one before, as r2r does: one period, or several if
+    /// releases were missed.
+    ///
+    /// # Real-time
+    /// Each poll wait-free; no allocation.
+    ///
+    /// # Errors
+    /// None so far; the result is r2r's.
+    pub async fn tick(&mut self) -> Result<Duration> {
+        let period_ns = self.inner.period_ns();
+        let last = self.last_release_ns;
+        let tick = self.next_tick().await;
+        let elapsed_ns = last.map_or(period_ns, |last| tick.release_ns.saturating_sub(last));
+        Ok(Duration::from_nanos(elapsed_ns))
+    }
+
+    /// Waits for the next release.
+    ///
+    /// # Real-time
+    /// Each poll wait-free; no allocation.
+    pub async fn next_tick(&mut self) -> Tick {
+        poll_fn(|context| self.poll_tick(context)).await
+    }
+
+    /// Releases that nobody took.
+    pub fn missed(&self) -> u64 {
+        self.inner.missed()
+    }
+
+    fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
+        if let Some(job) = self.job.take() {
+            job.finish();
+        }
+        let poll = self.inner.poll_tick(context);
+        if let Poll::Ready(tick) = poll {
+            self.last_release_ns = Some(tick.release_ns);
+            self.job = Some(job::begin(tick.release_ns));
+        }
+        poll
+    }
+}
+
+impl Stream for Timer {
+    type Item = Tick;
+
+    /// # Real-time
+    /// Wait-free; no allocation. Never ends.
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Tick>> {
+        self.poll_tick(context).map(Some)
+    }
+}

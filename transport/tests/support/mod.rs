@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the integration tests share: message types, child processes, and a look at shared memory from outside.
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader};
+use std::os::unix::fs::MetadataExt;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
+use tautline_msgs::Message;
+use tautline_transport::Subscription;
+
+#[derive(Message, Clone, Copy, Debug, PartialEq)]
+#[message(name = "test_msgs/msg/Count", crate = "tautline_msgs")]
+#[repr(C)]
+pub struct Count {
+    pub n: u64,
+}
+
+pub const IMAGE_BYTES: usize = 8 << 20;
+
+#[derive(Message, Clone, Copy)]
+#[message(name = "test_msgs/msg/Image", crate = "tautline_msgs")]
+#[repr(C)]
+pub struct Image {
+    pub data: [u8; IMAGE_BYTES],
+}
+
+/// Takes all that is there.
+pub fn take_all(subscription: &Subscription<Count>) -> Vec<u64> {
+    std::iter::from_fn(|| subscription.take().unwrap().map(|sample| sample.n)).collect()
+}
+
+/// Waits for what another thread or process does; a test that hangs fails after half a minute instead.
+pub fn wait_for(what: &str, mut condition: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !condition() {
+        assert!(start.elapsed() < Duration::from_secs(30), "waited in vain for {what}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Where an address lies: the file mapped there, its inode, and the offset in the file.
+#[derive(Debug, PartialEq)]
+pub struct Place {
+    pub path: String,
+    pub inode: u64,
+    pub offset: usize,
+}
+
+pub fn place_of<T>(value: *const T) -> Place {
+    let address = value.addr();
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
+    for line in maps.lines() {
+        let fields: Vec<_> = line.split_whitespace().collect();
+        let (start, end) = fields[0].split_once('-').unwrap();
+        let [start, end] = [start, end].map(|hex| usize::from_str_radix(hex, 16).unwrap());
+        if (start..end).contains(&address) {
+            return Place {
+                path: fields.get(5).copied().unwrap_or_default().to_owned(),
+                inode: fields[4].parse().unwrap(),
+                offset: usize::from_str_radix(fields[2], 16).unwrap() + (address - start),
+            };
+        }
+    }
+    panic!("{address:x} is not mapped");
+}
+
+/// The files of a domain in /dev/shm and the bytes of memory that each really has.
+pub fn shared_memory(domain: u32) -> BTreeMap<String, u64> {
+    let prefix = format!("taut_{domain}_");
+    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    names
+        .filter(|name| name.starts_with(&prefix))
+        .filter_map(|name| {
+            let blocks = std::fs::metadata(format!("/dev/shm/{name}")).ok()?.blocks();
+            Some((name, blocks * 512))
+        })
+        .collect()
+}
+
+/// The files of a domain under /tmp/iceoryx2.
+pub fn bookkeeping(domain: u32) -> Vec<String> {
+    fn visit(folder: &std::path::Path, prefix: &str, found: &mut Vec<String>) {
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                visit(&path, prefix, found);
+            }
+            if path.to_string_lossy().contains(prefix) {
+                found.push(path.to_string_lossy().into_owned());
+            }
+        }
+    }
+    let mut found = Vec::new();
+    visit("/tmp/iceoryx2".as_ref(), &format!("taut_{domain}_"), &mut found);
+    found.sort();
+    found
+}
+
+/// A child process that runs one test of this binary as its main function, told its part by an environment variable.
+pub struct Part {
+    child: Child,
+    lines: std::io::Lines<BufReader<ChildStdout>>,
+}
+
+const PART: &str = "TAUT_TEST_PART";
+
+/// The part that this process was given, in the child; `None` in the test run itself.
+pub fn part() -> Option<(String, u32)> {
+    let part = std::env::var(PART).ok()?;
+    let (name, domain) = part.split_once(',').unwrap();
+    Some((name.to_owned(), domain.parse().unwrap()))
+}
+
+/// Says something to the parent.
+pub fn say(line: &str) {
+    println!("\npart: {line}");
+}
+
+/// Sleeps until killed, or until the parent has gone.
+pub fn wait_to_be_killed() {
+    let parent = rustix::process::getppid();
+    while rustix::process::getppid() == parent {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+impl Part {
+    pub fn start(name: &str, domain: u32) -> Part {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "child_main", "--nocapture", "--test-threads=1"])
+            .env(PART, format!("{name},{domain}"))
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        Part { child, lines }
+    }
+
+    /// The next line that the child said.
+    pub fn hear(&mut self) -> String {
+        let said = self.lines.by_ref().map_while(Result::ok).find_map(|line| line.strip_prefix("part: ").map(str::to_owned));
+        said.expect("the child ended without a word")
+    }
+
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    pub fn wait(mut self) -> std::process::ExitStatus {
+        self.child.wait().unwrap()
+    }
+}

@@ -1,0 +1,426 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Loan, publish, take: in place, in order, counted; limits, types and domains.
+
+mod support;
+
+use std::time::Duration;
+use support::{Count, IMAGE_BYTES, Image, Part, place_of, say, take_all, wait_to_be_killed};
+use tautline_msgs::Message;
+use tautline_transport::{
+    Limits, LoanError, Participant, PublishError, Qos, TakeError, TransportError, Unpublished,
+};
+
+const DEFAULT: Limits =
+    Limits { publishers: 8, subscribers: 16, depth: 128, held: 8, loans: 4 };
+
+#[derive(Message, Clone, Copy)]
+#[message(name = "test_msgs/msg/Other", crate = "tautline_msgs")]
+#[repr(C)]
+struct Other {
+    n: u64,
+}
+
+#[derive(Message, Clone, Copy)]
+#[message(name = "test_msgs/msg/Count", crate = "tautline_msgs")]
+#[repr(C)]
+struct Longer {
+    n: [u64; 3],
+}
+
+#[derive(Message, Clone, Copy, Debug, PartialEq)]
+#[message(name = "test_msgs/msg/Flag", crate = "tautline_msgs")]
+#[repr(C)]
+struct Flag {
+    n: u32,
+    raised: bool,
+}
+
+/// The child's part of the tests here; without its variable it is no test.
+#[test]
+fn child_main() {
+    let Some((part, domain)) = support::part() else { return };
+    let participant = Participant::new(domain).unwrap();
+    match part.as_str() {
+        "image" => {
+            let publisher = participant.create_publisher::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+            let mut loan = publisher.loan().unwrap();
+            loan.data[..8].copy_from_slice(b"tautline");
+            loan.data[IMAGE_BYTES - 1] = 7;
+            let place = place_of(&raw const loan.data);
+            loan.publish().unwrap();
+            say(&format!("{} {} {}", place.path, place.inode, place.offset));
+            wait_to_be_killed();
+        }
+        other => panic!("no part {other}"),
+    }
+}
+
+#[test]
+fn an_image_is_read_where_it_was_written() {
+    let participant = Participant::new(130).unwrap();
+    let publisher = participant.create_publisher::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+    let subscription = participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+    let mut loan = publisher.loan().unwrap();
+    loan.data[0] = 1;
+    loan.data[IMAGE_BYTES - 1] = 2;
+    let written = place_of(&raw const loan.data);
+    loan.publish().unwrap();
+
+    let sample = subscription.take().unwrap().unwrap();
+    let read = place_of(&raw const sample.data);
+    assert!(read.path.starts_with("/dev/shm/taut_130_"), "{read:?}");
+    assert_eq!(read, written, "the same bytes of the same file: nothing was copied");
+    assert_eq!((sample.data[0], sample.data[IMAGE_BYTES - 1]), (1, 2));
+}
+
+#[test]
+fn an_image_of_another_process_is_read_in_that_ones_segment() {
+    let participant = Participant::new(131).unwrap();
+    let subscription = participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+    let mut part = Part::start("image", 131);
+    let written = part.hear();
+    let sample = subscription.take().unwrap().unwrap();
+    let read = place_of(&raw const sample.data);
+    assert_eq!(format!("{} {} {}", read.path, read.inode, read.offset), written);
+    assert_eq!((&sample.data[..8], sample.data[IMAGE_BYTES - 1]), (&b"tautline"[..], 7));
+    part.kill();
+    assert_eq!(sample.data[IMAGE_BYTES - 1], 7, "a held sample outlives its publisher");
+}
+
+#[test]
+fn samples_carry_number_time_and_publisher() {
+    let participant = Participant::new(132).unwrap();
+    let first = participant.create_publisher::<Count>("/info", Qos::default(), DEFAULT).unwrap();
+    let second = participant.create_publisher::<Count>("/info", Qos::default(), DEFAULT).unwrap();
+    let subscription = participant.create_subscription::<Count>("/info", Qos::default(), DEFAULT).unwrap();
+    assert_ne!(first.gid(), second.gid());
+    let before_ns = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
+    for n in 1..=2 {
+        first.publish(&Count { n }).unwrap();
+    }
+    second.loan().unwrap().publish_released_at(77).unwrap();
+    let after_ns = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
+
+    let infos: Vec<_> =
+        std::iter::from_fn(|| subscription.take().unwrap().map(|sample| sample.info())).collect();
+    let of = |gid| infos.iter().filter(|info| info.publisher_gid == gid).collect::<Vec<_>>();
+    let numbers = |gid| of(gid).iter().map(|info| info.sequence_number).collect::<Vec<_>>();
+    assert_eq!((numbers(first.gid()), numbers(second.gid())), (vec![1, 2], vec![1]));
+    assert!(infos.iter().all(|info| (before_ns..=after_ns).contains(&info.source_timestamp_ns)));
+    assert_eq!(of(second.gid())[0].released_ns, 77);
+    assert!(of(first.gid())[0].released_ns <= of(first.gid())[1].released_ns);
+}
+
+#[test]
+fn keep_last_overwrites_the_oldest_and_counts_it_there_alone() {
+    let participant = Participant::new(133).unwrap();
+    let publisher = participant.create_publisher::<Count>("/last", Qos::default(), DEFAULT).unwrap();
+    let subscribe =
+        |depth| participant.create_subscription::<Count>("/last", Qos::keep_last(depth), DEFAULT).unwrap();
+    let (never, slow, fast) = (subscribe(2), subscribe(3), subscribe(128));
+    let mut taken = Vec::new();
+    for n in 1..=100 {
+        publisher.publish(&Count { n }).unwrap();
+        taken.extend(take_all(&fast));
+    }
+    assert_eq!(taken, (1..=100).collect::<Vec<_>>());
+    assert_eq!(take_all(&slow), [98, 99, 100]);
+    publisher.publish(&Count { n: 101 }).unwrap();
+    assert_eq!(take_all(&slow), [101]);
+    let counts = |subscription: &tautline_transport::Subscription<Count>| {
+        let counters = subscription.counters();
+        (counters.received(), counters.lost(), counters.max_queue())
+    };
+    assert_eq!(counts(&fast), (100, 0, 1));
+    assert_eq!(counts(&slow), (4, 97, 3));
+    assert_eq!(counts(&never), (0, 0, 0), "what was lost shows when it takes");
+    assert_eq!(take_all(&never), [100, 101]);
+    assert_eq!(counts(&never), (2, 99, 2));
+}
+
+#[test]
+fn losses_are_exact_with_several_publishers_and_random_pauses() {
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+    let seed: u64 = rand::random();
+    println!("seed {seed}");
+    let mut random = StdRng::seed_from_u64(seed);
+    let participant = Participant::new(134).unwrap();
+    let publishers: Vec<_> = (0..3)
+        .map(|_| participant.create_publisher::<Count>("/random", Qos::default(), DEFAULT).unwrap())
+        .collect();
+    let subscription = participant.create_subscription::<Count>("/random", Qos::keep_last(5), DEFAULT).unwrap();
+    let (mut sent, mut received) = (0, 0);
+    for _ in 0..20_000 {
+        if random.random_ratio(4, 5) {
+            publishers[random.random_range(0..3)].publish(&Count { n: sent }).unwrap();
+            sent += 1;
+        } else {
+            let takes = random.random_range(0..12);
+            received += (0..takes).filter(|_| subscription.take().unwrap().is_some()).count() as u64;
+        }
+    }
+    received += take_all(&subscription).len() as u64;
+    let counters = subscription.counters();
+    // The last samples are always there, so that every gap was seen.
+    assert_eq!((counters.received(), counters.received() + counters.lost()), (received, sent));
+    assert_eq!(counters.max_queue(), 5);
+}
+
+#[test]
+fn deep_queues() {
+    let participant = Participant::new(135).unwrap();
+    let limits = Limits { subscribers: 2, publishers: 1, ..DEFAULT };
+    let subscription =
+        participant.create_subscription::<Count>("/deep", Qos::keep_last(20_000), limits).unwrap();
+    let publisher = participant.create_publisher::<Count>("/deep", Qos::default(), limits).unwrap();
+    for n in 1..=20_001 {
+        publisher.publish(&Count { n }).unwrap();
+    }
+    assert_eq!(take_all(&subscription), (2..=20_001).collect::<Vec<_>>());
+    assert_eq!(subscription.counters().lost(), 1);
+    let error = participant.create_subscription::<Count>("/deep", Qos::keep_last(20_001), limits).err().unwrap();
+    assert!(matches!(error, TransportError::Limit { limit: "depth", existing: 20_000, requested: 20_001, .. }), "{error}");
+    for depth in [0, Limits::MAX_DEPTH + 1] {
+        let error = participant.create_publisher::<Count>("/deep", Qos::keep_last(depth), limits).err().unwrap();
+        assert!(matches!(error, TransportError::LimitRange { limit: "depth", .. }), "{error}");
+    }
+}
+
+#[test]
+fn deadline_and_lifespan_are_refused() {
+    let participant = Participant::new(136).unwrap();
+    let second = Some(Duration::from_secs(1));
+    for (qos, setting) in [
+        (Qos { deadline: second, ..Qos::default() }, "deadline"),
+        (Qos { lifespan: second, ..Qos::default() }, "lifespan"),
+    ] {
+        let publisher = participant.create_publisher::<Count>("/unsupported", qos, DEFAULT).err().unwrap();
+        let subscription = participant.create_subscription::<Count>("/unsupported", qos, DEFAULT).err().unwrap();
+        for error in [publisher, subscription] {
+            let text = error.to_string();
+            assert!(text.contains("/unsupported") && text.contains(setting), "{text}");
+        }
+    }
+}
+
+#[test]
+fn another_type_or_size_is_refused_with_both_names() {
+    let participant = Participant::new(137).unwrap();
+    let _publisher = participant.create_publisher::<Count>("/typed", Qos::default(), DEFAULT).unwrap();
+    let other = participant.create_subscription::<Other>("/typed", Qos::default(), DEFAULT).err().unwrap().to_string();
+    assert!(other.contains("'test_msgs/msg/Count (8 bytes)'"), "{other}");
+    assert!(other.contains("'test_msgs/msg/Other (8 bytes)'"), "{other}");
+    let longer = participant.create_publisher::<Longer>("/typed", Qos::default(), DEFAULT).err().unwrap().to_string();
+    assert!(longer.contains("(8 bytes)") && longer.contains("'test_msgs/msg/Count (24 bytes)'"), "{longer}");
+}
+
+#[test]
+fn domains_are_apart() {
+    let (here, there) = (Participant::new(138).unwrap(), Participant::new(139).unwrap());
+    let publisher = here.create_publisher::<Count>("/same", Qos::default(), DEFAULT).unwrap();
+    let subscription = here.create_subscription::<Count>("/same", Qos::default(), DEFAULT).unwrap();
+    let stranger = there.create_subscription::<Other>("/same", Qos::default(), DEFAULT).unwrap();
+    publisher.publish(&Count { n: 1 }).unwrap();
+    assert_eq!((publisher.subscription_count(), stranger.publisher_count()), (1, 0));
+    assert!(stranger.take().unwrap().is_none());
+    assert_eq!(take_all(&subscription), [1]);
+    assert!(Participant::new(233).err().unwrap().to_string().contains("232"));
+}
+
+#[test]
+fn loans_run_out_and_come_back() {
+    let participant = Participant::new(140).unwrap();
+    let limits = Limits { loans: 2, ..DEFAULT };
+    let publisher = participant.create_publisher::<Count>("/loans", Qos::default(), limits).unwrap();
+    let subscription = participant.create_subscription::<Count>("/loans", Qos::default(), limits).unwrap();
+    for _ in 0..1000 {
+        let (first, mut second) = (publisher.loan().unwrap(), publisher.loan().unwrap());
+        assert_eq!(publisher.loan().err(), Some(LoanError::Exhausted));
+        assert_eq!(publisher.publish(&Count { n: 0 }), Err(PublishError::Loan(LoanError::Exhausted)));
+        second.n = 9;
+        second.publish().unwrap();
+        drop(first);
+        assert_eq!(take_all(&subscription), [9]);
+    }
+    assert_eq!(subscription.counters().lost(), 0, "a loan that is dropped has no number");
+}
+
+#[test]
+fn held_samples_run_out_and_come_back() {
+    let participant = Participant::new(141).unwrap();
+    let limits = Limits { held: 3, ..DEFAULT };
+    let publishers = [(); 2].map(|()| participant.create_publisher::<Count>("/held", Qos::default(), limits).unwrap());
+    let subscription = participant.create_subscription::<Count>("/held", Qos::keep_last(4), limits).unwrap();
+    for round in 0..100 {
+        for n in 1..=4 {
+            publishers[round % 2].publish(&Count { n }).unwrap();
+        }
+        let mut held: Vec<_> = (0..3).map(|_| subscription.take().unwrap().unwrap()).collect();
+        assert_eq!(subscription.take().err(), Some(TakeError::TooManyHeld));
+        // Dropped in another thread, in any order.
+        let one = held.swap_remove(0);
+        std::thread::spawn(move || drop(one)).join().unwrap();
+        assert_eq!(subscription.take().unwrap().unwrap().n, 4);
+        assert!(subscription.take().unwrap().is_none());
+        let numbers: Vec<_> = held.iter().map(|sample| sample.n).collect();
+        assert_eq!(numbers, [3, 2]);
+    }
+}
+
+#[test]
+fn a_held_sample_does_not_change() {
+    let participant = Participant::new(142).unwrap();
+    let publisher = participant.create_publisher::<Count>("/kept", Qos::default(), DEFAULT).unwrap();
+    let subscription = participant.create_subscription::<Count>("/kept", Qos::keep_last(1), DEFAULT).unwrap();
+    publisher.publish(&Count { n: 42 }).unwrap();
+    let kept = subscription.take().unwrap().unwrap();
+    for n in 0..10_000 {
+        publisher.publish(&Count { n }).unwrap();
+        take_all(&subscription);
+        assert_eq!(kept.n, 42);
+    }
+    drop((publisher, subscription));
+    assert_eq!(kept.n, 42, "also without its subscription and publisher");
+}
+
+#[test]
+fn the_default_limits_are_8_publishers_and_16_subscriptions() {
+    let participant = Participant::new(143).unwrap();
+    assert_eq!(Limits::default(), DEFAULT);
+    let publisher = || participant.create_publisher::<Count>("/limits", Qos::default(), Limits::default());
+    let subscription = || participant.create_subscription::<Count>("/limits", Qos::default(), Limits::default());
+    let publishers: Vec<_> = (0..8).map(|_| publisher().unwrap()).collect();
+    let subscriptions: Vec<_> = (0..16).map(|_| subscription().unwrap()).collect();
+    for (error, limit) in [(publisher().err().unwrap(), "publishers"), (subscription().err().unwrap(), "subscribers")] {
+        assert!(matches!(&error, TransportError::Limit { limit: named, .. } if *named == limit), "{error}");
+        assert!(error.to_string().contains(&format!("Limits::{limit}")), "{error}");
+    }
+    drop((publishers, subscriptions));
+    assert!(publisher().is_ok() && subscription().is_ok(), "places come back");
+    for limits in [Limits { publishers: 65, ..DEFAULT }, Limits { subscribers: 129, ..DEFAULT }] {
+        let error = participant.create_publisher::<Count>("/beyond", Qos::default(), limits).err().unwrap();
+        assert!(matches!(error, TransportError::LimitRange { .. }), "{error}");
+    }
+}
+
+#[test]
+fn transient_local_publishers_count_once() {
+    let participant = Participant::new(144).unwrap();
+    let qos = Qos::keep_last(2).transient_local();
+    let _publishers: Vec<_> =
+        (0..8).map(|_| participant.create_publisher::<Count>("/limits", qos, DEFAULT).unwrap()).collect();
+    let _subscriptions: Vec<_> =
+        (0..16).map(|_| participant.create_subscription::<Count>("/limits", qos, DEFAULT).unwrap()).collect();
+    assert!(matches!(
+        participant.create_subscription::<Count>("/limits", qos, DEFAULT),
+        Err(TransportError::Limit { limit: "subscribers", existing: 16, requested: 17, .. })
+    ));
+}
+
+#[test]
+fn the_greatest_limits_work() {
+    let participant = Participant::new(145).unwrap();
+    let limits = Limits { publishers: 64, subscribers: 128, depth: 4, held: 1, loans: 1 };
+    let qos = Qos::keep_last(4);
+    let publishers: Vec<_> =
+        (0..64).map(|_| participant.create_publisher::<Count>("/many", qos, limits).unwrap()).collect();
+    let subscriptions: Vec<_> =
+        (0..128).map(|_| participant.create_subscription::<Count>("/many", qos, limits).unwrap()).collect();
+    for (n, publisher) in publishers.iter().enumerate() {
+        publisher.publish(&Count { n: n as u64 }).unwrap();
+    }
+    println!("fds {}", std::fs::read_dir("/proc/self/fd").unwrap().count());
+    for (i, subscription) in subscriptions.iter().enumerate() {
+        let mut taken = take_all(subscription);
+        taken.sort();
+        if taken.len() != 64 { println!("sub {i} fds {}", std::fs::read_dir("/proc/self/fd").unwrap().count()); }
+        assert_eq!(taken, (0..64).collect::<Vec<_>>());
+    }
+    assert!(participant.create_publisher::<Count>("/many", qos, limits).is_err());
+    assert!(participant.create_subscription::<Count>("/many", qos, limits).is_err());
+}
+
+#[test]
+fn two_participants_in_one_process() {
+    let (one, two) = (Participant::new(146).unwrap(), Participant::new(146).unwrap());
+    let publisher = one.create_publisher::<Count>("/two", Qos::default(), DEFAULT).unwrap();
+    let subscription = two.create_subscription::<Count>("/two", Qos::default(), DEFAULT).unwrap();
+    publisher.publish(&Count { n: 3 }).unwrap();
+    assert!(two.doorbell().is_pending() && !one.doorbell().is_pending());
+    assert_eq!(two.doorbell().drain(|_| ()), 1);
+    assert_eq!(take_all(&subscription), [3]);
+    drop(one);
+    publisher.publish(&Count { n: 4 }).unwrap();
+    assert_eq!(take_all(&subscription), [4], "a publisher keeps its participant");
+}
+
+#[test]
+fn publisher_and_subscription_move_between_threads() {
+    let participant = Participant::new(147).unwrap();
+    let mut publisher = participant.create_publisher::<Count>("/move", Qos::default(), DEFAULT).unwrap();
+    let mut subscription = participant.create_subscription::<Count>("/move", Qos::default(), DEFAULT).unwrap();
+    let mut held = None;
+    for n in 0..100u64 {
+        let expected = n.checked_sub(1);
+        (publisher, subscription, held) = std::thread::spawn(move || {
+            // Taken in the thread before, read and dropped here.
+            assert_eq!(held.map(|sample: tautline_transport::Sample<Count>| sample.n), expected);
+            publisher.publish(&Count { n }).unwrap();
+            let sample = subscription.take().unwrap();
+            (publisher, subscription, sample)
+        })
+        .join()
+        .unwrap();
+    }
+    assert_eq!(held.unwrap().n, 99);
+}
+
+#[test]
+fn a_loan_is_always_a_valid_message() {
+    let participant = Participant::new(148).unwrap();
+    let publisher = participant.create_publisher::<Flag>("/flag", Qos::default(), DEFAULT).unwrap();
+    let subscription = participant.create_subscription::<Flag>("/flag", Qos::default(), DEFAULT).unwrap();
+    assert_eq!(*publisher.loan().unwrap(), Flag { n: 0, raised: false });
+    for n in 0..1000 {
+        let mut loan = publisher.loan().unwrap();
+        *loan = Flag { n, raised: n % 3 == 0 };
+        loan.publish().unwrap();
+        assert_eq!(*subscription.take().unwrap().unwrap(), Flag { n, raised: n % 3 == 0 });
+    }
+    assert_eq!(subscription.counters().invalid(), 0);
+}
+
+#[test]
+fn keep_all_gives_the_loan_back() {
+    let participant = Participant::new(149).unwrap();
+    let qos = Qos::keep_all(3);
+    let publisher = participant.create_publisher::<Count>("/all", qos, DEFAULT).unwrap();
+    let subscription = participant.create_subscription::<Count>("/all", qos, DEFAULT).unwrap();
+    let last = participant.create_subscription::<Count>("/all", Qos::keep_last(1), DEFAULT).unwrap();
+    for n in 1..=3 {
+        publisher.publish(&Count { n }).unwrap();
+    }
+    let mut loan = publisher.loan().unwrap();
+    loan.n = 4;
+    for _ in 0..10 {
+        loan = match loan.publish() {
+            Err(Unpublished::Full(loan)) => loan,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(loan.n, 4, "untouched");
+    }
+    assert_eq!(take_all(&last), [3], "a refused sample reached nobody");
+    assert_eq!(publisher.publish(&Count { n: 5 }), Err(PublishError::Full));
+    assert_eq!(subscription.take().unwrap().unwrap().n, 1);
+    loan.publish().unwrap();
+    assert_eq!(take_all(&subscription), [2, 3, 4]);
+    assert_eq!((subscription.counters().lost(), subscription.counters().max_queue()), (0, 3));
+
+    for n in 6..=8 {
+        publisher.publish(&Count { n }).unwrap();
+    }
+    assert_eq!(publisher.publish(&Count { n: 9 }), Err(PublishError::Full));
+    drop(subscription);
+    publisher.publish(&Count { n: 9 }).expect("who has gone does not count");
+}
