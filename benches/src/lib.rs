@@ -12,4 +12,4 @@ mod distribution;
 mod machine;
 
 pub use distribution::Distribution;
-pub use machine::{StealMeter, machine, version_of};
+pub use machine::{Disturbance, machine, version_of};

@@ -34,27 +34,34 @@ pub fn version_of(package: &str) -> Option<&'static str> {
     entry.split('"').next()
 }
 
-/// Measures the time that the hypervisor gave to others.
+/// Tells how quiet the machine was: a core that others use must be interrupted to wake a thread on it, whatever its
+/// idle states.
 #[derive(Debug)]
-pub struct StealMeter {
+pub struct Disturbance {
     start: Instant,
-    ticks: u64,
+    steal_ticks: u64,
+    load: f64,
 }
 
-impl StealMeter {
+impl Disturbance {
     /// Starts.
     #[must_use]
     pub fn start() -> Self {
-        Self { start: Instant::now(), ticks: steal_ticks(None) }
+        let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
+        let load = load.split(' ').next().and_then(|load| load.parse().ok()).unwrap_or(f64::NAN);
+        Self { start: Instant::now(), steal_ticks: steal_ticks(None), load }
     }
 
-    /// `steal 12 ticks (0.3 %)` since the start: ticks of 10 ms, share of all cores' time.
+    /// The time that the hypervisor gave to others since the start (ticks of 10 ms, share of all cores' time) and the
+    /// load average at the start, with a warning if others were running.
     #[must_use]
     pub fn report(&self) -> String {
-        let ticks = steal_ticks(None).saturating_sub(self.ticks);
+        let ticks = steal_ticks(None).saturating_sub(self.steal_ticks);
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let core_seconds = self.start.elapsed().as_secs_f64() * cores as f64;
-        format!("steal {ticks} ticks ({:.1} %)", ticks as f64 / core_seconds.max(0.01))
+        let warning = if self.load > 0.5 { ": NOT QUIET, other programs ran" } else { "" };
+        let percent = ticks as f64 / core_seconds.max(0.01);
+        format!("steal {ticks} ticks ({percent:.1} %), load average {:.2} at the start{warning}", self.load)
     }
 }
 

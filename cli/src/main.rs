@@ -1,5 +1,37 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The command line of Tautline: demo
+//! `taut`, the command line of Tautline.
+#![forbid(unsafe_code)]
+
 mod demo;
 
-fn main() {}
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Zero-copy, real-time middleware for robots.
+#[derive(Parser)]
+#[command(version, propagate_version = true, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    Demo(demo::DemoArgs),
+}
+
+fn main() -> ExitCode {
+    // Warnings of the libraries, to standard error; RUST_LOG changes what is shown.
+    let filter = tracing_subscriber::EnvFilter::builder()
+        .with_default_directive(tracing_subscriber::filter::LevelFilter::WARN.into())
+        .from_env_lossy();
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+
+    let outcome = match Cli::parse().verb {
+        Verb::Demo(args) => demo::run(args),
+    };
+    outcome.unwrap_or_else(|error| {
+        eprintln!("taut: {error}");
+        ExitCode::FAILURE
+    })
+}

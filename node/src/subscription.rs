@@ -5,7 +5,7 @@ use futures::Stream;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use tautline_executor::{busy_polling, job};
+use tautline_executor::{busy_polling, job, stop_requested};
 use tautline_msgs::{Message, Plain};
 use tautline_transport::{Counters, MessageInfo, Sample, TakeError};
 
@@ -59,6 +59,10 @@ impl<T: Message + Plain> Stream for Subscription<T> {
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         if let Some(job) = self.job.take() {
             job.finish();
+        }
+        if stop_requested() {
+            // A stream that always has a next message would never let its callback end.
+            return Poll::Pending;
         }
         match self.inner.poll_take(context) {
             Poll::Ready(sample) => {

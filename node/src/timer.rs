@@ -7,7 +7,7 @@ use std::future::poll_fn;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tautline_executor::job;
+use tautline_executor::{job, stop_requested};
 use tautline_sampler::Tick;
 
 /// A periodic timer: absolute releases, no drift, missed ones counted. A stream of [`Tick`]s, or [`tick`](Timer::tick).
@@ -56,6 +56,10 @@ impl Timer {
     fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
         if let Some(job) = self.job.take() {
             job.finish();
+        }
+        if stop_requested() {
+            // A timer that is always late would never let its callback end.
+            return Poll::Pending;
         }
         let poll = self.inner.poll_tick(context);
         if let Poll::Ready(tick) = poll {

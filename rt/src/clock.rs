@@ -30,6 +30,14 @@ pub fn thread_cpu_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::ThreadCPUTime)).cast_unsigned()
 }
 
+/// CPU time of all threads of this process, in nanoseconds.
+///
+/// # Real-time
+/// One syscall; no allocation.
+pub fn process_cpu_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::ProcessCPUTime)).cast_unsigned()
+}
+
 /// Sleeps until [`monotonic_ns`] reaches `ns`; returns at once if it has. Signals do not cut it short.
 ///
 /// # Real-time

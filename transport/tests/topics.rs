@@ -4,7 +4,7 @@
 mod support;
 
 use std::time::Duration;
-use support::{Count, IMAGE_BYTES, Image, Part, place_of, say, take_all, wait_to_be_killed};
+use support::{Count, IMAGE_BYTES, Image, Part, place_of, say, take_all, wait_for, wait_to_be_killed};
 use tautline_msgs::Message;
 use tautline_transport::{
     Limits, LoanError, Participant, PublishError, Qos, TakeError, TransportError, Unpublished,
@@ -12,6 +12,8 @@ use tautline_transport::{
 
 const DEFAULT: Limits =
     Limits { publishers: 8, subscribers: 16, depth: 128, held: 8, loans: 4 };
+
+const GREATEST: Limits = Limits { publishers: 64, subscribers: 128, depth: 4, held: 1, loans: 1 };
 
 #[derive(Message, Clone, Copy)]
 #[message(name = "test_msgs/msg/Other", crate = "tautline_msgs")]
@@ -49,6 +51,23 @@ fn child_main() {
             let place = place_of(&raw const loan.data);
             loan.publish().unwrap();
             say(&format!("{} {} {}", place.path, place.inode, place.offset));
+            wait_to_be_killed();
+        }
+        "32 subscriptions" => {
+            let subscriptions: Vec<_> = (0..32)
+                .map(|_| participant.create_subscription::<Count>("/many", Qos::keep_last(4), GREATEST).unwrap())
+                .collect();
+            say("ready");
+            for subscription in &subscriptions {
+                let mut taken = Vec::new();
+                wait_for("a message of each publisher", || {
+                    taken.extend(take_all(subscription));
+                    taken.len() >= 64
+                });
+                taken.sort();
+                assert_eq!(taken, (0..64).collect::<Vec<_>>());
+            }
+            say("all taken");
             wait_to_be_killed();
         }
         other => panic!("no part {other}"),
@@ -320,25 +339,38 @@ fn transient_local_publishers_count_once() {
 
 #[test]
 fn the_greatest_limits_work() {
+    // 64 x 128 connections, each a file descriptor here and two in its subscription's process.
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let needed = 10_000;
+    let limit = getrlimit(Resource::Nofile);
+    if limit.maximum.is_some_and(|maximum| maximum < needed) {
+        assert!(std::env::var_os("CI").is_none(), "CI must allow {needed} open files");
+        println!("skipped: {needed} open files are needed (ulimit -Hn)");
+        return;
+    }
+    setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, ..limit }).unwrap();
+
     let participant = Participant::new(145).unwrap();
-    let limits = Limits { publishers: 64, subscribers: 128, depth: 4, held: 1, loans: 1 };
-    let qos = Qos::keep_last(4);
-    let publishers: Vec<_> =
-        (0..64).map(|_| participant.create_publisher::<Count>("/many", qos, limits).unwrap()).collect();
-    let subscriptions: Vec<_> =
-        (0..128).map(|_| participant.create_subscription::<Count>("/many", qos, limits).unwrap()).collect();
+    let publishers: Vec<_> = (0..64)
+        .map(|_| participant.create_publisher::<Count>("/many", Qos::keep_last(4), GREATEST).unwrap())
+        .collect();
+    let mut parts = [(); 4].map(|()| Part::start("32 subscriptions", 145));
+    for part in &mut parts {
+        assert_eq!(part.hear(), "ready");
+    }
     for (n, publisher) in publishers.iter().enumerate() {
         publisher.publish(&Count { n: n as u64 }).unwrap();
+        assert_eq!(publisher.subscription_count(), 128);
     }
-    println!("fds {}", std::fs::read_dir("/proc/self/fd").unwrap().count());
-    for (i, subscription) in subscriptions.iter().enumerate() {
-        let mut taken = take_all(subscription);
-        taken.sort();
-        if taken.len() != 64 { println!("sub {i} fds {}", std::fs::read_dir("/proc/self/fd").unwrap().count()); }
-        assert_eq!(taken, (0..64).collect::<Vec<_>>());
+    for part in &mut parts {
+        assert_eq!(part.hear(), "all taken");
     }
-    assert!(participant.create_publisher::<Count>("/many", qos, limits).is_err());
-    assert!(participant.create_subscription::<Count>("/many", qos, limits).is_err());
+    let publisher = participant.create_publisher::<Count>("/many", Qos::keep_last(4), GREATEST).err().unwrap();
+    let subscription = participant.create_subscription::<Count>("/many", Qos::keep_last(4), GREATEST).err().unwrap();
+    for (error, limit) in [(publisher, "publishers = 64"), (subscription, "subscribers = 128")] {
+        assert!(error.to_string().contains(limit), "{error}");
+    }
+    parts.map(Part::kill);
 }
 
 #[test]

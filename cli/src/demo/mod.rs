@@ -1,5 +1,96 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut demo`: five periodic topics on one core, measured beside their prediction.
-#![allow(dead_code)]
+//! `taut demo`: the paper's application, five periodic topics on one core, measured beside its prediction.
+//!
+//! Three processes: this one starts a publisher and a subscriber, shows the progress and prints the report. They are
+//! told to end by closing their standard input, so they also end if this one is killed.
+
+mod application;
+mod conductor;
 mod plot;
+mod protocol;
+mod publisher;
 mod report;
+mod subscriber;
+
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Runs five periodic topics on one core and compares their response times with the prediction.
+///
+/// A publisher process releases messages at absolute times (every 10, 20, 50, 100 and 200 ms); a subscriber process runs
+/// one callback thread per topic at rate-monotonic priorities, all on one core, 90 % loaded. At the end: response times
+/// from scheduled release to end of callback beside the computed bounds, as a table, an SVG and (on request) JSON.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut demo                           ten seconds, table on the terminal, picture in taut-demo.svg
+  taut demo --seconds 60 --json r.json
+  taut demo --no-rt                   without real-time priorities: see what they are for
+  taut demo --sampler-priority 15     the sampler below the callbacks: topics 1 to 3 miss their deadlines")]
+pub struct DemoArgs {
+    /// Length of the measurement
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    seconds: u64,
+    /// Run without real-time priorities
+    #[arg(long)]
+    no_rt: bool,
+    /// Core on which everything runs [default: the last one this process may use]
+    #[arg(long, value_name = "N")]
+    core: Option<usize>,
+    /// Write the report as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write the picture here
+    #[arg(long, value_name = "FILE", default_value = "taut-demo.svg")]
+    svg: PathBuf,
+    /// Priority of the subscriber's sampler; the callbacks have 20 to 16
+    #[arg(long, value_name = "P", default_value_t = application::SAMPLER_PRIORITY,
+          value_parser = clap::value_parser!(u8).range(1..=99))]
+    sampler_priority: u8,
+    /// Which of the demo's processes this is
+    #[arg(long, hide = true, value_enum)]
+    role: Option<Role>,
+    /// Namespace of the demo's topics, chosen by the process that starts the others
+    #[arg(long, hide = true, default_value = "")]
+    namespace: String,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    Publisher,
+    Subscriber,
+}
+
+/// Why the demo could not be run.
+#[derive(Debug, thiserror::Error)]
+pub enum DemoError {
+    #[error("core {core} cannot be used: {source}; choose one with --core")]
+    Core {
+        core: usize,
+        source: tautline::rt::RtError,
+    },
+    #[error("{0}")]
+    Realtime(#[from] tautline::rt::RtError),
+    #[error("{0}")]
+    Setup(#[from] tautline::Error),
+    #[error("the {role} process {what}; run with RUST_LOG=debug to see more")]
+    Child { role: &'static str, what: String },
+    #[error("{} cannot be written: {source}", path.display())]
+    Write {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("the report cannot be printed: {0}")]
+    Print(std::io::Error),
+    #[error("the picture cannot be drawn: {0}")]
+    Plot(#[from] plot::PlotError),
+}
+
+/// Runs the verb.
+pub fn run(args: DemoArgs) -> Result<ExitCode, DemoError> {
+    match args.role {
+        None => conductor::run(args),
+        Some(Role::Publisher) => publisher::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Role::Subscriber) => subscriber::run(&args).map(|()| ExitCode::SUCCESS),
+    }
+}

@@ -48,7 +48,7 @@ impl Bell {
 
     fn wake_if_sleeping(&self) {
         if self.state.0.load(Ordering::Relaxed) == SLEEPING
-            && self.state.0.swap(AWAKE, Ordering::Relaxed) == SLEEPING
+            && self.state.0.swap(AWAKE, Ordering::AcqRel) == SLEEPING
         {
             self.state.wake();
         }
@@ -89,22 +89,25 @@ impl Bell {
     /// # Real-time
     /// At most one syscall; no allocation.
     pub(crate) fn sleep(&self, deadline_ns: Option<u64>) {
-        self.state.0.store(SLEEPING, Ordering::Relaxed);
+        // Swaps, not stores: each change of the state has seen the one before, so no ringer reads an old AWAKE.
+        self.state.0.swap(SLEEPING, Ordering::AcqRel);
         fence(Ordering::SeqCst);
         if !self.is_pending() {
             self.state.wait(SLEEPING, deadline_ns);
         }
-        self.state.0.store(AWAKE, Ordering::Relaxed);
+        self.state.0.swap(AWAKE, Ordering::AcqRel);
     }
 
-    /// Finishes the ring of a process that was killed between setting the bit and waking.
+    /// Finishes the ring of a process that was killed between setting the bit and waking. It may have written AWAKE
+    /// already, so the state says nothing here; waking who is awake is harmless.
     ///
     /// # Real-time
     /// For a low-priority thread, now and then. Wait-free; at most one futex wake.
     pub(crate) fn rescue(&self) {
         if self.is_pending() {
             fence(Ordering::SeqCst);
-            self.wake_if_sleeping();
+            self.state.0.swap(AWAKE, Ordering::AcqRel);
+            self.state.wake();
         }
     }
 }
@@ -116,8 +119,12 @@ impl Bell {
         Bell { state: FutexWord::new(AWAKE), pending: Pending(core::array::from_fn(|_| AtomicU64::new(0))) }
     }
 
-    /// The first step of `ring` alone: a ringer that was killed there.
-    pub(crate) fn ring_and_die(&self, slot: usize) {
+    /// The first step of `ring` alone, or all but the wake: a ringer that was killed there.
+    pub(crate) fn ring_and_die(&self, slot: usize, before_wake: bool) {
         self.pending.0[slot / 64].fetch_or(1 << (slot % 64), Ordering::Release);
+        if before_wake {
+            fence(Ordering::SeqCst);
+            self.state.0.swap(AWAKE, Ordering::AcqRel);
+        }
     }
 }

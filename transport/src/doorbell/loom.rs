@@ -71,17 +71,21 @@ fn loom_the_second_ring_of_a_slot_shows_the_second_message() {
 
 #[test]
 fn loom_a_killed_ringer_is_rescued() {
-    // A process killed between setting the bit and waking: the rescue of a low-priority thread completes its ring.
-    model(|| {
-        let bell = Arc::new(Bell::new());
-        let rescuer = {
-            let bell = bell.clone();
-            thread::spawn(move || {
-                bell.ring_and_die(0);
-                bell.rescue();
-            })
-        };
-        sample_until(&bell, 0b1);
-        rescuer.join().unwrap();
-    });
+    // A process killed anywhere between setting the bit and waking: the rescue of a low-priority thread completes its
+    // ring, and another's ring, which the dead one's AWAKE kept from waking.
+    for before_wake in [false, true] {
+        model(move || {
+            let bell = Arc::new(Bell::new());
+            let rescuer = {
+                let bell = bell.clone();
+                thread::spawn(move || {
+                    bell.ring_and_die(0, before_wake);
+                    bell.ring(1);
+                    bell.rescue();
+                })
+            };
+            sample_until(&bell, 0b11);
+            rescuer.join().unwrap();
+        });
+    }
 }

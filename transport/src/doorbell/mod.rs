@@ -28,7 +28,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[cfg(not(taut_loom))]
 pub const SLOTS: usize = 1024;
 #[cfg(taut_loom)]
-pub(crate) const SLOTS: usize = 64;
+#[allow(missing_docs)]
+pub const SLOTS: usize = 64;
 
 /// A sampler's own doorbell: its arena, and the wakers behind the slots.
 pub struct Doorbell {

@@ -28,12 +28,22 @@ pub struct Row {
     pub max_us: f64,
     /// Round trips in which a wake-up was lost.
     pub lost: u64,
+    /// The same of each round, for comparison with rivals of that round.
+    #[serde(skip)]
+    pub rounds: Vec<Round>,
+}
+
+/// What one round contributed to a [`Row`].
+#[derive(Clone, Copy, Debug)]
+pub struct Round {
+    pub p50_us: f64,
+    pub p99_us: f64,
 }
 
 /// The result of a run.
 pub struct Rows {
     pub rows: Vec<Row>,
-    pub steal: String,
+    pub disturbance: String,
     /// Why idle states could not be held off.
     pub idle_refused: Option<String>,
 }
@@ -41,7 +51,7 @@ pub struct Rows {
 /// Prints the machine, a table per idle state and what must hold.
 pub fn print(plan: &Plan, result: &Rows) {
     println!("{}", machine());
-    println!("{}; {}", versions(), result.steal);
+    println!("{}; {}", versions(), result.disturbance);
     let [sender, receiver] = plan.cores;
     let priority =
         if plan.realtime { format!("FIFO {PRIORITY}") } else { "NO REAL-TIME PRIORITY".to_owned() };

@@ -12,12 +12,12 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use tautline_benches::{Distribution, StealMeter};
+use tautline_benches::{Distribution, Disturbance};
 use tautline_rt::IdleHold;
 
 use crate::child::{Measured, READY};
 use crate::plan::{Idle, Job, Mode, Payload, Plan, Role};
-use crate::report::{Row, Rows};
+use crate::report::{Round, Row, Rows};
 use crate::scratch::Scratch;
 use crate::{Result, futex};
 
@@ -35,11 +35,13 @@ pub fn run(plan: &Plan) -> Result<Rows> {
     interrupt_on_signal(sender.clone())?;
     let mut parent = Parent { plan, scratch: &scratch, sender, events, pair: 0 };
 
-    let mut cells: Vec<Cell> = plan.idles.iter().flat_map(|&idle| cells(plan, idle)).collect();
-    let steal = StealMeter::start();
+    let mut cells = cells(plan);
+    let disturbance = Disturbance::start();
     let mut idle_refused = None;
     let progress = progress_bar(plan);
     for round in 1..=plan.rounds {
+        // To and fro, so that a drift of the machine meets all rivals.
+        cells.reverse();
         for cell in &mut cells {
             let (system, mode) = cell.mode.names();
             progress.set_message(format!("round {round}: {system} {mode}, {} B", cell.payload.bytes));
@@ -59,39 +61,51 @@ pub fn run(plan: &Plan) -> Result<Rows> {
                 format!("{system} {mode}, {} B, round {round}: {error}", cell.payload.bytes)
             })?;
             drop(hold);
-            cell.distribution.add(&measured.counts);
-            cell.lost += measured.lost;
+            cell.add(&measured);
             progress.inc(1);
         }
     }
     progress.finish_and_clear();
+    cells.sort_by_key(|cell| cell.position);
     let rows = cells.iter().filter(|cell| !cell.distribution.is_empty()).map(Cell::row).collect();
-    Ok(Rows { rows, steal: steal.report(), idle_refused })
+    Ok(Rows { rows, disturbance: disturbance.report(), idle_refused })
 }
 
 /// A line of the result in the making.
 struct Cell {
+    /// Its place in the report.
+    position: usize,
     mode: Mode,
     payload: Payload,
     idle: Idle,
     distribution: Distribution,
     lost: u64,
+    rounds: Vec<Round>,
 }
 
-/// The cells of one idle state, rivals next to each other.
-fn cells(plan: &Plan, idle: Idle) -> impl Iterator<Item = Cell> {
-    plan.payloads.iter().flat_map(move |&payload| {
-        plan.modes.iter().map(move |&mode| Cell {
-            mode,
-            payload,
-            idle,
-            distribution: Distribution::new(),
-            lost: 0,
-        })
-    })
+/// All cells, rivals next to each other.
+fn cells(plan: &Plan) -> Vec<Cell> {
+    let mut cells = Vec::new();
+    for &idle in &plan.idles {
+        for &payload in &plan.payloads {
+            for &mode in &plan.modes {
+                let (position, distribution) = (cells.len(), Distribution::new());
+                cells.push(Cell { position, mode, payload, idle, distribution, lost: 0, rounds: Vec::new() });
+            }
+        }
+    }
+    cells
 }
 
 impl Cell {
+    fn add(&mut self, measured: &Measured) {
+        let mut round = Distribution::new();
+        round.add(&measured.counts);
+        self.rounds.push(Round { p50_us: round.quantile_us(0.5), p99_us: round.quantile_us(0.99) });
+        self.distribution.add(&measured.counts);
+        self.lost += measured.lost;
+    }
+
     fn row(&self) -> Row {
         let (system, mode) = self.mode.names();
         Row {
@@ -106,6 +120,7 @@ impl Cell {
             p999_us: self.distribution.quantile_us(0.999),
             max_us: self.distribution.max_us(),
             lost: self.lost,
+            rounds: self.rounds.clone(),
         }
     }
 }

@@ -1,0 +1,268 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The process that the user started: starts the two others, shows the progress, prints the report.
+
+use super::application::{self, Topic};
+use super::protocol::{self, Line, Measured, Published};
+use super::report::{self, DemoReport, TopicRun};
+use super::{DemoArgs, DemoError, Role, plot};
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::Write;
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+use tautline::CoreSet;
+use tautline::rt::{clock, host, permission};
+
+/// How long a process may take to set itself up, or to end when it was told to.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// After the last release: the longest response time of a run that keeps its bounds, and some more.
+const DRAIN: Duration = Duration::from_millis(400);
+/// How often the progress is looked at.
+const GLANCE: Duration = Duration::from_millis(100);
+
+pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
+    let allowed = CoreSet::allowed()?;
+    let core = match args.core {
+        Some(core) => {
+            CoreSet::one(core).check().map_err(|source| DemoError::Core { core, source })?;
+            core
+        }
+        None => allowed.iter().last().unwrap_or(0),
+    };
+    args.core = Some(core);
+    // A namespace of its own: two demos at once do not hear each other.
+    args.namespace = format!("/demo_{}", std::process::id());
+    if !args.no_rt
+        && let Err(error) = permission::realtime_permitted(application::PUBLISHER_SAMPLER_PRIORITY)
+    {
+        print_banner(&error.to_string());
+        args.no_rt = true;
+    }
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGINT, interrupted.clone());
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGTERM, interrupted.clone());
+
+    let steal_before = host::steal_ticks(Some(core));
+    let mut subscriber = Process::start(Role::Subscriber, &args)?;
+    subscriber.wait_until_ready()?;
+    let mut publisher = Process::start(Role::Publisher, &args)?;
+    publisher.wait_until_ready()?;
+    let started = Instant::now();
+    let published = conduct(&args, &mut publisher, &mut subscriber, &interrupted, started)?;
+    let seconds = started.elapsed().as_secs_f64().min(args.seconds as f64);
+    std::thread::sleep(DRAIN);
+    let measured = subscriber.end()?;
+    let steal_ticks = host::steal_ticks(Some(core)) - steal_before;
+
+    let report = assemble(&args, core, seconds, steal_ticks, &published, measured)?;
+    publish_report(&args, &report)?;
+    if published.missed > 0 {
+        println!("The publisher itself missed {} releases: the core was taken from it.", published.missed);
+    }
+    if interrupted.load(Ordering::Relaxed) {
+        println!("Interrupted after {seconds:.1} of {} seconds.", args.seconds);
+        return Ok(ExitCode::from(130));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The children are told to end by their starter, not by the terminal's Ctrl-C.
+pub fn ignore_interrupts() {
+    let ignored = Arc::new(AtomicBool::new(false));
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGINT, ignored);
+}
+
+fn print_banner(reason: &str) {
+    let rule = "=".repeat(78);
+    eprintln!("{rule}\nRunning WITHOUT real-time priorities: no bound applies to what follows.\n{reason}\n{rule}");
+}
+
+/// Shows the progress until the publisher has ended, or makes it end if the user interrupts.
+fn conduct(
+    args: &DemoArgs,
+    publisher: &mut Process,
+    subscriber: &mut Process,
+    interrupted: &AtomicBool,
+    started: Instant,
+) -> Result<Published, DemoError> {
+    let bar = ProgressBar::new(args.seconds * 10);
+    bar.set_style(
+        ProgressStyle::with_template("{elapsed:>4} [{bar:40}] {msg}").unwrap_or_else(|_| ProgressStyle::default_bar()),
+    );
+    let mut handled = 0;
+    loop {
+        if interrupted.load(Ordering::Relaxed) {
+            publisher.tell_to_end();
+        }
+        while let Ok(line) = subscriber.lines.try_recv() {
+            if let Line::Progress(messages) = line {
+                handled = messages;
+            }
+        }
+        bar.set_position((started.elapsed().as_millis() / 100) as u64);
+        bar.set_message(format!("{handled} callbacks on core {}", args.core.unwrap_or(0)));
+        match publisher.lines.recv_timeout(GLANCE) {
+            Ok(Line::Published(published)) => {
+                bar.finish_and_clear();
+                publisher.wait()?;
+                return Ok(published);
+            }
+            Ok(_) | Err(RecvTimeoutError::Timeout) => subscriber.must_live()?,
+            Err(RecvTimeoutError::Disconnected) => {
+                bar.finish_and_clear();
+                return Err(publisher.ended_early());
+            }
+        }
+    }
+}
+
+fn assemble(
+    args: &DemoArgs,
+    core: usize,
+    seconds: f64,
+    steal_ticks: u64,
+    published: &Published,
+    measured: Measured,
+) -> Result<DemoReport, DemoError> {
+    let topics = application::topics()?;
+    let handled: u64 = measured.topics.iter().map(|topic| topic.latencies_ns.len() as u64).sum();
+    // Everything that the two processes did besides the callbacks' own work, spread over the messages.
+    let overhead_ns =
+        published.cpu_ns / published.messages.max(1) + measured.overhead_cpu_ns / handled.max(1);
+    let run = |(topic, measured): (Topic, protocol::TopicMeasured)| TopicRun {
+        task: topic.task(),
+        latencies_ns: measured.latencies_ns,
+        lost: measured.lost,
+        max_queue: measured.max_queue,
+    };
+    let runs = topics.into_iter().zip(measured.topics).map(run).collect();
+    let info = host::HostInfo::read();
+    let mode = info.preempt_mode.as_deref().map_or(String::new(), |mode| format!(" ({mode})"));
+    Ok(DemoReport {
+        realtime: !args.no_rt,
+        core,
+        seconds: (seconds * 1e3).round() / 1e3,
+        steal_ticks,
+        kernel: info.kernel,
+        topics: report::topic_reports(runs, Duration::from_nanos(overhead_ns)),
+        preemption: format!("{}{mode}", info.preemption),
+        overhead_us: overhead_ns as f64 / 1e3,
+        sampler_priority: args.sampler_priority,
+    })
+}
+
+fn publish_report(args: &DemoArgs, report: &DemoReport) -> Result<(), DemoError> {
+    let mut text = Vec::new();
+    let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
+    report::write_table(report, &mut text, colour).map_err(DemoError::Print)?;
+    std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
+    let svg = plot::render_svg(report)?;
+    std::fs::write(&args.svg, svg).map_err(|source| DemoError::Write { path: args.svg.clone(), source })?;
+    println!("Picture: {}", args.svg.display());
+    if let Some(path) = &args.json {
+        let refuse = |source| DemoError::Write { path: path.clone(), source };
+        let mut file = std::fs::File::create(path).map_err(refuse)?;
+        report::write_json(report, &mut file).map_err(refuse)?;
+        println!("JSON:    {}", path.display());
+    }
+    Ok(())
+}
+
+/// A child process; dropping it ends it.
+struct Process {
+    role: &'static str,
+    child: Child,
+    lines: Receiver<Line>,
+}
+
+impl Process {
+    fn start(role: Role, args: &DemoArgs) -> Result<Self, DemoError> {
+        let name = match role {
+            Role::Publisher => "publisher",
+            Role::Subscriber => "subscriber",
+        };
+        let failed = |what: String| DemoError::Child { role: name, what };
+        let executable = std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
+        let mut command = Command::new(executable);
+        command.arg("demo").args(["--seconds", &args.seconds.to_string(), "--namespace", &args.namespace]);
+        command.args(["--sampler-priority", &args.sampler_priority.to_string()]);
+        if let Some(core) = args.core {
+            command.args(["--core", &core.to_string()]);
+        }
+        if args.no_rt {
+            command.arg("--no-rt");
+        }
+        if let Some(value) = role.to_possible_value() {
+            command.args(["--role", value.get_name()]);
+        }
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|error| failed(format!("cannot be started: {error}")))?;
+        let output = child.stdout.take().ok_or_else(|| failed("has no output".into()))?;
+        Ok(Process { role: name, child, lines: protocol::listen(output) })
+    }
+
+    fn wait_until_ready(&mut self) -> Result<(), DemoError> {
+        match self.lines.recv_timeout(PATIENCE) {
+            Ok(Line::Ready) => Ok(()),
+            Ok(_) => Err(self.failed("spoke before it was ready".into())),
+            Err(RecvTimeoutError::Disconnected) => Err(self.ended_early()),
+            Err(RecvTimeoutError::Timeout) => Err(self.failed(format!("was not ready after {} s", PATIENCE.as_secs()))),
+        }
+    }
+
+    fn tell_to_end(&mut self) {
+        drop(self.child.stdin.take());
+    }
+
+    /// Ends the subscriber and gives what it measured.
+    fn end(mut self) -> Result<Measured, DemoError> {
+        self.tell_to_end();
+        let give_up = clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
+        while clock::monotonic_ns() < give_up {
+            match self.lines.recv_timeout(GLANCE) {
+                Ok(Line::Measured(measured)) => return self.wait().map(|()| measured),
+                Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return Err(self.ended_early()),
+            }
+        }
+        Err(self.failed(format!("did not end within {} s", PATIENCE.as_secs())))
+    }
+
+    fn wait(&mut self) -> Result<(), DemoError> {
+        match self.child.wait() {
+            Ok(status) if status.success() => Ok(()),
+            Ok(status) => Err(self.failed(format!("failed ({status})"))),
+            Err(error) => Err(self.failed(format!("cannot be waited for: {error}"))),
+        }
+    }
+
+    fn must_live(&mut self) -> Result<(), DemoError> {
+        match self.child.try_wait() {
+            Ok(Some(status)) => Err(self.failed(format!("ended early ({status})"))),
+            _ => Ok(()),
+        }
+    }
+
+    fn ended_early(&mut self) -> DemoError {
+        let status = self.child.wait().map_or_else(|error| error.to_string(), |status| status.to_string());
+        self.failed(format!("ended early ({status})"))
+    }
+
+    fn failed(&self, what: String) -> DemoError {
+        DemoError::Child { role: self.role, what }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.tell_to_end();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

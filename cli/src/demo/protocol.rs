@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the demo's processes tell the one that started them: a line of JSON each, on standard output. What it tells them
+//! is to end, by closing their standard input.
+
+use serde::{Deserialize, Serialize};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::sync::mpsc;
+
+/// A line of a process.
+#[derive(Serialize, Deserialize, Debug)]
+pub enum Line {
+    /// Set up; the publisher may start.
+    Ready,
+    /// Messages released or handled so far.
+    Progress(u64),
+    /// The end of the publisher.
+    Published(Published),
+    /// The end of the subscriber.
+    Measured(Measured),
+}
+
+/// What the publisher did.
+#[derive(Serialize, Deserialize, Debug, Default)]
+pub struct Published {
+    /// Messages published.
+    pub messages: u64,
+    /// CPU time for that, in nanoseconds.
+    pub cpu_ns: u64,
+    /// Releases that came too late to be published.
+    pub missed: u64,
+}
+
+/// What the subscriber measured.
+#[derive(Serialize, Deserialize, Debug, Default)]
+pub struct Measured {
+    /// CPU time of the process beyond the callbacks' own, in nanoseconds.
+    pub overhead_cpu_ns: u64,
+    /// One for each topic.
+    pub topics: Vec<TopicMeasured>,
+}
+
+/// What was measured on one topic.
+#[derive(Serialize, Deserialize, Debug, Default)]
+pub struct TopicMeasured {
+    /// From scheduled release to end of callback.
+    pub latencies_ns: Vec<u64>,
+    pub lost: u64,
+    pub max_queue: u64,
+}
+
+/// Says a line on standard output. Nobody listening means that the starter died: then the input is closed as well.
+pub fn say(line: &Line) {
+    if let Ok(text) = serde_json::to_string(line) {
+        let mut out = std::io::stdout().lock();
+        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
+    }
+}
+
+/// Calls `then` when standard input is closed. An ordinary thread that sleeps until then.
+pub fn when_told_to_end(then: impl FnOnce() + Send + 'static) {
+    std::thread::spawn(move || {
+        let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
+        then();
+    });
+}
+
+/// The lines of a process, as they come; ends with the process.
+pub fn listen(output: impl Read + Send + 'static) -> mpsc::Receiver<Line> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        for text in BufReader::new(output).lines().map_while(Result::ok) {
+            if let Ok(line) = serde_json::from_str(&text)
+                && sender.send(line).is_err()
+            {
+                return;
+            }
+        }
+    });
+    receiver
+}

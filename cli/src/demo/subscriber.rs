@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The subscriber process: the sampler on the main thread, one callback thread per topic.
+
+use super::application::{self, Stamped, Topic};
+use super::protocol::{self, Line, Measured, TopicMeasured};
+use super::{DemoArgs, DemoError};
+use futures::StreamExt;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::Arc;
+use std::time::Duration;
+use tautline::rt::clock;
+use tautline::{CallbackOptions, Counters, Node};
+
+pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+    super::conductor::ignore_interrupts();
+    if let Some(core) = args.core {
+        application::bind(core)?;
+    }
+    let context = application::context(args, args.sampler_priority).build()?;
+    let mut node = Node::create(context.clone(), "subscriber", &args.namespace)?;
+    let mut callbacks = Vec::new();
+    for topic in application::topics()? {
+        let subscription = node.subscribe_loaned::<Stamped>(topic.name, application::qos())?;
+        let log = Arc::new(Log::for_run(&topic, args.seconds));
+        let (counters, wcet) = (subscription.counters(), topic.wcet);
+        let options = CallbackOptions::fifo(topic.priority).name(topic.name).period(topic.period).execution_time(false);
+        let handle = {
+            let log = log.clone();
+            node.spawn_callback(options, subscription.for_each(move |message| {
+                clock::burn_cpu(wcet);
+                log.note(clock::monotonic_ns().saturating_sub(message.release_ns));
+                async {}
+            }))?
+        };
+        callbacks.push(Callback { topic, log, counters, handle });
+    }
+    let over = Arc::new(AtomicBool::new(false));
+    {
+        let (context, over) = (context.clone(), over.clone());
+        protocol::when_told_to_end(move || {
+            over.store(true, Ordering::Release);
+            context.shutdown();
+        });
+    }
+    let reporter = report_progress(callbacks.iter().map(|callback| callback.log.clone()).collect(), over);
+    let cpu_before_ns = clock::process_cpu_ns();
+    protocol::say(&Line::Ready);
+    node.spin()?;
+    let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
+    let _ = reporter.join();
+    protocol::say(&Line::Measured(measured(callbacks, cpu_ns)?));
+    Ok(())
+}
+
+struct Callback {
+    topic: Topic,
+    log: Arc<Log>,
+    counters: Arc<Counters>,
+    handle: tautline::CallbackHandle,
+}
+
+fn measured(callbacks: Vec<Callback>, cpu_ns: u64) -> Result<Measured, DemoError> {
+    let (mut topics, mut busy_ns) = (Vec::new(), 0);
+    for callback in callbacks {
+        callback.handle.stop();
+        callback.handle.join().map_err(tautline::Error::from)?;
+        let latencies_ns = callback.log.latencies_ns();
+        busy_ns += latencies_ns.len() as u64 * callback.topic.wcet.as_nanos() as u64;
+        let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
+        topics.push(TopicMeasured { latencies_ns, lost, max_queue });
+    }
+    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics })
+}
+
+/// Where a callback writes its response times: memory that is there before it starts.
+struct Log {
+    entries: Box<[AtomicU64]>,
+    count: AtomicUsize,
+}
+
+impl Log {
+    /// Room for the run's messages and a quarter more.
+    fn for_run(topic: &Topic, seconds: u64) -> Self {
+        let messages = Duration::from_secs(seconds).as_nanos() / topic.period.as_nanos();
+        let room = (messages + messages / 4 + 16) as usize;
+        Log { entries: (0..room).map(|_| AtomicU64::new(0)).collect(), count: AtomicUsize::new(0) }
+    }
+
+    fn note(&self, latency_ns: u64) {
+        let index = self.count.load(Ordering::Relaxed);
+        if let Some(entry) = self.entries.get(index) {
+            entry.store(latency_ns, Ordering::Relaxed);
+            self.count.store(index + 1, Ordering::Release);
+        }
+    }
+
+    fn latencies_ns(&self) -> Vec<u64> {
+        let count = self.count.load(Ordering::Acquire);
+        self.entries[..count].iter().map(|entry| entry.load(Ordering::Relaxed)).collect()
+    }
+}
+
+fn report_progress(logs: Vec<Arc<Log>>, over: Arc<AtomicBool>) -> std::thread::JoinHandle<()> {
+    std::thread::spawn(move || {
+        while !over.load(Ordering::Acquire) {
+            std::thread::sleep(Duration::from_millis(200));
+            let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
+            protocol::say(&Line::Progress(handled as u64));
+        }
+    })
+}

@@ -1,0 +1,181 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Processes killed at any instant: others go on and lose nothing of theirs, and what the dead left is removed.
+
+mod support;
+
+use support::{Count, Part, bookkeeping, say, shared_memory, wait_for, wait_to_be_killed};
+use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, Unpublished};
+
+const CYCLES: usize = 20;
+const OURS: u64 = 1_000_000;
+
+/// The child's part; without its variable it is no test.
+#[test]
+fn child_main() {
+    let Some((part, domain)) = support::part() else { return };
+    let participant = Participant::new(domain).unwrap();
+    match part.as_str() {
+        "publisher" => {
+            let publisher = new_publisher(&participant, Qos::keep_last(100));
+            // The loans are out when it is killed.
+            let _loans = [publisher.loan().unwrap(), publisher.loan().unwrap()];
+            say("ready");
+            let parent = rustix::process::getppid();
+            while rustix::process::getppid() == parent {
+                publisher.publish(&Count { n: 1 }).unwrap();
+                std::thread::yield_now();
+            }
+        }
+        "subscription" => {
+            let subscription = new_subscription(&participant, Qos::keep_last(100));
+            let mut held = Vec::new();
+            wait_for("samples to hold", || {
+                held.extend(subscription.take().unwrap());
+                held.len() == 4
+            });
+            say("holding");
+            wait_to_be_killed();
+        }
+        "keep-all subscription" => {
+            let _subscription = new_subscription(&participant, Qos::keep_all(4));
+            say("ready");
+            wait_to_be_killed();
+        }
+        other => panic!("no part {other}"),
+    }
+}
+
+fn new_publisher(participant: &Participant, qos: Qos) -> Publisher<Count> {
+    participant.create_publisher("/crash", qos, Limits::default()).unwrap()
+}
+
+fn new_subscription(participant: &Participant, qos: Qos) -> Subscription<Count> {
+    participant.create_subscription("/crash", qos, Limits::default()).unwrap()
+}
+
+/// Publishes 50 messages and takes all that is there, counting those of others.
+fn exchange(publisher: &Publisher<Count>, subscription: &Subscription<Count>, next: &mut u64) -> usize {
+    let mut others = 0;
+    for _ in 0..50 {
+        publisher.publish(&Count { n: OURS + *next }).unwrap();
+        let mut came = false;
+        while let Some(sample) = subscription.take().unwrap() {
+            if sample.info().publisher_gid == publisher.gid() {
+                assert_eq!(sample.n, OURS + *next, "every message of ours, in order");
+                came = true;
+            } else {
+                others += 1;
+            }
+        }
+        assert!(came);
+        *next += 1;
+    }
+    others
+}
+
+/// The files of a domain, and how much memory those in /dev/shm really have.
+fn remains(domain: u32) -> (Vec<String>, u64) {
+    let memory = shared_memory(domain);
+    let bytes = memory.values().sum();
+    (memory.into_keys().chain(bookkeeping(domain)).collect(), bytes)
+}
+
+/// Looks after each cycle whether all that a dead process left has gone, and whether the living grow.
+struct Remains {
+    domain: u32,
+    files: Vec<String>,
+    bytes: Option<u64>,
+}
+
+impl Remains {
+    fn new(domain: u32) -> Self {
+        Remains { domain, files: remains(domain).0, bytes: None }
+    }
+
+    fn check(&mut self, mut meanwhile: impl FnMut()) {
+        wait_for("the janitor", || {
+            meanwhile();
+            remains(self.domain).0 == self.files
+        });
+        // With the first other process a publisher uses as many samples as it ever will.
+        let bytes = remains(self.domain).1;
+        assert!(bytes <= *self.bytes.get_or_insert(bytes), "{bytes}, {:?} before", self.bytes);
+    }
+}
+
+#[test]
+fn killed_publishers() {
+    let participant = Participant::new(160).unwrap();
+    let publisher = new_publisher(&participant, Qos::default());
+    let subscription = new_subscription(&participant, Qos::keep_last(100));
+    let mut next = 0;
+    exchange(&publisher, &subscription, &mut next);
+    let mut remains = Remains::new(160);
+    for _ in 0..CYCLES {
+        let mut part = Part::start("publisher", 160);
+        assert_eq!(part.hear(), "ready");
+        let mut others = 0;
+        wait_for("messages of the child", || {
+            others += exchange(&publisher, &subscription, &mut next);
+            others > 10
+        });
+        part.kill();
+        exchange(&publisher, &subscription, &mut next);
+        remains.check(|| _ = exchange(&publisher, &subscription, &mut next));
+        assert_eq!(subscription.publisher_count(), 1);
+    }
+}
+
+#[test]
+fn killed_subscriptions() {
+    let participant = Participant::new(161).unwrap();
+    let publisher = new_publisher(&participant, Qos::default());
+    let subscription = new_subscription(&participant, Qos::keep_last(100));
+    let mut next = 0;
+    exchange(&publisher, &subscription, &mut next);
+    let mut remains = Remains::new(161);
+    for _ in 0..CYCLES {
+        let mut part = Part::start("subscription", 161);
+        wait_for("the child", || publisher.subscription_count() == 2);
+        exchange(&publisher, &subscription, &mut next);
+        assert_eq!(part.hear(), "holding");
+        exchange(&publisher, &subscription, &mut next);
+        part.kill();
+        remains.check(|| _ = exchange(&publisher, &subscription, &mut next));
+        wait_for("the publisher to know", || publisher.subscription_count() == 1);
+    }
+    assert_eq!(subscription.counters().lost(), 0);
+}
+
+#[test]
+fn a_killed_keep_all_subscription_frees_the_publisher() {
+    let participant = Participant::new(162).unwrap();
+    let publisher = new_publisher(&participant, Qos::keep_all(4));
+    let mut part = Part::start("keep-all subscription", 162);
+    assert_eq!(part.hear(), "ready");
+    let mut sent = 0;
+    let mut loan = loop {
+        let mut loan = publisher.loan().unwrap();
+        loan.n = 7;
+        match loan.publish() {
+            Ok(()) => sent += 1,
+            Err(Unpublished::Full(loan)) => break loan,
+            Err(other) => panic!("{other:?}"),
+        }
+    };
+    assert_eq!((sent, loan.n), (4, 7));
+    part.kill();
+    wait_for("the janitor to free the publisher", || {
+        let Some(back) = refused(std::mem::replace(&mut loan, publisher.loan().unwrap())) else { return true };
+        loan = back;
+        false
+    });
+}
+
+fn refused(loan: tautline_transport::Loan<'_, Count>) -> Option<tautline_transport::Loan<'_, Count>> {
+    match loan.publish() {
+        Ok(()) => None,
+        Err(Unpublished::Full(loan)) => Some(loan),
+        Err(other) => panic!("{other:?}"),
+    }
+}

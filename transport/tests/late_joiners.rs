@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Transient local: a late joiner gets the last samples, in order, once, also from a publisher that stays silent.
+
+mod support;
+
+use support::{Count, Part, say, take_all, wait_for, wait_to_be_killed};
+use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
+
+fn kept(depth: usize) -> Qos {
+    Qos::keep_last(depth).transient_local()
+}
+
+fn publisher(participant: &Participant, depth: usize) -> Publisher<Count> {
+    participant.create_publisher("/late", kept(depth), Limits::default()).unwrap()
+}
+
+fn subscription(participant: &Participant, depth: usize) -> Subscription<Count> {
+    participant.create_subscription("/late", kept(depth), Limits::default()).unwrap()
+}
+
+fn publish(publisher: &Publisher<Count>, numbers: impl IntoIterator<Item = u64>) {
+    for n in numbers {
+        publisher.publish(&Count { n }).unwrap();
+    }
+}
+
+/// Takes until `last` came.
+fn take_until(subscription: &Subscription<Count>, last: u64) -> Vec<u64> {
+    let mut taken = Vec::new();
+    wait_for(&format!("message {last}"), || {
+        taken.extend(take_all(subscription));
+        taken.last() == Some(&last)
+    });
+    taken
+}
+
+/// The child's part; without its variable it is no test.
+#[test]
+fn child_main() {
+    let Some((part, domain)) = support::part() else { return };
+    let participant = Participant::new(domain).unwrap();
+    match part.as_str() {
+        "publisher" => {
+            let publisher = publisher(&participant, 3);
+            publish(&publisher, 1..=10);
+            say("published");
+            wait_to_be_killed();
+        }
+        "joiner" => {
+            let subscription = subscription(&participant, 3);
+            say(&format!("{:?}", take_until(&subscription, 10)));
+        }
+        other => panic!("no part {other}"),
+    }
+}
+
+#[test]
+fn from_a_silent_publisher() {
+    let participant = Participant::new(150).unwrap();
+    let publisher = publisher(&participant, 3);
+    publish(&publisher, 1..=10);
+    // Several, one after the other: serving one does not spend the history.
+    for _ in 0..3 {
+        let joiner = subscription(&participant, 3);
+        assert_eq!(take_until(&joiner, 10), [8, 9, 10]);
+        assert_eq!((joiner.counters().received(), joiner.counters().lost()), (3, 0));
+    }
+    publish(&publisher, [11]);
+    assert_eq!(take_until(&subscription(&participant, 3), 11), [9, 10, 11]);
+    let short = subscription(&participant, 2);
+    assert_eq!(take_until(&short, 11), [10, 11], "the joiner's own depth");
+    let deep = subscription(&participant, 100);
+    assert_eq!(take_until(&deep, 11), [9, 10, 11], "no more than the publisher keeps");
+}
+
+#[test]
+fn nothing_comes_twice_when_the_publisher_goes_on() {
+    let participant = Participant::new(151).unwrap();
+    let publisher = publisher(&participant, 5);
+    let mut next = 1;
+    for _ in 0..20 {
+        publish(&publisher, next..next + 7);
+        let joiner = subscription(&participant, 5);
+        publish(&publisher, next + 7..next + 10);
+        next += 10;
+        let taken = take_until(&joiner, next - 1);
+        // At least the last 5, at most also those that were the last 5 when it joined; without a gap, once.
+        let first = next - taken.len() as u64;
+        assert_eq!(taken, (first..next).collect::<Vec<_>>());
+        assert!((next - 8..=next - 5).contains(&first), "{taken:?}");
+        assert_eq!(joiner.counters().lost(), 0);
+    }
+}
+
+#[test]
+fn while_the_publisher_runs() {
+    let participant = Participant::new(152).unwrap();
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let publisher = publisher(&participant, 4);
+        let stop = &stop;
+        scope.spawn(move || {
+            let mut n = 0;
+            while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+                n += 1;
+                publish(&publisher, [n]);
+                std::thread::sleep(std::time::Duration::from_micros(200));
+            }
+        });
+        for _ in 0..10 {
+            let joiner = subscription(&participant, 4);
+            let mut taken: Vec<u64> = Vec::new();
+            wait_for("100 messages", || {
+                taken.extend(take_all(&joiner));
+                taken.len() >= 100
+            });
+            assert!(taken.is_sorted_by(|a, b| a < b), "in order, once: {taken:?}");
+            let gaps = taken.last().unwrap() - taken[0] + 1 - taken.len() as u64;
+            assert_eq!(gaps, joiner.counters().lost(), "what is missing was counted");
+        }
+        stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    });
+}
+
+#[test]
+fn from_two_publishers() {
+    let participant = Participant::new(153).unwrap();
+    let publishers = [publisher(&participant, 3), publisher(&participant, 3)];
+    publish(&publishers[0], 1..=5);
+    publish(&publishers[1], 101..=105);
+    let joiner = subscription(&participant, 3);
+    let mut taken = Vec::new();
+    wait_for("both histories", || {
+        taken.extend(take_all(&joiner));
+        taken.len() >= 6
+    });
+    publish(&publishers[0], [6]);
+    publish(&publishers[1], [106]);
+    taken.extend(take_all(&joiner));
+    let of = |range: std::ops::Range<u64>| taken.iter().copied().filter(|n| range.contains(n)).collect::<Vec<_>>();
+    assert_eq!(of(0..100), [3, 4, 5, 6]);
+    assert_eq!(of(100..200), [103, 104, 105, 106]);
+    assert_eq!(taken.len(), 8);
+}
+
+#[test]
+fn in_another_process() {
+    let mut silent = Part::start("publisher", 154);
+    assert_eq!(silent.hear(), "published");
+    let mut joiner = Part::start("joiner", 154);
+    assert_eq!(joiner.hear(), "[8, 9, 10]");
+    assert!(joiner.wait().success());
+    silent.kill();
+}
+
+#[test]
+fn a_history_is_held_in_place_as_well() {
+    let participant = Participant::new(155).unwrap();
+    let limits = Limits { held: 2, ..Limits::default() };
+    let publisher = participant.create_publisher::<Count>("/late", kept(4), limits).unwrap();
+    publish(&publisher, 1..=4);
+    let joiner = participant.create_subscription::<Count>("/late", kept(4), limits).unwrap();
+    let mut held = Vec::new();
+    wait_for("two samples", || {
+        held.extend(joiner.take().unwrap());
+        held.len() == 2
+    });
+    assert_eq!(joiner.take().err(), Some(tautline_transport::TakeError::TooManyHeld));
+    let waker = futures::task::noop_waker();
+    assert!(joiner.poll_take(&mut std::task::Context::from_waker(&waker)).is_pending(), "it must not spin");
+    assert_eq!(held.iter().map(|sample| sample.n).collect::<Vec<_>>(), [1, 2]);
+    held.clear();
+    assert_eq!(take_until(&joiner, 4), [3, 4]);
+}
+
+#[test]
+fn volatile_ends_get_nothing_old() {
+    let participant = Participant::new(156).unwrap();
+    let keeper = publisher(&participant, 3);
+    let volatile = participant.create_publisher::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
+    publish(&volatile, 1..=3);
+    publish(&keeper, 101..=103);
+    let plain = participant.create_subscription::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
+    let joiner = subscription(&participant, 3);
+    assert_eq!(take_until(&joiner, 103), [101, 102, 103]);
+    publish(&volatile, [4]);
+    assert_eq!((take_all(&plain), take_all(&joiner)), (vec![4], vec![4]));
+}

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Creating and dropping leaves nothing: no descriptor, file, mapping or thread. A file of its own: it counts what the
+//! whole process has.
+
+mod support;
+
+use support::{Count, bookkeeping, shared_memory, take_all};
+use tautline_transport::{Limits, Participant, Qos};
+
+const DOMAIN: u32 = 163;
+const CYCLES: usize = 1_000;
+
+#[derive(Debug, PartialEq)]
+struct Possessions {
+    descriptors: usize,
+    threads: usize,
+    shared_mappings: usize,
+    shared_memory: Vec<String>,
+    bookkeeping: Vec<String>,
+}
+
+fn possessions() -> Possessions {
+    let count = |folder| std::fs::read_dir(folder).unwrap().count();
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
+    Possessions {
+        descriptors: count("/proc/self/fd"),
+        threads: count("/proc/self/task"),
+        shared_mappings: maps.lines().filter(|line| line.contains("/dev/shm/")).count(),
+        shared_memory: shared_memory(DOMAIN).into_keys().collect(),
+        bookkeeping: bookkeeping(DOMAIN),
+    }
+}
+
+fn use_topic(participant: &Participant, qos: Qos) {
+    let limits = Limits::default();
+    let publisher = participant.create_publisher::<Count>("/leak", qos, limits).unwrap();
+    let subscription = participant.create_subscription::<Count>("/leak", qos, limits).unwrap();
+    publisher.publish(&Count { n: 5 }).unwrap();
+    assert_eq!(take_all(&subscription), [5]);
+}
+
+#[test]
+fn a_thousand_cycles_leave_nothing() {
+    // iceoryx2 keeps one file per domain, which the first participant makes.
+    drop(Participant::new(DOMAIN).unwrap());
+    let before = possessions();
+    for _ in 0..CYCLES {
+        let participant = Participant::new(DOMAIN).unwrap();
+        use_topic(&participant, Qos::default());
+    }
+    assert_eq!(possessions(), before);
+
+    let participant = Participant::new(DOMAIN).unwrap();
+    use_topic(&participant, Qos::default());
+    let before = possessions();
+    for cycle in 0..CYCLES {
+        let qos = if cycle % 10 == 0 { Qos::default().transient_local() } else { Qos::default() };
+        use_topic(&participant, qos);
+    }
+    assert_eq!(possessions(), before);
+}
