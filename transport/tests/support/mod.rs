@@ -139,10 +139,15 @@ impl Part {
         Part { child, lines }
     }
 
-    /// The next line that the child said.
+    /// The next line that the child says.
     pub fn hear(&mut self) -> String {
-        let said = self.lines.by_ref().map_while(Result::ok).find_map(|line| line.strip_prefix("part: ").map(str::to_owned));
-        said.expect("the child ended without a word")
+        self.hear_or_end().expect("the child ended without a word")
+    }
+
+    /// The next line that the child says, if it says one before it ends.
+    pub fn hear_or_end(&mut self) -> Option<String> {
+        let mut lines = self.lines.by_ref().map_while(Result::ok);
+        lines.find_map(|line| line.strip_prefix("part: ").map(str::to_owned))
     }
 
     pub fn kill(mut self) {

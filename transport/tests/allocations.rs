@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The hot path's heap allocations: iceoryx2's one per loan, and none of ours. A file of its own: it replaces the
+//! allocator.
+
+mod support;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::{Cell, RefCell};
+use support::Count;
+use tautline_transport::{Limits, Participant, Qos};
+
+const CYCLES: usize = 10_000;
+
+/// Counts what the current thread allocates and frees.
+struct Counting;
+
+thread_local! {
+    static ALLOCATED: Cell<usize> = const { Cell::new(0) };
+    static FREED: Cell<usize> = const { Cell::new(0) };
+    static SIZES: RefCell<[usize; 8]> = const { RefCell::new([0; 8]) };
+}
+
+// SAFETY: System does the work; counting touches plain thread-locals that need no destructor.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let n = ALLOCATED.get();
+        ALLOCATED.set(n + 1);
+        SIZES.with_borrow_mut(|sizes| sizes[n % 8] = layout.size());
+        // SAFETY: the caller's promise.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        FREED.set(FREED.get() + 1);
+        // SAFETY: the caller's promise.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Allocations and frees of `work`.
+fn count(work: impl FnOnce()) -> (usize, usize) {
+    let before = (ALLOCATED.get(), FREED.get());
+    work();
+    (ALLOCATED.get() - before.0, FREED.get() - before.1)
+}
+
+#[test]
+fn publish_and_take() {
+    let participant = Participant::new(164).unwrap();
+    let limits = Limits::default();
+    let publisher = participant.create_publisher::<Count>("/heap", Qos::default(), limits).unwrap();
+    let subscriptions = [(); 3]
+        .map(|()| participant.create_subscription::<Count>("/heap", Qos::keep_last(2), limits).unwrap());
+    let waker = futures::task::noop_waker();
+    let mut context = std::task::Context::from_waker(&waker);
+    let publish = |n| publisher.publish(&Count { n }).unwrap();
+    publish(0);
+    for subscription in &subscriptions {
+        assert!(subscription.take().unwrap().is_some());
+    }
+
+    let (mut published, mut taken) = ((0, 0), (0, 0));
+    let add = |sum: &mut (usize, usize), (allocated, freed)| {
+        sum.0 += allocated;
+        sum.1 += freed;
+    };
+    for n in 0..CYCLES {
+        add(&mut published, count(|| publish(n as u64)));
+        assert_eq!(SIZES.with_borrow(|sizes| sizes[(ALLOCATED.get() - 1) % 8]), 48, "iceoryx2's loan");
+        // One takes each, one polls each, one is mostly overwritten.
+        add(&mut taken, count(|| assert!(subscriptions[0].take().unwrap().is_some())));
+        add(&mut taken, count(|| assert!(subscriptions[1].poll_take(&mut context).is_ready())));
+        add(&mut taken, count(|| assert!(subscriptions[1].poll_take(&mut context).is_pending())));
+        if n % 10 == 0 {
+            add(&mut taken, count(|| assert!(subscriptions[2].take().unwrap().is_some())));
+        }
+    }
+    assert_eq!(published, (CYCLES, CYCLES), "one per loan, freed by publishing");
+    assert_eq!(taken, (0, 0));
+
+    // A sample that is dropped without being published.
+    assert_eq!(count(|| drop(publisher.loan().unwrap())), (1, 1));
+}
