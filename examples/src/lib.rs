@@ -1,1 +1,51 @@
-//! Small programs, one idea each
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Small programs, one idea each, and here what they share.
+//!
+//! The examples are the files beside `src`; the README there says what each one shows.
+#![forbid(unsafe_code)]
+
+use std::process::ExitCode;
+use tautline::rt::permission::realtime_permitted;
+use tautline::{Context, ContextBuilder, ExecutorError, Message, Realtime};
+
+/// The message of the small examples.
+#[derive(Message, Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+#[message(name = "std_msgs/msg/UInt64")]
+pub struct UInt64 {
+    /// A number.
+    pub data: u64,
+}
+
+/// The exit code of an example that this user has not the privilege to run; test runners know it as 'skipped'.
+pub const NOT_PERMITTED: u8 = 77;
+
+/// A context with real-time priorities where this user may have them, otherwise one without. What is missing is then
+/// said on standard error. A robot's program writes `Context::create()` instead and gets an error.
+///
+/// # Errors
+/// As [`ContextBuilder::build`].
+pub fn context() -> tautline::Result<Context> {
+    if std::env::var_os("TAUT_REALTIME").is_none()
+        && let Err(missing) = realtime_permitted(ContextBuilder::SAMPLER_PRIORITY)
+    {
+        eprintln!("running without real-time priorities: {missing}");
+        return Context::builder().realtime(Realtime::Off).build();
+    }
+    Context::create()
+}
+
+/// What `main` returns: an error is printed as a sentence, and if a privilege was missing, how to go on without it.
+pub fn exit_code(result: tautline::Result<()>) -> ExitCode {
+    let Err(error) = result else { return ExitCode::SUCCESS };
+    eprintln!("{error}");
+    let about_realtime = matches!(
+        error,
+        tautline::Error::Realtime(_) | tautline::Error::Executor(ExecutorError::Thread { .. })
+    );
+    if about_realtime && realtime_permitted(ContextBuilder::SAMPLER_PRIORITY).is_err() {
+        eprintln!("To run without real-time priorities, set TAUT_REALTIME=off.");
+        return ExitCode::from(NOT_PERMITTED);
+    }
+    ExitCode::FAILURE
+}

@@ -63,9 +63,9 @@ impl Executor {
         M: FnOnce() -> F + Send + 'static,
         F: Future<Output = ()> + 'static,
     {
-        let execution_time = options.execution_time;
+        let execution_clock = hot::execution_clock(options.execution_time, options.busy_poll);
         self.start(options, move |stats| {
-            let measured = Measured { stats, execution_time };
+            let measured = Measured { stats, execution_clock };
             (Some(measured), Box::pin(make()))
         })
     }
@@ -79,9 +79,9 @@ impl Executor {
         options: CallbackOptions,
         group: CallbackGroup,
     ) -> Result<CallbackHandle, ExecutorError> {
-        let execution_time = options.execution_time;
+        let execution_clock = hot::execution_clock(options.execution_time, options.busy_poll);
         self.start(options, move |stats| {
-            let total = Measured { stats, execution_time };
+            let total = Measured { stats, execution_clock };
             // No jobs of the thread itself: the group measures its members.
             (None, Box::pin(GroupFuture { members: group.into_members(), running: None, total }))
         })

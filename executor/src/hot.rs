@@ -30,7 +30,17 @@ pub(crate) struct CallbackThread {
 
 pub(crate) struct Measured {
     pub stats: Arc<CallbackStats>,
-    pub execution_time: bool,
+    /// What execution times are read from; `None` where they are off.
+    pub execution_clock: Option<ExecutionClock>,
+}
+
+/// A clock in nanoseconds.
+pub(crate) type ExecutionClock = fn() -> u64;
+
+/// The thread's CPU clock costs a syscall. A busy poller has its core to itself, so that the monotonic one, which costs
+/// none, says the same.
+pub(crate) fn execution_clock(measured: bool, busy: bool) -> Option<ExecutionClock> {
+    measured.then_some(if busy { monotonic_ns } else { thread_cpu_ns })
 }
 
 /// Makes the current thread a callback thread, before it turns real-time.
@@ -107,11 +117,18 @@ impl Future for Controlled {
         if !self.control.started.load(Ordering::Acquire) {
             return Poll::Pending;
         }
-        let polled = self.future.as_mut().poll(cx);
-        if polled.is_pending() && self.busy {
-            cx.waker().wake_by_ref();
+        if !self.busy {
+            return self.future.as_mut().poll(cx);
         }
-        polled
+        // The loop that a busy poller is. It stays here: a turn through the pool would cost more than the poll.
+        loop {
+            if let Poll::Ready(()) = self.future.as_mut().poll(cx) {
+                return Poll::Ready(());
+            }
+            if self.control.stopped.load(Ordering::Acquire) {
+                return Poll::Ready(());
+            }
+        }
     }
 }
 
@@ -127,12 +144,13 @@ pub struct Job {
 /// Begins a job of the current thread's callback that was released at `release_ns` of `CLOCK_MONOTONIC`.
 ///
 /// # Real-time
-/// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off.
+/// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the
+/// thread polls busily.
 pub fn begin(release_ns: u64) -> Job {
     let begun = current(|thread| {
         let to = thread.measured.as_ref()?;
         to.stats.release();
-        Some(Begun::now(release_ns, to.execution_time))
+        Some(Begun::now(release_ns, to.execution_clock))
     });
     Job { begun: begun.flatten() }
 }
@@ -141,7 +159,8 @@ impl Job {
     /// Ends the job and records its response and execution time. Call it on the thread that began the job.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off.
+    /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the
+    /// thread polls busily.
     pub fn finish(self) {
         if let Some(begun) = self.begun {
             let (response_ns, execution_ns) = begun.times();
@@ -158,17 +177,17 @@ impl Job {
 #[derive(Debug)]
 pub(crate) struct Begun {
     release_ns: u64,
-    cpu_ns: Option<u64>,
+    execution: Option<(ExecutionClock, u64)>,
 }
 
 impl Begun {
-    fn now(release_ns: u64, execution_time: bool) -> Begun {
-        Begun { release_ns, cpu_ns: execution_time.then(thread_cpu_ns) }
+    fn now(release_ns: u64, clock: Option<ExecutionClock>) -> Begun {
+        Begun { release_ns, execution: clock.map(|clock| (clock, clock())) }
     }
 
     /// Response and execution time, up to now.
     fn times(&self) -> (u64, Option<u64>) {
-        let execution_ns = self.cpu_ns.map(|begin| thread_cpu_ns().saturating_sub(begin));
+        let execution_ns = self.execution.map(|(clock, begin)| clock().saturating_sub(begin));
         (monotonic_ns().saturating_sub(self.release_ns), execution_ns)
     }
 }
@@ -306,7 +325,7 @@ where
         if let Some(item) = self.next.take() {
             self.stats.release();
             total.stats.release();
-            self.begun = Some(Begun::now((self.release)(&item), total.execution_time));
+            self.begun = Some(Begun::now((self.release)(&item), total.execution_clock));
             self.future.set(Some((self.callback)(item)));
         }
         if let Some(future) = self.future.as_mut().as_pin_mut() {

@@ -11,7 +11,8 @@ use tautline_transport::Participant;
 
 /// Membership of a domain, with the sampler and the callback threads of its nodes. A clone is the same context.
 ///
-/// When the last clone and the last node are gone, every callback thread is stopped and joined.
+/// When the last clone and the last node are gone, every callback thread is stopped and joined. A callback that owns a
+/// clone keeps the context, and with it itself, alive: give it [`Context::events`] if all it wants is to end spinning.
 #[derive(Clone)]
 pub struct Context {
     pub(crate) shared: Arc<Shared>,
@@ -24,6 +25,7 @@ pub(crate) struct Shared {
     sampler: Mutex<Option<Sampler>>,
     pub(crate) events: Events,
     pub(crate) participant: Participant,
+    realtime: Realtime,
     settings: ContextBuilder,
 }
 
@@ -92,7 +94,7 @@ impl ContextBuilder {
     /// # Errors
     /// [`Error::Environment`] for a variable that is not understood; [`Error::Transport`] if shared memory cannot be
     /// had.
-    pub fn build(mut self) -> Result<Context> {
+    pub fn build(self) -> Result<Context> {
         let domain = match self.domain {
             Some(domain) => domain,
             None => domain_of_environment()?,
@@ -101,7 +103,6 @@ impl ContextBuilder {
             Some(realtime) => realtime,
             None => realtime_of_environment()?,
         };
-        self.realtime = Some(realtime);
         let participant = Participant::new(domain)?;
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
         let shared = Shared {
@@ -109,6 +110,7 @@ impl ContextBuilder {
             events: sampler.events().clone(),
             sampler: Mutex::new(Some(sampler)),
             participant,
+            realtime,
             settings: self,
         };
         Ok(Context { shared: Arc::new(shared) })
@@ -130,25 +132,30 @@ impl Default for ContextBuilder {
 }
 
 fn domain_of_environment() -> Result<u32> {
+    let expected = "a domain is a number from 0 to 232";
     for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
-        let Ok(value) = std::env::var(variable) else { continue };
-        if value.is_empty() {
-            continue;
+        if let Some(value) = environment(variable) {
+            let domain = value.parse().ok().filter(|&domain| domain <= tautline_transport::MAX_DOMAIN);
+            return domain.ok_or(Error::Environment { variable, value, expected });
         }
-        let domain = value.parse().ok().filter(|&domain| domain <= tautline_transport::MAX_DOMAIN);
-        return domain.ok_or(Error::Environment { variable, value, expected: "a domain is a number from 0 to 232" });
     }
     Ok(0)
 }
 
 fn realtime_of_environment() -> Result<Realtime> {
-    let variable = "TAUT_REALTIME";
-    match std::env::var(variable) {
-        Err(_) => Ok(Realtime::Required),
-        Ok(value) if value.is_empty() || value == "required" => Ok(Realtime::Required),
-        Ok(value) if value == "off" => Ok(Realtime::Off),
-        Ok(value) => Err(Error::Environment { variable, value, expected: "it may be 'required' or 'off'" }),
+    let (variable, expected) = ("TAUT_REALTIME", "it may be 'required' or 'off'");
+    match environment(variable) {
+        None => Ok(Realtime::Required),
+        Some(value) if value == "required" => Ok(Realtime::Required),
+        Some(value) if value == "off" => Ok(Realtime::Off),
+        Some(value) => Err(Error::Environment { variable, value, expected }),
     }
+}
+
+/// A variable that is set to something. Not UTF-8 is something, too: it will not be understood.
+fn environment(variable: &str) -> Option<String> {
+    let value = std::env::var_os(variable)?.to_string_lossy().into_owned();
+    (!value.is_empty()).then_some(value)
 }
 
 impl Context {
@@ -172,7 +179,7 @@ impl Context {
 
     /// Whether threads get their real-time policies.
     pub fn realtime(&self) -> Realtime {
-        self.shared.settings.realtime.unwrap_or_default()
+        self.shared.realtime
     }
 
     /// False once [`shutdown`](Self::shutdown) was called.
@@ -180,7 +187,8 @@ impl Context {
         !self.shared.events.is_stopped()
     }
 
-    /// Ends spinning, now and for ever. May be called from any thread, or a signal's.
+    /// Ends spinning, now and for ever; callbacks end with the context. May be called from any thread and from a signal
+    /// handler.
     ///
     /// # Real-time
     /// Wait-free; at most one futex wake.
@@ -195,15 +203,16 @@ impl Context {
 
     /// Turns the calling thread into the sampler until [`shutdown`](Self::shutdown): locks the process's memory, sets the
     /// thread's policy, priority and cores, reads them back, and serves events. Afterwards the thread has its former
-    /// policy and cores again.
+    /// policy and cores again; the memory stays locked.
     ///
-    /// With [`Realtime::Off`] it serves events under the policy that the thread has.
+    /// With [`Realtime::Off`] it serves events under the policy that the thread has, on the sampler's core if one is set.
     ///
     /// # Real-time
     /// After the set-up per wake: O(ready), no allocation, no lock.
     ///
     /// # Errors
-    /// [`Error::AlreadySpinning`]; [`Error::Realtime`] with the fix if a setting is refused.
+    /// [`Error::AlreadySpinning`]; [`Error::Realtime`] with the fix if a setting is refused; [`Error::Executor`] if a
+    /// busy-polling callback would starve the sampler. The thread is then what it was before.
     pub fn spin(&self) -> Result<()> {
         let mut sampler = self.borrow_sampler()?;
         let _settings = self.become_sampler()?;
@@ -236,10 +245,11 @@ impl Context {
         let settings = &self.shared.settings;
         let former = (tautline_rt::current_policy()?, tautline_rt::current_affinity()?);
         let mut held = SamplerSettings { former, _idle: None, _seat: None };
-        if let Some(cores) = settings.sampler_cores {
-            tautline_rt::set_affinity(cores)?;
-        }
         if self.realtime() == Realtime::Required {
+            let policy = Policy::Fifo(settings.sampler_priority);
+            let cores = settings.sampler_cores.unwrap_or(former.1);
+            // Before anything is set: on a busy poller's core this thread might not get as far as this check.
+            held._seat = Some(self.shared.executor.register_thread("sampler", policy, cores)?);
             tautline_rt::tune_malloc();
             if settings.lock_memory {
                 tautline_rt::lock_memory(MemoryLock::OnFault)?;
@@ -248,10 +258,11 @@ impl Context {
             if settings.hold_idle {
                 held._idle = IdleHold::new().inspect_err(|error| tracing::warn!("{error}")).ok();
             }
-            let policy = Policy::Fifo(settings.sampler_priority);
             tautline_rt::set_policy(policy)?;
-            let cores = tautline_rt::current_affinity()?;
-            held._seat = Some(self.shared.executor.register_thread("sampler", policy, cores)?);
+        }
+        // The cores last, for the same reason.
+        if let Some(cores) = settings.sampler_cores {
+            tautline_rt::set_affinity(cores)?;
         }
         Ok(held)
     }
@@ -285,8 +296,10 @@ struct SamplerSettings {
 impl Drop for SamplerSettings {
     fn drop(&mut self) {
         let (policy, cores) = self.former;
-        if let Err(error) = tautline_rt::set_policy(policy).and_then(|()| tautline_rt::set_affinity(cores)) {
-            tracing::warn!("the sampler's thread keeps its settings: {error}");
+        // The cores first: without its priority the thread might never leave a core that a busy poller holds.
+        let restored = [tautline_rt::set_affinity(cores), tautline_rt::set_policy(policy)];
+        for error in restored.into_iter().filter_map(std::result::Result::err) {
+            tracing::warn!("the sampler's thread keeps a setting: {error}");
         }
     }
 }

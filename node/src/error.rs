@@ -28,6 +28,9 @@ pub enum Error {
         /// What it may be.
         expected: &'static str,
     },
+    /// A timer that would be due without end.
+    #[error("a timer cannot have a period of zero: give it the time between two releases")]
+    ZeroPeriod,
     /// A second thread wants to be the sampler.
     #[error("another thread spins this context already: a context has one sampler")]
     AlreadySpinning,

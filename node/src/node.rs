@@ -133,16 +133,18 @@ impl Node {
     /// Creates a timer on the monotonic clock whose first release is one period from now.
     ///
     /// # Errors
-    /// [`Error::Transport`] if the context has no slot left.
+    /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left.
     pub fn create_wall_timer(&mut self, period: Duration) -> Result<Timer> {
+        check_period(period)?;
         Ok(Timer::new(self.context.events().timer(period)?))
     }
 
     /// Creates a timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`.
     ///
     /// # Errors
-    /// [`Error::Transport`] if the context has no slot left.
+    /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left.
     pub fn create_wall_timer_at(&mut self, first_release_ns: u64, period: Duration) -> Result<Timer> {
+        check_period(period)?;
         Ok(Timer::new(self.context.events().timer_at(first_release_ns, period)?))
     }
 
@@ -191,6 +193,10 @@ impl Node {
     pub fn spin_once(&mut self, timeout: Duration) {
         self.context.spin_once(timeout);
     }
+}
+
+fn check_period(period: Duration) -> Result<()> {
+    if period.is_zero() { Err(Error::ZeroPeriod) } else { Ok(()) }
 }
 
 impl std::fmt::Debug for Node {

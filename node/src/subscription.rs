@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_executor::{busy_polling, job, stop_requested};
 use tautline_msgs::{Message, Plain};
-use tautline_transport::{Counters, MessageInfo, Sample, TakeError};
+use tautline_transport::{Counters, Sample, TakeError};
 
 /// Receives messages of type `T` from one topic: a stream of [`Sample`]s that deref into shared memory.
 ///
@@ -64,22 +64,26 @@ impl<T: Message + Plain> Stream for Subscription<T> {
             // A stream that always has a next message would never let its callback end.
             return Poll::Pending;
         }
-        match self.inner.poll_take(context) {
-            Poll::Ready(sample) => {
-                let MessageInfo { released_ns, .. } = sample.info();
-                self.job = Some(job::begin(released_ns));
-                Poll::Ready(Some(sample))
-            }
-            Poll::Pending => {
-                if busy_polling() {
-                    if !self.quiet {
-                        self.inner.set_quiet(true);
-                        self.quiet = true;
-                    }
-                    context.waker().wake_by_ref();
-                }
-                Poll::Pending
-            }
+        let poll = if busy_polling() { self.poll_busily(context) } else { self.inner.poll_take(context) };
+        if let Poll::Ready(sample) = &poll {
+            self.job = Some(job::begin(sample.info().released_ns));
         }
+        poll.map(Some)
+    }
+}
+
+impl<T: Message + Plain> Subscription<T> {
+    /// Looks without registering for a wake-up, and tells publishers not to ring.
+    fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+        if let Ok(Some(sample)) = self.inner.take_valid() {
+            return Poll::Ready(sample);
+        }
+        if !self.quiet {
+            self.inner.set_quiet(true);
+            self.quiet = true;
+        }
+        // For combinators that only poll what was woken.
+        context.waker().wake_by_ref();
+        Poll::Pending
     }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a sampler serves besides samples: timers and guard conditions, made from any thread.
 
-use crate::timer::{Timer, TimerWords};
+use crate::timer::{Timer, TimerWords, nanoseconds};
 use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -42,7 +42,7 @@ impl Events {
     /// # Errors
     /// [`TransportError::Slots`] if the context has no slot left.
     pub fn timer(&self, period: Duration) -> Result<Timer, TransportError> {
-        let period_ns = (period.as_nanos() as u64).max(1);
+        let period_ns = nanoseconds(period).max(1);
         self.timer_at(monotonic_ns().saturating_add(period_ns), period)
     }
 
@@ -55,7 +55,7 @@ impl Events {
     /// [`TransportError::Slots`] if the context has no slot left.
     pub fn timer_at(&self, first_release_ns: u64, period: Duration) -> Result<Timer, TransportError> {
         let slot = self.shared.doorbell.claim()?;
-        Ok(Timer::arm(self.shared.clone(), slot, first_release_ns, (period.as_nanos() as u64).max(1)))
+        Ok(Timer::arm(self.shared.clone(), slot, first_release_ns, nanoseconds(period).max(1)))
     }
 
     /// A condition that any thread can trigger and one task waits for.

@@ -5,6 +5,7 @@
 
 use crate::events::Shared;
 use crate::sampler::{Sampler, Wait};
+use crate::timer::nanoseconds;
 use core::cmp::Reverse;
 use core::sync::atomic::Ordering;
 use core::time::Duration;
@@ -78,7 +79,7 @@ impl Sampler {
     /// # Real-time
     /// O(ready) per wake; no allocation; no lock; one syscall to wait and one per thread that is woken.
     pub fn spin_once(&mut self, timeout: Option<Duration>) -> usize {
-        let deadline_ns = timeout.map(|timeout| monotonic_ns().saturating_add(timeout.as_nanos() as u64));
+        let deadline_ns = timeout.map(|timeout| monotonic_ns().saturating_add(nanoseconds(timeout)));
         loop {
             let served = self.serve();
             let expired = || deadline_ns.is_some_and(|deadline| monotonic_ns() >= deadline);
@@ -115,7 +116,7 @@ impl Sampler {
         };
         let doorbell = &self.events.shared.doorbell;
         if let Wait::Adaptive(spin) = self.wait {
-            let give_up_ns = monotonic_ns().saturating_add(spin.as_nanos() as u64);
+            let give_up_ns = monotonic_ns().saturating_add(nanoseconds(spin));
             loop {
                 if doorbell.is_pending() {
                     return;

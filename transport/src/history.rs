@@ -127,6 +127,7 @@ impl Keeper {
 
 /// A late joiner's side: open until every publisher that it found has ended its history, or patience runs out.
 pub(crate) struct Catch {
+    // Dropped in this order.
     pub(crate) inlet: Sole<IoxSubscriber>,
     pub(crate) shelf: Shelf<IoxSample>,
     awaited: Vec<Gid>,
@@ -155,6 +156,10 @@ impl Catch {
     /// The mark of `gid` came.
     pub(crate) fn end(&mut self, gid: Gid) {
         self.awaited.retain(|awaited| *awaited != gid);
+    }
+
+    pub(crate) fn give_up_ns(&self) -> u64 {
+        self.give_up_ns
     }
 
     pub(crate) fn is_complete(&self) -> bool {

@@ -30,6 +30,8 @@ pub(crate) struct Watch {
     pub(crate) slot: usize,
     pub(crate) is_publisher: bool,
     pub(crate) fingerprint: u64,
+    /// When a late joiner no longer waits for histories and takes what is live, which may have been announced before.
+    pub(crate) ring_at_ns: Option<u64>,
 }
 
 #[derive(Default)]
@@ -125,6 +127,10 @@ fn look_around(shared: &Shared) {
         keeper.serve();
     }
     for watch in &mut charges.watches {
+        if watch.ring_at_ns.is_some_and(|at| monotonic_ns() >= at) {
+            watch.ring_at_ns = None;
+            arena.bell().ring(watch.slot);
+        }
         let now = ports::fingerprint(&watch.topic);
         if now == watch.fingerprint {
             continue;
@@ -145,8 +151,9 @@ fn look_around(shared: &Shared) {
 fn release_dead_links(shared: &Shared, watch: &Watch) {
     let alive = ports::publishers(&watch.topic);
     for link in shared.doorbell.arena().links(watch.slot) {
-        if link.is_claimed() && !alive.iter().any(|port| port.gid == link.gid()) {
-            link.release();
+        let gid = link.gid();
+        if link.is_claimed() && !alive.iter().any(|port| port.gid == gid) {
+            link.release(gid);
         }
     }
 }

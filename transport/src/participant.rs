@@ -47,6 +47,8 @@ impl Participant {
         let mut config = Config::default();
         config.global.prefix =
             FileName::new(format!("taut_{domain}_").as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
+        // Publishers that ended with samples still queued, per subscription. iceoryx2's 128 cost each one 460 KiB of heap.
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 8;
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)

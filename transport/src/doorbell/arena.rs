@@ -92,8 +92,7 @@ impl Link {
     fn claim(&self, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> bool {
         let current = self.out.owner.load(Ordering::Relaxed);
         let [low, high] = gid.words();
-        // The owner word is the gid's low half, moved away from the two reserved values.
-        let owner = low | 2;
+        let owner = owner_word(gid);
         if current != FREE && current != OWNER_DEAD {
             return false;
         }
@@ -126,14 +125,21 @@ impl Link {
         (arena, self.out.waiter_slot.load(Ordering::Relaxed) as usize)
     }
 
-    /// The publisher ends. Its numbers stay, so that samples still queued are counted rightly.
-    pub(crate) fn release(&self) {
-        self.out.owner.store(OWNER_DEAD, Ordering::Release);
+    /// The publisher `gid` ends. Its numbers stay, so that samples still queued are counted rightly. Does nothing if the
+    /// link is another's by now: a publisher may learn late that a subscription went, and its slot was claimed again.
+    pub(crate) fn release(&self, gid: Gid) {
+        let owner = owner_word(gid);
+        let _ = self.out.owner.compare_exchange(owner, OWNER_DEAD, Ordering::Release, Ordering::Relaxed);
     }
 
     pub(crate) fn is_claimed(&self) -> bool {
         self.out.owner.load(Ordering::Acquire) > OWNER_DEAD
     }
+}
+
+/// What a publisher writes as owner: half of its gid, moved away from the two reserved values.
+fn owner_word(gid: Gid) -> u64 {
+    gid.words()[0] | 2
 }
 
 /// A mapped arena: this process's own, or a peer's. Unmapped when dropped; the owner's file is removed as well.
@@ -156,7 +162,8 @@ impl Arena {
         let make = || -> io::Result<Arena> {
             let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-            rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+            // Waits: a janitor that looks whether this file's owner lives may hold the lock for a moment.
+            rustix::fs::flock(&file, FlockOperation::LockExclusive)?;
             rustix::fs::ftruncate(&file, size_of::<Layout>() as u64)?;
             let map = map(&file)?;
             let arena = Arena { id, map, owned: Some((path.clone(), file)) };

@@ -73,7 +73,7 @@ impl<T: Message + Plain> Publisher<T> {
             shared.janitor.keep(slot.index(), keeper);
         }
         let fingerprint = ports::fingerprint(&topic);
-        let watch = Watch { topic: topic.clone(), slot: slot.index(), is_publisher: true, fingerprint };
+        let watch = Watch { topic: topic.clone(), slot: slot.index(), is_publisher: true, fingerprint, ring_at_ns: None };
         shared.janitor.watch(watch);
         let peers = Peers::new(shared.domain, topic.limits.subscribers);
         let keep_all = qos.history == History::KeepAll;
@@ -127,7 +127,7 @@ impl<T: Message + Plain> Publisher<T> {
 impl<T> Drop for Publisher<T> {
     fn drop(&mut self) {
         self.shared.janitor.forget(self.slot.index());
-        self.peers.borrow().release_links();
+        self.peers.borrow().release_links(self.gid);
     }
 }
 

@@ -64,7 +64,7 @@ impl Peers {
         self.matched.retain(|matched| {
             let stays = ports.iter().any(|port| port.id == matched.id);
             if !stays && let Some(link) = matched.link() {
-                link.release();
+                link.release(gid);
             }
             stays
         });
@@ -87,9 +87,9 @@ impl Peers {
         }
     }
 
-    pub(crate) fn release_links(&self) {
+    pub(crate) fn release_links(&self, gid: Gid) {
         for link in self.matched.iter().filter_map(Matched::link) {
-            link.release();
+            link.release(gid);
         }
     }
 }

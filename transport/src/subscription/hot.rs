@@ -9,6 +9,7 @@ use crate::error::TakeError;
 use crate::header::{END_OF_HISTORY, MessageInfo};
 use crate::lending::{Lent, Shelf, Sole};
 use crate::ports::Reached;
+use crate::qos::History;
 use crate::sync::{Ordering, fence};
 use crate::topic::{IoxSample, IoxSubscriber};
 use core::ops::Deref;
@@ -123,7 +124,9 @@ impl<T: Message + Plain> Subscription<T> {
             let links = self.departure.slot.doorbell().arena().links(self.departure.slot.index());
             let Some(noted) = state.tracker.note(header.gid, header.sequence_number, links) else { continue };
             self.counters.note(noted.lost, noted.waiting.min(self.qos.depth as u64));
-            if let Some(link) = noted.link.and_then(|link| links.get(link)) {
+            if self.qos.history == History::KeepAll
+                && let Some(link) = noted.link.and_then(|link| links.get(link))
+            {
                 state.waiters.ring(self.departure.slot.doorbell(), link);
             }
             return self.lend(sample, &self.shelf).map(Some);
@@ -160,30 +163,43 @@ impl<T: Message + Plain> Subscription<T> {
         Ok(Sample { body, info, _lent: lent })
     }
 
+    /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted.
+    ///
+    /// # Real-time
+    /// As [`take`](Self::take), for each invalid sample.
+    ///
+    /// # Errors
+    /// [`TakeError`], but not [`TakeError::Invalid`].
+    pub fn take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
+        loop {
+            match self.take() {
+                Err(TakeError::Invalid(_)) => {}
+                Err(refused) => {
+                    add(&self.counters.refused, 1);
+                    return Err(refused);
+                }
+                taken => return taken,
+            }
+        }
+    }
+
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
     ///
     /// # Real-time
-    /// As [`take`](Self::take).
+    /// As [`take_valid`](Self::take_valid).
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
         self.departure.slot.waker().register(context.waker());
         loop {
-            match self.take() {
+            match self.take_valid() {
                 Ok(Some(sample)) => return Poll::Ready(sample),
-                Ok(None) => return Poll::Pending,
-                // Counted; the next one may be good.
-                Err(TakeError::Invalid(_)) => {}
                 Err(TakeError::TooManyHeld) => {
-                    add(&self.counters.refused, 1);
                     let state = self.state.borrow();
                     let shelf = state.catch.as_ref().map_or(&self.shelf, |catch| &catch.shelf);
                     if !shelf.wake_when_back(context.waker()) {
                         return Poll::Pending;
                     }
                 }
-                Err(TakeError::Connection) => {
-                    add(&self.counters.refused, 1);
-                    return Poll::Pending;
-                }
+                Ok(None) | Err(TakeError::Invalid(_) | TakeError::Connection) => return Poll::Pending,
             }
         }
     }

@@ -111,7 +111,9 @@ impl<T: Message + Plain> Subscription<T> {
         // Publishers learn of the new queue; what they sent before that is found by the first take.
         ports::announce(shared.domain, &shared.doorbell, &topic, catch.is_some());
         let fingerprint = ports::fingerprint(&topic);
-        let watch = Watch { topic: topic.clone(), slot: slot.index(), is_publisher: false, fingerprint };
+        let ring_at_ns = catch.as_ref().map(Catch::give_up_ns);
+        let watch =
+            Watch { topic: topic.clone(), slot: slot.index(), is_publisher: false, fingerprint, ring_at_ns };
         shared.janitor.watch(watch);
         let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);
         Ok(Subscription {

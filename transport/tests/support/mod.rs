@@ -150,12 +150,19 @@ impl Part {
         lines.find_map(|line| line.strip_prefix("part: ").map(str::to_owned))
     }
 
-    pub fn kill(mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-    }
+    /// Ends the child with SIGKILL. So does dropping.
+    pub fn kill(self) {}
 
+    /// Waits until the child has ended by itself.
     pub fn wait(mut self) -> std::process::ExitStatus {
+        self.lines.by_ref().map_while(Result::ok).for_each(drop);
         self.child.wait().unwrap()
+    }
+}
+
+impl Drop for Part {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }

@@ -12,7 +12,7 @@ use tautline_rt::{CoreSet, MemoryLock, Policy, lock_memory, prefault_stack, set_
 
 use crate::payload::{LATE, STOP};
 use crate::plan::{Job, Mode, PRIORITY, Role, WARM_UP_SHARE};
-use crate::{Result, futex, iceoryx};
+use crate::{Result, futex, iceoryx, tautline};
 
 /// How long a wait lasts before the receiver looks whether a message came without a wake-up.
 pub const WAIT: Duration = Duration::from_millis(100);
@@ -70,6 +70,10 @@ fn run_mode(job: &Job, pinger: &mut Pinger) -> Result<()> {
         Mode::FutexBlocking | Mode::FutexOneCore => futex::run(job, |link| exchange(job, pinger, link)),
         Mode::IceoryxBusyPoll => iceoryx::run_busy_poll(job, |link| exchange(job, pinger, link)),
         Mode::IceoryxWaitSet => iceoryx::run_waitset(job, |link| exchange(job, pinger, link)),
+        Mode::TautlineSameCore
+        | Mode::TautlineTwoCores
+        | Mode::TautlineOneCore
+        | Mode::TautlineBusyPoll => tautline::run(job, pinger),
     }
 }
 

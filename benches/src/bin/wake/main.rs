@@ -11,7 +11,7 @@
 //! | `rounds` | the parent: starts the pairs, merges what they measured |
 //! | `child` | one of a pair: the round trip's clock (`Pinger`), set-up, the loops over a `Link` |
 //! | `payload` | what a message contains |
-//! | `futex`, `iceoryx` | the systems |
+//! | `futex`, `iceoryx`, `tautline` | the systems |
 //! | `scratch` | where the systems keep files, and their removal |
 //! | `report`, `verdict` | the table, the JSON, the ratios that must hold |
 
@@ -23,6 +23,7 @@ mod plan;
 mod report;
 mod rounds;
 mod scratch;
+mod tautline;
 mod verdict;
 
 use std::error::Error;

@@ -20,11 +20,27 @@ pub enum Mode {
     FutexOneCore,
     IceoryxBusyPoll,
     IceoryxWaitSet,
+    /// Sampler and callback on their process's core.
+    TautlineSameCore,
+    /// The callback on its process's core, the sampler on the other.
+    TautlineTwoCores,
+    /// Both processes on one core.
+    TautlineOneCore,
+    /// The callback polls on its process's core.
+    TautlineBusyPoll,
 }
 
 impl Mode {
-    pub const ALL: [Self; 4] =
-        [Self::FutexBlocking, Self::FutexOneCore, Self::IceoryxBusyPoll, Self::IceoryxWaitSet];
+    pub const ALL: [Self; 8] = [
+        Self::FutexBlocking,
+        Self::TautlineSameCore,
+        Self::IceoryxWaitSet,
+        Self::TautlineTwoCores,
+        Self::FutexOneCore,
+        Self::TautlineOneCore,
+        Self::IceoryxBusyPoll,
+        Self::TautlineBusyPoll,
+    ];
 
     /// The system and its mode, as in the table and the JSON.
     pub fn names(self) -> (&'static str, &'static str) {
@@ -33,6 +49,10 @@ impl Mode {
             Self::FutexOneCore => ("futex", "one-core"),
             Self::IceoryxBusyPoll => ("iceoryx2", "busy-poll"),
             Self::IceoryxWaitSet => ("iceoryx2", "waitset"),
+            Self::TautlineSameCore => ("tautline", "same-core"),
+            Self::TautlineTwoCores => ("tautline", "two-cores"),
+            Self::TautlineOneCore => ("tautline", "one-core"),
+            Self::TautlineBusyPoll => ("tautline", "busy-poll"),
         }
     }
 

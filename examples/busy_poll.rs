@@ -1,0 +1,46 @@
+//! Busy polling: a callback with a core of its own looks for messages all the time; nobody rings or wakes it.
+//!
+//! The proof: no thread ever calls `spin`, so there is no sampler that could wake anything. The price: one core at 100 %.
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use futures::StreamExt;
+use std::process::ExitCode;
+use tautline::rt::set_affinity;
+use tautline::{CallbackOptions, Context, CoreSet, Node, QosProfile, Result};
+use tautline_examples::{UInt64, exit_code};
+
+const MESSAGES: u64 = 1000;
+
+fn main() -> ExitCode {
+    exit_code(show())
+}
+
+fn show() -> Result<()> {
+    let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
+    let Some((&own, others @ [_, ..])) = cores.split_last() else {
+        eprintln!("busy polling needs a core of its own, and there is only one");
+        return Ok(());
+    };
+    // Whatever else this process does stays away from that core.
+    set_affinity(others.iter().copied().collect())?;
+
+    let mut node = Node::create(Context::create()?, "busy_poll", "")?;
+    let subscription = node.subscribe_loaned::<UInt64>("/counter", QosProfile::default().keep_last(MESSAGES as usize))?;
+    let publisher = node.create_publisher::<UInt64>("/counter", QosProfile::default())?;
+    let counters = subscription.counters();
+
+    let options = CallbackOptions::fifo(10).core(own).busy_poll().execution_time(false).name("/counter");
+    let callback = node.spawn_callback(options, async move {
+        let sum = StreamExt::take(subscription, MESSAGES as usize).fold(0, |sum, message| {
+            let sum = sum + message.data;
+            async move { sum }
+        });
+        println!("sum {}", sum.await);
+    })?;
+    for data in 1..=MESSAGES {
+        publisher.publish(&UInt64 { data }).expect("keep-last never refuses");
+    }
+    callback.join()?;
+    println!("received {}, lost {}, and no thread has called spin", counters.received(), counters.lost());
+    Ok(())
+}

@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the tests share: a message, an ordered log, a sampler on a thread, a test run again in a child process.
+#![allow(dead_code, reason = "each test file uses its part")]
+
+use std::process::{Command, Output};
+use std::sync::{Condvar, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use tautline::rt::permission::realtime_permitted;
+use tautline::{Context, CoreSet, Message, Realtime};
+
+#[derive(Message, Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+#[message(name = "test_msgs/msg/Number")]
+pub struct Number {
+    pub value: u64,
+}
+
+/// An ordered log of events; a `static`, so that callbacks need no clone of it.
+pub struct Log<T> {
+    events: Mutex<Vec<T>>,
+    more: Condvar,
+}
+
+impl<T: Clone> Log<T> {
+    pub const fn new() -> Log<T> {
+        Log { events: Mutex::new(Vec::new()), more: Condvar::new() }
+    }
+
+    pub fn add(&self, event: T) {
+        self.events.lock().unwrap().push(event);
+        self.more.notify_all();
+    }
+
+    pub fn events(&self) -> Vec<T> {
+        self.events.lock().unwrap().clone()
+    }
+
+    /// Waits until there are `count` events; a test that would hang fails after a minute instead.
+    pub fn wait_for(&self, count: usize) -> Vec<T> {
+        let events = self.events.lock().unwrap();
+        let few = |events: &mut Vec<T>| events.len() < count;
+        let (events, wait) = self.more.wait_timeout_while(events, Duration::from_secs(60), few).unwrap();
+        assert!(!wait.timed_out(), "{} of {count} events came", events.len());
+        events.clone()
+    }
+}
+
+/// A gate that is closed until it is opened, once and for ever.
+pub struct Gate(Log<()>);
+
+impl Gate {
+    pub const fn new() -> Gate {
+        Gate(Log::new())
+    }
+
+    pub fn open(&self) {
+        self.0.add(());
+    }
+
+    pub fn pass(&self) {
+        self.0.wait_for(1);
+    }
+}
+
+/// A context without real-time policies.
+pub fn context(domain: u32) -> Context {
+    Context::builder().domain(domain).realtime(Realtime::Off).build().unwrap()
+}
+
+/// A context that spins on a thread of its own until this is dropped.
+pub struct Spinning {
+    context: Context,
+    thread: Option<JoinHandle<()>>,
+}
+
+pub fn spin(context: &Context) -> Spinning {
+    let context = context.clone();
+    let sampler = context.clone();
+    let thread = std::thread::spawn(move || sampler.spin().unwrap());
+    Spinning { context, thread: Some(thread) }
+}
+
+impl Drop for Spinning {
+    fn drop(&mut self) {
+        self.context.shutdown();
+        if let Some(thread) = self.thread.take() {
+            let result = thread.join();
+            assert!(result.is_ok() || std::thread::panicking());
+        }
+    }
+}
+
+/// Real-time tests need the privilege; with CI set they must run.
+pub fn realtime() -> bool {
+    match realtime_permitted(50) {
+        Ok(()) => true,
+        Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
+        Err(error) => {
+            println!("skipped: {error}");
+            false
+        }
+    }
+}
+
+/// The cores this process may use, in ascending order.
+pub fn cores() -> Vec<usize> {
+    CoreSet::allowed().unwrap().iter().collect()
+}
+
+const CHILD: &str = "TAUT_TEST_CHILD";
+
+/// Runs the test `name` of this file again in a child process, where this function returns `None`. The child has these
+/// environment variables, and none of Tautline's or ROS's besides.
+pub fn run_again(name: &str, variables: &[(&str, &str)]) -> Option<Output> {
+    if std::env::var_os(CHILD).is_some() {
+        return None;
+    }
+    let mut child = Command::new(std::env::current_exe().unwrap());
+    child.args(["--exact", name, "--nocapture", "--test-threads=1"]).env(CHILD, "1");
+    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID", "TAUT_REALTIME"] {
+        child.env_remove(variable);
+    }
+    Some(child.envs(variables.iter().copied()).output().unwrap())
+}

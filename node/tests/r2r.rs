@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Programs in r2r's style: one thread that spins and runs a pool, owned messages, `tautline` for `r2r`.
+
+mod common;
+
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use std::time::Duration;
+
+use common::{Number, context};
+use futures::executor::LocalPool;
+use futures::future;
+use futures::stream::StreamExt;
+use futures::task::LocalSpawnExt;
+use r2r::QosProfile;
+use tautline as r2r;
+
+/// `examples/subscriber.rs` of r2r 0.9.7: a task forwards every other message to a second topic of the same node.
+#[test]
+fn publishers_subscriptions_and_spin_once_in_one_thread() {
+    let mut node = r2r::Node::create(context(205), "testnode", "").unwrap();
+    let mut sub = node.subscribe::<Number>("/topic", QosProfile::default()).unwrap();
+    let p = node.create_publisher::<Number>("/topic2", QosProfile::default()).unwrap();
+
+    let mut pool = LocalPool::new();
+    let spawner = pool.spawner();
+    spawner
+        .spawn_local(async move {
+            let mut x: i32 = 0;
+            loop {
+                match sub.next().await {
+                    Some(msg) => {
+                        if x % 2 == 0 {
+                            p.publish(&Number { value: msg.value * 10 }).unwrap();
+                        }
+                    }
+                    None => break,
+                }
+                x += 1;
+            }
+        })
+        .unwrap();
+
+    let sub2 = node.subscribe::<Number>("/topic2", QosProfile::default()).unwrap();
+    let heard = Rc::new(RefCell::new(Vec::new()));
+    let log = heard.clone();
+    spawner
+        .spawn_local(async move {
+            sub2.for_each(|msg| {
+                log.borrow_mut().push(msg.value);
+                future::ready(())
+            })
+            .await
+        })
+        .unwrap();
+
+    let source = node.create_publisher::<Number>("/topic", QosProfile::default()).unwrap();
+    for value in 1..=5 {
+        source.publish(&Number { value }).unwrap();
+    }
+    while heard.borrow().len() < 3 {
+        node.spin_once(Duration::from_millis(100));
+        pool.run_until_stalled();
+    }
+    assert_eq!(*heard.borrow(), [10, 30, 50]);
+}
+
+async fn timer_task(mut t: r2r::Timer) -> Result<Vec<Duration>, Box<dyn std::error::Error>> {
+    let mut elapsed = Vec::new();
+    loop {
+        elapsed.push(t.tick().await?);
+        if elapsed.len() == 10 {
+            return Ok(elapsed);
+        }
+    }
+}
+
+/// `examples/wall_timer.rs` of r2r 0.9.7.
+#[test]
+fn a_wall_timer_ticks() {
+    const PERIOD: Duration = Duration::from_millis(3);
+    let mut node = r2r::Node::create(context(206), "testnode", "").unwrap();
+    let timer = node.create_wall_timer(PERIOD).unwrap();
+    let mut pool = LocalPool::new();
+    let spawner = pool.spawner();
+    let elapsed = Rc::new(Cell::new(None));
+    let result = elapsed.clone();
+    spawner.spawn_local(async move { result.set(Some(timer_task(timer).await.unwrap())) }).unwrap();
+    let elapsed = loop {
+        node.spin_once(Duration::from_millis(100));
+        pool.run_until_stalled();
+        if let Some(elapsed) = elapsed.take() {
+            break elapsed;
+        }
+    };
+    // Absolute releases: whatever this thread was late, whole periods.
+    assert_eq!(elapsed.len(), 10);
+    assert!(elapsed.iter().all(|time| *time >= PERIOD && time.as_nanos() % PERIOD.as_nanos() == 0), "{elapsed:?}");
+}
+
+#[test]
+fn a_timer_without_period_is_refused() {
+    let mut node = r2r::Node::create(context(206), "testnode", "").unwrap();
+    for timer in [node.create_wall_timer(Duration::ZERO), node.create_wall_timer_at(0, Duration::ZERO)] {
+        let message = timer.err().unwrap().to_string();
+        assert!(message.contains("period of zero"), "{message}");
+    }
+}
+
+#[test]
+fn spin_once_returns_without_events_and_after_shutdown() {
+    let context = context(206);
+    let mut node = r2r::Node::create(context.clone(), "testnode", "").unwrap();
+    node.spin_once(Duration::ZERO);
+    node.spin_once(Duration::from_millis(1));
+    context.shutdown();
+    node.spin_once(Duration::from_secs(3600));
+    node.spin().unwrap();
+}

@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What topics cost in memory, measured, and what `topic_memory` says. A file of its own: it measures the process.
+
+mod support;
+
+use support::{IMAGE_BYTES, Image, Part, say, shared_memory};
+use tautline_msgs::Message;
+use tautline_transport::{Limits, Participant, Qos, topic_memory};
+
+const MIB: u64 = 1 << 20;
+
+#[derive(Message, Clone, Copy)]
+#[message(name = "test_msgs/msg/Eight", crate = "tautline_msgs")]
+#[repr(C)]
+struct Eight {
+    n: [u64; 8],
+}
+
+/// The child's part; without its variable it is no test. A child for each measurement: a process of its own.
+#[test]
+fn child_main() {
+    let Some((part, domain)) = support::part() else { return };
+    match part.as_str() {
+        "idle" => idle_topics(domain),
+        "images" => images(domain),
+        "locked images" => match tautline_rt::lock_memory(tautline_rt::MemoryLock::OnFault) {
+            Ok(()) => images(domain),
+            Err(error) => say(&format!("skipped: {error}")),
+        },
+        other => panic!("no part {other}"),
+    }
+}
+
+/// Resident memory of this process in bytes: its own and of files. What is shared is counted as blocks.
+fn resident() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = |name| status.lines().find_map(|line| line.strip_prefix(name)).unwrap().trim();
+    let kib = |name| line(name).trim_end_matches(" kB").parse::<u64>().unwrap();
+    println!("RssAnon {} RssFile {} RssShmem {} KiB", kib("RssAnon:"), kib("RssFile:"), kib("RssShmem:"));
+    (kib("RssAnon:") + kib("RssFile:")) * 1024
+}
+
+fn blocks(domain: u32) -> u64 {
+    shared_memory(domain).values().sum()
+}
+
+fn idle_topics(domain: u32) {
+    let participant = Participant::new(domain).unwrap();
+    let create = |n: usize| {
+        let topic = format!("/idle_{n}");
+        let publisher = participant.create_publisher::<Eight>(&topic, Qos::default(), Limits::default()).unwrap();
+        let subscription =
+            participant.create_subscription::<Eight>(&topic, Qos::default(), Limits::default()).unwrap();
+        (publisher, subscription)
+    };
+    // The first one brings in code and the allocator's first pages.
+    let first = create(0);
+    let before = (blocks(domain), resident());
+    let topics: Vec<_> = (1..=20).map(create).collect();
+    let after = (blocks(domain), resident());
+    say(&format!("{} {}", after.0 - before.0, after.1.saturating_sub(before.1)));
+    drop((first, topics));
+}
+
+fn images(domain: u32) {
+    let participant = Participant::new(domain).unwrap();
+    let limits = Limits::default();
+    let publisher = participant.create_publisher::<Image>("/image", Qos::default(), limits).unwrap();
+    let subscriptions = [(); 3]
+        .map(|()| participant.create_subscription::<Image>("/image", Qos::keep_last(10), limits).unwrap());
+    for n in 0..1000 {
+        let mut loan = publisher.loan().unwrap();
+        // Touches every page, as a message would.
+        loan.data.iter_mut().step_by(4096).for_each(|byte| *byte = n as u8);
+        loan.publish().unwrap();
+        // One keeps up, one takes now and then, one never does.
+        while subscriptions[0].take().unwrap().is_some() {}
+        if n % 7 == 0 {
+            let _ = subscriptions[1].take().unwrap();
+        }
+    }
+    let segment = shared_memory(domain).into_iter().find(|(name, _)| name.ends_with(".data")).unwrap();
+    say(&format!("{}", segment.1));
+}
+
+#[test]
+fn twenty_idle_topics_cost_less_than_4_mib() {
+    let said = Part::start("idle", 167).hear();
+    println!("bytes in /dev/shm, bytes resident in the process: {said}");
+    let sum: u64 = said.split(' ').map(|bytes| bytes.parse::<u64>().unwrap()).sum();
+    assert!(sum < 4 * MIB, "{said}");
+}
+
+#[test]
+fn images_keep_no_more_than_is_in_flight() {
+    for (part, domain) in [("images", 168), ("locked images", 169)] {
+        let said = Part::start(part, domain).hear();
+        if said.starts_with("skipped") {
+            assert!(std::env::var_os("CI").is_none(), "{said}");
+            println!("{said}");
+            continue;
+        }
+        let measured: u64 = said.parse().unwrap();
+        let computed = topic_memory(IMAGE_BYTES, Limits::default(), 3, 10).resident_bytes as u64;
+        println!("{part}: {} MiB measured, {} MiB computed", measured / MIB, computed / MIB);
+        // Ten queued, one in each of three hands, one loaned.
+        let in_flight = 14 * IMAGE_BYTES as u64;
+        assert!(measured <= in_flight * 3 / 2, "{measured} of {in_flight}");
+        assert!(measured <= computed, "topic_memory must not promise less than is used");
+        assert!(computed <= measured * 3 / 2, "nor much more");
+    }
+}
