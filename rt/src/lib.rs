@@ -29,6 +29,7 @@ mod cores;
 mod error;
 mod idle;
 mod memory;
+mod noise;
 mod policy;
 mod thread;
 
@@ -40,5 +41,6 @@ pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affini
 pub use error::RtError;
 pub use idle::IdleHold;
 pub use memory::{MemoryLock, PageFaults, lock_memory, page_faults, prefault_stack, tune_malloc};
+pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads};

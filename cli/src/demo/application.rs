@@ -39,7 +39,8 @@ pub struct Topic {
 /// The topics, with rate-monotonic priorities.
 pub fn topics() -> Result<Vec<Topic>, DemoError> {
     let periods = TOPICS.map(|(_, period_ms, _)| Duration::from_millis(period_ms));
-    let priorities = tautline::assign::rate_monotonic(&periods, HIGHEST_CALLBACK_PRIORITY).map_err(tautline::Error::from)?;
+    let priorities = tautline::assign::rate_monotonic(&periods, HIGHEST_CALLBACK_PRIORITY)
+        .map_err(tautline::Error::from)?;
     let topics = TOPICS.iter().zip(periods).zip(priorities);
     Ok(topics
         .map(|((&(name, _, wcet_ms), period), priority)| Topic {
@@ -74,5 +75,6 @@ pub fn realtime(args: &DemoArgs) -> Realtime {
 
 /// Binds the whole process to the demo's core: threads inherit it.
 pub fn bind(core: usize) -> Result<(), DemoError> {
-    tautline::rt::set_affinity(tautline::CoreSet::one(core)).map_err(|source| DemoError::Core { core, source })
+    tautline::rt::set_affinity(tautline::CoreSet::one(core))
+        .map_err(|source| DemoError::Core { core, source })
 }

@@ -3,23 +3,27 @@
 
 use super::application::{self, Topic};
 use super::protocol::{self, Line, Measured, Published};
-use super::report::{self, DemoReport, TopicRun};
+use super::report::{self, Costs, DemoReport, TopicRun};
 use super::{DemoArgs, DemoError, Role, plot};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::fs::File;
 use std::io::Write;
+use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
-use tautline::CoreSet;
-use tautline::rt::{clock, host, permission};
+use tautline::rt::{Interruptions, ThreadBuilder, clock, host, permission};
+use tautline::{CoreSet, Policy};
 
 /// How long a process may take to set itself up, or to end when it was told to.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// After the last release: the longest response time of a run that keeps its bounds, and some more.
 const DRAIN: Duration = Duration::from_millis(400);
+/// How long the core is watched before the run.
+const NOISE_WINDOW: Duration = Duration::from_millis(500);
 /// How often the progress is looked at.
 const GLANCE: Duration = Duration::from_millis(100);
 
@@ -45,6 +49,8 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     let _ = signal_hook::flag::register(signal_hook::consts::SIGINT, interrupted.clone());
     let _ = signal_hook::flag::register(signal_hook::consts::SIGTERM, interrupted.clone());
 
+    let mut files = Files::open(&args)?;
+    let interruptions = watch_core(&args, core)?;
     let steal_before = host::steal_ticks(Some(core));
     let mut subscriber = Process::start(Role::Subscriber, &args)?;
     subscriber.wait_until_ready()?;
@@ -57,8 +63,9 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     let measured = subscriber.end()?;
     let steal_ticks = host::steal_ticks(Some(core)) - steal_before;
 
-    let report = assemble(&args, core, seconds, steal_ticks, &published, measured)?;
-    publish_report(&args, &report)?;
+    let run = Run { core, seconds, steal_ticks, interruptions };
+    let report = assemble(&args, &run, &published, measured)?;
+    files.write(&report)?;
     if published.missed > 0 {
         println!("The publisher itself missed {} releases: the core was taken from it.", published.missed);
     }
@@ -77,7 +84,9 @@ pub fn ignore_interrupts() {
 
 fn print_banner(reason: &str) {
     let rule = "=".repeat(78);
-    eprintln!("{rule}\nRunning WITHOUT real-time priorities: no bound applies to what follows.\n{reason}\n{rule}");
+    eprintln!(
+        "{rule}\nRunning WITHOUT real-time priorities: no bound applies to what follows.\n{reason}\n{rule}"
+    );
 }
 
 /// Shows the progress until the publisher has ended, or makes it end if the user interrupts.
@@ -90,7 +99,8 @@ fn conduct(
 ) -> Result<Published, DemoError> {
     let bar = ProgressBar::new(args.seconds * 10);
     bar.set_style(
-        ProgressStyle::with_template("{elapsed:>4} [{bar:40}] {msg}").unwrap_or_else(|_| ProgressStyle::default_bar()),
+        ProgressStyle::with_template("{elapsed:>4} [{bar:40}] {msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar()),
     );
     let mut handled = 0;
     loop {
@@ -119,11 +129,27 @@ fn conduct(
     }
 }
 
-fn assemble(
-    args: &DemoArgs,
+/// Sees what the machine itself takes from the core, before the run, at a priority that nothing of the demo has.
+fn watch_core(args: &DemoArgs, core: usize) -> Result<Interruptions, DemoError> {
+    let thread = ThreadBuilder::new("noise")
+        .policy(Policy::Fifo(application::PUBLISHER_SAMPLER_PRIORITY + 1))
+        .cores(CoreSet::one(core))
+        .realtime(application::realtime(args))
+        .spawn(|| || Interruptions::watch(NOISE_WINDOW))?;
+    Ok(thread.join()?)
+}
+
+/// Circumstances of the run.
+struct Run {
     core: usize,
     seconds: f64,
     steal_ticks: u64,
+    interruptions: Interruptions,
+}
+
+fn assemble(
+    args: &DemoArgs,
+    run: &Run,
     published: &Published,
     measured: Measured,
 ) -> Result<DemoReport, DemoError> {
@@ -132,43 +158,65 @@ fn assemble(
     // Everything that the two processes did besides the callbacks' own work, spread over the messages.
     let overhead_ns =
         published.cpu_ns / published.messages.max(1) + measured.overhead_cpu_ns / handled.max(1);
-    let run = |(topic, measured): (Topic, protocol::TopicMeasured)| TopicRun {
+    let costs = Costs { per_message: Duration::from_nanos(overhead_ns), interruptions: run.interruptions };
+    let pair = |(topic, measured): (Topic, protocol::TopicMeasured)| TopicRun {
         task: topic.task(),
         latencies_ns: measured.latencies_ns,
         lost: measured.lost,
         max_queue: measured.max_queue,
     };
-    let runs = topics.into_iter().zip(measured.topics).map(run).collect();
+    let runs = topics.into_iter().zip(measured.topics).map(pair).collect();
     let info = host::HostInfo::read();
     let mode = info.preempt_mode.as_deref().map_or(String::new(), |mode| format!(" ({mode})"));
+    let Interruptions { total_ns, window_ns, regular_ns, longest_ns, .. } = run.interruptions;
     Ok(DemoReport {
         realtime: !args.no_rt,
-        core,
-        seconds: (seconds * 1e3).round() / 1e3,
-        steal_ticks,
+        core: run.core,
+        seconds: (run.seconds * 1e3).round() / 1e3,
+        steal_ticks: run.steal_ticks,
         kernel: info.kernel,
-        topics: report::topic_reports(runs, Duration::from_nanos(overhead_ns)),
+        topics: report::topic_reports(runs, &costs),
         preemption: format!("{}{mode}", info.preemption),
         overhead_us: overhead_ns as f64 / 1e3,
         sampler_priority: args.sampler_priority,
+        interruption_us: regular_ns as f64 / 1e3,
+        interrupted_percent: 100.0 * total_ns as f64 / window_ns.max(1) as f64,
+        longest_interruption_us: longest_ns as f64 / 1e3,
     })
 }
 
-fn publish_report(args: &DemoArgs, report: &DemoReport) -> Result<(), DemoError> {
-    let mut text = Vec::new();
-    let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
-    report::write_table(report, &mut text, colour).map_err(DemoError::Print)?;
-    std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
-    let svg = plot::render_svg(report)?;
-    std::fs::write(&args.svg, svg).map_err(|source| DemoError::Write { path: args.svg.clone(), source })?;
-    println!("Picture: {}", args.svg.display());
-    if let Some(path) = &args.json {
-        let refuse = |source| DemoError::Write { path: path.clone(), source };
-        let mut file = std::fs::File::create(path).map_err(refuse)?;
-        report::write_json(report, &mut file).map_err(refuse)?;
-        println!("JSON:    {}", path.display());
+/// The files to write, opened before the run: a path that cannot be written is known at once.
+struct Files {
+    svg: (PathBuf, File),
+    json: Option<(PathBuf, File)>,
+}
+
+impl Files {
+    fn open(args: &DemoArgs) -> Result<Self, DemoError> {
+        let open = |path: &PathBuf| match File::create(path) {
+            Ok(file) => Ok((path.clone(), file)),
+            Err(source) => Err(DemoError::Write { path: path.clone(), source }),
+        };
+        Ok(Files { svg: open(&args.svg)?, json: args.json.as_ref().map(open).transpose()? })
     }
-    Ok(())
+
+    fn write(&mut self, report: &DemoReport) -> Result<(), DemoError> {
+        let mut text = Vec::new();
+        let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
+        report::write_table(report, &mut text, colour).map_err(DemoError::Print)?;
+        std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
+        let picture = plot::render_svg(report)?;
+        let (path, file) = &mut self.svg;
+        file.write_all(picture.as_bytes())
+            .map_err(|source| DemoError::Write { path: path.clone(), source })?;
+        println!("Picture: {}", path.display());
+        if let Some((path, file)) = &mut self.json {
+            report::write_json(report, file)
+                .map_err(|source| DemoError::Write { path: path.clone(), source })?;
+            println!("JSON:    {}", path.display());
+        }
+        Ok(())
+    }
 }
 
 /// A child process; dropping it ends it.
@@ -185,7 +233,8 @@ impl Process {
             Role::Subscriber => "subscriber",
         };
         let failed = |what: String| DemoError::Child { role: name, what };
-        let executable = std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
+        let executable =
+            std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
         let mut command = Command::new(executable);
         command.arg("demo").args(["--seconds", &args.seconds.to_string(), "--namespace", &args.namespace]);
         command.args(["--sampler-priority", &args.sampler_priority.to_string()]);
@@ -212,7 +261,9 @@ impl Process {
             Ok(Line::Ready) => Ok(()),
             Ok(_) => Err(self.failed("spoke before it was ready".into())),
             Err(RecvTimeoutError::Disconnected) => Err(self.ended_early()),
-            Err(RecvTimeoutError::Timeout) => Err(self.failed(format!("was not ready after {} s", PATIENCE.as_secs()))),
+            Err(RecvTimeoutError::Timeout) => {
+                Err(self.failed(format!("was not ready after {} s", PATIENCE.as_secs())))
+            }
         }
     }
 

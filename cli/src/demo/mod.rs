@@ -65,10 +65,7 @@ enum Role {
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
     #[error("core {core} cannot be used: {source}; choose one with --core")]
-    Core {
-        core: usize,
-        source: tautline::rt::RtError,
-    },
+    Core { core: usize, source: tautline::rt::RtError },
     #[error("{0}")]
     Realtime(#[from] tautline::rt::RtError),
     #[error("{0}")]
@@ -76,10 +73,7 @@ pub enum DemoError {
     #[error("the {role} process {what}; run with RUST_LOG=debug to see more")]
     Child { role: &'static str, what: String },
     #[error("{} cannot be written: {source}", path.display())]
-    Write {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
     #[error("the report cannot be printed: {0}")]
     Print(std::io::Error),
     #[error("the picture cannot be drawn: {0}")]

@@ -35,7 +35,10 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         let (context, counts) = (context.clone(), counts.clone());
         let options = CallbackOptions::fifo(application::PUBLISHER_WORKER_PRIORITY).name("publish");
         node.spawn_callback(options.execution_time(false), async move {
-            join_all(tasks.into_iter().map(|(publisher, timer)| publish(publisher, timer, end_ns, counts.clone()))).await;
+            join_all(
+                tasks.into_iter().map(|(publisher, timer)| publish(publisher, timer, end_ns, counts.clone())),
+            )
+            .await;
             context.shutdown();
         })?
     };

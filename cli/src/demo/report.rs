@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use serde::Serialize;
+use tautline::rt::Interruptions;
 use tautline_analysis::{Overheads, Response, Task, response_time_per_task};
 
 mod text;
@@ -31,6 +32,12 @@ pub struct DemoReport {
     pub overhead_us: f64,
     /// SCHED_FIFO priority of the sampler.
     pub sampler_priority: u8,
+    /// Longest regular interruption of the core (99th percentile), charged as blocking by `rta_overhead_ms`.
+    pub interruption_us: f64,
+    /// Share of the core that regular interruptions take, in percent, charged as a task above all others.
+    pub interrupted_percent: f64,
+    /// Longest interruption seen; charged to nobody.
+    pub longest_interruption_us: f64,
 }
 
 /// Prediction and measurement of one topic. The fields up to `max_queue` are part of the contract.
@@ -91,21 +98,43 @@ pub struct Prediction {
     pub rta_overhead_ns: Option<u64>,
 }
 
-/// Predicts every task's response time, with `per_message` of middleware work for each message of any topic.
-pub fn predict(tasks: &[Task], per_message: Duration) -> Vec<Prediction> {
-    let bounds = |per_message_ns| {
+/// What the machine costs besides the callbacks, as measured in the run.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Costs {
+    /// Middleware work for each message of any topic, charged at the highest priority.
+    pub per_message: Duration,
+    /// Interrupts, kernel and hypervisor: the regular ones as a task above all others, the longest of them as blocking.
+    pub interruptions: Interruptions,
+}
+
+/// Predicts every task's response time, on a machine that costs nothing and on one that costs `costs`.
+pub fn predict(tasks: &[Task], costs: &Costs) -> Vec<Prediction> {
+    let bounds = |tasks: &[Task], per_message: Duration| -> Vec<Option<u64>> {
+        let per_message_ns = u64::try_from(per_message.as_nanos()).unwrap_or(u64::MAX);
         let outcomes = response_time_per_task(tasks, &Overheads { per_message_ns, ..Overheads::NONE });
-        outcomes.into_iter().map(|outcome| outcome.ok().map(|Response { response_ns, .. }| response_ns))
+        outcomes
+            .into_iter()
+            .map(|outcome| outcome.ok().map(|Response { response_ns, .. }| response_ns))
+            .collect()
     };
-    let overhead_ns = u64::try_from(per_message.as_nanos()).unwrap_or(u64::MAX);
-    let both = bounds(0).zip(bounds(overhead_ns));
+    let ideal = bounds(tasks, Duration::ZERO);
+    let blocking = Duration::from_nanos(costs.interruptions.regular_ns);
+    let mut loaded: Vec<_> = tasks.iter().map(|task| task.clone().blocking(blocking)).collect();
+    loaded.extend(interrupt_task(&costs.interruptions));
+    let real = bounds(&loaded, costs.per_message);
+    let both = ideal.into_iter().zip(real);
     both.map(|(rta_ns, rta_overhead_ns)| Prediction { rta_ns, rta_overhead_ns }).collect()
 }
 
+fn interrupt_task(seen: &Interruptions) -> Option<Task> {
+    let (period, work) = (Duration::from_nanos(seen.period_ns()?), Duration::from_nanos(seen.mean_ns()?));
+    Some(Task::new("interrupts", period, work, u8::MAX).message_overhead(Duration::ZERO))
+}
+
 /// Condenses the runs and sets their prediction beside them, in the order given.
-pub fn topic_reports(runs: Vec<TopicRun>, per_message: Duration) -> Vec<TopicReport> {
+pub fn topic_reports(runs: Vec<TopicRun>, costs: &Costs) -> Vec<TopicReport> {
     let tasks: Vec<_> = runs.iter().map(|run| run.task.clone()).collect();
-    let predictions = predict(&tasks, per_message);
+    let predictions = predict(&tasks, costs);
     runs.into_iter().zip(predictions).map(|(run, prediction)| topic_report(run, prediction)).collect()
 }
 

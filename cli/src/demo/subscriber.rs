@@ -5,8 +5,8 @@ use super::application::{self, Stamped, Topic};
 use super::protocol::{self, Line, Measured, TopicMeasured};
 use super::{DemoArgs, DemoError};
 use futures::StreamExt;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 use tautline::rt::clock;
 use tautline::{CallbackOptions, Counters, Node};
@@ -23,14 +23,18 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         let subscription = node.subscribe_loaned::<Stamped>(topic.name, application::qos())?;
         let log = Arc::new(Log::for_run(&topic, args.seconds));
         let (counters, wcet) = (subscription.counters(), topic.wcet);
-        let options = CallbackOptions::fifo(topic.priority).name(topic.name).period(topic.period).execution_time(false);
+        let options =
+            CallbackOptions::fifo(topic.priority).name(topic.name).period(topic.period).execution_time(false);
         let handle = {
             let log = log.clone();
-            node.spawn_callback(options, subscription.for_each(move |message| {
-                clock::burn_cpu(wcet);
-                log.note(clock::monotonic_ns().saturating_sub(message.release_ns));
-                async {}
-            }))?
+            node.spawn_callback(
+                options,
+                subscription.for_each(move |message| {
+                    clock::burn_cpu(wcet);
+                    log.note(clock::monotonic_ns().saturating_sub(message.release_ns));
+                    async {}
+                }),
+            )?
         };
         callbacks.push(Callback { topic, log, counters, handle });
     }

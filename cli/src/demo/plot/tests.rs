@@ -4,13 +4,13 @@ use std::time::Duration;
 use tautline_analysis::Task;
 
 use super::*;
-use crate::demo::report::{TopicRun, topic_reports};
+use crate::demo::report::{Costs, TopicRun, topic_reports};
 
 fn topic(latencies_ms: &[f64]) -> TopicReport {
     let task = Task::new("topic<1>", Duration::from_millis(10), Duration::from_millis(2), 20);
     let latencies_ns = latencies_ms.iter().map(|ms| (ms * 1e6) as u64).collect();
     let run = TopicRun { task, latencies_ns, lost: 0, max_queue: 1 };
-    topic_reports(vec![run], Duration::from_micros(60)).remove(0)
+    topic_reports(vec![run], &Costs { per_message: Duration::from_micros(60), ..Costs::default() }).remove(0)
 }
 
 fn report(topics: Vec<TopicReport>) -> DemoReport {
@@ -24,6 +24,9 @@ fn report(topics: Vec<TopicReport>) -> DemoReport {
         preemption: "PREEMPT_RT".into(),
         overhead_us: 60.0,
         sampler_priority: 25,
+        interruption_us: 40.0,
+        interrupted_percent: 0.5,
+        longest_interruption_us: 60.0,
     }
 }
 

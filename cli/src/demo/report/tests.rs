@@ -18,10 +18,13 @@ fn report(latencies_ms: [&[f64]; 5]) -> DemoReport {
         seconds: 20.0,
         steal_ticks: 0,
         kernel: "6.1.0".into(),
-        topics: topic_reports(runs, Duration::from_micros(60)),
+        topics: topic_reports(runs, &Costs { per_message: Duration::from_micros(60), ..Costs::default() }),
         preemption: "PREEMPT_RT".into(),
         overhead_us: 60.0,
         sampler_priority: 25,
+        interruption_us: 40.0,
+        interrupted_percent: 0.5,
+        longest_interruption_us: 60.0,
     }
 }
 
@@ -46,7 +49,7 @@ fn prediction_is_that_of_the_analysis() {
         let ms = Duration::from_millis;
         vec![Task::new("a", ms(10), ms(2), 20), Task::new("b", ms(20), ms(17), 19)]
     };
-    let found = predict(&tasks, Duration::from_millis(1));
+    let found = predict(&tasks, &Costs { per_message: Duration::from_millis(1), ..Costs::default() });
     assert_eq!(found[0], Prediction { rta_ns: Some(2_000_000), rta_overhead_ns: Some(4_000_000) });
     assert_eq!(found[1], Prediction { rta_ns: None, rta_overhead_ns: None });
 }
@@ -88,7 +91,7 @@ fn table_lines_up_and_says_that_all_is_well() {
     );
     assert!(out.contains("All deadlines met: 6 messages, none late, none lost.\n"), "{out}");
     assert!(out.contains("the closest was topic5 at 99.7 % of it.\n"), "{out}");
-    assert!(prose(&good()).ends_with("steal 0 ticks, kernel 6.1.0, preemption PREEMPT_RT. "), "{out}");
+    assert!(prose(&good()).ends_with("Steal 0 ticks, kernel 6.1.0, preemption PREEMPT_RT. "), "{out}");
     assert!(out.lines().all(|line| line.chars().count() <= 100), "{out}");
 }
 

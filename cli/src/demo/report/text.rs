@@ -125,12 +125,16 @@ fn prediction_verdict(report: &DemoReport) -> Option<(bool, String)> {
 
 fn circumstances(report: &DemoReport) -> String {
     format!(
-        "{:.1} s on core {}, sampler at priority {}, {:.1} µs of middleware per message; \
-         steal {} ticks, kernel {}, preemption {}.",
+        "{:.1} s on core {}, sampler at priority {}. Measured overhead: {:.1} µs of middleware per message, \
+         interruptions of {:.0} µs that take {:.2} % of the core (longest seen before the run: {:.0} µs). \
+         Steal {} ticks, kernel {}, preemption {}.",
         report.seconds,
         report.core,
         report.sampler_priority,
         report.overhead_us,
+        report.interruption_us,
+        report.interrupted_percent,
+        report.longest_interruption_us,
         report.steal_ticks,
         report.kernel,
         report.preemption
