@@ -7,25 +7,26 @@ use futures::StreamExt;
 use std::process::ExitCode;
 use tautline::rt::set_affinity;
 use tautline::{CallbackOptions, Context, CoreSet, Node, QosProfile, Result};
-use tautline_examples::{UInt64, exit_code};
+use tautline_examples::{SKIPPED, UInt64, exit_code};
 
 const MESSAGES: u64 = 1000;
 
 fn main() -> ExitCode {
-    exit_code(show())
+    let cores: Vec<usize> = CoreSet::allowed().unwrap_or_default().iter().collect();
+    let Some((&own, others @ [_, ..])) = cores.split_last() else {
+        eprintln!("busy polling needs a core of its own, and this process has only one");
+        return ExitCode::from(SKIPPED);
+    };
+    exit_code(show(own, others.iter().copied().collect()))
 }
 
-fn show() -> Result<()> {
-    let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
-    let Some((&own, others @ [_, ..])) = cores.split_last() else {
-        eprintln!("busy polling needs a core of its own, and there is only one");
-        return Ok(());
-    };
-    // Whatever else this process does stays away from that core.
-    set_affinity(others.iter().copied().collect())?;
+fn show(own: usize, others: CoreSet) -> Result<()> {
+    // Whatever else this process does stays away from the callback's core.
+    set_affinity(others)?;
 
     let mut node = Node::create(Context::create()?, "busy_poll", "")?;
-    let subscription = node.subscribe_loaned::<UInt64>("/counter", QosProfile::default().keep_last(MESSAGES as usize))?;
+    let subscription =
+        node.subscribe_loaned::<UInt64>("/counter", QosProfile::default().keep_last(MESSAGES as usize))?;
     let publisher = node.create_publisher::<UInt64>("/counter", QosProfile::default())?;
     let counters = subscription.counters();
 

@@ -45,13 +45,18 @@ fn show() -> Result<()> {
         async {}
     });
     let ended = context.clone();
-    let statistics = group.add("timer", timer, |tick: &Tick| tick.release_ns, move |tick| {
-        println!("timer    released at {} ms", (tick.release_ns - start_ns) / 1_000_000);
-        if tick.index == 2 {
-            ended.shutdown();
-        }
-        async {}
-    });
+    let statistics = group.add(
+        "timer",
+        timer,
+        |tick: &Tick| tick.release_ns,
+        move |tick| {
+            println!("timer    released at {} ms", (tick.release_ns - start_ns) / 1_000_000);
+            if tick.index == 2 {
+                ended.shutdown();
+            }
+            async {}
+        },
+    );
 
     let callback = node.spawn_group(CallbackOptions::fifo(10).name("group"), group)?;
     node.spin()?;

@@ -42,18 +42,20 @@ fn show() -> Result<()> {
 
     let to_alarm = node.create_publisher::<UInt64>("/alarm", QosProfile::default())?;
     let to_log = node.create_publisher::<UInt64>("/log", QosProfile::default())?;
-    let mut timer = node.create_wall_timer(Duration::from_millis(50))?;
-    let work = node.spawn_callback(on_core("work", 20), async move {
-        timer.next().await;
+    let timer = node.create_wall_timer(Duration::from_millis(500))?;
+    let work = timer.for_each(move |_| {
         println!("  work begins");
         to_log.publish(&UInt64 { data: 1 }).expect("keep-last never refuses");
         println!("  work has published for log");
         to_alarm.publish(&UInt64 { data: 2 }).expect("keep-last never refuses");
         println!("  work has published for alarm");
         println!("  work ends");
-    })?;
+        async {}
+    });
+    let work = node.spawn_callback(on_core("work", 20), work)?;
 
     node.spin()?;
+    work.stop();
     for callback in [alarm, log, work] {
         callback.join()?;
     }

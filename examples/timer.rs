@@ -24,19 +24,20 @@ fn show() -> Result<()> {
     let first_ns = monotonic_ns() + period_ns;
     let mut timer = node.create_wall_timer_at(first_ns, PERIOD)?;
 
-    let callback = node.spawn_callback(CallbackOptions::fifo(10).name("timer").period(PERIOD), async move {
-        while let Some(tick) = timer.next().await {
-            let at_ms = (tick.release_ns - first_ns) / 1_000_000;
-            println!("release {} at {at_ms} ms, missed {}", tick.index, tick.missed);
-            match tick.index {
-                3 => sleep_until_monotonic(tick.release_ns + period_ns * 5 / 2),
-                7.. => break,
-                _ => {}
+    let callback =
+        node.spawn_callback(CallbackOptions::fifo(10).name("timer").period(PERIOD), async move {
+            while let Some(tick) = timer.next().await {
+                let at_ms = (tick.release_ns - first_ns) / 1_000_000;
+                println!("release {} at {at_ms} ms, missed {}", tick.index, tick.missed);
+                match tick.index {
+                    3 => sleep_until_monotonic(tick.release_ns + period_ns * 5 / 2),
+                    7.. => break,
+                    _ => {}
+                }
             }
-        }
-        println!("missed {} of 7", timer.missed());
-        context.shutdown();
-    })?;
+            println!("missed {} of 7", timer.missed());
+            context.shutdown();
+        })?;
     node.spin()?;
     Ok(callback.join()?)
 }

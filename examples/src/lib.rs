@@ -17,8 +17,8 @@ pub struct UInt64 {
     pub data: u64,
 }
 
-/// The exit code of an example that this user has not the privilege to run; test runners know it as 'skipped'.
-pub const NOT_PERMITTED: u8 = 77;
+/// The exit code of an example that cannot run here, for want of a privilege or a core; test runners know it as 'skipped'.
+pub const SKIPPED: u8 = 77;
 
 /// A context with real-time priorities where this user may have them, otherwise one without. What is missing is then
 /// said on standard error. A robot's program writes `Context::create()` instead and gets an error.
@@ -45,7 +45,7 @@ pub fn exit_code(result: tautline::Result<()>) -> ExitCode {
     );
     if about_realtime && realtime_permitted(ContextBuilder::SAMPLER_PRIORITY).is_err() {
         eprintln!("To run without real-time priorities, set TAUT_REALTIME=off.");
-        return ExitCode::from(NOT_PERMITTED);
+        return ExitCode::from(SKIPPED);
     }
     ExitCode::FAILURE
 }

@@ -13,6 +13,22 @@ use tautline_transport::Participant;
 ///
 /// When the last clone and the last node are gone, every callback thread is stopped and joined. A callback that owns a
 /// clone keeps the context, and with it itself, alive: give it [`Context::events`] if all it wants is to end spinning.
+///
+/// ```
+/// use std::time::Duration;
+/// use tautline::{CallbackOptions, Context, Node, Realtime};
+///
+/// let ctx = Context::builder().domain(228).realtime(Realtime::Off).build()?;
+/// let mut node = Node::create(ctx.clone(), "example", "")?;
+/// let mut timer = node.create_wall_timer(Duration::from_millis(1))?;
+/// let events = ctx.events().clone();
+/// node.spawn_callback(CallbackOptions::fifo(20), async move {
+///     timer.next_tick().await;
+///     events.stop();
+/// })?;
+/// ctx.spin()?; // until the timer's first tick
+/// # Ok::<(), tautline::Error>(())
+/// ```
 #[derive(Clone)]
 pub struct Context {
     pub(crate) shared: Arc<Shared>,
@@ -27,6 +43,12 @@ pub(crate) struct Shared {
     pub(crate) participant: Participant,
     realtime: Realtime,
     settings: ContextBuilder,
+}
+
+impl std::fmt::Debug for Context {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Context").field("domain", &self.domain()).finish_non_exhaustive()
+    }
 }
 
 /// What a context is asked to be.

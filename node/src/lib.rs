@@ -34,9 +34,10 @@ mod context;
 mod error;
 mod names;
 mod node;
-mod qos;
 mod subscription;
 mod timer;
+
+pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
@@ -54,6 +55,6 @@ pub use tautline_msgs::{Message, Plain};
 pub use tautline_rt as rt;
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, Sample, TakeError, TopicMemory,
-    TransportError, Unpublished, topic_memory,
+    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, Sample, TakeError,
+    TopicMemory, TransportError, Unpublished, topic_memory,
 };

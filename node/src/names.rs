@@ -76,7 +76,9 @@ pub(crate) fn expand_topic(topic: &str, node: &str, namespace: &str) -> Result<S
         Some(rest) if rest.starts_with('/') => format!("{prefix}/{node}{rest}"),
         Some(_) => return Err(refuse("'~' must be followed by '/'".into())),
         // A substitution at the start may have made it absolute.
-        None if replaced.starts_with('/') => replaced.replacen("//", "/", usize::from(topic.starts_with('{'))),
+        None if replaced.starts_with('/') => {
+            replaced.replacen("//", "/", usize::from(topic.starts_with('{')))
+        }
         None => format!("{prefix}/{replaced}"),
     };
     if full.contains('~') {

@@ -16,6 +16,38 @@ use tautline_msgs::{Message, Plain};
 use tautline_transport::{Limits, Publisher, TransportError};
 
 /// A node. Its publishers, subscriptions and timers live on when it is dropped; its context lives as long as it does.
+///
+/// A program can be as one of r2r's: one thread that serves events and runs a pool.
+///
+/// ```
+/// use futures::{StreamExt, executor::LocalPool, task::LocalSpawnExt};
+/// use std::time::Duration;
+/// use tautline::{Context, Message, Node, QosProfile, Realtime};
+///
+/// #[derive(Message, Clone, Copy)]
+/// #[repr(C)]
+/// #[message(name = "demo_msgs/msg/Speed")]
+/// struct Speed { metres_per_second: f64 }
+///
+/// let ctx = Context::builder().domain(229).realtime(Realtime::Off).build()?;
+/// let mut node = Node::create(ctx.clone(), "example", "/robot")?;
+/// let mut speeds = node.subscribe::<Speed>("~/speed", QosProfile::default())?; // /robot/example/speed
+/// let publisher = node.create_publisher::<Speed>("~/speed", QosProfile::default())?;
+/// publisher.publish(&Speed { metres_per_second: 1.5 }).unwrap();
+///
+/// let mut pool = LocalPool::new();
+/// let done = ctx.clone();
+/// pool.spawner().spawn_local(async move {
+///     let speed = speeds.next().await.unwrap();
+///     assert_eq!(speed.metres_per_second, 1.5);
+///     done.shutdown();
+/// }).unwrap();
+/// while ctx.is_valid() {
+///     node.spin_once(Duration::from_millis(100));
+///     pool.run_until_stalled();
+/// }
+/// # Ok::<(), tautline::Error>(())
+/// ```
 pub struct Node {
     context: Context,
     name: String,
@@ -201,7 +233,10 @@ fn check_period(period: Duration) -> Result<()> {
 
 impl std::fmt::Debug for Node {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Node").field("name", &self.name).field("namespace", &self.namespace).finish_non_exhaustive()
+        f.debug_struct("Node")
+            .field("name", &self.name)
+            .field("namespace", &self.namespace)
+            .finish_non_exhaustive()
     }
 }
 

@@ -4,6 +4,7 @@
 use futures::Stream;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
 use tautline_executor::{busy_polling, job, stop_requested};
 use tautline_msgs::{Message, Plain};
@@ -13,6 +14,7 @@ use tautline_transport::{Counters, Sample, TakeError};
 ///
 /// On a callback thread each message is a job: its response time counts from the message's release, and the next poll of
 /// this stream ends it. On a busy-polling thread the subscription polls its queue without any doorbell.
+#[must_use = "nothing is received unless it is polled; dropping it ends it"]
 pub struct Subscription<T> {
     inner: tautline_transport::Subscription<T>,
     job: Option<job::Job>,
@@ -24,14 +26,14 @@ impl<T: Message + Plain> Subscription<T> {
         Subscription { inner, job: None, quiet: false }
     }
 
-    /// Takes the oldest sample, if there is one, without waiting.
+    /// Takes the oldest sample, if there is one, without waiting. (Not called `take`: that is a method of every stream.)
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     ///
     /// # Errors
     /// [`TakeError`].
-    pub fn take(&self) -> Result<Option<Sample<T>>, TakeError> {
+    pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
         self.inner.take()
     }
 
@@ -51,11 +53,17 @@ impl<T: Message + Plain> Subscription<T> {
     }
 }
 
+impl<T: Message + Plain> std::fmt::Debug for Subscription<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Subscription").field("topic", &self.topic()).finish_non_exhaustive()
+    }
+}
+
 impl<T: Message + Plain> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; on a callback thread that measures execution times one syscall per message. Never ends.
+    /// Wait-free; no allocation; on a callback thread that measures execution times two syscalls per message. Never ends.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         if let Some(job) = self.job.take() {
             job.finish();
@@ -64,7 +72,9 @@ impl<T: Message + Plain> Stream for Subscription<T> {
             // A stream that always has a next message would never let its callback end.
             return Poll::Pending;
         }
-        let poll = if busy_polling() { self.poll_busily(context) } else { self.inner.poll_take(context) };
+        let busy = busy_polling();
+        self.set_quiet(busy);
+        let poll = if busy { self.poll_busily(context) } else { self.inner.poll_take(context) };
         if let Poll::Ready(sample) = &poll {
             self.job = Some(job::begin(sample.info().released_ns));
         }
@@ -73,17 +83,24 @@ impl<T: Message + Plain> Stream for Subscription<T> {
 }
 
 impl<T: Message + Plain> Subscription<T> {
-    /// Looks without registering for a wake-up, and tells publishers not to ring.
+    /// Looks without registering for a wake-up.
     fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<Sample<T>> {
         if let Ok(Some(sample)) = self.inner.take_valid() {
             return Poll::Ready(sample);
         }
-        if !self.quiet {
-            self.inner.set_quiet(true);
-            self.quiet = true;
-        }
         // For combinators that only poll what was woken.
         context.waker().wake_by_ref();
         Poll::Pending
+    }
+
+    /// Publishers need not ring as long as a busy-polling thread polls, and no longer.
+    fn set_quiet(&mut self, quiet: bool) {
+        if quiet != self.quiet {
+            self.quiet = quiet;
+            self.inner.set_quiet(quiet);
+            // A publisher has a fence between sending and reading the flag: either it sees the change, or the look into
+            // the queue that follows here sees its sample.
+            fence(Ordering::SeqCst);
+        }
     }
 }

@@ -13,6 +13,7 @@ use tautline_sampler::Tick;
 /// A periodic timer: absolute releases, no drift, missed ones counted. A stream of [`Tick`]s, or [`tick`](Timer::tick).
 ///
 /// On a callback thread each tick is a job: its response time counts from the instant at which it was due.
+#[must_use = "nothing happens unless it is polled; dropping it ends it"]
 pub struct Timer {
     inner: tautline_sampler::Timer,
     job: Option<job::Job>,
@@ -25,7 +26,7 @@ impl Timer {
     }
 
     /// Waits for the next release and returns the time since the one before, as r2r does: one period, or several if
-    /// releases were missed.
+    /// releases were missed. The first time: one period.
     ///
     /// # Real-time
     /// Each poll wait-free; no allocation.
@@ -67,6 +68,12 @@ impl Timer {
             self.job = Some(job::begin(tick.release_ns));
         }
         poll
+    }
+}
+
+impl std::fmt::Debug for Timer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Timer").field("period_ns", &self.inner.period_ns()).finish_non_exhaustive()
     }
 }
 

@@ -31,7 +31,10 @@ assert_impl_all!(Node: Send);
 
 static ODOMETRY: Log<(f64, f64)> = Log::new();
 
-fn program(core: usize, publish_and_end: impl FnOnce(Publisher<Odometry>, Context) + Send + 'static) -> tautline::Result<()> {
+fn program(
+    core: usize,
+    publish_and_end: impl FnOnce(Publisher<Odometry>, Context) + Send + 'static,
+) -> tautline::Result<()> {
     let ctx = Context::create()?;
     let mut node = Node::create(ctx, "example", "")?;
     let odometry = node.subscribe_loaned::<Odometry>("/odom", QosProfile::default())?;
@@ -84,16 +87,17 @@ fn two_contexts_of_a_process_share_a_domain_and_no_more() {
         let publisher = node.create_publisher::<Number>("/two", QosProfile::default()).unwrap();
         assert_eq!(publisher.subscription_count(), 1);
         publisher.publish(&Number { value }).unwrap();
+        publisher
     };
     let _spinning = [spin(&there), spin(&elsewhere)];
     // The publisher's own context need not spin.
-    publish(&here, 1);
+    let first = publish(&here, 1);
     assert_eq!(HEARD.wait_for(1), [("there", 1)]);
-    publish(&elsewhere, 2);
+    let _second = publish(&elsewhere, 2);
     assert_eq!(HEARD.wait_for(2), [("there", 1), ("elsewhere", 2)]);
     // One may go while the other stays.
-    drop(here);
-    publish(&there, 3);
+    drop((first, here));
+    let _third = publish(&there, 3);
     assert_eq!(HEARD.wait_for(3)[2], ("there", 3));
     drop(nodes);
 }
@@ -110,8 +114,8 @@ fn publishers_and_samples_may_end_on_other_threads() {
         publisher
     });
     let publisher = publisher.join().unwrap();
-    let sample = subscription.take().unwrap().unwrap();
-    assert_eq!(sample.info().gid, publisher.gid());
+    let sample = subscription.try_take().unwrap().unwrap();
+    assert_eq!(sample.info().publisher_gid, publisher.gid());
     drop((publisher, subscription));
     let read = std::thread::spawn(move || (sample.value, sample.info().sequence_number));
     assert_eq!(read.join().unwrap(), (7, 1));
@@ -120,7 +124,10 @@ fn publishers_and_samples_may_end_on_other_threads() {
 #[test]
 fn names_of_contexts_and_nodes_are_what_was_asked_for() {
     let context = context(204);
-    assert_eq!((context.domain(), context.realtime(), context.is_valid()), (204, tautline::Realtime::Off, true));
+    assert_eq!(
+        (context.domain(), context.realtime(), context.is_valid()),
+        (204, tautline::Realtime::Off, true)
+    );
     let nodes = [("a", ""), ("a", "/robot"), ("b", "robot/left")]
         .map(|(name, namespace)| Node::create(context.clone(), name, namespace).unwrap());
     let names = nodes.iter().map(|node| node.fully_qualified_name().unwrap()).collect::<HashSet<_>>();

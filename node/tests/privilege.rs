@@ -32,11 +32,15 @@ fn spinning_without_privilege_names_the_fix() {
         let error = context.spin().unwrap_err();
         assert!(matches!(error, Error::Realtime(_)), "{error:?}");
         let message = error.to_string();
-        assert!(message.contains("setcap cap_sys_nice,cap_ipc_lock+ep") && message.contains(fix), "{message}");
+        assert!(
+            message.contains("setcap cap_sys_nice,cap_ipc_lock+ep") && message.contains(fix),
+            "{message}"
+        );
         assert_eq!(current_policy().unwrap(), own);
 
         let node = Node::create(context, "poor", "").unwrap();
-        let refused = node.spawn_callback(CallbackOptions::fifo(20).name("/x"), std::future::pending()).unwrap_err();
+        let refused =
+            node.spawn_callback(CallbackOptions::fifo(20).name("/x"), std::future::pending()).unwrap_err();
         let message = refused.to_string();
         assert!(message.starts_with("callback `/x` cannot start: real-time priority 20 needs"), "{message}");
         node.spawn_callback(CallbackOptions::other(), async {}).unwrap();

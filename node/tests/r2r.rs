@@ -27,14 +27,9 @@ fn publishers_subscriptions_and_spin_once_in_one_thread() {
     spawner
         .spawn_local(async move {
             let mut x: i32 = 0;
-            loop {
-                match sub.next().await {
-                    Some(msg) => {
-                        if x % 2 == 0 {
-                            p.publish(&Number { value: msg.value * 10 }).unwrap();
-                        }
-                    }
-                    None => break,
+            while let Some(msg) = sub.next().await {
+                if x % 2 == 0 {
+                    p.publish(&Number { value: msg.value * 10 }).unwrap();
                 }
                 x += 1;
             }
@@ -95,7 +90,10 @@ fn a_wall_timer_ticks() {
     };
     // Absolute releases: whatever this thread was late, whole periods.
     assert_eq!(elapsed.len(), 10);
-    assert!(elapsed.iter().all(|time| *time >= PERIOD && time.as_nanos() % PERIOD.as_nanos() == 0), "{elapsed:?}");
+    assert!(
+        elapsed.iter().all(|time| *time >= PERIOD && time.as_nanos() % PERIOD.as_nanos() == 0),
+        "{elapsed:?}"
+    );
 }
 
 #[test]

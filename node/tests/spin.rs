@@ -21,13 +21,18 @@ fn settings_of(tid: u32) -> (Policy, CoreSet) {
 }
 
 /// Two callbacks, named after their topics, that log the thread they run on.
-fn callbacks(node: &mut Node, core: usize, log: &'static Log<(u32, String)>) -> [tautline::Publisher<Number>; 2] {
+fn callbacks(
+    node: &mut Node,
+    core: usize,
+    log: &'static Log<(u32, String)>,
+) -> [tautline::Publisher<Number>; 2] {
     [("/high", 30), ("/low", 29)].map(|(topic, priority)| {
         let numbers = node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap();
         let note = |_: Sample<Number>| async {
             log.add((current_tid(), std::thread::current().name().unwrap_or_default().to_owned()));
         };
-        node.spawn_callback(CallbackOptions::fifo(priority).core(core).name(topic), numbers.for_each(note)).unwrap();
+        node.spawn_callback(CallbackOptions::fifo(priority).core(core).name(topic), numbers.for_each(note))
+            .unwrap();
         node.create_publisher(topic, QosProfile::default()).unwrap()
     })
 }

@@ -79,7 +79,10 @@ fn wake_and_poll() {
         assert!(condition.poll_triggered(&mut context).is_pending());
         assert!(subscription.poll_take(&mut context).is_ready());
         assert!(subscription.poll_take(&mut context).is_pending());
-        ticks += timers.iter_mut().filter(|timer| timer.poll_tick(&mut context).is_ready()).count();
+        ticks += timers
+            .iter_mut()
+            .map(|timer| usize::from(timer.poll_tick(&mut context).is_ready()))
+            .sum::<usize>();
         if n % 100 == 0 {
             // A wait that ends with a timer.
             events += sampler.spin_once(None);

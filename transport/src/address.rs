@@ -31,7 +31,8 @@ impl Address {
             Role::Keeper => 'k',
         };
         // At most 1 + 1 + 16 + 1 + 4 of 64 characters.
-        PortName::new(&format!("{role}:{}:{}", self.arena, self.slot)).unwrap_or_else(|_| PortName::new_empty())
+        PortName::new(&format!("{role}:{}:{}", self.arena, self.slot))
+            .unwrap_or_else(|_| PortName::new_empty())
     }
 
     /// `None` for a port that is not Tautline's: it has no doorbell.

@@ -17,13 +17,17 @@ pub enum TransportError {
         source: io::Error,
     },
     /// A context has no slot left.
-    #[error("this context already has {limit} subscriptions, publishers, timers and guard conditions, its limit; make a second Context for more")]
+    #[error(
+        "this context already has {limit} subscriptions, publishers, timers and guard conditions, its limit; make a second Context for more"
+    )]
     Slots {
         /// The limit.
         limit: usize,
     },
     /// iceoryx2 refused to make its node.
-    #[error("no iceoryx2 node in domain {domain}: {reason}; shared memory is private to a user, so another user's processes in this domain look like this: remove their files from /tmp/iceoryx2 and /dev/shm, or choose another TAUT_DOMAIN")]
+    #[error(
+        "no iceoryx2 node in domain {domain}: {reason}; check that /tmp/tautline_<uid> and /dev/shm are writable; files that another version left there (/dev/shm/taut_{domain}_*) may be removed when no node runs"
+    )]
     Node {
         /// The domain.
         domain: u32,
@@ -39,7 +43,9 @@ pub enum TransportError {
         reason: String,
     },
     /// The topic exists with another type.
-    #[error("topic '{topic}' carries '{existing}', not '{requested}': rename one of them, or use the same type")]
+    #[error(
+        "topic '{topic}' carries '{existing}', not '{requested}': rename one of them, or use the same type"
+    )]
     TypeMismatch {
         /// The topic.
         topic: String,
@@ -73,7 +79,9 @@ pub enum TransportError {
         max: usize,
     },
     /// A quality of service that is not enforced yet must not be asked for.
-    #[error("topic '{topic}': QoS {setting} is not enforced by this version; leave it at its default rather than rely on it")]
+    #[error(
+        "topic '{topic}': QoS {setting} is not enforced by this version; leave it at its default rather than rely on it"
+    )]
     Unsupported {
         /// The topic.
         topic: String,
@@ -113,7 +121,9 @@ pub enum LoanError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PublishError {
     /// A keep-all subscription has no room: nothing was sent to anybody.
-    #[error("a keep-all subscription's queue is full: publish again when it has taken, or await `publish_when_ready`")]
+    #[error(
+        "a keep-all subscription's queue is full: publish again when it has taken, or await `publish_when_ready`"
+    )]
     Full,
     /// No sample could be loaned for the message.
     #[error(transparent)]
@@ -133,6 +143,8 @@ pub enum TakeError {
     #[error("the sample is not a valid message: {0}")]
     Invalid(tautline_msgs::Invalid),
     /// A publisher's memory could not be mapped.
-    #[error("a publisher's shared memory could not be mapped: its samples do not arrive; is the process at its limit of open files?")]
+    #[error(
+        "a publisher's shared memory could not be mapped: its samples do not arrive; is the process at its limit of open files?"
+    )]
     Connection,
 }

@@ -112,7 +112,8 @@ impl Keeper {
         }
         let Some(outlet) = self.outlet.as_ref().map(Sole::get) else { return Ok(()) };
         let end = SampleHeader { gid: self.gid, flags: END_OF_HISTORY, ..SampleHeader::default() };
-        for (header, body) in self.kept.iter().map(|(header, body)| (*header, body.as_slice())).chain([(end, &[][..])])
+        for (header, body) in
+            self.kept.iter().map(|(header, body)| (*header, body.as_slice())).chain([(end, &[][..])])
         {
             let mut loan = outlet
                 .loan_slice_uninit(body.len())
@@ -136,7 +137,11 @@ pub(crate) struct Catch {
 
 impl Catch {
     /// `None` if there is no transient-local publisher whose history could be missing.
-    pub(crate) fn open(topic: &Topic, address: Address, depth: usize) -> Result<Option<Self>, TransportError> {
+    pub(crate) fn open(
+        topic: &Topic,
+        address: Address,
+        depth: usize,
+    ) -> Result<Option<Self>, TransportError> {
         let awaited: Vec<Gid> = ports::publishers(topic)
             .into_iter()
             .filter(|port| port.address.role == Role::TransientPublisher)

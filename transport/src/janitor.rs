@@ -61,7 +61,11 @@ pub(crate) struct Janitor {
 }
 
 impl Janitor {
-    pub(crate) fn start(domain: u32, doorbell: Arc<Doorbell>, node: Arc<IoxNode>) -> Result<Self, TransportError> {
+    pub(crate) fn start(
+        domain: u32,
+        doorbell: Arc<Doorbell>,
+        node: Arc<IoxNode>,
+    ) -> Result<Self, TransportError> {
         let (charges, stop) = (Mutex::default(), AtomicBool::new(false));
         let shared = Arc::new(Shared { domain, doorbell, node, charges, stop });
         let thread = {

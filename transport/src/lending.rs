@@ -130,7 +130,9 @@ impl<S> Drop for Lent<S> {
         let Some(word) = self.shared.back.get(self.place / 64) else { return };
         word.fetch_or(1 << (self.place % 64), Ordering::Release);
         fence(Ordering::SeqCst);
-        if self.shared.starved.load(Ordering::Relaxed) != 0 && self.shared.starved.swap(0, Ordering::Relaxed) != 0 {
+        if self.shared.starved.load(Ordering::Relaxed) != 0
+            && self.shared.starved.swap(0, Ordering::Relaxed) != 0
+        {
             self.shared.waker.wake();
         }
     }

@@ -46,7 +46,9 @@ impl Participant {
         }
         let mut config = Config::default();
         config.global.prefix =
-            FileName::new(format!("taut_{domain}_").as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
+            FileName::new(file_prefix(domain).as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
+        let root = Path::new(root_directory().as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
+        config.global.set_root_path(&root);
         // Publishers that ended with samples still queued, per subscription. iceoryx2's 128 cost each one 460 KiB of heap.
         config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 8;
         let node = NodeBuilder::new()
@@ -109,4 +111,14 @@ impl Participant {
     ) -> Result<Subscription<T>, TransportError> {
         Subscription::create(self.shared.clone(), topic, qos, limits)
     }
+}
+
+/// Starts the names of a domain's files in `/dev/shm`. They are private to their user, so each user has names of their own.
+pub(crate) fn file_prefix(domain: u32) -> String {
+    format!("taut_{domain}_{}_", rustix::process::getuid().as_raw())
+}
+
+/// Where iceoryx2 keeps what is not shared memory: the descriptions of nodes and services.
+fn root_directory() -> String {
+    format!("/tmp/tautline_{}", rustix::process::getuid().as_raw())
 }

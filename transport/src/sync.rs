@@ -21,10 +21,8 @@ impl FutexWord {
     /// One syscall. The time-out is absolute and monotonic: setting the clock does not disturb it.
     pub(crate) fn wait(&self, expected: u32, deadline_ns: Option<u64>) {
         use rustix::thread::{Timespec, futex};
-        let timeout = deadline_ns.map(|ns| Timespec {
-            tv_sec: (ns / 1_000_000_000) as i64,
-            tv_nsec: (ns % 1_000_000_000) as i64,
-        });
+        let timeout = deadline_ns
+            .map(|ns| Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 });
         // EAGAIN (the word changed), ETIMEDOUT and EINTR all mean: look again.
         let any = core::num::NonZeroU32::MAX;
         let _ = futex::wait_bitset(&self.0, futex::Flags::empty(), expected, timeout.as_ref(), any);

@@ -4,6 +4,7 @@
 use crate::error::TransportError;
 use crate::header::SampleHeader;
 use crate::qos::Limits;
+use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError};
@@ -62,7 +63,8 @@ impl Topic {
         let history = transient_local
             .then(|| {
                 // One more than the depth: the mark that ends a history. ':' cannot be in a topic's name.
-                let limits = Limits { depth: Limits::MAX_DEPTH.min(wanted.depth + 1), held: wanted.held, ..wanted };
+                let limits =
+                    Limits { depth: Limits::MAX_DEPTH.min(wanted.depth + 1), held: wanted.held, ..wanted };
                 open_service(node, name, &format!("history:{name}"), type_info, limits)
             })
             .transpose()?;
@@ -83,6 +85,20 @@ impl Topic {
             });
         }
         Ok(Topic { name: name.into(), factory, type_info, limits, history })
+    }
+
+    /// What a port does when iceoryx2 cannot connect it to another one: go on without, but not silently.
+    pub(crate) fn warn_of_degradation(
+        &self,
+    ) -> impl Fn(DegradationCause, &DegradationInfo) -> DegradationAction + Send + use<> {
+        let topic = self.name.clone();
+        move |_, _| {
+            tracing::warn!(
+                "topic '{topic}': a publisher and a subscription cannot be connected, so nothing goes from one to the \
+                 other; is the process at its limit of open files (ulimit -n)?"
+            );
+            DegradationAction::Ignore
+        }
     }
 
     pub(crate) fn iceoryx_error(&self, what: &'static str, reason: impl std::fmt::Debug) -> TransportError {
@@ -114,7 +130,9 @@ fn open_service(
     for _ in 0..100 {
         match builder().open() {
             Ok(factory) => return check_type(topic, type_info, factory),
-            Err(PublishSubscribeOpenError::DoesNotExist | PublishSubscribeOpenError::IsMarkedForDestruction) => {}
+            Err(
+                PublishSubscribeOpenError::DoesNotExist | PublishSubscribeOpenError::IsMarkedForDestruction,
+            ) => {}
             Err(PublishSubscribeOpenError::IncompatibleTypes) => {
                 return Err(TransportError::TypeMismatch {
                     topic: topic.into(),

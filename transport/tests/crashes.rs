@@ -166,7 +166,9 @@ fn a_killed_keep_all_subscription_frees_the_publisher() {
     assert_eq!((sent, loan.n), (4, 7));
     part.kill();
     wait_for("the janitor to free the publisher", || {
-        let Some(back) = refused(std::mem::replace(&mut loan, publisher.loan().unwrap())) else { return true };
+        let Some(back) = refused(std::mem::replace(&mut loan, publisher.loan().unwrap())) else {
+            return true;
+        };
         loan = back;
         false
     });

@@ -137,7 +137,8 @@ fn from_two_publishers() {
     publish(&publishers[0], [6]);
     publish(&publishers[1], [106]);
     taken.extend(take_all(&joiner));
-    let of = |range: std::ops::Range<u64>| taken.iter().copied().filter(|n| range.contains(n)).collect::<Vec<_>>();
+    let of =
+        |range: std::ops::Range<u64>| taken.iter().copied().filter(|n| range.contains(n)).collect::<Vec<_>>();
     assert_eq!(of(0..100), [3, 4, 5, 6]);
     assert_eq!(of(100..200), [103, 104, 105, 106]);
     assert_eq!(taken.len(), 8);
@@ -177,10 +178,12 @@ fn a_history_is_held_in_place_as_well() {
 fn volatile_ends_get_nothing_old() {
     let participant = Participant::new(156).unwrap();
     let keeper = publisher(&participant, 3);
-    let volatile = participant.create_publisher::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
+    let volatile =
+        participant.create_publisher::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
     publish(&volatile, 1..=3);
     publish(&keeper, 101..=103);
-    let plain = participant.create_subscription::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
+    let plain =
+        participant.create_subscription::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();
     let joiner = subscription(&participant, 3);
     assert_eq!(take_until(&joiner, 103), [101, 102, 103]);
     publish(&volatile, [4]);

@@ -48,7 +48,8 @@ fn idle_topics(domain: u32) {
     let participant = Participant::new(domain).unwrap();
     let create = |n: usize| {
         let topic = format!("/idle_{n}");
-        let publisher = participant.create_publisher::<Eight>(&topic, Qos::default(), Limits::default()).unwrap();
+        let publisher =
+            participant.create_publisher::<Eight>(&topic, Qos::default(), Limits::default()).unwrap();
         let subscription =
             participant.create_subscription::<Eight>(&topic, Qos::default(), Limits::default()).unwrap();
         (publisher, subscription)

@@ -36,7 +36,11 @@ fn child_main() {
         cycle(0);
         forbid_system_calls();
         (1..=MESSAGES).for_each(cycle);
-        let text: &[u8] = if sum == MESSAGES * (MESSAGES + 1) / 2 { b"\npart: no system call\n" } else { b"\npart: wrong\n" };
+        let text: &[u8] = if sum == MESSAGES * (MESSAGES + 1) / 2 {
+            b"\npart: no system call\n"
+        } else {
+            b"\npart: wrong\n"
+        };
         // SAFETY: the bytes live as long as the call; the thread may write, and leave by SYS_exit.
         unsafe {
             libc::write(stdout, text.as_ptr().cast(), text.len());

@@ -10,8 +10,7 @@ use tautline_transport::{
     Limits, LoanError, Participant, PublishError, Qos, TakeError, TransportError, Unpublished,
 };
 
-const DEFAULT: Limits =
-    Limits { publishers: 8, subscribers: 16, depth: 128, held: 8, loans: 4 };
+const DEFAULT: Limits = Limits { publishers: 8, subscribers: 16, depth: 128, held: 8, loans: 4 };
 
 const GREATEST: Limits = Limits { publishers: 64, subscribers: 128, depth: 4, held: 1, loans: 1 };
 
@@ -44,7 +43,8 @@ fn child_main() {
     let participant = Participant::new(domain).unwrap();
     match part.as_str() {
         "image" => {
-            let publisher = participant.create_publisher::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+            let publisher =
+                participant.create_publisher::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
             let mut loan = publisher.loan().unwrap();
             loan.data[..8].copy_from_slice(b"tautline");
             loan.data[IMAGE_BYTES - 1] = 7;
@@ -55,7 +55,9 @@ fn child_main() {
         }
         "32 subscriptions" => {
             let subscriptions: Vec<_> = (0..32)
-                .map(|_| participant.create_subscription::<Count>("/many", Qos::keep_last(4), GREATEST).unwrap())
+                .map(|_| {
+                    participant.create_subscription::<Count>("/many", Qos::keep_last(4), GREATEST).unwrap()
+                })
                 .collect();
             say("ready");
             for subscription in &subscriptions {
@@ -78,7 +80,8 @@ fn child_main() {
 fn an_image_is_read_where_it_was_written() {
     let participant = Participant::new(130).unwrap();
     let publisher = participant.create_publisher::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
-    let subscription = participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+    let subscription =
+        participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
     let mut loan = publisher.loan().unwrap();
     loan.data[0] = 1;
     loan.data[IMAGE_BYTES - 1] = 2;
@@ -95,7 +98,8 @@ fn an_image_is_read_where_it_was_written() {
 #[test]
 fn an_image_of_another_process_is_read_in_that_ones_segment() {
     let participant = Participant::new(131).unwrap();
-    let subscription = participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
+    let subscription =
+        participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
     let mut part = Part::start("image", 131);
     let written = part.hear();
     let sample = subscription.take().unwrap().unwrap();
@@ -168,7 +172,8 @@ fn losses_are_exact_with_several_publishers_and_random_pauses() {
     let publishers: Vec<_> = (0..3)
         .map(|_| participant.create_publisher::<Count>("/random", Qos::default(), DEFAULT).unwrap())
         .collect();
-    let subscription = participant.create_subscription::<Count>("/random", Qos::keep_last(5), DEFAULT).unwrap();
+    let subscription =
+        participant.create_subscription::<Count>("/random", Qos::keep_last(5), DEFAULT).unwrap();
     let (mut sent, mut received) = (0, 0);
     for _ in 0..20_000 {
         if random.random_ratio(4, 5) {
@@ -198,10 +203,15 @@ fn deep_queues() {
     }
     assert_eq!(take_all(&subscription), (2..=20_001).collect::<Vec<_>>());
     assert_eq!(subscription.counters().lost(), 1);
-    let error = participant.create_subscription::<Count>("/deep", Qos::keep_last(20_001), limits).err().unwrap();
-    assert!(matches!(error, TransportError::Limit { limit: "depth", existing: 20_000, requested: 20_001, .. }), "{error}");
+    let error =
+        participant.create_subscription::<Count>("/deep", Qos::keep_last(20_001), limits).err().unwrap();
+    assert!(
+        matches!(error, TransportError::Limit { limit: "depth", existing: 20_000, requested: 20_001, .. }),
+        "{error}"
+    );
     for depth in [0, Limits::MAX_DEPTH + 1] {
-        let error = participant.create_publisher::<Count>("/deep", Qos::keep_last(depth), limits).err().unwrap();
+        let error =
+            participant.create_publisher::<Count>("/deep", Qos::keep_last(depth), limits).err().unwrap();
         assert!(matches!(error, TransportError::LimitRange { limit: "depth", .. }), "{error}");
     }
 }
@@ -215,7 +225,8 @@ fn deadline_and_lifespan_are_refused() {
         (Qos { lifespan: second, ..Qos::default() }, "lifespan"),
     ] {
         let publisher = participant.create_publisher::<Count>("/unsupported", qos, DEFAULT).err().unwrap();
-        let subscription = participant.create_subscription::<Count>("/unsupported", qos, DEFAULT).err().unwrap();
+        let subscription =
+            participant.create_subscription::<Count>("/unsupported", qos, DEFAULT).err().unwrap();
         for error in [publisher, subscription] {
             let text = error.to_string();
             assert!(text.contains("/unsupported") && text.contains(setting), "{text}");
@@ -227,10 +238,15 @@ fn deadline_and_lifespan_are_refused() {
 fn another_type_or_size_is_refused_with_both_names() {
     let participant = Participant::new(137).unwrap();
     let _publisher = participant.create_publisher::<Count>("/typed", Qos::default(), DEFAULT).unwrap();
-    let other = participant.create_subscription::<Other>("/typed", Qos::default(), DEFAULT).err().unwrap().to_string();
+    let other = participant
+        .create_subscription::<Other>("/typed", Qos::default(), DEFAULT)
+        .err()
+        .unwrap()
+        .to_string();
     assert!(other.contains("'test_msgs/msg/Count (8 bytes)'"), "{other}");
     assert!(other.contains("'test_msgs/msg/Other (8 bytes)'"), "{other}");
-    let longer = participant.create_publisher::<Longer>("/typed", Qos::default(), DEFAULT).err().unwrap().to_string();
+    let longer =
+        participant.create_publisher::<Longer>("/typed", Qos::default(), DEFAULT).err().unwrap().to_string();
     assert!(longer.contains("(8 bytes)") && longer.contains("'test_msgs/msg/Count (24 bytes)'"), "{longer}");
 }
 
@@ -269,7 +285,8 @@ fn loans_run_out_and_come_back() {
 fn held_samples_run_out_and_come_back() {
     let participant = Participant::new(141).unwrap();
     let limits = Limits { held: 3, ..DEFAULT };
-    let publishers = [(); 2].map(|()| participant.create_publisher::<Count>("/held", Qos::default(), limits).unwrap());
+    let publishers =
+        [(); 2].map(|()| participant.create_publisher::<Count>("/held", Qos::default(), limits).unwrap());
     let subscription = participant.create_subscription::<Count>("/held", Qos::keep_last(4), limits).unwrap();
     for round in 0..100 {
         for n in 1..=4 {
@@ -308,10 +325,13 @@ fn the_default_limits_are_8_publishers_and_16_subscriptions() {
     let participant = Participant::new(143).unwrap();
     assert_eq!(Limits::default(), DEFAULT);
     let publisher = || participant.create_publisher::<Count>("/limits", Qos::default(), Limits::default());
-    let subscription = || participant.create_subscription::<Count>("/limits", Qos::default(), Limits::default());
+    let subscription =
+        || participant.create_subscription::<Count>("/limits", Qos::default(), Limits::default());
     let publishers: Vec<_> = (0..8).map(|_| publisher().unwrap()).collect();
     let subscriptions: Vec<_> = (0..16).map(|_| subscription().unwrap()).collect();
-    for (error, limit) in [(publisher().err().unwrap(), "publishers"), (subscription().err().unwrap(), "subscribers")] {
+    for (error, limit) in
+        [(publisher().err().unwrap(), "publishers"), (subscription().err().unwrap(), "subscribers")]
+    {
         assert!(matches!(&error, TransportError::Limit { limit: named, .. } if *named == limit), "{error}");
         assert!(error.to_string().contains(&format!("Limits::{limit}")), "{error}");
     }
@@ -365,8 +385,10 @@ fn the_greatest_limits_work() {
     for part in &mut parts {
         assert_eq!(part.hear(), "all taken");
     }
-    let publisher = participant.create_publisher::<Count>("/many", Qos::keep_last(4), GREATEST).err().unwrap();
-    let subscription = participant.create_subscription::<Count>("/many", Qos::keep_last(4), GREATEST).err().unwrap();
+    let publisher =
+        participant.create_publisher::<Count>("/many", Qos::keep_last(4), GREATEST).err().unwrap();
+    let subscription =
+        participant.create_subscription::<Count>("/many", Qos::keep_last(4), GREATEST).err().unwrap();
     for (error, limit) in [(publisher, "publishers = 64"), (subscription, "subscribers = 128")] {
         assert!(error.to_string().contains(limit), "{error}");
     }
@@ -391,7 +413,8 @@ fn two_participants_in_one_process() {
 fn publisher_and_subscription_move_between_threads() {
     let participant = Participant::new(147).unwrap();
     let mut publisher = participant.create_publisher::<Count>("/move", Qos::default(), DEFAULT).unwrap();
-    let mut subscription = participant.create_subscription::<Count>("/move", Qos::default(), DEFAULT).unwrap();
+    let mut subscription =
+        participant.create_subscription::<Count>("/move", Qos::default(), DEFAULT).unwrap();
     let mut held = None;
     for n in 0..100u64 {
         let expected = n.checked_sub(1);

@@ -1,3 +1,115 @@
-//! What CI runs and what people run: test, bench, stress
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What CI runs and what people run, as `cargo xtask <verb>`.
+//!
+//! | module | holds |
+//! |---|---|
+//! | `steps` | commands that are printed, timed and counted; the closing table |
+//! | `test` | the verb `test`: every step of it, in order |
+//! | `examples` | runs each example and compares what it prints with `examples/expected` |
+//! | `reports` | checks that the JSON of the demo and of the wake bench keeps its promises |
+//! | `machine` | where things are built, and what this user may do |
 
-fn main() {}
+mod examples;
+mod machine;
+mod reports;
+mod steps;
+mod test;
+
+use clap::{Parser, Subcommand};
+use std::path::PathBuf;
+use std::process::{Command, ExitCode};
+use steps::Steps;
+
+/// The tasks of this workspace.
+#[derive(Parser)]
+#[command(bin_name = "cargo xtask")]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Everything CI runs: format, lints, docs, tests, examples, stress, models, smoke tests
+    Test {
+        /// Leave out what takes minutes: stress, loom, miri, bench
+        #[arg(long)]
+        quick: bool,
+    },
+    /// Runs each example and compares what it prints with examples/expected
+    Examples {
+        /// Write what the examples print to examples/expected
+        #[arg(long)]
+        bless: bool,
+    },
+    /// Measures
+    #[command(subcommand)]
+    Bench(Bench),
+    /// Tries to break something by doing it very often
+    #[command(subcommand)]
+    Stress(Stress),
+}
+
+#[derive(Subcommand)]
+enum Bench {
+    /// The wake-up from one process to another, beside a bare futex and iceoryx2
+    Wake {
+        /// Fewer payloads and rounds: under a minute
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Passed on: see `cargo xtask bench wake -- --help`
+        #[arg(last = true)]
+        arguments: Vec<String>,
+    },
+}
+
+#[derive(Subcommand)]
+enum Stress {
+    /// Rings the doorbell from four processes; none may be lost
+    Doorbell {
+        /// How often
+        #[arg(long, value_name = "N", default_value_t = 10_000_000)]
+        rings: u64,
+    },
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    // Whatever folder it was started in.
+    if let Err(error) = std::env::set_current_dir(machine::root()) {
+        eprintln!("{}: {error}", machine::root().display());
+        return ExitCode::FAILURE;
+    }
+    match cli.verb {
+        Verb::Test { quick } => test::run(quick),
+        Verb::Examples { bless } => {
+            let mut steps = Steps::new();
+            examples::run(&mut steps, bless);
+            steps.finish()
+        }
+        Verb::Bench(Bench::Wake { quick, json, arguments }) => {
+            steps::run(bench_wake(quick, json.as_deref()).args(arguments))
+        }
+        Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
+    }
+}
+
+fn stress_doorbell(rings: u64) -> Command {
+    let mut command = steps::cargo("test --release -p tautline-transport --lib stress -- --nocapture");
+    command.env("TAUT_STRESS_RINGS", rings.to_string());
+    command
+}
+
+fn bench_wake(quick: bool, json: Option<&std::path::Path>) -> Command {
+    let mut command = steps::cargo("run --release -p tautline-benches --bin wake --");
+    if quick {
+        command.arg("--quick");
+    }
+    if let Some(path) = json {
+        command.arg("--json").arg(path);
+    }
+    command
+}

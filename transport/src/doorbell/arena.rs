@@ -183,11 +183,14 @@ impl Arena {
             .map_err(|errno| refuse(errno.into()))?;
         let size = rustix::fs::fstat(&file).map_err(|errno| refuse(errno.into()))?.st_size;
         if size < size_of::<Layout>() as i64 {
-            return Err(refuse(io::Error::other("shorter than an arena: made by another version of Tautline?")));
+            return Err(refuse(io::Error::other(
+                "shorter than an arena: made by another version of Tautline?",
+            )));
         }
         let arena = Arena { id, map: map(&file).map_err(refuse)?, owned: None };
         let layout = arena.layout();
-        if layout.magic.load(Ordering::Acquire) != MAGIC || layout.version.load(Ordering::Relaxed) != VERSION {
+        if layout.magic.load(Ordering::Acquire) != MAGIC || layout.version.load(Ordering::Relaxed) != VERSION
+        {
             return Err(refuse(io::Error::other("not an arena of this version of Tautline")));
         }
         Ok(arena)
@@ -244,7 +247,13 @@ impl Arena {
     }
 
     /// Claims a link of the subscription behind `slot` for a publisher; `None` if all are taken.
-    pub(crate) fn claim_link(&self, slot: usize, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> Option<usize> {
+    pub(crate) fn claim_link(
+        &self,
+        slot: usize,
+        gid: Gid,
+        start: u64,
+        waiter: (ArenaId, usize),
+    ) -> Option<usize> {
         self.links(slot).iter().position(|link| link.claim(gid, start, waiter))
     }
 
@@ -278,7 +287,9 @@ pub(crate) fn remove_stale_arenas(domain: u32) {
             continue;
         }
         let path = entry.path();
-        let Ok(file) = rustix::fs::open(&path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty()) else {
+        let Ok(file) =
+            rustix::fs::open(&path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())
+        else {
             continue;
         };
         // A file without its magic is being made: its owner has not locked it yet, or died in those microseconds.
@@ -290,7 +301,8 @@ pub(crate) fn remove_stale_arenas(domain: u32) {
 
 /// Between creating a file and locking it its owner looks dead: leave new files alone.
 fn is_young(path: &Path) -> bool {
-    let age = std::fs::metadata(path).and_then(|meta| meta.modified()).ok().and_then(|time| time.elapsed().ok());
+    let age =
+        std::fs::metadata(path).and_then(|meta| meta.modified()).ok().and_then(|time| time.elapsed().ok());
     age.is_none_or(|age| age.as_millis() < 200)
 }
 
@@ -314,10 +326,63 @@ fn path(domain: u32, id: ArenaId) -> PathBuf {
 }
 
 fn file_prefix(domain: u32) -> String {
-    format!("taut_{domain}_arena_")
+    format!("{}arena_", crate::participant::file_prefix(domain))
 }
 
 /// Random enough for a name: the seeds of the standard library's hash maps.
 fn random() -> u64 {
     std::collections::hash_map::RandomState::new().build_hasher().finish() | 1
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    const DOMAIN: u32 = 191;
+
+    #[test]
+    fn a_link_is_released_by_its_owner_alone() {
+        let arena = Arena::create(DOMAIN).unwrap();
+        let (old, new, third) = (Gid([4; 16]), Gid([8; 16]), Gid([12; 16]));
+        assert_eq!(arena.claim_link(0, old, 1, (arena.id(), 7)), Some(0));
+        // The subscription behind the slot goes, another comes, and a publisher matches it before `old` has noticed.
+        arena.reset(0);
+        assert_eq!(arena.claim_link(0, new, 5, (arena.id(), 8)), Some(0));
+        let link = &arena.links(0)[0];
+        link.release(old);
+        assert!(link.is_claimed());
+        assert_eq!(arena.claim_link(0, third, 1, (arena.id(), 9)), Some(1));
+        link.release(new);
+        assert!(!link.is_claimed());
+        assert_eq!((link.gid(), link.start()), (new, 5), "readable until it is claimed again");
+    }
+
+    #[test]
+    fn all_links_taken() {
+        let arena = Arena::create(DOMAIN).unwrap();
+        for n in 0..LINKS {
+            assert_eq!(arena.claim_link(3, Gid([4 * n as u8; 16]), 1, (arena.id(), 0)), Some(n));
+        }
+        assert_eq!(arena.claim_link(3, Gid([255; 16]), 1, (arena.id(), 0)), None);
+    }
+
+    #[test]
+    fn a_file_that_is_no_arena_is_refused() {
+        for (id, len_bytes) in [(ArenaId(random()), 16), (ArenaId(random()), size_of::<Layout>() as u64)] {
+            let path = path(DOMAIN, id);
+            std::fs::File::create(&path).unwrap().set_len(len_bytes).unwrap();
+            let refused = Arena::open(DOMAIN, id).is_err();
+            std::fs::remove_file(path).unwrap();
+            assert!(refused, "{len_bytes} bytes");
+        }
+    }
+
+    #[test]
+    fn indices_from_other_processes_are_harmless() {
+        let arena = Arena::create(DOMAIN).unwrap();
+        arena.bell().ring(SLOTS);
+        arena.advance_epoch(SLOTS);
+        assert!(!arena.bell().is_pending());
+        assert_eq!((arena.flags(SLOTS), arena.links(usize::MAX).len()), (0, 0));
+    }
 }

@@ -27,7 +27,10 @@ fn model(f: impl Fn() + Sync + Send + 'static) {
 fn loom_one_ring_is_never_lost() {
     model(|| {
         let bell = Arc::new(Bell::new());
-        let ringer = { let bell = bell.clone(); thread::spawn(move || bell.ring(1)) };
+        let ringer = {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring(1))
+        };
         sample_until(&bell, 0b10);
         ringer.join().unwrap();
     });
@@ -37,7 +40,10 @@ fn loom_one_ring_is_never_lost() {
 fn loom_two_ringers_of_different_slots() {
     model(|| {
         let bell = Arc::new(Bell::new());
-        let ringers = [0usize, 1].map(|slot| { let bell = bell.clone(); thread::spawn(move || bell.ring(slot)) });
+        let ringers = [0usize, 1].map(|slot| {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring(slot))
+        });
         sample_until(&bell, 0b11);
         for ringer in ringers {
             ringer.join().unwrap();

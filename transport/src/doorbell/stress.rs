@@ -23,7 +23,8 @@ const RINGER: &str = "TAUT_STRESS_RINGER";
 fn stress_no_ring_is_lost() {
     let rings = std::env::var("TAUT_STRESS_RINGS").map_or(DEFAULT_RINGS, |rings| rings.parse().unwrap());
     let each = rings / RINGERS as u64;
-    let seed: u64 = std::env::var("TAUT_STRESS_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
+    let seed: u64 =
+        std::env::var("TAUT_STRESS_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
     let domain = 190;
     let arena = Arena::create(domain).unwrap();
     let mut ringers: Vec<_> = (0..RINGERS).map(|number| spawn(&arena, domain, number, each, seed)).collect();
@@ -45,7 +46,10 @@ fn stress_no_ring_is_lost() {
                 lost += u64::from(arena.bell().is_pending());
                 // A ringer that failed would leave this loop waiting for ever.
                 for ringer in &mut ringers {
-                    assert!(ringer.try_wait().unwrap().is_none_or(|status| status.success()), "a ringer failed");
+                    assert!(
+                        ringer.try_wait().unwrap().is_none_or(|status| status.success()),
+                        "a ringer failed"
+                    );
                 }
             }
         }

@@ -95,7 +95,11 @@ impl<T: Message + Plain> Publisher<T> {
     }
 
     /// Publishes a loan. See [`Loan::publish`].
-    fn publish_loan<'p>(&'p self, mut loan: Loan<'p, T>, released_ns: Option<u64>) -> Result<(), Unpublished<'p, T>> {
+    fn publish_loan<'p>(
+        &'p self,
+        mut loan: Loan<'p, T>,
+        released_ns: Option<u64>,
+    ) -> Result<(), Unpublished<'p, T>> {
         let mut peers = self.peers.borrow_mut();
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
         if self.keep_all && !has_room(&peers) {

@@ -44,7 +44,12 @@ pub struct Publisher<T> {
 unsafe impl<T> Send for Publisher<T> {}
 
 impl<T: Message + Plain> Publisher<T> {
-    pub(crate) fn create(shared: Arc<Shared>, topic: &str, qos: Qos, limits: Limits) -> Result<Self, TransportError> {
+    pub(crate) fn create(
+        shared: Arc<Shared>,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
         qos.check(topic)?;
         let transient = qos.durability == Durability::TransientLocal;
         let type_info = TypeInfo { name: T::TYPE_NAME, len_bytes: size_of::<T>() };
@@ -65,6 +70,7 @@ impl<T: Message + Plain> Publisher<T> {
             .max_loaned_samples(limits.loans)
             // A full queue overwrites its oldest sample; should that ever fail, nothing may spin in publish().
             .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .set_degradation_handler(topic.warn_of_degradation())
             .create()
             .map_err(|error| create_error(&topic, error))?;
         let gid = ports::gid(port.id().value());
@@ -73,7 +79,13 @@ impl<T: Message + Plain> Publisher<T> {
             shared.janitor.keep(slot.index(), keeper);
         }
         let fingerprint = ports::fingerprint(&topic);
-        let watch = Watch { topic: topic.clone(), slot: slot.index(), is_publisher: true, fingerprint, ring_at_ns: None };
+        let watch = Watch {
+            topic: topic.clone(),
+            slot: slot.index(),
+            is_publisher: true,
+            fingerprint,
+            ring_at_ns: None,
+        };
         shared.janitor.watch(watch);
         let peers = Peers::new(shared.domain, topic.limits.subscribers);
         let keep_all = qos.history == History::KeepAll;

@@ -73,7 +73,8 @@ impl Peers {
                 continue;
             }
             let own = slot.doorbell();
-            let known = self.matched.iter().find(|matched| matched.reached.arena().id() == port.address.arena);
+            let known =
+                self.matched.iter().find(|matched| matched.reached.arena().id() == port.address.arena);
             let reached = match known {
                 Some(matched) => Some(matched.reached.clone()),
                 None => Reached::reach(self.domain, own, port.address.arena),

@@ -155,10 +155,11 @@ impl<T: Message + Plain> Subscription<T> {
 
     fn lend(&self, sample: IoxSample, shelf: &Shelf<IoxSample>) -> Result<Sample<T>, TakeError> {
         let info = sample.user_header().info();
-        let body = tautline_msgs::from_bytes::<T>(sample.payload()).map(NonNull::from).map_err(|invalid| {
-            add(&self.counters.invalid, 1);
-            TakeError::Invalid(invalid)
-        })?;
+        let body =
+            tautline_msgs::from_bytes::<T>(sample.payload()).map(NonNull::from).map_err(|invalid| {
+                add(&self.counters.invalid, 1);
+                TakeError::Invalid(invalid)
+            })?;
         let lent = shelf.lend(sample).ok_or(TakeError::TooManyHeld)?;
         Ok(Sample { body, info, _lent: lent })
     }

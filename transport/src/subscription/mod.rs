@@ -84,7 +84,12 @@ impl Counters {
 }
 
 impl<T: Message + Plain> Subscription<T> {
-    pub(crate) fn create(shared: Arc<Shared>, topic: &str, qos: Qos, limits: Limits) -> Result<Self, TransportError> {
+    pub(crate) fn create(
+        shared: Arc<Shared>,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
         qos.check(topic)?;
         let transient = qos.durability == Durability::TransientLocal;
         let type_info = TypeInfo { name: T::TYPE_NAME, len_bytes: size_of::<T>() };
@@ -105,6 +110,7 @@ impl<T: Message + Plain> Subscription<T> {
             .subscriber_builder()
             .name(&address.to_port_name())
             .buffer_size(qos.depth)
+            .set_degradation_handler(topic.warn_of_degradation())
             .create()
             .map_err(|error| create_error(&topic, error))?;
         let catch = if transient { Catch::open(&topic, address, qos.depth)? } else { None };

@@ -74,7 +74,9 @@ impl Tracker {
     /// Notes a sample of a history. False: it came already.
     pub(crate) fn note_history(&mut self, gid: Gid, sequence_number: u64) -> bool {
         let index = self.find(gid).unwrap_or_else(|| self.remember(gid, sequence_number));
-        let Some(seen) = self.seen.get_mut(index).filter(|seen| sequence_number >= seen.next) else { return false };
+        let Some(seen) = self.seen.get_mut(index).filter(|seen| sequence_number >= seen.next) else {
+            return false;
+        };
         seen.next = sequence_number + 1;
         true
     }

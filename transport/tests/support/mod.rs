@@ -80,7 +80,7 @@ pub fn shared_memory(domain: u32) -> BTreeMap<String, u64> {
         .collect()
 }
 
-/// The files of a domain under /tmp/iceoryx2.
+/// The files of a domain that are not shared memory.
 pub fn bookkeeping(domain: u32) -> Vec<String> {
     fn visit(folder: &std::path::Path, prefix: &str, found: &mut Vec<String>) {
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -94,7 +94,8 @@ pub fn bookkeeping(domain: u32) -> Vec<String> {
         }
     }
     let mut found = Vec::new();
-    visit("/tmp/iceoryx2".as_ref(), &format!("taut_{domain}_"), &mut found);
+    let root = format!("/tmp/tautline_{}", rustix::process::getuid().as_raw());
+    visit(root.as_ref(), &format!("taut_{domain}_"), &mut found);
     found.sort();
     found
 }

@@ -70,10 +70,9 @@ fn run_mode(job: &Job, pinger: &mut Pinger) -> Result<()> {
         Mode::FutexBlocking | Mode::FutexOneCore => futex::run(job, |link| exchange(job, pinger, link)),
         Mode::IceoryxBusyPoll => iceoryx::run_busy_poll(job, |link| exchange(job, pinger, link)),
         Mode::IceoryxWaitSet => iceoryx::run_waitset(job, |link| exchange(job, pinger, link)),
-        Mode::TautlineSameCore
-        | Mode::TautlineTwoCores
-        | Mode::TautlineOneCore
-        | Mode::TautlineBusyPoll => tautline::run(job, pinger),
+        Mode::TautlineSameCore | Mode::TautlineTwoCores | Mode::TautlineOneCore | Mode::TautlineBusyPoll => {
+            tautline::run(job, pinger)
+        }
     }
 }
 

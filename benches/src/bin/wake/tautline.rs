@@ -6,8 +6,10 @@
 
 use std::sync::mpsc;
 
+use ::tautline::{
+    CallbackOptions, Context, Message, Node, Plain, Publisher, QosProfile, Realtime, Subscription,
+};
 use futures::StreamExt;
-use ::tautline::{CallbackOptions, Context, Message, Node, Plain, Publisher, QosProfile, Realtime, Subscription};
 
 use crate::Result;
 use crate::child::{Pinger, Received, WAIT, ready};

@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! From publish to callback: one allocation, iceoryx2's in `loan`; none on the sampler's and the callback's thread.
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread::{Thread, current, park};
+
+use common::{Number, context};
+use futures::StreamExt;
+use tautline::{CallbackOptions, Node, Publisher, QosProfile, Sample};
+
+/// Heap calls of one thread.
+struct Calls {
+    allocations: AtomicU64,
+    frees: AtomicU64,
+}
+
+impl Calls {
+    const fn new() -> Calls {
+        Calls { allocations: AtomicU64::new(0), frees: AtomicU64::new(0) }
+    }
+
+    fn now(&self) -> (u64, u64) {
+        (self.allocations.load(Ordering::SeqCst), self.frees.load(Ordering::SeqCst))
+    }
+}
+
+static PUBLISHER: Calls = Calls::new();
+static SAMPLER: Calls = Calls::new();
+static CALLBACK: Calls = Calls::new();
+
+thread_local!(static MINE: Cell<Option<&'static Calls>> = const { Cell::new(None) });
+
+fn count(which: impl FnOnce(&Calls) -> &AtomicU64) {
+    if let Ok(Some(calls)) = MINE.try_with(Cell::get) {
+        which(calls).fetch_add(1, Ordering::SeqCst);
+    }
+}
+
+struct Counting;
+
+// SAFETY: every call is handed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(|calls| &calls.allocations);
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        count(|calls| &calls.frees);
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(block, layout) }
+    }
+    unsafe fn realloc(&self, block: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        count(|calls| &calls.allocations);
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.realloc(block, layout, bytes) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const MESSAGES: u64 = 10_000;
+
+static RECEIVED: AtomicU64 = AtomicU64::new(0);
+static WAITING: OnceLock<Thread> = OnceLock::new();
+
+async fn answer(sample: Sample<Number>) {
+    // Before this the thread was setting up.
+    MINE.set(Some(&CALLBACK));
+    RECEIVED.store(sample.value, Ordering::Release);
+    if let Some(publisher) = WAITING.get() {
+        publisher.unpark();
+    }
+}
+
+/// Publishes each value when the one before has been received.
+fn send(publisher: &Publisher<Number>, values: impl Iterator<Item = u64>) {
+    for value in values {
+        publisher.publish(&Number { value }).unwrap();
+        while RECEIVED.load(Ordering::Acquire) < value {
+            park();
+        }
+    }
+}
+
+/// Sends [`MESSAGES`]; returns each thread's allocations and frees meanwhile.
+fn round(publisher: &Publisher<Number>, values: &mut impl Iterator<Item = u64>) -> [(u64, u64); 3] {
+    let threads = [&PUBLISHER, &SAMPLER, &CALLBACK];
+    let before = threads.map(Calls::now);
+    send(publisher, values.take(MESSAGES as usize));
+    let after = threads.map(Calls::now);
+    std::array::from_fn(|index| (after[index].0 - before[index].0, after[index].1 - before[index].1))
+}
+
+#[test]
+fn ten_thousand_messages_allocate_only_their_loans() {
+    let context = context(227);
+    let mut node = Node::create(context.clone(), "frugal", "").unwrap();
+    let publisher = node.create_publisher::<Number>("/frugal", QosProfile::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/frugal", QosProfile::default()).unwrap();
+    let callback = node.spawn_callback(CallbackOptions::other(), numbers.for_each(answer)).unwrap();
+    let sampler = std::thread::spawn({
+        let context = context.clone();
+        move || {
+            MINE.set(Some(&SAMPLER));
+            context.spin().unwrap();
+            MINE.set(None);
+        }
+    });
+    WAITING.get_or_init(current);
+    MINE.set(Some(&PUBLISHER));
+    let mut values = 1..;
+    send(&publisher, values.by_ref().take(100));
+    // A change of the topic's ports costs the publisher a few allocations, once. The janitor may report the subscription
+    // above during a round, not during two.
+    let rounds = [round(&publisher, &mut values), round(&publisher, &mut values)];
+    MINE.set(None);
+    assert!(rounds.iter().all(|[_, sampler, callback]| [sampler, callback] == [&(0, 0); 2]), "{rounds:?}");
+    assert!(rounds.iter().any(|[publisher, ..]| *publisher == (MESSAGES, MESSAGES)), "{rounds:?}");
+    context.shutdown();
+    sampler.join().unwrap();
+    assert_eq!(callback.stats().releases(), 100 + 2 * MESSAGES);
+}

@@ -1,0 +1,182 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Names, quality of service and limits, through a node.
+
+mod common;
+
+use common::{Number, context, spin};
+use futures::StreamExt;
+use std::time::Duration;
+use tautline::{
+    Error, Limits, LivelinessPolicy, LoanError, Node, PublishError, QosProfile, Subscription, TakeError,
+    TransportError,
+};
+
+fn node(domain: u32, name: &str, namespace: &str) -> Node {
+    Node::create(context(domain), name, namespace).unwrap()
+}
+
+fn take_all(subscription: &Subscription<Number>) -> Vec<u64> {
+    std::iter::from_fn(|| subscription.try_take().unwrap().map(|sample| sample.value)).collect()
+}
+
+#[test]
+fn names_are_those_of_ros_2_from_end_to_end() {
+    let context = context(213);
+    let mut cam = Node::create(context.clone(), "cam", "/robot").unwrap();
+    let mut other = Node::create(context, "viewer", "robot").unwrap();
+    // (published by cam, its full name, how the viewer writes it)
+    for (topic, full, seen) in [
+        ("~/image", "/robot/cam/image", "cam/image"),
+        ("image", "/robot/image", "image"),
+        ("/image", "/image", "/image"),
+        ("{node}/raw", "/robot/cam/raw", "/robot/cam/raw"),
+    ] {
+        let subscription = other.subscribe_loaned::<Number>(full, QosProfile::default()).unwrap();
+        let relative = other.subscribe_loaned::<Number>(seen, QosProfile::default()).unwrap();
+        let publisher = cam.create_publisher::<Number>(topic, QosProfile::default()).unwrap();
+        publisher.publish(&Number { value: 3 }).unwrap();
+        assert_eq!((publisher.topic(), subscription.topic(), relative.topic()), (full, full, full));
+        assert_eq!((take_all(&subscription), take_all(&relative)), (vec![3], vec![3]), "{topic}");
+        assert_eq!(subscription.publisher_count(), 1);
+    }
+}
+
+#[test]
+fn bad_names_are_refused_with_the_reason() {
+    let context = context(213);
+    for (name, namespace, reason) in [
+        ("", "", "it is empty"),
+        ("a/b", "", "put what comes before it into the namespace"),
+        ("9a", "", "begins with a digit"),
+        ("a", "/robot/", "ends with '/'"),
+        ("a", "ro bot", "' ' is not allowed"),
+    ] {
+        let message = Node::create(context.clone(), name, namespace).unwrap_err().to_string();
+        assert!(message.contains(reason), "{message}");
+    }
+    let mut node = Node::create(context, "cam", "").unwrap();
+    for (topic, reason) in
+        [("a//b", "nothing between two '/'"), ("~image", "followed by '/'"), ("a-b", "not allowed")]
+    {
+        let errors = [
+            node.create_publisher::<Number>(topic, QosProfile::default()).err().unwrap(),
+            node.subscribe::<Number>(topic, QosProfile::default()).err().unwrap(),
+            node.subscribe_loaned::<Number>(topic, QosProfile::default()).err().unwrap(),
+            node.set_topic_limits(topic, Limits::default()).err().unwrap(),
+        ];
+        for error in errors {
+            let message = error.to_string();
+            assert!(message.starts_with(&format!("'{topic}' is not a valid topic name")), "{message}");
+            assert!(message.contains(reason), "{message}");
+        }
+    }
+}
+
+#[test]
+fn what_is_not_enforced_is_refused_by_name() {
+    let mut node = node(213, "strict", "");
+    let (qos, second) = (QosProfile::default(), Duration::from_secs(1));
+    for (profile, setting) in [
+        (qos.deadline(second), "deadline"),
+        (qos.lifespan(second), "lifespan"),
+        (qos.liveliness(LivelinessPolicy::ManualByTopic), "liveliness"),
+        (qos.liveliness_lease_duration(second), "liveliness_lease_duration"),
+    ] {
+        let errors = [
+            node.create_publisher::<Number>("/strict", profile).err().unwrap(),
+            node.subscribe_loaned::<Number>("/strict", profile).err().unwrap(),
+        ];
+        for error in errors {
+            let Error::Transport(TransportError::Unsupported { topic, setting: named }) = error else {
+                panic!("{error}")
+            };
+            assert_eq!((topic.as_str(), named), ("/strict", setting));
+        }
+    }
+    let harmless = qos.liveliness(LivelinessPolicy::Automatic).avoid_ros_namespace_conventions(true);
+    node.create_publisher::<Number>("/strict", harmless).unwrap();
+}
+
+#[test]
+fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
+    let mut node = node(214, "keeper", "");
+    let all = QosProfile::default().keep_all().depth(3);
+    let publisher = node.create_publisher::<Number>("/all", all).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/all", all).unwrap();
+    let publish = |value| publisher.publish(&Number { value });
+    let results = (1..=5).map(publish).collect::<Vec<_>>();
+    assert_eq!(results, [Ok(()), Ok(()), Ok(()), Err(PublishError::Full), Err(PublishError::Full)]);
+    assert_eq!(subscription.try_take().unwrap().unwrap().value, 1);
+    publish(6).unwrap();
+    assert_eq!(take_all(&subscription), [2, 3, 6]);
+    assert_eq!(subscription.counters().lost(), 0);
+
+    let last = QosProfile::default().keep_last(3);
+    let publisher = node.create_publisher::<Number>("/last", last).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/last", last).unwrap();
+    (1..=5).for_each(|value| publisher.publish(&Number { value }).unwrap());
+    assert_eq!(take_all(&subscription), [3, 4, 5]);
+    let counters = subscription.counters();
+    assert_eq!((counters.received(), counters.lost(), counters.max_queue()), (3, 2, 3));
+}
+
+#[test]
+fn a_transient_local_late_joiner_gets_the_last_and_a_volatile_one_does_not() {
+    let context = context(215);
+    let mut node = Node::create(context.clone(), "latch", "").unwrap();
+    let latched = QosProfile::default().keep_last(2).transient_local();
+    let publisher = node.create_publisher::<Number>("/map", latched).unwrap();
+    (1..=5).for_each(|value| publisher.publish(&Number { value }).unwrap());
+    let volatile = node.subscribe_loaned::<Number>("/map", QosProfile::default()).unwrap();
+    let late = node.subscribe::<Number>("/map", latched).unwrap();
+    let _spinning = spin(&context);
+    let history = late.take(2).map(|number| number.value).collect::<Vec<_>>();
+    assert_eq!(futures::executor::block_on(history), [4, 5]);
+    assert!(take_all(&volatile).is_empty());
+}
+
+#[test]
+fn limits_are_set_by_the_first_and_exceeding_one_names_it() {
+    let mut node = node(216, "limited", "/ns");
+    let limits = Limits { publishers: 1, subscribers: 1, depth: 4, held: 2, loans: 2 };
+    let qos = QosProfile::default().keep_last(4);
+    // By any of the topic's names.
+    node.set_topic_limits("t", limits).unwrap();
+    let publisher = node.create_publisher::<Number>("/ns/t", qos).unwrap();
+    assert_eq!(publisher.limits(), limits);
+
+    let limit = |error: Error| match error {
+        Error::Transport(TransportError::Limit { topic, limit, existing, requested }) => {
+            assert_eq!(topic, "/ns/t");
+            (limit, existing, requested)
+        }
+        other => panic!("{other}"),
+    };
+    let deep = node.subscribe_loaned::<Number>("t", qos.keep_last(5)).err().unwrap();
+    assert!(deep.to_string().contains("raise `Limits::depth` where the topic is opened first"), "{deep}");
+    assert_eq!(limit(deep), ("depth", 4, 5));
+    let subscription = node.subscribe_loaned::<Number>("t", qos).unwrap();
+    assert_eq!(limit(node.subscribe_loaned::<Number>("t", qos).err().unwrap()), ("subscribers", 1, 2));
+    assert_eq!(limit(node.create_publisher::<Number>("t", qos).err().unwrap()), ("publishers", 1, 2));
+
+    let loans = [publisher.loan().unwrap(), publisher.loan().unwrap()];
+    assert_eq!(publisher.loan().err(), Some(LoanError::Exhausted));
+    for (loan, value) in loans.into_iter().zip([1, 2]) {
+        let mut loan = loan;
+        loan.value = value;
+        loan.publish().unwrap();
+    }
+    publisher.publish(&Number { value: 3 }).unwrap();
+    let held = [subscription.try_take().unwrap().unwrap(), subscription.try_take().unwrap().unwrap()];
+    assert_eq!(subscription.try_take().err(), Some(TakeError::TooManyHeld));
+    assert_eq!(held.each_ref().map(|sample| sample.value), [1, 2]);
+    drop(held);
+    assert_eq!(take_all(&subscription), [3]);
+
+    node.set_topic_limits("u", Limits { publishers: 65, ..limits }).unwrap();
+    let message = node.create_publisher::<Number>("u", qos).err().unwrap().to_string();
+    assert!(
+        message.contains("'/ns/u'") && message.contains("publishers = 65 is outside 1 to 64"),
+        "{message}"
+    );
+}

@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The README's tables and its picture, made from a run on this machine: no number in them is typed.
+
+use serde_json::Value;
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+/// Where the picture goes.
+pub const PICTURE: &str = "docs/demo.svg";
+
+/// Puts the tables of a demo run and of a wake bench, both as JSON, between their marks in `readme`.
+pub fn update(readme: &Path, demo: &Path, wake: &Path) -> Result<(), String> {
+    let (demo, wake) = (read_json(demo)?, read_json(wake)?);
+    let text = fs::read_to_string(readme).map_err(|error| format!("{}: {error}", readme.display()))?;
+    let text = replace(&text, "demo", &demo_table(&demo))?;
+    let text = replace(&text, "wake", &wake_tables(&wake))?;
+    fs::write(readme, text).map_err(|error| format!("{}: {error}", readme.display()))
+}
+
+fn read_json(path: &Path) -> Result<Value, String> {
+    let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    serde_json::from_str(&text).map_err(|error| format!("{}: {error}", path.display()))
+}
+
+/// Replaces what stands between `<!-- mark:begin -->` and `<!-- mark:end -->`.
+fn replace(text: &str, mark: &str, table: &str) -> Result<String, String> {
+    let (begin, end) = (format!("<!-- {mark}:begin -->"), format!("<!-- {mark}:end -->"));
+    let missing = || format!("the README has no {begin} ... {end}");
+    let (before, rest) = text.split_once(&begin).ok_or_else(missing)?;
+    let (_, after) = rest.split_once(&end).ok_or_else(missing)?;
+    Ok(format!("{before}{begin}\n{table}{end}{after}"))
+}
+
+fn demo_table(demo: &Value) -> String {
+    let mut out = String::from(
+        "| topic | period ms | wcet ms | priority | n | p50 ms | p99 ms | max ms | RTA ms | RTA + overhead ms | missed | lost | max queue |\n\
+         |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n",
+    );
+    for topic in demo["topics"].as_array().into_iter().flatten() {
+        let time = |key: &str| topic[key].as_f64().map_or("-".into(), |ms| format!("{ms:.2}"));
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+            topic["topic"].as_str().unwrap_or("?"),
+            topic["period_ms"],
+            topic["wcet_ms"],
+            topic["priority"],
+            topic["n"],
+            time("p50_ms"),
+            time("p99_ms"),
+            time("max_ms"),
+            time("rta_ms"),
+            time("rta_overhead_ms"),
+            topic["deadline_misses"],
+            topic["lost"],
+            topic["max_queue"],
+        );
+    }
+    let _ = writeln!(
+        out,
+        "\n`taut demo`: {} s on one core, {:.1} µs of middleware per message, steal {} ticks; {}, {}.",
+        demo["seconds"],
+        demo["overhead_us"].as_f64().unwrap_or(f64::NAN),
+        demo["steal_ticks"],
+        machine(),
+        demo["preemption"].as_str().unwrap_or("?"),
+    );
+    out
+}
+
+fn wake_tables(rows: &Value) -> String {
+    let rows: Vec<&Value> = rows.as_array().into_iter().flatten().collect();
+    let mut out = String::from(
+        "64 B, from one process to another, half a round trip, in µs (p50 / p99 / p99.9 / max):\n\n\
+         | system | idle states as shipped | idle states held off |\n|---|--:|--:|\n",
+    );
+    for (system, mode) in names(&rows) {
+        let cell = |idle| {
+            let row = find(&rows, system, mode, idle, 64, false);
+            row.map_or("-".into(), |row| {
+                format!("{} / {} / {} / {}", us(row, "p50_us"), us(row, "p99_us"), us(row, "p999_us"), us(row, "max_us"))
+            })
+        };
+        let _ = writeln!(out, "| {system}, {mode} | {} | {} |", cell("default"), cell("poll"));
+    }
+    let sizes: [(u64, &str); 4] = [(64, "64 B"), (4 << 10, "4 KiB"), (1 << 20, "1 MiB"), (8 << 20, "8 MiB")];
+    out.push_str("\nBy size, idle states held off, p50 in µs (payload untouched / all of it written and read):\n\n| system |");
+    sizes.iter().for_each(|(_, name)| out.push_str(&format!(" {name} |")));
+    out.push_str("\n|---|--:|--:|--:|--:|\n");
+    for (system, mode) in names(&rows) {
+        let _ = write!(out, "| {system}, {mode} |");
+        for (bytes, _) in sizes {
+            let p50 = |touched| {
+                find(&rows, system, mode, "poll", bytes, touched).map_or("-".into(), |row| us(row, "p50_us"))
+            };
+            let _ = write!(out, " {} / {} |", p50(false), p50(true));
+        }
+        out.push('\n');
+    }
+    let lost: u64 = rows.iter().filter_map(|row| row["lost"].as_u64()).sum();
+    let n: u64 = rows.iter().filter_map(|row| row["n"].as_u64()).sum();
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench wake`: two processes, FIFO 50, pinned, {n} round trips in alternating rounds, {lost} wake-ups \
+         lost; {}. A bare futex is the floor for anything that sleeps; busy polling occupies a core. iceoryx2 alone is faster \
+         where it polls: Tautline adds sequence numbers, time stamps, loss counters and a callback.",
+        machine()
+    );
+    out
+}
+
+/// Systems and modes in the order in which they first appear.
+fn names<'r>(rows: &[&'r Value]) -> Vec<(&'r str, &'r str)> {
+    let mut names = Vec::new();
+    for row in rows {
+        if let (Some(system), Some(mode)) = (row["system"].as_str(), row["mode"].as_str())
+            && !names.contains(&(system, mode))
+        {
+            names.push((system, mode));
+        }
+    }
+    names
+}
+
+fn find<'r>(rows: &[&'r Value], system: &str, mode: &str, idle: &str, bytes: u64, touched: bool) -> Option<&'r Value> {
+    let wanted = |row: &&&Value| {
+        row["system"] == system
+            && row["mode"] == mode
+            && row["idle"] == idle
+            && row["payload_bytes"] == bytes
+            && row["touched"] == touched
+    };
+    rows.iter().find(wanted).copied()
+}
+
+/// Three figures are enough.
+fn us(row: &Value, key: &str) -> String {
+    match row[key].as_f64() {
+        Some(us) if us < 100.0 => format!("{us:.2}"),
+        Some(us) => format!("{us:.0}"),
+        None => "-".into(),
+    }
+}
+
+fn machine() -> String {
+    let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpuinfo.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": ")).map_or("?", |m| m.1);
+    let kernel = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let virtual_machine = if cpuinfo.contains(" hypervisor") { ", virtual machine" } else { "" };
+    format!("{model}, {cores} cores{virtual_machine}, Linux {}", kernel.trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_is_between_the_marks_changes() {
+        let text = "a\n<!-- demo:begin -->\nold\n<!-- demo:end -->\nb\n";
+        let new = replace(text, "demo", "table\n").unwrap();
+        assert_eq!(new, "a\n<!-- demo:begin -->\ntable\n<!-- demo:end -->\nb\n");
+        assert!(replace(text, "wake", "").unwrap_err().contains("wake:begin"));
+    }
+}

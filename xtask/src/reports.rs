@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The JSON that scripts rely on: every promised field is there, with its type. No time is judged.
+
+use crate::steps::Outcome;
+use serde_json::Value;
+use std::path::Path;
+
+/// A field's type.
+#[derive(Clone, Copy)]
+enum Kind {
+    Bool,
+    Count,
+    Number,
+    Text,
+    List,
+}
+use Kind::{Bool, Count, List, Number, Text};
+
+const DEMO: &[(&str, Kind)] = &[
+    ("realtime", Bool),
+    ("core", Count),
+    ("seconds", Number),
+    ("steal_ticks", Count),
+    ("kernel", Text),
+    ("topics", List),
+];
+
+const DEMO_TOPIC: &[(&str, Kind)] = &[
+    ("topic", Text),
+    ("period_ms", Number),
+    ("wcet_ms", Number),
+    ("priority", Count),
+    ("n", Count),
+    ("p50_ms", Number),
+    ("p99_ms", Number),
+    ("max_ms", Number),
+    ("rta_ms", Number),
+    ("rta_overhead_ms", Number),
+    ("deadline_misses", Count),
+    ("lost", Count),
+    ("max_queue", Count),
+];
+
+const WAKE_ROW: &[(&str, Kind)] = &[
+    ("system", Text),
+    ("mode", Text),
+    ("idle", Text),
+    ("payload_bytes", Count),
+    ("touched", Bool),
+    ("n", Count),
+    ("p50_us", Number),
+    ("p99_us", Number),
+    ("p999_us", Number),
+    ("max_us", Number),
+    ("lost", Count),
+];
+
+/// The demo's report: five topics, each with messages; in real time if `realtime`.
+pub fn check_demo(path: &Path, realtime: bool) -> Outcome {
+    judge(path, |report| {
+        check_fields(report, "the report", DEMO)?;
+        if realtime && report["realtime"] != true {
+            return Err("the demo ran without real-time priorities".to_owned());
+        }
+        let topics = report["topics"].as_array().map_or(&[][..], Vec::as_slice);
+        if topics.len() != 5 {
+            return Err(format!("{} topics instead of 5", topics.len()));
+        }
+        topics.iter().try_for_each(|topic| check_row(topic, DEMO_TOPIC))
+    })
+}
+
+/// The wake bench's report: a list of rows, each with measurements.
+pub fn check_wake(path: &Path) -> Outcome {
+    judge(path, |report| {
+        let rows = report.as_array().ok_or("it is not a list")?;
+        if rows.is_empty() {
+            return Err("it has no rows".to_owned());
+        }
+        rows.iter().try_for_each(|row| check_row(row, WAKE_ROW))
+    })
+}
+
+fn judge(path: &Path, check: impl FnOnce(&Value) -> Result<(), String>) -> Outcome {
+    let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
+    let report = text.and_then(|text| serde_json::from_str(&text).map_err(|error| error.to_string()));
+    match report.and_then(|report| check(&report)) {
+        Ok(()) => Outcome::Ok,
+        Err(reason) => Outcome::Failed(format!("{}: {reason}", path.display())),
+    }
+}
+
+fn check_row(row: &Value, fields: &[(&str, Kind)]) -> Result<(), String> {
+    check_fields(row, &row.to_string(), fields)?;
+    if row["n"] == 0 { Err(format!("nothing was measured in {row}")) } else { Ok(()) }
+}
+
+fn check_fields(value: &Value, what: &str, fields: &[(&str, Kind)]) -> Result<(), String> {
+    for &(name, kind) in fields {
+        let field = value.get(name).ok_or_else(|| format!("{what} has no field '{name}'"))?;
+        let (fits, wanted) = match kind {
+            Bool => (field.is_boolean(), "true or false"),
+            Count => (field.is_u64(), "a whole number"),
+            Number => (field.is_number(), "a number"),
+            Text => (field.is_string(), "a string"),
+            List => (field.is_array(), "a list"),
+        };
+        if !fits {
+            return Err(format!("'{name}' of {what} should be {wanted}, not {field}"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn wake_row() -> Value {
+        json!({"system": "futex", "mode": "blocking", "idle": "poll", "payload_bytes": 64, "touched": false, "n": 9,
+               "p50_us": 1.0, "p99_us": 2, "p999_us": 3.0, "max_us": 4.0, "lost": 0})
+    }
+
+    #[test]
+    fn what_is_missing_or_of_another_type_is_named() {
+        assert_eq!(check_row(&wake_row(), WAKE_ROW), Ok(()));
+        let refused = |name: &str, value: Value| {
+            let mut row = wake_row();
+            row[name] = value;
+            check_row(&row, WAKE_ROW).unwrap_err()
+        };
+        assert!(refused("lost", json!(-1)).starts_with("'lost' of"));
+        assert!(refused("p50_us", Value::Null).contains("should be a number, not null"));
+        assert!(refused("n", json!(0)).starts_with("nothing was measured"));
+        let mut row = wake_row();
+        row.as_object_mut().unwrap().remove("idle");
+        assert!(check_row(&row, WAKE_ROW).unwrap_err().ends_with("has no field 'idle'"));
+    }
+}

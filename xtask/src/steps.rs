@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Commands that are printed before they run, timed, and counted at the end.
+
+use std::process::{Command, ExitCode};
+use std::time::{Duration, Instant};
+
+/// How a step ended.
+pub enum Outcome {
+    Ok,
+    Failed(String),
+    Skipped(String),
+}
+
+/// The steps of a task. One that fails does not stop those after it.
+pub struct Steps {
+    start: Instant,
+    done: Vec<(String, Outcome, Duration)>,
+}
+
+impl Steps {
+    pub fn new() -> Self {
+        Steps { start: Instant::now(), done: Vec::new() }
+    }
+
+    /// Runs a command as a step; says whether it succeeded.
+    pub fn command(&mut self, name: &str, command: &mut Command) -> bool {
+        self.step(name, || execute(command))
+    }
+
+    /// Runs a function as a step; says whether it succeeded.
+    pub fn step(&mut self, name: &str, run: impl FnOnce() -> Outcome) -> bool {
+        let start = Instant::now();
+        let outcome = run();
+        let time = start.elapsed();
+        let succeeded = matches!(outcome, Outcome::Ok);
+        println!("{name}: {}, {:.1} s", text(&outcome), time.as_secs_f64());
+        self.done.push((name.to_owned(), outcome, time));
+        succeeded
+    }
+
+    /// Notes a step that is not run, and why.
+    pub fn skip(&mut self, name: &str, reason: &str) {
+        self.step(name, || Outcome::Skipped(reason.to_owned()));
+    }
+
+    /// Prints the table and, as the last line, the counts.
+    pub fn finish(self) -> ExitCode {
+        let width = self.done.iter().map(|(name, ..)| name.len()).max().unwrap_or(0);
+        println!("\n{:<width$}  seconds", "step");
+        for (name, outcome, time) in &self.done {
+            println!("{name:<width$}  {:7.1}  {}", time.as_secs_f64(), text(outcome));
+        }
+        println!("{:<width$}  {:7.1}\n", "all", self.start.elapsed().as_secs_f64());
+        let count =
+            |kind: fn(&Outcome) -> bool| self.done.iter().filter(|(_, outcome, _)| kind(outcome)).count();
+        let failed = count(|outcome| matches!(outcome, Outcome::Failed(_)));
+        let passed = count(|outcome| matches!(outcome, Outcome::Ok));
+        let skipped = count(|outcome| matches!(outcome, Outcome::Skipped(_)));
+        println!("{passed} passed, {failed} failed, {skipped} skipped");
+        ExitCode::from(u8::from(failed != 0))
+    }
+}
+
+fn text(outcome: &Outcome) -> String {
+    match outcome {
+        Outcome::Ok => "ok".to_owned(),
+        Outcome::Failed(reason) => format!("FAILED: {reason}"),
+        Outcome::Skipped(reason) => format!("skipped: {reason}"),
+    }
+}
+
+/// `cargo` with these arguments, which contain no spaces.
+pub fn cargo(arguments: &str) -> Command {
+    let mut command = Command::new("cargo");
+    command.args(arguments.split(' '));
+    command
+}
+
+/// Prints a command and runs it as a whole task.
+pub fn run(command: &mut Command) -> ExitCode {
+    match execute(command) {
+        Outcome::Ok => ExitCode::SUCCESS,
+        outcome => {
+            eprintln!("{}", text(&outcome));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Prints a command and runs it.
+pub fn execute(command: &mut Command) -> Outcome {
+    announce(command);
+    match command.status() {
+        Ok(status) if status.success() => Outcome::Ok,
+        Ok(status) => Outcome::Failed(status.to_string()),
+        Err(error) => Outcome::Failed(format!("cannot be started: {error}")),
+    }
+}
+
+/// Prints a command so that it can be pasted into a shell.
+pub fn announce(command: &Command) {
+    let mut line = String::from("\n$");
+    for (name, value) in command.get_envs() {
+        let value = value.unwrap_or_default().to_string_lossy();
+        line += &format!(" {}={}", name.to_string_lossy(), quoted(&value));
+    }
+    for word in std::iter::once(command.get_program()).chain(command.get_args()) {
+        line += &format!(" {}", quoted(&word.to_string_lossy()));
+    }
+    println!("{line}");
+}
+
+fn quoted(word: &str) -> String {
+    if word.contains(' ') { format!("'{word}'") } else { word.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failing_step_does_not_stop_the_next() {
+        let mut steps = Steps::new();
+        assert!(!steps.command("false", &mut Command::new("false")));
+        assert!(steps.command("true", &mut Command::new("true")));
+        steps.skip("miri", "no nightly");
+        assert_eq!(steps.done.len(), 3);
+        assert_eq!(steps.finish(), ExitCode::from(1));
+    }
+}

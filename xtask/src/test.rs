@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
+
+use crate::machine::{self, Domain};
+use crate::reports::{check_demo, check_wake};
+use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::{bench_wake, examples, stress_doorbell};
+use std::process::{Command, ExitCode};
+
+/// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
+const RINGS: u64 = 1_000_000;
+
+/// Runs every step, whatever fails. `quick` leaves out what takes minutes.
+pub fn run(quick: bool) -> ExitCode {
+    let mut steps = Steps::new();
+    lints(&mut steps);
+    tests(&mut steps);
+    steps.command("build", &mut cargo("build --release -p taut"));
+    demo(&mut steps);
+    examples::run(&mut steps, false);
+    type Step = fn(&mut Steps);
+    let slow: [(&str, Step); 4] =
+        [("stress: doorbell", stress), ("bench: wake", wake), ("loom", loom), ("miri", miri)];
+    for (name, run) in slow {
+        if quick {
+            steps.skip(name, "--quick");
+        } else {
+            run(&mut steps);
+        }
+    }
+    steps.finish()
+}
+
+fn lints(steps: &mut Steps) {
+    steps.command("fmt", &mut cargo("fmt --all --check"));
+    steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
+    steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
+}
+
+fn tests(steps: &mut Steps) {
+    let nextest = machine::cargo_has("nextest --version").is_ok();
+    let all = if nextest {
+        "nextest run --workspace --no-fail-fast"
+    } else {
+        "test --workspace --all-targets --no-fail-fast"
+    };
+    steps.command("tests", &mut cargo(all));
+    steps.command("doc tests", &mut cargo("test --workspace --doc --no-fail-fast"));
+}
+
+/// Three seconds of the demo: it runs and its report keeps its promises.
+fn demo(steps: &mut Steps) {
+    let target = machine::target_dir();
+    let (json, svg) = (target.join("demo.json"), target.join("demo.svg"));
+    let _ = std::fs::remove_file(&json);
+    let domain = Domain::unused();
+    steps.step("demo", || {
+        let mut command = Command::new(target.join("release/taut"));
+        command.args(["demo", "--seconds", "3", "--json"]).arg(&json).arg("--svg").arg(&svg);
+        match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+            Outcome::Ok => check_demo(&json, machine::is_ci() || machine::realtime_permitted()),
+            other => other,
+        }
+    });
+}
+
+/// A quick run of the wake bench: it runs and its report keeps its promises.
+fn wake(steps: &mut Steps) {
+    let json = machine::target_dir().join("wake.json");
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: wake", || {
+        let mut command = bench_wake(true, Some(&json));
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.arg("--no-rt");
+        }
+        match execute(&mut command) {
+            Outcome::Ok => check_wake(&json),
+            other => other,
+        }
+    });
+}
+
+fn stress(steps: &mut Steps) {
+    steps.command("stress: doorbell", &mut stress_doorbell(RINGS));
+}
+
+/// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
+fn loom(steps: &mut Steps) {
+    let mut command = cargo("test --release -p tautline-transport --lib loom");
+    command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
+    steps.command("loom", &mut command);
+}
+
+/// The unsafe code that runs without the kernel's help, under an interpreter that sees undefined behaviour.
+fn miri(steps: &mut Steps) {
+    match machine::cargo_has("+nightly miri --version") {
+        Err(reason) => steps.skip("miri", &reason),
+        Ok(()) => {
+            steps.command(
+                "miri",
+                &mut cargo("+nightly miri test -p tautline-msgs --lib --test cdr --test validate"),
+            );
+        }
+    }
+}
