@@ -34,6 +34,14 @@ pub enum TransportError {
         /// iceoryx2's word for it.
         reason: String,
     },
+    /// There is no such domain.
+    #[error("domain {domain} does not exist: domains go from 0 to {max}, as in ROS 2")]
+    DomainRange {
+        /// The domain.
+        domain: u32,
+        /// The greatest one.
+        max: u32,
+    },
     /// The name cannot be a topic's.
     #[error("'{topic}' cannot be a topic name: {reason}")]
     TopicName {

@@ -119,7 +119,8 @@ impl Keeper {
                 .loan_slice_uninit(body.len())
                 .map_err(|error| topic.iceoryx_error("serving late joiners", error))?
                 .write_from_slice(body);
-            *loan.user_header_mut() = header;
+            // It appears for its late joiner now: a response time counts from here.
+            *loan.user_header_mut() = SampleHeader { released_ns: monotonic_ns(), ..header };
             loan.send().map_err(|error| topic.iceoryx_error("serving late joiners", error))?;
         }
         Ok(())

@@ -30,6 +30,8 @@ pub(crate) struct Watch {
     pub(crate) slot: usize,
     pub(crate) is_publisher: bool,
     pub(crate) fingerprint: u64,
+    /// The slot's epoch at the last look: a port that came and went between two looks leaves the fingerprint as it was.
+    pub(crate) epoch: u32,
     /// When a late joiner no longer waits for histories and takes what is live, which may have been announced before.
     pub(crate) ring_at_ns: Option<u64>,
 }
@@ -135,28 +137,32 @@ fn look_around(shared: &Shared) {
             watch.ring_at_ns = None;
             arena.bell().ring(watch.slot);
         }
+        // The epoch before the ports: whoever changes it after this is seen at the next look.
+        let epoch = arena.epoch(watch.slot).load(Ordering::Acquire);
         let now = ports::fingerprint(&watch.topic);
-        if now == watch.fingerprint {
+        if now == watch.fingerprint && epoch == watch.epoch {
             continue;
         }
-        watch.fingerprint = now;
-        if watch.is_publisher {
-            arena.advance_epoch(watch.slot);
-        } else {
+        (watch.fingerprint, watch.epoch) = (now, epoch.wrapping_add(1));
+        if !watch.is_publisher {
             release_dead_links(shared, watch);
         }
+        arena.advance_epoch(watch.slot);
         // A publisher killed between sending and ringing left samples that nobody announced; a subscription that died
         // may be what an async publish waits for.
         arena.bell().ring(watch.slot);
     }
 }
 
-/// Links of publishers that were killed are free for others; their numbers stay until then.
+/// Publishers that were killed did not release their links.
 fn release_dead_links(shared: &Shared, watch: &Watch) {
+    let arena = shared.doorbell.arena();
+    // Claims first, then the list: a publisher is listed before it claims, so that none of these is merely new.
+    let claimed: Vec<_> = arena.links(watch.slot).iter().filter(|link| link.is_claimed()).collect();
+    let claims: Vec<_> = claimed.into_iter().map(|link| (link, link.gid())).collect();
     let alive = ports::publishers(&watch.topic);
-    for link in shared.doorbell.arena().links(watch.slot) {
-        let gid = link.gid();
-        if link.is_claimed() && !alive.iter().any(|port| port.gid == gid) {
+    for (link, gid) in claims {
+        if !alive.iter().any(|port| port.gid == gid) {
             link.release(gid);
         }
     }

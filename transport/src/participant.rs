@@ -42,7 +42,7 @@ impl Participant {
         set_log_level(LogLevel::Fatal);
         let refuse = |reason: String| TransportError::Node { domain, reason };
         if domain > MAX_DOMAIN {
-            return Err(refuse(format!("domains go from 0 to {MAX_DOMAIN}")));
+            return Err(TransportError::DomainRange { domain, max: MAX_DOMAIN });
         }
         let mut config = Config::default();
         config.global.prefix =

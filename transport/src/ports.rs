@@ -99,6 +99,8 @@ pub(crate) fn announce(domain: u32, own: &Arc<Doorbell>, topic: &Topic, call_jan
     for port in publishers(topic) {
         let Some(reached) = Reached::reach(domain, own, port.address.arena) else { continue };
         reached.arena().advance_epoch(port.address.slot);
+        // It may wait for room in a queue that has gone.
+        reached.arena().bell().ring(port.address.slot);
         if call_janitors && port.address.role == Role::TransientPublisher {
             reached.arena().call_janitor();
         }

@@ -33,8 +33,8 @@ pub(crate) mod slot_flags {
 
 /// Owner word of a link nobody uses.
 const FREE: u64 = 0;
-/// Owner word of a link whose publisher has ended; its numbers stay readable until it is claimed again.
-const OWNER_DEAD: u64 = 1;
+/// Owner word of a link whose publisher has ended; its numbers stay until the subscription has settled them.
+const ENDED: u64 = 1;
 
 /// Identifies an arena among all of a domain. Random: process ids repeat, and containers share `/dev/shm`.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
@@ -88,15 +88,11 @@ pub(crate) struct LinkOut {
 pub(crate) struct Taken(pub(crate) AtomicU64);
 
 impl Link {
-    /// Claims the link for a publisher whose next sample will have the sequence number `start`.
-    fn claim(&self, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> bool {
-        let current = self.out.owner.load(Ordering::Relaxed);
+    /// Claims the link, if its owner word is `from`, for a publisher whose next sample will be number `start`.
+    fn claim(&self, from: u64, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> bool {
         let [low, high] = gid.words();
         let owner = owner_word(gid);
-        if current != FREE && current != OWNER_DEAD {
-            return false;
-        }
-        if self.out.owner.compare_exchange(current, owner, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+        if self.out.owner.compare_exchange(from, owner, Ordering::AcqRel, Ordering::Relaxed).is_err() {
             return false;
         }
         self.out.start.store(start, Ordering::Relaxed);
@@ -129,11 +125,24 @@ impl Link {
     /// link is another's by now: a publisher may learn late that a subscription went, and its slot was claimed again.
     pub(crate) fn release(&self, gid: Gid) {
         let owner = owner_word(gid);
-        let _ = self.out.owner.compare_exchange(owner, OWNER_DEAD, Ordering::Release, Ordering::Relaxed);
+        let _ = self.out.owner.compare_exchange(owner, ENDED, Ordering::Release, Ordering::Relaxed);
     }
 
     pub(crate) fn is_claimed(&self) -> bool {
-        self.out.owner.load(Ordering::Acquire) > OWNER_DEAD
+        self.out.owner.load(Ordering::Acquire) > ENDED
+    }
+
+    /// Whether the publisher has ended and the subscription has not settled what it sent.
+    pub(crate) fn has_ended(&self) -> bool {
+        // Acquire: pairs with the Release in `release`; the publisher's last numbers are seen.
+        self.out.owner.load(Ordering::Acquire) == ENDED
+    }
+
+    /// The subscription has settled what the ended publisher `gid` sent.
+    pub(crate) fn settle(&self, gid: Gid) {
+        if self.gid() == gid {
+            let _ = self.out.owner.compare_exchange(ENDED, FREE, Ordering::AcqRel, Ordering::Relaxed);
+        }
     }
 }
 
@@ -254,7 +263,9 @@ impl Arena {
         start: u64,
         waiter: (ArenaId, usize),
     ) -> Option<usize> {
-        self.links(slot).iter().position(|link| link.claim(gid, start, waiter))
+        let claim = |from| self.links(slot).iter().position(|link| link.claim(from, gid, start, waiter));
+        // Of a subscription that never takes, links of ended publishers are never settled: better uncounted than none.
+        claim(FREE).or_else(|| claim(ENDED))
     }
 
     /// Makes a slot look never used.

@@ -9,7 +9,6 @@
 
 use super::Publisher;
 use super::peers::Peers;
-use crate::doorbell::slot_flags;
 use crate::error::{LoanError, PublishError};
 use crate::header::SampleHeader;
 use crate::sync::{Ordering, fence};
@@ -123,7 +122,7 @@ impl<T: Message + Plain> Publisher<T> {
         // seen here, or looks into its queue after this.
         fence(Ordering::SeqCst);
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
-        ring(&peers);
+        peers.ring();
         sent.map(|_| ()).map_err(|_| Unpublished::Incomplete)
     }
 }
@@ -153,14 +152,6 @@ fn has_room(peers: &Peers) -> bool {
         }
     }
     true
-}
-
-fn ring(peers: &Peers) {
-    for matched in &peers.matched {
-        if matched.flags() & slot_flags::QUIET == 0 {
-            matched.reached.arena().bell().ring(matched.slot);
-        }
-    }
 }
 
 impl<'p, T: Message + Plain> Loan<'p, T> {

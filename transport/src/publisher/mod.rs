@@ -84,6 +84,7 @@ impl<T: Message + Plain> Publisher<T> {
             slot: slot.index(),
             is_publisher: true,
             fingerprint,
+            epoch: slot.epoch(),
             ring_at_ns: None,
         };
         shared.janitor.watch(watch);
@@ -100,8 +101,11 @@ impl<T: Message + Plain> Publisher<T> {
             shared,
             _message: PhantomData,
         };
-        publisher.peers.borrow_mut().refresh(&publisher.topic, &publisher.slot, gid);
-        // Subscriptions' janitors learn of this publisher by themselves; it needs nothing from them.
+        let mut peers = publisher.peers.borrow_mut();
+        peers.refresh(&publisher.topic, &publisher.slot, gid);
+        // Subscriptions connect when they next take: better now than when the first sample is there.
+        peers.ring();
+        drop(peers);
         Ok(publisher)
     }
 
@@ -136,10 +140,19 @@ impl<T: Message + Plain> Publisher<T> {
     }
 }
 
+impl<T> std::fmt::Debug for Publisher<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Publisher")
+            .field("topic", &self.topic.name)
+            .field("gid", &self.gid)
+            .finish_non_exhaustive()
+    }
+}
+
 impl<T> Drop for Publisher<T> {
     fn drop(&mut self) {
         self.shared.janitor.forget(self.slot.index());
-        self.peers.borrow().release_links(self.gid);
+        self.peers.borrow().end(self.gid);
     }
 }
 

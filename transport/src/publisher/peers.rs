@@ -88,9 +88,26 @@ impl Peers {
         }
     }
 
-    pub(crate) fn release_links(&self, gid: Gid) {
-        for link in self.matched.iter().filter_map(Matched::link) {
-            link.release(gid);
+    /// Rings every subscription that does not poll by itself.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps.
+    pub(crate) fn ring(&self) {
+        for matched in &self.matched {
+            if matched.flags() & slot_flags::QUIET == 0 {
+                matched.reached.arena().bell().ring(matched.slot);
+            }
         }
+    }
+
+    /// The publisher `gid` ends: subscriptions settle what they did not get.
+    pub(crate) fn end(&self, gid: Gid) {
+        for matched in &self.matched {
+            if let Some(link) = matched.link() {
+                link.release(gid);
+            }
+            matched.reached.arena().advance_epoch(matched.slot);
+        }
+        self.ring();
     }
 }

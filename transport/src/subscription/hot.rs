@@ -118,16 +118,28 @@ impl<T: Message + Plain> Subscription<T> {
             // What is live comes after the history.
             return Ok(None);
         }
+        let slot = &self.departure.slot;
+        let links = slot.doorbell().arena().links(slot.index());
         loop {
-            let Some(sample) = receive(&self.port, &self.shelf)? else { return Ok(None) };
+            let epoch = slot.epoch();
+            if epoch != state.epoch {
+                state.epoch = epoch;
+                state.tracker.note_ended(links);
+            }
+            let Some(sample) = receive(&self.port, &self.shelf)? else {
+                match state.tracker.settle(links) {
+                    0 => {}
+                    lost => add(&self.counters.lost, lost),
+                }
+                return Ok(None);
+            };
             let header = *sample.user_header();
-            let links = self.departure.slot.doorbell().arena().links(self.departure.slot.index());
             let Some(noted) = state.tracker.note(header.gid, header.sequence_number, links) else { continue };
             self.counters.note(noted.lost, noted.waiting.min(self.qos.depth as u64));
             if self.qos.history == History::KeepAll
                 && let Some(link) = noted.link.and_then(|link| links.get(link))
             {
-                state.waiters.ring(self.departure.slot.doorbell(), link);
+                state.waiters.ring(slot.doorbell(), link);
             }
             return self.lend(sample, &self.shelf).map(Some);
         }

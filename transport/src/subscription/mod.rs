@@ -39,6 +39,8 @@ pub struct Subscription<T> {
 }
 
 struct State {
+    /// The epoch of the topic's ports up to which publishers that ended were noted.
+    epoch: u32,
     tracker: Tracker,
     catch: Option<Catch>,
     /// What is taken next is of this publisher: doorbells of publishers that wait for room.
@@ -61,8 +63,9 @@ impl Counters {
         self.received.load(Ordering::Relaxed)
     }
 
-    /// Messages that were overwritten before they were taken: gaps in the sequence numbers of each publisher. Exact from
-    /// the moment at which the publisher knows of the subscription.
+    /// Messages that were overwritten before they were taken, or whose publisher was gone before this subscription could
+    /// connect to it: what is missing in the sequence numbers of each publisher. Exact from the moment at which the
+    /// publisher knows of the subscription.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
@@ -118,14 +121,22 @@ impl<T: Message + Plain> Subscription<T> {
         ports::announce(shared.domain, &shared.doorbell, &topic, catch.is_some());
         let fingerprint = ports::fingerprint(&topic);
         let ring_at_ns = catch.as_ref().map(Catch::give_up_ns);
-        let watch =
-            Watch { topic: topic.clone(), slot: slot.index(), is_publisher: false, fingerprint, ring_at_ns };
+        // Not the present one: a publisher may have come and gone already.
+        let epoch = slot.epoch().wrapping_sub(1);
+        let watch = Watch {
+            topic: topic.clone(),
+            slot: slot.index(),
+            is_publisher: false,
+            fingerprint,
+            epoch,
+            ring_at_ns,
+        };
         shared.janitor.watch(watch);
         let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);
         Ok(Subscription {
             port: Sole::new(port),
             shelf: Shelf::new(topic.limits.held),
-            state: RefCell::new(State { tracker: Tracker::new(), catch, waiters }),
+            state: RefCell::new(State { epoch, tracker: Tracker::new(), catch, waiters }),
             departure: Departure { slot, topic, shared },
             counters: Arc::default(),
             qos,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which sample of which publisher comes next: counts what was overwritten, drops what comes twice.
 
-use crate::doorbell::Link;
+use crate::doorbell::{LINKS, Link};
 use crate::header::Gid;
 use crate::sync::Ordering;
 
@@ -13,6 +13,15 @@ pub(crate) struct Tracker {
     /// Where the last publisher was found: most topics have one.
     last: usize,
     oldest: usize,
+    /// Publishers that have ended, until nothing of theirs can be in the queue.
+    ended: Vec<Ended>,
+}
+
+struct Ended {
+    gid: Gid,
+    link: usize,
+    start: u64,
+    sent: u64,
 }
 
 struct Seen {
@@ -34,7 +43,8 @@ pub(crate) struct Noted {
 
 impl Tracker {
     pub(crate) fn new() -> Self {
-        Tracker { seen: Vec::with_capacity(CAPACITY), last: 0, oldest: 0 }
+        let (seen, ended) = (Vec::with_capacity(CAPACITY), Vec::with_capacity(LINKS));
+        Tracker { seen, last: 0, oldest: 0, ended }
     }
 
     /// Notes a live sample. `None`: it came already, with the history.
@@ -79,6 +89,43 @@ impl Tracker {
         };
         seen.next = sequence_number + 1;
         true
+    }
+
+    /// Notes which publishers have ended, before the queue is looked into: all that they sent is there by now.
+    ///
+    /// # Real-time
+    /// O(links); no allocation; no syscall. Only when the topic's ports changed.
+    pub(crate) fn note_ended(&mut self, links: &[Link]) {
+        for (index, link) in links.iter().enumerate().filter(|(_, link)| link.has_ended()) {
+            let gid = link.gid();
+            if self.ended.len() < LINKS && !self.ended.iter().any(|ended| ended.gid == gid) {
+                let (start, sent) = (link.start(), link.out.sent.load(Ordering::Relaxed));
+                self.ended.push(Ended { gid, link: index, start, sent });
+            }
+        }
+    }
+
+    /// The queue is empty: what a publisher that had ended before it was looked into sent and never came, is lost.
+    /// Returns how many.
+    ///
+    /// # Real-time
+    /// Constant if no publisher has ended, else O(links); no allocation; no syscall.
+    pub(crate) fn settle(&mut self, links: &[Link]) -> u64 {
+        let mut lost = 0;
+        while let Some(Ended { gid, link, start, sent }) = self.ended.pop() {
+            let index = match self.find(gid) {
+                Some(index) => index,
+                None => self.remember(gid, start),
+            };
+            if let Some(seen) = self.seen.get_mut(index) {
+                lost += (sent + 1).saturating_sub(seen.next);
+                seen.next = seen.next.max(sent + 1);
+            }
+            if let Some(link) = links.get(link) {
+                link.settle(gid);
+            }
+        }
+        lost
     }
 
     fn find(&mut self, gid: Gid) -> Option<usize> {

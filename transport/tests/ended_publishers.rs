@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Publishers that end early: what they sent is received or counted, never silently gone.
+
+mod support;
+
+use support::{Count, take_all};
+use tautline_transport::{Limits, Participant, Publisher, Qos};
+
+const DOMAIN: u32 = 187;
+
+fn publish(publisher: &Publisher<Count>, numbers: std::ops::RangeInclusive<u64>) {
+    numbers.for_each(|n| publisher.publish(&Count { n }).unwrap());
+}
+
+#[test]
+fn what_was_sent_before_the_first_take_by_one_that_has_gone_is_counted() {
+    let participant = Participant::new(DOMAIN).unwrap();
+    let topic = "/ended/first";
+    let subscription =
+        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let publisher = participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    publish(&publisher, 1..=3);
+    drop(publisher);
+    let received = take_all(&subscription).len() as u64;
+    let counters = subscription.counters();
+    assert_eq!(received + counters.lost(), 3, "received {received}, lost {}", counters.lost());
+    assert_eq!(take_all(&subscription).len(), 0);
+    assert_eq!(received + counters.lost(), 3, "counted once");
+}
+
+#[test]
+fn what_is_queued_when_it_ends_is_received() {
+    let participant = Participant::new(DOMAIN).unwrap();
+    let topic = "/ended/queued";
+    let subscription =
+        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let publisher = participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    assert_eq!(take_all(&subscription), [], "connects");
+    publish(&publisher, 1..=3);
+    drop(publisher);
+    assert_eq!(take_all(&subscription), [1, 2, 3]);
+    assert_eq!(subscription.counters().lost(), 0);
+}
+
+#[test]
+fn what_it_overwrote_before_it_ended_is_counted() {
+    let participant = Participant::new(DOMAIN).unwrap();
+    let topic = "/ended/overwritten";
+    let qos = Qos::keep_last(2);
+    let subscription = participant.create_subscription::<Count>(topic, qos, Limits::default()).unwrap();
+    let publisher = participant.create_publisher::<Count>(topic, qos, Limits::default()).unwrap();
+    assert_eq!(take_all(&subscription), []);
+    publish(&publisher, 1..=5);
+    drop(publisher);
+    assert_eq!(take_all(&subscription), [4, 5]);
+    assert_eq!(subscription.counters().lost(), 3);
+}
+
+#[test]
+fn two_hundred_publishers_come_and_go() {
+    let participant = Participant::new(DOMAIN).unwrap();
+    let topic = "/ended/many";
+    let subscription =
+        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let (mut received, rounds) = (0, 200);
+    for round in 0..rounds {
+        let publisher =
+            participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+        if round % 2 == 0 {
+            received += take_all(&subscription).len() as u64;
+        }
+        publish(&publisher, 1..=2);
+        drop(publisher);
+        received += take_all(&subscription).len() as u64;
+        assert_eq!(received + subscription.counters().lost(), 2 * (round + 1), "round {round}");
+    }
+}
