@@ -5,7 +5,7 @@ use tautline_rt::RtError;
 use tautline_transport::TransportError;
 
 /// What can go wrong while a node is set up. Each message names the thing, the limit and the fix.
-#[derive(Debug, thiserror::Error)]
+#[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A node's, namespace's or topic's name breaks ROS 2's rules.
@@ -43,6 +43,13 @@ pub enum Error {
     /// The system refused a real-time setting.
     #[error(transparent)]
     Realtime(#[from] RtError),
+}
+
+/// The sentence of [`Display`](std::fmt::Display): what `fn main() -> tautline::Result<()>` prints is meant to be read.
+impl std::fmt::Debug for Error {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        std::fmt::Display::fmt(self, f)
+    }
 }
 
 /// The result of setting something up.

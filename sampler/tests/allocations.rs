@@ -1,23 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The sampler's wake and the tasks' polls allocate nothing. A file of its own: it replaces the allocator.
 
+#[path = "../../transport/tests/support/mod.rs"]
+mod support;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::task::Context;
 use std::time::Duration;
-use tautline_msgs::Message;
+use support::{Count, domain};
 use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::Sampler;
 use tautline_transport::{Limits, Participant, Qos};
 
 const CYCLES: u64 = 10_000;
-
-#[derive(Message, Clone, Copy)]
-#[message(name = "test_msgs/msg/Count", crate = "tautline_msgs")]
-#[repr(C)]
-struct Count {
-    n: u64,
-}
 
 /// Counts what the current thread allocates or frees.
 struct Counting;
@@ -44,7 +40,7 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn wake_and_poll() {
-    let participant = Participant::new(188).unwrap();
+    let participant = Participant::new(domain(188)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let limits = Limits::default();
     let publisher = participant.create_publisher::<Count>("/heap", Qos::default(), limits).unwrap();

@@ -1,23 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Tasks that the sampler wakes for messages, for room in a keep-all queue, and for a sample that comes back.
 
+#[path = "../../transport/tests/support/mod.rs"]
+mod support;
+
 use futures::StreamExt;
 use futures::executor::{LocalPool, block_on};
 use futures::task::LocalSpawnExt;
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
-use tautline_msgs::Message;
+use support::{Count, Part, domain, say, wait_for_the_end};
 use tautline_rt::ThreadBuilder;
 use tautline_sampler::Sampler;
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
-
-#[derive(Message, Clone, Copy, Debug)]
-#[message(name = "test_msgs/msg/Count", crate = "tautline_msgs")]
-#[repr(C)]
-struct Count {
-    n: u64,
-}
 
 fn publisher(participant: &Participant, qos: Qos) -> Publisher<Count> {
     participant.create_publisher("/messages", qos, Limits::default()).unwrap()
@@ -29,7 +25,7 @@ fn subscription(participant: &Participant, qos: Qos) -> Subscription<Count> {
 
 #[test]
 fn publish_when_ready_waits_for_a_take() {
-    let participant = Participant::new(182).unwrap();
+    let participant = Participant::new(domain(182)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let (publisher, subscription) =
         (publisher(&participant, Qos::keep_all(2)), subscription(&participant, Qos::keep_all(2)));
@@ -64,7 +60,7 @@ fn publish_when_ready_waits_for_a_take() {
 #[test]
 fn nothing_is_lost_through_a_keep_all_queue_of_4() {
     const EACH: u64 = 50_000;
-    let participant = Participant::new(183).unwrap();
+    let participant = Participant::new(domain(183)).unwrap();
     let sampler = Sampler::new(&participant).unwrap().start(ThreadBuilder::new("sampler")).unwrap();
     let subscription = subscription(&participant, Qos::keep_all(4));
     let publishers = [(); 2].map(|()| publisher(&participant, Qos::keep_all(4)));
@@ -98,7 +94,7 @@ fn nothing_is_lost_through_a_keep_all_queue_of_4() {
 
 #[test]
 fn a_publisher_that_waits_is_freed_when_the_subscription_goes() {
-    let participant = Participant::new(184).unwrap();
+    let participant = Participant::new(domain(184)).unwrap();
     let sampler = Sampler::new(&participant).unwrap().start(ThreadBuilder::new("sampler")).unwrap();
     let (publisher, subscription) =
         (publisher(&participant, Qos::keep_all(1)), subscription(&participant, Qos::keep_all(1)));
@@ -111,7 +107,7 @@ fn a_publisher_that_waits_is_freed_when_the_subscription_goes() {
 
 #[test]
 fn a_stream_goes_on_when_a_held_sample_is_dropped() {
-    let participant = Participant::new(185).unwrap();
+    let participant = Participant::new(domain(185)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let limits = Limits { held: 2, ..Limits::default() };
     let subscription = participant.create_subscription::<Count>("/held", Qos::default(), limits).unwrap();
@@ -150,7 +146,7 @@ fn a_stream_goes_on_when_a_held_sample_is_dropped() {
 
 #[test]
 fn each_message_wakes_its_task_from_another_participant() {
-    let (here, there) = (Participant::new(186).unwrap(), Participant::new(186).unwrap());
+    let (here, there) = (Participant::new(domain(186)).unwrap(), Participant::new(domain(186)).unwrap());
     let samplers =
         [&here, &there].map(|one| Sampler::new(one).unwrap().start(ThreadBuilder::new("sampler")).unwrap());
     let ping = here.create_publisher::<Count>("/ping", Qos::default(), Limits::default()).unwrap();
@@ -179,46 +175,29 @@ fn each_message_wakes_its_task_from_another_participant() {
     }
 }
 
-/// Set for the child, which prints it when it is ready to be stopped.
-const MARKER: &str = "TAUT_TEST_SILENT";
-
 /// The child's part: a transient-local publisher whose process the parent stops. Without its variable it is no test.
 #[test]
 fn child_main() {
-    if std::env::var_os(MARKER).is_none() {
-        return;
-    }
-    let participant = Participant::new(187).unwrap();
+    let Some((_, domain)) = support::part() else { return };
+    let participant = Participant::new(domain).unwrap();
     let _publisher = publisher(&participant, Qos::keep_last(3).transient_local());
-    println!("\n{MARKER}");
-    let parent = rustix::process::getppid();
-    while rustix::process::getppid() == parent {
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    say("ready");
+    wait_for_the_end();
 }
 
 #[test]
 fn a_publisher_that_does_not_answer_keeps_no_one_from_what_is_live() {
-    use std::io::BufRead;
-    let mut child = std::process::Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "child_main", "--nocapture", "--test-threads=1"])
-        .env(MARKER, "1")
-        .stdout(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = std::io::BufReader::new(child.stdout.take().unwrap()).lines();
-    assert!(lines.any(|line| line.unwrap() == MARKER));
-    let pid = rustix::process::Pid::from_child(&child);
-    rustix::process::kill_process(pid, rustix::process::Signal::STOP).unwrap();
+    let mut silent = Part::start("silent publisher", 187);
+    assert_eq!(silent.hear(), "ready");
+    silent.stop();
 
-    let participant = Participant::new(187).unwrap();
+    let participant = Participant::new(domain(187)).unwrap();
     let sampler = Sampler::new(&participant).unwrap().start(ThreadBuilder::new("sampler")).unwrap();
     let live = publisher(&participant, Qos::default());
     let mut joiner = subscription(&participant, Qos::default().transient_local());
     live.publish(&Count { n: 1 }).unwrap();
     // Announced while the joiner still waits for the history, and never again.
     assert_eq!(block_on(joiner.next()).unwrap().n, 1);
-    child.kill().unwrap();
-    child.wait().unwrap();
+    assert!(silent.end().success());
     sampler.stop().unwrap();
 }

@@ -5,6 +5,9 @@
 //! CLOCK_MONOTONIC, which the clock's setting does not move, and the tests here give such numbers, far in the past and
 //! near in the future, and get exactly them back.
 
+#[path = "../../transport/tests/support/mod.rs"]
+mod support;
+
 use futures::StreamExt;
 use futures::executor::LocalPool;
 use futures::task::LocalSpawnExt;
@@ -22,7 +25,7 @@ const MS: u64 = 1_000_000;
 const HOUR: Duration = Duration::from_secs(3600);
 
 fn sampler(domain: u32) -> Sampler {
-    Sampler::new(&Participant::new(domain).unwrap()).unwrap()
+    Sampler::new(&Participant::new(support::domain(domain)).unwrap()).unwrap()
 }
 
 fn poll(timer: &mut Timer) -> Poll<Tick> {

@@ -6,7 +6,7 @@ mod support;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::{Cell, RefCell};
-use support::Count;
+use support::{Count, domain};
 use tautline_transport::{Limits, Participant, Qos};
 
 const CYCLES: usize = 10_000;
@@ -49,7 +49,7 @@ fn count(work: impl FnOnce()) -> (usize, usize) {
 
 #[test]
 fn publish_and_take() {
-    let participant = Participant::new(164).unwrap();
+    let participant = Participant::new(domain(164)).unwrap();
     let limits = Limits::default();
     let publisher = participant.create_publisher::<Count>("/heap", Qos::default(), limits).unwrap();
     let subscriptions = [(); 3]

@@ -3,7 +3,7 @@
 
 mod support;
 
-use support::{Count, Part, bookkeeping, say, shared_memory, wait_for, wait_to_be_killed};
+use support::{Count, Part, bookkeeping, clean, domain, say, shared_memory, wait_for, wait_for_the_end};
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, Unpublished};
 
 const CYCLES: usize = 20;
@@ -34,12 +34,12 @@ fn child_main() {
                 held.len() == 4
             });
             say("holding");
-            wait_to_be_killed();
+            wait_for_the_end();
         }
         "keep-all subscription" => {
             let _subscription = new_subscription(&participant, Qos::keep_all(4));
             say("ready");
-            wait_to_be_killed();
+            wait_for_the_end();
         }
         other => panic!("no part {other}"),
     }
@@ -93,10 +93,15 @@ impl Remains {
     }
 
     fn check(&mut self, mut meanwhile: impl FnMut()) {
-        wait_for("the janitor", || {
-            meanwhile();
-            remains(self.domain).0 == self.files
-        });
+        let mut files = Vec::new();
+        let gone = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            wait_for("the janitor", || {
+                meanwhile();
+                files = remains(self.domain).0;
+                files == self.files
+            })
+        }));
+        assert!(gone.is_ok(), "{files:#?} instead of {:#?}", self.files);
         // With the first other process a publisher uses as many samples as it ever will.
         let bytes = remains(self.domain).1;
         assert!(bytes <= *self.bytes.get_or_insert(bytes), "{bytes}, {:?} before", self.bytes);
@@ -105,7 +110,7 @@ impl Remains {
 
 #[test]
 fn killed_publishers() {
-    let participant = Participant::new(160).unwrap();
+    let participant = Participant::new(domain(160)).unwrap();
     let publisher = new_publisher(&participant, Qos::default());
     let subscription = new_subscription(&participant, Qos::keep_last(100));
     let mut next = 0;
@@ -128,7 +133,7 @@ fn killed_publishers() {
 
 #[test]
 fn killed_subscriptions() {
-    let participant = Participant::new(161).unwrap();
+    let participant = Participant::new(domain(161)).unwrap();
     let publisher = new_publisher(&participant, Qos::default());
     let subscription = new_subscription(&participant, Qos::keep_last(100));
     let mut next = 0;
@@ -149,7 +154,7 @@ fn killed_subscriptions() {
 
 #[test]
 fn a_killed_keep_all_subscription_frees_the_publisher() {
-    let participant = Participant::new(162).unwrap();
+    let participant = Participant::new(domain(162)).unwrap();
     let publisher = new_publisher(&participant, Qos::keep_all(4));
     let mut part = Part::start("keep-all subscription", 162);
     assert_eq!(part.hear(), "ready");
@@ -172,6 +177,9 @@ fn a_killed_keep_all_subscription_frees_the_publisher() {
         loan = back;
         false
     });
+    drop(loan);
+    drop((publisher, participant));
+    clean(162);
 }
 
 fn refused(loan: tautline_transport::Loan<'_, Count>) -> Option<tautline_transport::Loan<'_, Count>> {

@@ -3,10 +3,10 @@
 
 mod support;
 
-use support::{Count, take_all};
+use support::{Count, domain, take_all};
 use tautline_transport::{Limits, Participant, Publisher, Qos};
 
-const DOMAIN: u32 = 187;
+const DOMAIN: u32 = 192;
 
 fn publish(publisher: &Publisher<Count>, numbers: std::ops::RangeInclusive<u64>) {
     numbers.for_each(|n| publisher.publish(&Count { n }).unwrap());
@@ -14,7 +14,7 @@ fn publish(publisher: &Publisher<Count>, numbers: std::ops::RangeInclusive<u64>)
 
 #[test]
 fn what_was_sent_before_the_first_take_by_one_that_has_gone_is_counted() {
-    let participant = Participant::new(DOMAIN).unwrap();
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/first";
     let subscription =
         participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
@@ -30,7 +30,7 @@ fn what_was_sent_before_the_first_take_by_one_that_has_gone_is_counted() {
 
 #[test]
 fn what_is_queued_when_it_ends_is_received() {
-    let participant = Participant::new(DOMAIN).unwrap();
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/queued";
     let subscription =
         participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
@@ -44,7 +44,7 @@ fn what_is_queued_when_it_ends_is_received() {
 
 #[test]
 fn what_it_overwrote_before_it_ended_is_counted() {
-    let participant = Participant::new(DOMAIN).unwrap();
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/overwritten";
     let qos = Qos::keep_last(2);
     let subscription = participant.create_subscription::<Count>(topic, qos, Limits::default()).unwrap();
@@ -58,7 +58,7 @@ fn what_it_overwrote_before_it_ended_is_counted() {
 
 #[test]
 fn two_hundred_publishers_come_and_go() {
-    let participant = Participant::new(DOMAIN).unwrap();
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/many";
     let subscription =
         participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();

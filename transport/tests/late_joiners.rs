@@ -3,7 +3,7 @@
 
 mod support;
 
-use support::{Count, Part, say, take_all, wait_for, wait_to_be_killed};
+use support::{Count, Part, domain, say, take_all, wait_for, wait_for_the_end};
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
 
 fn kept(depth: usize) -> Qos {
@@ -44,7 +44,7 @@ fn child_main() {
             let publisher = publisher(&participant, 3);
             publish(&publisher, 1..=10);
             say("published");
-            wait_to_be_killed();
+            wait_for_the_end();
         }
         "joiner" => {
             let subscription = subscription(&participant, 3);
@@ -56,7 +56,7 @@ fn child_main() {
 
 #[test]
 fn from_a_silent_publisher() {
-    let participant = Participant::new(150).unwrap();
+    let participant = Participant::new(domain(150)).unwrap();
     let publisher = publisher(&participant, 3);
     publish(&publisher, 1..=10);
     // Several, one after the other: serving one does not spend the history.
@@ -75,7 +75,7 @@ fn from_a_silent_publisher() {
 
 #[test]
 fn nothing_comes_twice_when_the_publisher_goes_on() {
-    let participant = Participant::new(151).unwrap();
+    let participant = Participant::new(domain(151)).unwrap();
     let publisher = publisher(&participant, 5);
     let mut next = 1;
     for _ in 0..20 {
@@ -94,7 +94,7 @@ fn nothing_comes_twice_when_the_publisher_goes_on() {
 
 #[test]
 fn while_the_publisher_runs() {
-    let participant = Participant::new(152).unwrap();
+    let participant = Participant::new(domain(152)).unwrap();
     let stop = std::sync::atomic::AtomicBool::new(false);
     std::thread::scope(|scope| {
         let publisher = publisher(&participant, 4);
@@ -124,7 +124,7 @@ fn while_the_publisher_runs() {
 
 #[test]
 fn from_two_publishers() {
-    let participant = Participant::new(153).unwrap();
+    let participant = Participant::new(domain(153)).unwrap();
     let publishers = [publisher(&participant, 3), publisher(&participant, 3)];
     publish(&publishers[0], 1..=5);
     publish(&publishers[1], 101..=105);
@@ -150,13 +150,13 @@ fn in_another_process() {
     assert_eq!(silent.hear(), "published");
     let mut joiner = Part::start("joiner", 154);
     assert_eq!(joiner.hear(), "[8, 9, 10]");
-    assert!(joiner.wait().success());
-    silent.kill();
+    assert!(joiner.end().success());
+    assert!(silent.end().success());
 }
 
 #[test]
 fn a_history_is_held_in_place_as_well() {
-    let participant = Participant::new(155).unwrap();
+    let participant = Participant::new(domain(155)).unwrap();
     let limits = Limits { held: 2, ..Limits::default() };
     let publisher = participant.create_publisher::<Count>("/late", kept(4), limits).unwrap();
     publish(&publisher, 1..=4);
@@ -176,7 +176,7 @@ fn a_history_is_held_in_place_as_well() {
 
 #[test]
 fn volatile_ends_get_nothing_old() {
-    let participant = Participant::new(156).unwrap();
+    let participant = Participant::new(domain(156)).unwrap();
     let keeper = publisher(&participant, 3);
     let volatile =
         participant.create_publisher::<Count>("/late", Qos::keep_last(3), Limits::default()).unwrap();

@@ -4,7 +4,7 @@
 
 mod support;
 
-use support::{Count, bookkeeping, shared_memory, take_all, wait_for};
+use support::{Count, bookkeeping, domain, shared_memory, take_all, wait_for};
 use tautline_transport::{Limits, Participant, Qos};
 
 const DOMAIN: u32 = 163;
@@ -45,17 +45,17 @@ fn use_topic(participant: &Participant, qos: Qos) {
 #[test]
 fn a_thousand_cycles_leave_nothing() {
     // iceoryx2 keeps one file per domain, which the first participant makes.
-    drop(Participant::new(DOMAIN).unwrap());
+    drop(Participant::new(domain(DOMAIN)).unwrap());
     let before = possessions();
     let cycles =
         std::env::var("TAUT_LEAK_CYCLES").map_or(PARTICIPANT_CYCLES, |cycles| cycles.parse().unwrap());
     for _ in 0..cycles {
-        let participant = Participant::new(DOMAIN).unwrap();
+        let participant = Participant::new(domain(DOMAIN)).unwrap();
         use_topic(&participant, Qos::default());
     }
     assert_eq!(possessions(), before);
 
-    let participant = Participant::new(DOMAIN).unwrap();
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
     use_topic(&participant, Qos::default());
     let before = possessions();
     assert!(!before.bookkeeping.is_empty() && before.shared_mappings > 0, "it looks in the right places");

@@ -6,7 +6,7 @@
 mod support;
 
 use std::os::fd::AsRawFd;
-use support::{Count, Part, wait_for};
+use support::{Count, Part, clean, wait_for};
 use tautline_transport::{Limits, Participant, Qos};
 
 const MESSAGES: u64 = 10_000;
@@ -80,9 +80,11 @@ fn forbid_system_calls() {
 #[test]
 fn publish_and_take_make_no_system_call() {
     assert_eq!(Part::start("publisher", 165).hear(), "no system call");
+    clean(165);
 }
 
 #[test]
 fn the_proof_notices_a_system_call() {
     assert_eq!(Part::start("yielder", 166).hear_or_end(), None);
+    clean(166);
 }

@@ -7,10 +7,12 @@
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `reports` | checks that the JSON of the demo and of the wake bench keeps its promises |
+//! | `readme` | the README's tables and picture, made from a run |
 //! | `machine` | where things are built, and what this user may do |
 
 mod examples;
 mod machine;
+mod readme;
 mod reports;
 mod steps;
 mod test;
@@ -45,6 +47,12 @@ enum Verb {
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
+    /// Runs the demo and the wake bench and puts their tables and picture into the README
+    Readme {
+        /// Fewer payloads and rounds of the bench
+        #[arg(long)]
+        quick: bool,
+    },
     /// Tries to break something by doing it very often
     #[command(subcommand)]
     Stress(Stress),
@@ -77,23 +85,40 @@ enum Stress {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
-    // Whatever folder it was started in.
-    if let Err(error) = std::env::set_current_dir(machine::root()) {
-        eprintln!("{}: {error}", machine::root().display());
-        return ExitCode::FAILURE;
-    }
-    match cli.verb {
+    match Cli::parse().verb {
         Verb::Test { quick } => test::run(quick),
         Verb::Examples { bless } => {
             let mut steps = Steps::new();
-            examples::run(&mut steps, bless);
+            let mut build = steps::cargo("build --release -p tautline-examples --examples");
+            let built = steps.command("examples: build", &mut build);
+            examples::run(&mut steps, built, bless);
             steps.finish()
         }
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
             steps::run(bench_wake(quick, json.as_deref()).args(arguments))
         }
+        Verb::Readme { quick } => update_readme(quick),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
+    }
+}
+
+/// Measures first: no table is made of a run that failed.
+fn update_readme(quick: bool) -> ExitCode {
+    let (demo, wake) = (PathBuf::from("target/readme-demo.json"), PathBuf::from("target/readme-wake.json"));
+    let mut run_demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
+    run_demo.arg(readme::PICTURE).arg("--json").arg(&demo);
+    for mut command in [run_demo, bench_wake(quick, Some(&wake))] {
+        if !command.status().is_ok_and(|status| status.success()) {
+            eprintln!("the README stays as it is: the run failed");
+            return ExitCode::FAILURE;
+        }
+    }
+    match readme::update("README.md".as_ref(), &demo, &wake) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
     }
 }
 

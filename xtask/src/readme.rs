@@ -79,7 +79,13 @@ fn wake_tables(rows: &Value) -> String {
         let cell = |idle| {
             let row = find(&rows, system, mode, idle, 64, false);
             row.map_or("-".into(), |row| {
-                format!("{} / {} / {} / {}", us(row, "p50_us"), us(row, "p99_us"), us(row, "p999_us"), us(row, "max_us"))
+                format!(
+                    "{} / {} / {} / {}",
+                    us(row, "p50_us"),
+                    us(row, "p99_us"),
+                    us(row, "p999_us"),
+                    us(row, "max_us")
+                )
             })
         };
         let _ = writeln!(out, "| {system}, {mode} | {} | {} |", cell("default"), cell("poll"));
@@ -123,7 +129,14 @@ fn names<'r>(rows: &[&'r Value]) -> Vec<(&'r str, &'r str)> {
     names
 }
 
-fn find<'r>(rows: &[&'r Value], system: &str, mode: &str, idle: &str, bytes: u64, touched: bool) -> Option<&'r Value> {
+fn find<'r>(
+    rows: &[&'r Value],
+    system: &str,
+    mode: &str,
+    idle: &str,
+    bytes: u64,
+    touched: bool,
+) -> Option<&'r Value> {
     let wanted = |row: &&&Value| {
         row["system"] == system
             && row["mode"] == mode
@@ -145,7 +158,10 @@ fn us(row: &Value, key: &str) -> String {
 
 fn machine() -> String {
     let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = cpuinfo.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": ")).map_or("?", |m| m.1);
+    let model = cpuinfo
+        .lines()
+        .find_map(|line| line.strip_prefix("model name")?.split_once(": "))
+        .map_or("?", |m| m.1);
     let kernel = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let virtual_machine = if cpuinfo.contains(" hypervisor") { ", virtual machine" } else { "" };

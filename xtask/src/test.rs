@@ -15,9 +15,11 @@ pub fn run(quick: bool) -> ExitCode {
     let mut steps = Steps::new();
     lints(&mut steps);
     tests(&mut steps);
-    steps.command("build", &mut cargo("build --release -p taut"));
+    // In one go: cargo then builds what they share once, with the features that all of them need.
+    let binaries = "build --release -p taut -p tautline-examples -p tautline-benches --bins --examples";
+    let built = steps.command("build", &mut cargo(binaries));
     demo(&mut steps);
-    examples::run(&mut steps, false);
+    examples::run(&mut steps, built, false);
     type Step = fn(&mut Steps);
     let slow: [(&str, Step); 4] =
         [("stress: doorbell", stress), ("bench: wake", wake), ("loom", loom), ("miri", miri)];
@@ -91,15 +93,15 @@ fn loom(steps: &mut Steps) {
     steps.command("loom", &mut command);
 }
 
-/// The unsafe code that runs without the kernel's help, under an interpreter that sees undefined behaviour.
+/// The unsafe code that needs no kernel, under an interpreter that sees undefined behaviour.
 fn miri(steps: &mut Steps) {
-    match machine::cargo_has("+nightly miri --version") {
-        Err(reason) => steps.skip("miri", &reason),
-        Ok(()) => {
-            steps.command(
-                "miri",
-                &mut cargo("+nightly miri test -p tautline-msgs --lib --test cdr --test validate"),
-            );
-        }
+    if let Err(reason) = machine::cargo_has("+nightly miri --version") {
+        return steps.skip("miri", &reason);
     }
+    steps.command(
+        "miri: messages",
+        &mut cargo("+nightly miri test -p tautline-msgs --test cdr --test validate"),
+    );
+    let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker";
+    steps.command("miri: samples", &mut cargo(samples));
 }

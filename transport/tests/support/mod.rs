@@ -3,12 +3,14 @@
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
 use std::os::unix::fs::MetadataExt;
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_msgs::Message;
-use tautline_transport::Subscription;
+use tautline_transport::{Participant, Subscription};
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
 #[message(name = "test_msgs/msg/Count", crate = "tautline_msgs")]
@@ -24,6 +26,20 @@ pub const IMAGE_BYTES: usize = 8 << 20;
 #[repr(C)]
 pub struct Image {
     pub data: [u8; IMAGE_BYTES],
+}
+
+/// Reserves a domain for this process until it ends: another run of the same tests waits.
+pub fn domain(number: u32) -> u32 {
+    static RESERVED: Mutex<BTreeMap<u32, File>> = Mutex::new(BTreeMap::new());
+    let mut reserved = RESERVED.lock().unwrap_or_else(PoisonError::into_inner);
+    if reserved.contains_key(&number) {
+        return number;
+    }
+    let name = format!("taut_test_{}_domain_{number}.lock", rustix::process::getuid().as_raw());
+    let file = File::create(std::env::temp_dir().join(name)).unwrap();
+    rustix::fs::flock(&file, rustix::fs::FlockOperation::LockExclusive).unwrap();
+    reserved.insert(number, file);
+    number
 }
 
 /// Takes all that is there.
@@ -68,7 +84,7 @@ pub fn place_of<T>(value: *const T) -> Place {
 
 /// The files of a domain in /dev/shm and the bytes of memory that each really has.
 pub fn shared_memory(domain: u32) -> BTreeMap<String, u64> {
-    let prefix = format!("taut_{domain}_");
+    let prefix = format!("taut_{domain}_{}_", rustix::process::getuid().as_raw());
     let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
     names
@@ -100,6 +116,16 @@ pub fn bookkeeping(domain: u32) -> Vec<String> {
     found
 }
 
+/// Removes what killed processes left in a domain in which nobody lives any more.
+pub fn clean(domain: u32) {
+    let _participant = Participant::new(domain).unwrap();
+    wait_for("the janitor", || {
+        let arenas = shared_memory(domain).into_keys().filter(|name| name.contains("_arena_")).count();
+        let nodes = bookkeeping(domain).into_iter().filter(|name| name.ends_with(".node_monitor")).count();
+        (arenas, nodes) == (1, 1)
+    });
+}
+
 /// A child process that runs one test of this binary as its main function, told its part by an environment variable.
 pub struct Part {
     child: Child,
@@ -120,19 +146,17 @@ pub fn say(line: &str) {
     println!("\npart: {line}");
 }
 
-/// Sleeps until killed, or until the parent has gone.
-pub fn wait_to_be_killed() {
-    let parent = rustix::process::getppid();
-    while rustix::process::getppid() == parent {
-        std::thread::sleep(Duration::from_millis(50));
-    }
+/// Waits until the parent kills this process, asks it to end, or has gone.
+pub fn wait_for_the_end() {
+    let _ = std::io::stdin().read_to_end(&mut Vec::new());
 }
 
 impl Part {
     pub fn start(name: &str, domain: u32) -> Part {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "child_main", "--nocapture", "--test-threads=1"])
-            .env(PART, format!("{name},{domain}"))
+            .env(PART, format!("{name},{}", self::domain(domain)))
+            .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
@@ -151,11 +175,22 @@ impl Part {
         lines.find_map(|line| line.strip_prefix("part: ").map(str::to_owned))
     }
 
-    /// Ends the child with SIGKILL. So does dropping.
+    /// Stops the child with SIGSTOP: it lives, and does nothing.
+    pub fn stop(&self) {
+        self.signal(rustix::process::Signal::STOP);
+    }
+
+    fn signal(&self, signal: rustix::process::Signal) {
+        rustix::process::kill_process(rustix::process::Pid::from_child(&self.child), signal).unwrap();
+    }
+
+    /// Ends the child with SIGKILL, as dropping does; [`clean`] what it leaves.
     pub fn kill(self) {}
 
-    /// Waits until the child has ended by itself.
-    pub fn wait(mut self) -> std::process::ExitStatus {
+    /// Asks the child to end and waits until it has, leaving nothing behind.
+    pub fn end(mut self) -> std::process::ExitStatus {
+        drop(self.child.stdin.take());
+        self.signal(rustix::process::Signal::CONT);
         self.lines.by_ref().map_while(Result::ok).for_each(drop);
         self.child.wait().unwrap()
     }
