@@ -7,7 +7,7 @@ use tautline_transport::{Durability, History, Qos, Reliability};
 /// How many samples stay for a slow subscription.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HistoryPolicy {
-    /// Nothing is overwritten; `depth` bounds the queue (0: 128), and publishing to a full one is refused.
+    /// Nothing is overwritten; `depth` bounds the queue (0: 100), and publishing to a full one is refused.
     KeepAll,
     /// The newest `depth`.
     KeepLast,
@@ -79,7 +79,7 @@ pub struct QosProfile {
 
 /// The depth when the profile says 0: ROS 2's default, and for keep-all a bound.
 const DEFAULT_DEPTH: usize = 10;
-const DEFAULT_BOUND: usize = 128;
+const DEFAULT_BOUND: usize = 100;
 
 impl QosProfile {
     const fn common() -> Self {

@@ -34,7 +34,7 @@ impl<T: Message + Plain> Subscription<T> {
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
-        self.inner.take()
+        self.inner.try_take()
     }
 
     /// Received, lost, invalid, highest queue fill: to be read from any thread.
@@ -85,7 +85,7 @@ impl<T: Message + Plain> Stream for Subscription<T> {
 impl<T: Message + Plain> Subscription<T> {
     /// Looks without registering for a wake-up.
     fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<Sample<T>> {
-        if let Ok(Some(sample)) = self.inner.take_valid() {
+        if let Ok(Some(sample)) = self.inner.try_take_valid() {
             return Poll::Ready(sample);
         }
         // For combinators that only poll what was woken.

@@ -5,7 +5,7 @@ use crate::events::Events;
 use crate::hot::Agenda;
 use std::time::Duration;
 use tautline_rt::{RtError, ThreadBuilder};
-use tautline_transport::{Participant, TransportError};
+use tautline_transport::{Participant, SamplerSeat, TransportError};
 
 /// How a sampler waits when nothing is pending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -25,18 +25,21 @@ pub struct Sampler {
     pub(crate) events: Events,
     pub(crate) agenda: Agenda,
     pub(crate) wait: Wait,
+    _seat: SamplerSeat,
 }
 
 impl Sampler {
-    /// The sampler of `participant`, which must have no other.
+    /// The sampler of `participant`.
     ///
     /// # Real-time
     /// Setup only: allocates all that it will ever need.
     ///
     /// # Errors
-    /// [`TransportError::Slots`] if the participant has no slot left.
+    /// [`TransportError::SecondSampler`] if the participant has one already; [`TransportError::Slots`] if it has no slot
+    /// left.
     pub fn new(participant: &Participant) -> Result<Self, TransportError> {
-        Ok(Sampler { events: Events::new(participant)?, agenda: Agenda::new(), wait: Wait::Block })
+        let _seat = participant.doorbell().claim_sampler()?;
+        Ok(Sampler { events: Events::new(participant)?, agenda: Agenda::new(), wait: Wait::Block, _seat })
     }
 
     /// The same, waiting another way.

@@ -45,7 +45,7 @@ fn publish_when_ready_waits_for_a_take() {
     pool.spawner().spawn_local(task).unwrap();
     pool.run_until_stalled();
     for _ in 0..4 {
-        let taken = Subscription::take(&subscription).unwrap().unwrap().n;
+        let taken = Subscription::try_take(&subscription).unwrap().unwrap().n;
         log.borrow_mut().push(format!("took {taken}"));
         while sampler.spin_once(Some(Duration::ZERO)) != 0 {}
         pool.run_until_stalled();

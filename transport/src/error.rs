@@ -34,6 +34,9 @@ pub enum TransportError {
         /// iceoryx2's word for it.
         reason: String,
     },
+    /// A participant has one sampler.
+    #[error("this participant has a sampler already: use that one, or drop it first")]
+    SecondSampler,
     /// There is no such domain.
     #[error("domain {domain} does not exist: domains go from 0 to {max}, as in ROS 2")]
     DomainRange {

@@ -26,7 +26,7 @@
 //! loan.n = 7;
 //! loan.publish().expect("keep-last never refuses");
 //!
-//! let sample = subscription.take().expect("nothing else is held").expect("it was just published");
+//! let sample = subscription.try_take().expect("nothing else is held").expect("it was just published");
 //! assert_eq!((sample.n, sample.info().sequence_number), (7, 1));
 //! # Ok::<(), tautline_transport::TransportError>(())
 //! ```
@@ -47,7 +47,7 @@ mod subscription;
 mod sync;
 mod topic;
 
-pub use doorbell::{Doorbell, SLOTS, Slot};
+pub use doorbell::{Doorbell, SLOTS, SamplerSeat, Slot};
 pub use error::{LoanError, PublishError, TakeError, TransportError};
 pub use header::{Gid, MessageInfo};
 pub use memory::{TopicMemory, topic_memory};

@@ -49,8 +49,9 @@ impl Participant {
             FileName::new(file_prefix(domain).as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
         let root = Path::new(root_directory().as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
         config.global.set_root_path(&root);
-        // Publishers that ended with samples still queued, per subscription. iceoryx2's 128 cost each one 460 KiB of heap.
-        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 8;
+        // Publishers that ended with samples still queued, per subscription: of more, the samples are lost and counted.
+        // iceoryx2's 128 cost each subscription 460 KiB of heap.
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4;
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)

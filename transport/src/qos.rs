@@ -106,16 +106,17 @@ impl Default for Qos {
 ///
 /// They reserve address space, not memory: a publisher reserves
 /// `subscribers x (depth + held) + loans` samples, and a page becomes resident when a sample in it is first written
-/// ([`topic_memory`](crate::topic_memory) computes both).
+/// ([`topic_memory`](crate::topic_memory) computes both). Each publisher and subscription that are connected also need
+/// open files: one in the publisher's process, two in the subscription's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
     /// Most publishers of the topic. At most 64; 8 by default.
     pub publishers: usize,
     /// Most subscriptions of the topic. At most 128; 16 by default.
     pub subscribers: usize,
-    /// Greatest depth that a subscription can ask for. 128 by default, or the first opener's depth where that is more.
+    /// Greatest depth that a subscription can ask for. 100 by default, or the first opener's depth where that is more.
     pub depth: usize,
-    /// Most samples that a subscription can hold at once. 8 by default.
+    /// Most samples that a subscription can hold at once. 4 by default.
     pub held: usize,
     /// Most loans that a publisher can have out at once. 4 by default.
     pub loans: usize,
@@ -142,7 +143,7 @@ impl Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Limits { publishers: 8, subscribers: 16, depth: 128, held: 8, loans: 4 }
+        Limits { publishers: 8, subscribers: 16, depth: 100, held: 4, loans: 4 }
     }
 }
 

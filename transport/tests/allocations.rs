@@ -59,7 +59,7 @@ fn publish_and_take() {
     let publish = |n| publisher.publish(&Count { n }).unwrap();
     publish(0);
     for subscription in &subscriptions {
-        assert!(subscription.take().unwrap().is_some());
+        assert!(subscription.try_take().unwrap().is_some());
     }
 
     let (mut published, mut taken) = ((0, 0), (0, 0));
@@ -71,11 +71,11 @@ fn publish_and_take() {
         add(&mut published, count(|| publish(n as u64)));
         assert_eq!(SIZES.with_borrow(|sizes| sizes[(ALLOCATED.get() - 1) % 8]), 48, "iceoryx2's loan");
         // One takes each, one polls each, one is mostly overwritten.
-        add(&mut taken, count(|| assert!(subscriptions[0].take().unwrap().is_some())));
+        add(&mut taken, count(|| assert!(subscriptions[0].try_take().unwrap().is_some())));
         add(&mut taken, count(|| assert!(subscriptions[1].poll_take(&mut context).is_ready())));
         add(&mut taken, count(|| assert!(subscriptions[1].poll_take(&mut context).is_pending())));
         if n % 10 == 0 {
-            add(&mut taken, count(|| assert!(subscriptions[2].take().unwrap().is_some())));
+            add(&mut taken, count(|| assert!(subscriptions[2].try_take().unwrap().is_some())));
         }
     }
     assert_eq!(published, (CYCLES, CYCLES), "one per loan, freed by publishing");

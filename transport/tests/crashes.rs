@@ -30,7 +30,7 @@ fn child_main() {
             let subscription = new_subscription(&participant, Qos::keep_last(100));
             let mut held = Vec::new();
             wait_for("samples to hold", || {
-                held.extend(subscription.take().unwrap());
+                held.extend(subscription.try_take().unwrap());
                 held.len() == 4
             });
             say("holding");
@@ -59,7 +59,7 @@ fn exchange(publisher: &Publisher<Count>, subscription: &Subscription<Count>, ne
     for _ in 0..50 {
         publisher.publish(&Count { n: OURS + *next }).unwrap();
         let mut came = false;
-        while let Some(sample) = subscription.take().unwrap() {
+        while let Some(sample) = subscription.try_take().unwrap() {
             if sample.info().publisher_gid == publisher.gid() {
                 assert_eq!(sample.n, OURS + *next, "every message of ours, in order");
                 came = true;

@@ -163,10 +163,10 @@ fn a_history_is_held_in_place_as_well() {
     let joiner = participant.create_subscription::<Count>("/late", kept(4), limits).unwrap();
     let mut held = Vec::new();
     wait_for("two samples", || {
-        held.extend(joiner.take().unwrap());
+        held.extend(joiner.try_take().unwrap());
         held.len() == 2
     });
-    assert_eq!(joiner.take().err(), Some(tautline_transport::TakeError::TooManyHeld));
+    assert_eq!(joiner.try_take().err(), Some(tautline_transport::TakeError::TooManyHeld));
     let waker = futures::task::noop_waker();
     assert!(joiner.poll_take(&mut std::task::Context::from_waker(&waker)).is_pending(), "it must not spin");
     assert_eq!(held.iter().map(|sample| sample.n).collect::<Vec<_>>(), [1, 2]);

@@ -79,7 +79,7 @@ fn images(domain: u32) {
         for (subscription, (held, every)) in subscriptions.iter().zip(held.iter_mut().zip([1, 7, 300])) {
             if n % every == 0 {
                 *held = None;
-                *held = subscription.take().unwrap();
+                *held = subscription.try_take().unwrap();
             }
         }
     }

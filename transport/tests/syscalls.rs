@@ -26,7 +26,7 @@ fn child_main() {
             let mut loan = publisher.loan().unwrap();
             loan.n = n;
             loan.publish().unwrap();
-            sum += subscription.take().unwrap().unwrap().n;
+            sum += subscription.try_take().unwrap().unwrap().n;
             if part == "yielder" {
                 // What the proof must notice.
                 std::thread::yield_now();

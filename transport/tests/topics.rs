@@ -12,7 +12,7 @@ use tautline_transport::{
     Limits, LoanError, Participant, PublishError, Qos, TakeError, TransportError, Unpublished,
 };
 
-const DEFAULT: Limits = Limits { publishers: 8, subscribers: 16, depth: 128, held: 8, loans: 4 };
+const DEFAULT: Limits = Limits { publishers: 8, subscribers: 16, depth: 100, held: 4, loans: 4 };
 
 const GREATEST: Limits = Limits { publishers: 64, subscribers: 128, depth: 4, held: 1, loans: 1 };
 
@@ -90,7 +90,7 @@ fn an_image_is_read_where_it_was_written() {
     let written = place_of(&raw const loan.data);
     loan.publish().unwrap();
 
-    let sample = subscription.take().unwrap().unwrap();
+    let sample = subscription.try_take().unwrap().unwrap();
     let read = place_of(&raw const sample.data);
     assert!(read.path.starts_with("/dev/shm/taut_130_"), "{read:?}");
     assert_eq!(read, written, "the same bytes of the same file: nothing was copied");
@@ -104,7 +104,7 @@ fn an_image_of_another_process_is_read_in_that_ones_segment() {
         participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
     let mut part = Part::start("image", 131);
     let written = part.hear();
-    let sample = subscription.take().unwrap().unwrap();
+    let sample = subscription.try_take().unwrap().unwrap();
     let read = place_of(&raw const sample.data);
     assert_eq!(format!("{} {} {}", read.path, read.inode, read.offset), written);
     assert_eq!((&sample.data[..8], sample.data[IMAGE_BYTES - 1]), (&b"tautline"[..], 7));
@@ -129,7 +129,7 @@ fn samples_carry_number_time_and_publisher() {
     let after_ns = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
 
     let infos: Vec<_> =
-        std::iter::from_fn(|| subscription.take().unwrap().map(|sample| sample.info())).collect();
+        std::iter::from_fn(|| subscription.try_take().unwrap().map(|sample| sample.info())).collect();
     let of = |gid| infos.iter().filter(|info| info.publisher_gid == gid).collect::<Vec<_>>();
     let numbers = |gid| of(gid).iter().map(|info| info.sequence_number).collect::<Vec<_>>();
     assert_eq!((numbers(first.gid()), numbers(second.gid())), (vec![1, 2], vec![1]));
@@ -144,7 +144,7 @@ fn keep_last_overwrites_the_oldest_and_counts_it_there_alone() {
     let publisher = participant.create_publisher::<Count>("/last", Qos::default(), DEFAULT).unwrap();
     let subscribe =
         |depth| participant.create_subscription::<Count>("/last", Qos::keep_last(depth), DEFAULT).unwrap();
-    let (never, slow, fast) = (subscribe(2), subscribe(3), subscribe(128));
+    let (never, slow, fast) = (subscribe(2), subscribe(3), subscribe(100));
     let mut taken = Vec::new();
     for n in 1..=100 {
         publisher.publish(&Count { n }).unwrap();
@@ -185,7 +185,7 @@ fn losses_are_exact_with_several_publishers_and_random_pauses() {
             sent += 1;
         } else {
             let takes = random.random_range(0..12);
-            received += (0..takes).filter(|_| subscription.take().unwrap().is_some()).count() as u64;
+            received += (0..takes).filter(|_| subscription.try_take().unwrap().is_some()).count() as u64;
         }
     }
     received += take_all(&subscription).len() as u64;
@@ -262,7 +262,7 @@ fn domains_are_apart() {
     let stranger = there.create_subscription::<Other>("/same", Qos::default(), DEFAULT).unwrap();
     publisher.publish(&Count { n: 1 }).unwrap();
     assert_eq!((publisher.subscription_count(), stranger.publisher_count()), (1, 0));
-    assert!(stranger.take().unwrap().is_none());
+    assert!(stranger.try_take().unwrap().is_none());
     assert_eq!(take_all(&subscription), [1]);
     assert!(Participant::new(233).err().unwrap().to_string().contains("232"));
 }
@@ -296,13 +296,13 @@ fn held_samples_run_out_and_come_back() {
         for n in 1..=4 {
             publishers[round % 2].publish(&Count { n }).unwrap();
         }
-        let mut held: Vec<_> = (0..3).map(|_| subscription.take().unwrap().unwrap()).collect();
-        assert_eq!(subscription.take().err(), Some(TakeError::TooManyHeld));
+        let mut held: Vec<_> = (0..3).map(|_| subscription.try_take().unwrap().unwrap()).collect();
+        assert_eq!(subscription.try_take().err(), Some(TakeError::TooManyHeld));
         // Dropped in another thread, in any order.
         let one = held.swap_remove(0);
         std::thread::spawn(move || drop(one)).join().unwrap();
-        assert_eq!(subscription.take().unwrap().unwrap().n, 4);
-        assert!(subscription.take().unwrap().is_none());
+        assert_eq!(subscription.try_take().unwrap().unwrap().n, 4);
+        assert!(subscription.try_take().unwrap().is_none());
         let numbers: Vec<_> = held.iter().map(|sample| sample.n).collect();
         assert_eq!(numbers, [3, 2]);
     }
@@ -314,7 +314,7 @@ fn a_held_sample_does_not_change() {
     let publisher = participant.create_publisher::<Count>("/kept", Qos::default(), DEFAULT).unwrap();
     let subscription = participant.create_subscription::<Count>("/kept", Qos::keep_last(1), DEFAULT).unwrap();
     publisher.publish(&Count { n: 42 }).unwrap();
-    let kept = subscription.take().unwrap().unwrap();
+    let kept = subscription.try_take().unwrap().unwrap();
     for n in 0..10_000 {
         publisher.publish(&Count { n }).unwrap();
         take_all(&subscription);
@@ -428,7 +428,7 @@ fn publisher_and_subscription_move_between_threads() {
             // Taken in the thread before, read and dropped here.
             assert_eq!(held.map(|sample: tautline_transport::Sample<Count>| sample.n), expected);
             publisher.publish(&Count { n }).unwrap();
-            let sample = subscription.take().unwrap();
+            let sample = subscription.try_take().unwrap();
             (publisher, subscription, sample)
         })
         .join()
@@ -447,7 +447,7 @@ fn a_loan_is_always_a_valid_message() {
         let mut loan = publisher.loan().unwrap();
         *loan = Flag { n, raised: n % 3 == 0 };
         loan.publish().unwrap();
-        assert_eq!(*subscription.take().unwrap().unwrap(), Flag { n, raised: n % 3 == 0 });
+        assert_eq!(*subscription.try_take().unwrap().unwrap(), Flag { n, raised: n % 3 == 0 });
     }
     assert_eq!(subscription.counters().invalid(), 0);
 }
@@ -473,7 +473,7 @@ fn keep_all_gives_the_loan_back() {
     }
     assert_eq!(take_all(&last), [3], "a refused sample reached nobody");
     assert_eq!(publisher.publish(&Count { n: 5 }), Err(PublishError::Full));
-    assert_eq!(subscription.take().unwrap().unwrap().n, 1);
+    assert_eq!(subscription.try_take().unwrap().unwrap().n, 1);
     loan.publish().unwrap();
     assert_eq!(take_all(&subscription), [2, 3, 4]);
     assert_eq!((subscription.counters().lost(), subscription.counters().max_queue()), (0, 3));

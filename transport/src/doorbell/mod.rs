@@ -22,6 +22,7 @@ pub(crate) use arena::{Arena, ArenaId, LINKS, Link, remove_stale_arenas, slot_fl
 use crate::error::TransportError;
 use crate::sync::Ordering;
 use futures::task::AtomicWaker;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Slots of an arena: the most subscriptions, publishers, timers and guard conditions that one context can have.
@@ -36,6 +37,7 @@ pub struct Doorbell {
     arena: Arena,
     wakers: Box<[AtomicWaker]>,
     free: Mutex<FreeSlots>,
+    sampled: AtomicBool,
 }
 
 impl Doorbell {
@@ -48,6 +50,7 @@ impl Doorbell {
             arena: Arena::create(domain)?,
             wakers: (0..SLOTS).map(|_| AtomicWaker::new()).collect(),
             free: Mutex::new(FreeSlots::new()),
+            sampled: AtomicBool::new(false),
         }))
     }
 
@@ -64,6 +67,17 @@ impl Doorbell {
         let index = free.take().ok_or(TransportError::Slots { limit: SLOTS })?;
         self.arena.reset(index);
         Ok(Slot { doorbell: self.clone(), index })
+    }
+
+    /// Claims the right to drain this doorbell and to sleep on it, which one sampler has.
+    ///
+    /// # Errors
+    /// [`TransportError::SecondSampler`] if another one lives.
+    pub fn claim_sampler(self: &Arc<Self>) -> Result<SamplerSeat, TransportError> {
+        if self.sampled.swap(true, std::sync::atomic::Ordering::AcqRel) {
+            return Err(TransportError::SecondSampler);
+        }
+        Ok(SamplerSeat { doorbell: self.clone() })
     }
 
     /// Takes every pending slot: wakes the task registered there and tells `each` which slot it was. Returns how many.
@@ -102,6 +116,17 @@ impl Doorbell {
         if let Some(waker) = self.wakers.get(slot) {
             waker.wake();
         }
+    }
+}
+
+/// The right of one sampler to drain a doorbell; free again when dropped.
+pub struct SamplerSeat {
+    doorbell: Arc<Doorbell>,
+}
+
+impl Drop for SamplerSeat {
+    fn drop(&mut self) {
+        self.doorbell.sampled.store(false, std::sync::atomic::Ordering::Release);
     }
 }
 

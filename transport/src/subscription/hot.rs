@@ -109,7 +109,7 @@ impl<T: Message + Plain> Subscription<T> {
     ///
     /// # Errors
     /// [`TakeError`]. An invalid sample is consumed.
-    pub fn take(&self) -> Result<Option<Sample<T>>, TakeError> {
+    pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
         let mut state = self.state.borrow_mut();
         if let Some(sample) = self.take_history(&mut state)? {
             return Ok(Some(sample));
@@ -179,13 +179,13 @@ impl<T: Message + Plain> Subscription<T> {
     /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted.
     ///
     /// # Real-time
-    /// As [`take`](Self::take), for each invalid sample.
+    /// As [`try_take`](Self::try_take), for each invalid sample.
     ///
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
-    pub fn take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
+    pub fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
         loop {
-            match self.take() {
+            match self.try_take() {
                 Err(TakeError::Invalid(_)) => {}
                 Err(refused) => {
                     add(&self.counters.refused, 1);
@@ -199,11 +199,11 @@ impl<T: Message + Plain> Subscription<T> {
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
     ///
     /// # Real-time
-    /// As [`take_valid`](Self::take_valid).
+    /// As [`try_take_valid`](Self::try_take_valid).
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
         self.departure.slot.waker().register(context.waker());
         loop {
-            match self.take_valid() {
+            match self.try_take_valid() {
                 Ok(Some(sample)) => return Poll::Ready(sample),
                 Err(TakeError::TooManyHeld) => {
                     let state = self.state.borrow();
@@ -222,7 +222,7 @@ impl<T: Message + Plain> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time
-    /// As [`Subscription::take`]. Never ends.
+    /// As [`Subscription::try_take`]. Never ends.
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         self.poll_take(context).map(Some)
     }

@@ -23,7 +23,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use tautline_msgs::{Message, Plain};
 use tracker::Tracker;
 
-/// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`take`](Subscription::take).
+/// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`try_take`](Subscription::try_take).
 ///
 /// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
 /// back to the publisher when this subscription next takes.

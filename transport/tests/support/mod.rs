@@ -44,7 +44,7 @@ pub fn domain(number: u32) -> u32 {
 
 /// Takes all that is there.
 pub fn take_all(subscription: &Subscription<Count>) -> Vec<u64> {
-    std::iter::from_fn(|| subscription.take().unwrap().map(|sample| sample.n)).collect()
+    std::iter::from_fn(|| subscription.try_take().unwrap().map(|sample| sample.n)).collect()
 }
 
 /// Waits for what another thread or process does; a test that hangs fails after half a minute instead.
