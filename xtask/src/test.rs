@@ -2,7 +2,7 @@
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
 use crate::machine::{self, Domain};
-use crate::reports::{check_demo, check_wake};
+use crate::reports::{check_ablation, check_demo, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{bench_wake, examples, stress_doorbell};
 use std::process::{Command, ExitCode};
@@ -15,6 +15,7 @@ pub fn run(quick: bool) -> ExitCode {
     let mut steps = Steps::new();
     lints(&mut steps);
     tests(&mut steps);
+    clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
     let binaries = "build --release -p taut -p tautline-examples -p tautline-benches --bins --examples";
     let built = steps.command("build", &mut cargo(binaries));
@@ -50,20 +51,40 @@ fn tests(steps: &mut Steps) {
     steps.command("doc tests", &mut cargo("test --workspace --doc --no-fail-fast"));
 }
 
-/// Three seconds of the demo: it runs and its report keeps its promises.
+/// Three seconds of the demo: it runs and its report keeps its promises; and with the sampler below the callbacks it
+/// shows what goes wrong.
 fn demo(steps: &mut Steps) {
     let target = machine::target_dir();
     let (json, svg) = (target.join("demo.json"), target.join("demo.svg"));
-    let _ = std::fs::remove_file(&json);
     let domain = Domain::unused();
-    steps.step("demo", || {
-        let mut command = Command::new(target.join("release/taut"));
-        command.args(["demo", "--seconds", "3", "--json"]).arg(&json).arg("--svg").arg(&svg);
-        match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
-            Outcome::Ok => check_demo(&json, machine::is_ci() || machine::realtime_permitted()),
-            other => other,
-        }
-    });
+    let mut run = |name, priority, check: &dyn Fn() -> Outcome| {
+        let _ = std::fs::remove_file(&json);
+        steps.step(name, || {
+            let mut command = Command::new(target.join("release/taut"));
+            command.args(["demo", "--seconds", "3", "--sampler-priority", priority]);
+            command.arg("--json").arg(&json).arg("--svg").arg(&svg);
+            match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+                Outcome::Ok => check(),
+                other => other,
+            }
+        });
+    };
+    let realtime = machine::is_ci() || machine::realtime_permitted();
+    run("demo", "21", &|| check_demo(&json, realtime));
+    if realtime {
+        run("demo: sampler below the callbacks", "15", &|| check_ablation(&json));
+    } else {
+        steps.skip("demo: sampler below the callbacks", "real-time priorities are not permitted");
+    }
+}
+
+/// Sets the system's clock by an hour for some milliseconds, which is nothing to do on somebody's own machine.
+fn clock_step(steps: &mut Steps) {
+    if !machine::is_ci() {
+        return steps.skip("clock step", "sets the system's clock: only where CI is set");
+    }
+    let mut command = cargo("test -p tautline-sampler --test clock_step");
+    steps.command("clock step", command.env("TAUT_STEP_CLOCK", "1"));
 }
 
 /// A quick run of the wake bench: it runs and its report keeps its promises.
