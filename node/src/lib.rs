@@ -58,3 +58,8 @@ pub use tautline_transport::{
     Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, Sample, TakeError,
     TopicMemory, TransportError, Unpublished, topic_memory,
 };
+
+/// The README's program compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct Readme;
