@@ -4,7 +4,7 @@
 use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tautline_executor::{CoreSet, Executor, Policy, Realtime};
+use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, Realtime};
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Wait};
 use tautline_transport::Participant;
@@ -261,6 +261,16 @@ impl Context {
     fn borrow_sampler(&self) -> Result<BorrowedSampler<'_>> {
         let sampler = self.sampler().take().ok_or(Error::AlreadySpinning)?;
         Ok(BorrowedSampler { context: self, sampler: Some(sampler) })
+    }
+
+    pub(crate) fn warn_if_above_sampler(&self, options: &CallbackOptions) {
+        let sampler = self.shared.settings.sampler_priority;
+        if self.realtime() == Realtime::Required && options.policy.realtime_priority() >= Some(sampler) {
+            let (name, policy) = (&options.name, options.policy);
+            tracing::warn!(
+                "callback '{name}' at {policy} is not below the sampler at {sampler}: while it runs, nothing is woken"
+            );
+        }
     }
 
     fn become_sampler(&self) -> Result<SamplerSettings> {

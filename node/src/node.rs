@@ -181,7 +181,8 @@ impl Node {
     }
 
     /// Gives a future a thread of its own, with the policy, priority and core of `options`. On return the kernel has
-    /// confirmed them.
+    /// confirmed them. A priority that is not below the sampler's is logged as a warning: the callback then delays the
+    /// wake-up of all others.
     ///
     /// # Errors
     /// [`Error::Executor`] with the fix if a setting is refused.
@@ -190,6 +191,7 @@ impl Node {
         options: CallbackOptions,
         future: impl Future<Output = ()> + Send + 'static,
     ) -> Result<CallbackHandle> {
+        self.context.warn_if_above_sampler(&options);
         Ok(self.context.shared.executor.spawn_callback(options, future)?)
     }
 
@@ -202,6 +204,7 @@ impl Node {
         options: CallbackOptions,
         make: impl FnOnce() -> F + Send + 'static,
     ) -> Result<CallbackHandle> {
+        self.context.warn_if_above_sampler(&options);
         Ok(self.context.shared.executor.spawn_local(options, make)?)
     }
 
@@ -210,6 +213,7 @@ impl Node {
     /// # Errors
     /// As [`spawn_callback`](Self::spawn_callback).
     pub fn spawn_group(&self, options: CallbackOptions, group: CallbackGroup) -> Result<CallbackHandle> {
+        self.context.warn_if_above_sampler(&options);
         Ok(self.context.shared.executor.spawn_group(options, group)?)
     }
 

@@ -160,8 +160,17 @@ fn explanations(report: &DemoReport) -> Vec<String> {
             report.steal_ticks * 10
         ));
     }
+    let highest = report.topics.iter().map(|t| t.priority).max().unwrap_or(0);
+    let sampler_below = report.realtime && report.sampler_priority <= highest;
+    if sampler_below {
+        texts.push(format!(
+            "The sampler, at priority {}, is not above the callbacks ({highest} and less): a message waits until they \
+             pause before anybody is told of it. The prediction assumes a sampler above all callbacks.",
+            report.sampler_priority
+        ));
+    }
     let beyond = report.topics.iter().any(|t| t.beyond_prediction().is_some());
-    if report.realtime && beyond && report.steal_ticks == 0 {
+    if report.realtime && beyond && report.steal_ticks == 0 && !sampler_below {
         texts.push(
             "The prediction covers the callbacks and the middleware of this core only: look for interrupts, other \
              real-time threads on the core, throttling (kernel.sched_rt_runtime_us), or a callback that runs longer \
