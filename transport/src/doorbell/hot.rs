@@ -2,16 +2,17 @@
 //! The bell: a bitmap of pending slots and an eventcount, in shared memory.
 //!
 //! ```text
-//!  ringer (any process)                    sampler (the one sleeper)
-//!  1 pending[slot] |= bit                  1 state = SLEEPING
-//!  2 fence                                 2 fence
-//!  3 state == SLEEPING? state = AWAKE      3 pending empty?  sleep while state == SLEEPING
-//!    and wake                              4 state = AWAKE, take the bits
+//!  ringer (any process)                       sampler (the one sleeper)
+//!  1 pending[slot] |= bit                     1 state |= SLEEPING
+//!  2 fence                                    2 fence
+//!  3 state has SLEEPING? count it, wake       3 nothing pending? sleep while state is what step 1 left
+//!                                             4 state &= !SLEEPING, take the bits
 //! ```
 //!
 //! The fences order each side's store before its load: either the ringer sees SLEEPING and wakes, or the sampler sees
-//! the bit and does not sleep. A ringer that finds the bit set already must still do step 3: whoever set it may have
-//! been preempted, or killed, before its own step 3.
+//! the bit and does not sleep. Counting in step 3 changes the state, so that a sampler between its steps 2 and 3 does
+//! not fall asleep. Only the sampler takes SLEEPING away: a ringer never relies on another one, who may have been
+//! preempted, or killed, anywhere before its wake.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -19,8 +20,9 @@ use super::SLOTS;
 use crate::sync::{AtomicU64, FutexWord, Ordering, fence};
 
 const WORDS: usize = SLOTS / 64;
-const AWAKE: u32 = 0;
+/// The state's lowest bit; above it, the rings that found it set are counted (wrapping).
 const SLEEPING: u32 = 1;
+const ONE_RING: u32 = 2;
 
 /// One bell per sampler. All-zero memory is a bell with nothing pending and nobody asleep.
 #[repr(C, align(64))]
@@ -47,11 +49,14 @@ impl Bell {
     }
 
     fn wake_if_sleeping(&self) {
-        if self.state.0.load(Ordering::Relaxed) == SLEEPING
-            && self.state.0.swap(AWAKE, Ordering::AcqRel) == SLEEPING
-        {
-            self.state.wake();
+        if self.state.0.load(Ordering::Relaxed) & SLEEPING != 0 {
+            self.wake();
         }
+    }
+
+    fn wake(&self) {
+        self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
+        self.state.wake();
     }
 
     /// Takes every pending slot and hands it to `each`, lowest first; returns how many there were.
@@ -89,25 +94,22 @@ impl Bell {
     /// # Real-time
     /// At most one syscall; no allocation.
     pub(crate) fn sleep(&self, deadline_ns: Option<u64>) {
-        // Swaps, not stores: each change of the state has seen the one before, so no ringer reads an old AWAKE.
-        self.state.0.swap(SLEEPING, Ordering::AcqRel);
+        let asleep = self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING;
         fence(Ordering::SeqCst);
         if !self.is_pending() {
-            self.state.wait(SLEEPING, deadline_ns);
+            self.state.wait(asleep, deadline_ns);
         }
-        self.state.0.swap(AWAKE, Ordering::AcqRel);
+        self.state.0.fetch_and(!SLEEPING, Ordering::AcqRel);
     }
 
-    /// Finishes the ring of a process that was killed between setting the bit and waking. It may have written AWAKE
-    /// already, so the state says nothing here; waking who is awake is harmless.
+    /// Finishes the ring of a process that was killed between setting the bit and waking. Waking who is awake is
+    /// harmless.
     ///
     /// # Real-time
     /// For a low-priority thread, now and then. Wait-free; at most one futex wake.
     pub(crate) fn rescue(&self) {
         if self.is_pending() {
-            fence(Ordering::SeqCst);
-            self.state.0.swap(AWAKE, Ordering::AcqRel);
-            self.state.wake();
+            self.wake();
         }
     }
 }
@@ -116,7 +118,7 @@ impl Bell {
 #[allow(clippy::indexing_slicing)]
 impl Bell {
     pub(crate) fn new() -> Self {
-        Bell { state: FutexWord::new(AWAKE), pending: Pending(core::array::from_fn(|_| AtomicU64::new(0))) }
+        Bell { state: FutexWord::new(0), pending: Pending(core::array::from_fn(|_| AtomicU64::new(0))) }
     }
 
     /// The first step of `ring` alone, or all but the wake: a ringer that was killed there.
@@ -124,7 +126,7 @@ impl Bell {
         self.pending.0[slot / 64].fetch_or(1 << (slot % 64), Ordering::Release);
         if before_wake {
             fence(Ordering::SeqCst);
-            self.state.0.swap(AWAKE, Ordering::AcqRel);
+            self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
         }
     }
 }

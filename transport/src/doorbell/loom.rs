@@ -95,3 +95,26 @@ fn loom_a_killed_ringer_is_rescued() {
         });
     }
 }
+
+#[test]
+fn loom_a_ringer_that_is_stuck_before_its_wake_holds_up_nobody_else() {
+    model(|| {
+        let bell = Arc::new(Bell::new());
+        let stuck = {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring_and_die(0, true))
+        };
+        let other = {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring(1))
+        };
+        let mut seen = 0u64;
+        while seen & 0b10 == 0 {
+            if bell.drain(|slot| seen |= 1 << slot) == 0 {
+                bell.sleep(None);
+            }
+        }
+        stuck.join().unwrap();
+        other.join().unwrap();
+    });
+}
