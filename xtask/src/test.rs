@@ -31,6 +31,7 @@ pub fn run(quick: bool) -> ExitCode {
             run(&mut steps);
         }
     }
+    machine::sweep();
     steps.finish()
 }
 
