@@ -15,7 +15,7 @@ use tautline_rt::{
 
 use crate::callback::{Callback, End, Presence, Thread};
 use crate::group::CallbackGroup;
-use crate::hot::{self, CallbackThread, Control, Controlled, GroupFuture, Measured};
+use crate::hot::{self, CallbackThread, Control, Controlled, GroupFuture, Measured, Stopwatch};
 use crate::registry::{Registry, Seat};
 use crate::{CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, ThreadRegistration};
 
@@ -63,9 +63,9 @@ impl Executor {
         M: FnOnce() -> F + Send + 'static,
         F: Future<Output = ()> + 'static,
     {
-        let execution_clock = hot::execution_clock(options.execution_time, options.busy_poll);
+        let (execution_time, busy) = (options.execution_time, options.busy_poll);
         self.start(options, move |stats| {
-            let measured = Measured { stats, execution_clock };
+            let measured = Measured { stats, stopwatch: execution_time.then(|| Stopwatch::new(busy)) };
             (Some(measured), Box::pin(make()))
         })
     }
@@ -79,9 +79,9 @@ impl Executor {
         options: CallbackOptions,
         group: CallbackGroup,
     ) -> Result<CallbackHandle, ExecutorError> {
-        let execution_clock = hot::execution_clock(options.execution_time, options.busy_poll);
+        let (execution_time, busy) = (options.execution_time, options.busy_poll);
         self.start(options, move |stats| {
-            let total = Measured { stats, execution_clock };
+            let total = Measured { stats, stopwatch: execution_time.then(|| Stopwatch::new(busy)) };
             // No jobs of the thread itself: the group measures its members.
             (None, Box::pin(GroupFuture { members: group.into_members(), running: None, total }))
         })

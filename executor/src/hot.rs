@@ -3,7 +3,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -30,17 +30,62 @@ pub(crate) struct CallbackThread {
 
 pub(crate) struct Measured {
     pub stats: Arc<CallbackStats>,
-    /// What execution times are read from; `None` where they are off.
-    pub execution_clock: Option<ExecutionClock>,
+    /// `None` where execution times are off.
+    pub stopwatch: Option<Stopwatch>,
 }
 
-/// A clock in nanoseconds.
-pub(crate) type ExecutionClock = fn() -> u64;
+/// Measures execution times on the thread it was made on.
+///
+/// The thread's CPU clock costs a syscall, so it is read once per job, at its end: a job is charged what the thread has
+/// used since the job before, which is its callback's work and the executor's to get there. A busy poller uses the
+/// processor all the time, but has it to itself: there the monotonic clock, which costs no syscall, is read at both ends.
+pub(crate) struct Stopwatch {
+    busy: bool,
+    /// End of the job before; `None` before the first.
+    since_ns: Cell<Option<u64>>,
+}
 
-/// The thread's CPU clock costs a syscall. A busy poller has its core to itself, so that the monotonic one, which costs
-/// none, says the same.
-pub(crate) fn execution_clock(measured: bool, busy: bool) -> Option<ExecutionClock> {
-    measured.then_some(if busy { monotonic_ns } else { thread_cpu_ns })
+impl Stopwatch {
+    pub fn new(busy: bool) -> Stopwatch {
+        Stopwatch { busy, since_ns: Cell::new(None) }
+    }
+
+    fn now_ns(&self) -> u64 {
+        if self.busy { monotonic_ns() } else { thread_cpu_ns() }
+    }
+
+    fn begin(&self) {
+        if self.busy || self.since_ns.get().is_none() {
+            self.since_ns.set(Some(self.now_ns()));
+        }
+    }
+
+    fn lap(&self) -> u64 {
+        let now_ns = self.now_ns();
+        now_ns.saturating_sub(self.since_ns.replace(Some(now_ns)).unwrap_or(now_ns))
+    }
+}
+
+impl Measured {
+    fn begin(&self, release_ns: u64) -> Begun {
+        self.stats.release();
+        if let Some(stopwatch) = &self.stopwatch {
+            stopwatch.begin();
+        }
+        Begun { release_ns }
+    }
+
+    /// Response and execution time of a job, up to now.
+    fn times(&self, begun: Begun) -> (u64, Option<u64>) {
+        let response_ns = monotonic_ns().saturating_sub(begun.release_ns);
+        (response_ns, self.stopwatch.as_ref().map(Stopwatch::lap))
+    }
+}
+
+/// A job that has begun.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Begun {
+    release_ns: u64,
 }
 
 /// Makes the current thread a callback thread, before it turns real-time.
@@ -144,14 +189,9 @@ pub struct Job {
 /// Begins a job of the current thread's callback that was released at `release_ns` of `CLOCK_MONOTONIC`.
 ///
 /// # Real-time
-/// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the
-/// thread polls busily.
+/// Wait-free; no allocation; no syscall, except one in a thread's first job.
 pub fn begin(release_ns: u64) -> Job {
-    let begun = current(|thread| {
-        let to = thread.measured.as_ref()?;
-        to.stats.release();
-        Some(Begun::now(release_ns, to.execution_clock))
-    });
+    let begun = current(|thread| Some(thread.measured.as_ref()?.begin(release_ns)));
     Job { begun: begun.flatten() }
 }
 
@@ -159,36 +199,17 @@ impl Job {
     /// Ends the job and records its response and execution time. Call it on the thread that began the job.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the
-    /// thread polls busily.
+    /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the thread
+    /// polls busily.
     pub fn finish(self) {
         if let Some(begun) = self.begun {
-            let (response_ns, execution_ns) = begun.times();
             current(|thread| {
                 if let Some(to) = &thread.measured {
+                    let (response_ns, execution_ns) = to.times(begun);
                     to.stats.complete(response_ns, execution_ns);
                 }
             });
         }
-    }
-}
-
-/// The clocks at the begin of a job.
-#[derive(Debug)]
-pub(crate) struct Begun {
-    release_ns: u64,
-    execution: Option<(ExecutionClock, u64)>,
-}
-
-impl Begun {
-    fn now(release_ns: u64, clock: Option<ExecutionClock>) -> Begun {
-        Begun { release_ns, execution: clock.map(|clock| (clock, clock())) }
-    }
-
-    /// Response and execution time, up to now.
-    fn times(&self) -> (u64, Option<u64>) {
-        let execution_ns = self.execution.map(|(clock, begin)| clock().saturating_sub(begin));
-        (monotonic_ns().saturating_sub(self.release_ns), execution_ns)
     }
 }
 
@@ -324,8 +345,7 @@ where
     fn run(&mut self, total: &Measured, cx: &mut Context<'_>) -> Poll<()> {
         if let Some(item) = self.next.take() {
             self.stats.release();
-            total.stats.release();
-            self.begun = Some(Begun::now((self.release)(&item), total.execution_clock));
+            self.begun = Some(total.begin((self.release)(&item)));
             self.future.set(Some((self.callback)(item)));
         }
         if let Some(future) = self.future.as_mut().as_pin_mut() {
@@ -334,7 +354,7 @@ where
         // Dropped before the clock is read: an item's end is part of its job.
         self.future.set(None);
         if let Some(begun) = self.begun.take() {
-            let (response_ns, execution_ns) = begun.times();
+            let (response_ns, execution_ns) = total.times(begun);
             self.stats.complete(response_ns, execution_ns);
             total.stats.complete(response_ns, execution_ns);
         }

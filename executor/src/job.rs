@@ -36,6 +36,6 @@
 //!
 //! Outside a callback thread both calls do nothing. In a [`CallbackGroup`](crate::CallbackGroup) they do nothing
 //! either: the group measures its members itself, since it takes an item before it is that item's turn. Where two
-//! streams of one callback overlap, both jobs count, and the outer one's execution time includes the inner one's.
+//! streams of one callback overlap, both jobs count, and each is charged the CPU time since the end of the one before.
 
 pub use crate::hot::{Job, begin};

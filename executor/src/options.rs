@@ -31,7 +31,7 @@ pub struct CallbackOptions {
     pub deadline: Option<Duration>,
     /// Poll all the time instead of parking: see [`CallbackOptions::busy_poll`].
     pub busy_poll: bool,
-    /// Measure execution times, at two syscalls per job (none if the thread polls busily). On by default.
+    /// Measure execution times, at one syscall per job (none if the thread polls busily). On by default.
     pub execution_time: bool,
 }
 

@@ -182,7 +182,8 @@ impl CallbackStats {
         self.overruns.load(Ordering::Relaxed)
     }
 
-    /// CPU time per job; empty where [`CallbackOptions::execution_time`](crate::CallbackOptions) is off.
+    /// CPU time per job, with what the executor used to get to it (on a busy-polling thread: time from its begin to its
+    /// end); empty where [`CallbackOptions::execution_time`](crate::CallbackOptions) is off.
     pub fn execution(&self) -> &Histogram {
         &self.execution
     }

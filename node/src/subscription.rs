@@ -63,7 +63,7 @@ impl<T: Message + Plain> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; on a callback thread that measures execution times two syscalls per message. Never ends.
+    /// Wait-free; no allocation; on a callback thread that measures execution times one syscall per message. Never ends.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         if let Some(job) = self.job.take() {
             job.finish();
