@@ -2,7 +2,10 @@
 //! `taut`, the command line of Tautline.
 #![forbid(unsafe_code)]
 
+mod check;
 mod demo;
+mod init;
+mod msg;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -18,6 +21,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     Demo(demo::DemoArgs),
+    Check(check::CheckArgs),
+    Init(init::InitArgs),
+    Msg(msg::MsgArgs),
 }
 
 fn main() -> ExitCode {
@@ -28,7 +34,10 @@ fn main() -> ExitCode {
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
 
     let outcome = match Cli::parse().verb {
-        Verb::Demo(args) => demo::run(args),
+        Verb::Demo(args) => demo::run(args).map_err(|error| error.to_string()),
+        Verb::Check(args) => Ok(check::run(&args)),
+        Verb::Init(args) => Ok(init::run(&args)),
+        Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("taut: {error}");

@@ -8,12 +8,14 @@
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `reports` | checks that the JSON of the demo and of the wake bench keeps its promises |
 //! | `readme` | the README's tables and picture, made from a run |
+//! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
 mod examples;
 mod machine;
 mod readme;
 mod reports;
+mod ros;
 mod steps;
 mod test;
 
@@ -44,6 +46,8 @@ enum Verb {
         #[arg(long)]
         bless: bool,
     },
+    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
+    Ros,
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
@@ -94,6 +98,7 @@ fn main() -> ExitCode {
             examples::run(&mut steps, built, bless);
             steps.finish()
         }
+        Verb::Ros => ros::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
             steps::run(bench_wake(quick, json.as_deref()).args(arguments))
         }

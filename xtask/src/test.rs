@@ -4,7 +4,7 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench_wake, examples, stress_doorbell};
+use crate::{bench_wake, examples, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -14,6 +14,7 @@ const RINGS: u64 = 1_000_000;
 pub fn run(quick: bool) -> ExitCode {
     let mut steps = Steps::new();
     lints(&mut steps);
+    ros(&mut steps);
     tests(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
@@ -39,6 +40,14 @@ fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
+}
+
+/// The ROS 2 that tests compare with. Without a network they are skipped, but not in CI.
+fn ros(steps: &mut Steps) {
+    steps.step("ros", || match ros::prepare() {
+        Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
+        other => other,
+    });
 }
 
 fn tests(steps: &mut Steps) {

@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! From what the user wrote to a schema.
+
+use super::MsgError;
+use std::path::{Path, PathBuf};
+use std::{env, fs};
+use tautline_schema::{HashedTypeDescription, Kind, Packages, Schema, SchemaError, TypeName};
+
+/// The folders that are searched.
+pub struct Finder {
+    packages: Packages,
+}
+
+impl Finder {
+    /// The user's folders first, then a sourced ROS 2, then the one under `target/`.
+    pub fn new(folders: &[PathBuf]) -> Self {
+        let mut packages = Packages::new();
+        let env = Packages::from_env();
+        let target = env::current_exe().ok().and_then(|path| Some(path.ancestors().nth(2)?.to_owned()));
+        let targets =
+            target.into_iter().chain([PathBuf::from("target")]).map(|target| target.join("ros/venv"));
+        let found = targets.filter(|folder| folder.is_dir());
+        folders
+            .iter()
+            .chain(env.folders())
+            .cloned()
+            .chain(found)
+            .for_each(|folder| packages.add_folder(folder));
+        Self { packages }
+    }
+
+    /// The schema of a type or of a file.
+    pub fn schema(&mut self, name: &str) -> Result<Schema, MsgError> {
+        let path = Path::new(name);
+        if path.extension().is_some() || path.is_file() {
+            self.file(path)
+        } else {
+            Ok(self.named(&name.parse()?)?)
+        }
+    }
+
+    /// The schema of a type.
+    pub fn named(&mut self, name: &TypeName) -> Result<Schema, SchemaError> {
+        self.packages.schema(name)
+    }
+
+    fn file(&mut self, path: &Path) -> Result<Schema, MsgError> {
+        let no_type = || MsgError::File { path: path.to_owned() };
+        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+        let kind = Kind::from_name(extension);
+        if kind.is_none() && extension != "json" {
+            return Err(no_type());
+        }
+        let text =
+            fs::read_to_string(path).map_err(|source| MsgError::Read { path: path.to_owned(), source })?;
+        let Some(kind) = kind else {
+            let description: HashedTypeDescription = serde_json::from_str(&text).map_err(|_| no_type())?;
+            return Ok(Schema::from_description(&description.type_description_msg)?);
+        };
+        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        let full = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let name = TypeName::new(&package_of(&full), kind, stem)?;
+        if kind == Kind::Msg && text.lines().any(|line| line.starts_with("===")) {
+            return Ok(Schema::from_text(&name, &text)?);
+        }
+        // Its package's other types, and the packages beside it.
+        if let Some(beside) = full.ancestors().nth(3) {
+            self.packages.add_folder(beside);
+        }
+        self.packages.add_text(&name, &path.to_string_lossy(), &text)?;
+        Ok(self.named(&name)?)
+    }
+}
+
+/// The package of `.../package/msg/Name.msg`; for a file that lies elsewhere, one named for its folder.
+fn package_of(file: &Path) -> String {
+    let folders: Vec<_> =
+        file.ancestors().skip(1).filter_map(|folder| folder.file_name()?.to_str()).take(2).collect();
+    let folder = match folders[..] {
+        [kind, package] if Kind::from_name(kind).is_some() => package,
+        [folder, ..] => folder,
+        [] => "",
+    };
+    match TypeName::new(folder, Kind::Msg, "Name") {
+        Ok(_) => folder.to_owned(),
+        Err(_) => "local_msgs".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_belong_to_packages() {
+        assert_eq!(package_of(Path::new("/ws/demo_msgs/msg/Tick.msg")), "demo_msgs");
+        assert_eq!(package_of(Path::new("/ws/demo/Tick.msg")), "demo");
+        assert_eq!(package_of(Path::new("/ws/My Files/Tick.msg")), "local_msgs");
+        assert_eq!(package_of(Path::new("Tick.msg")), "local_msgs");
+    }
+}

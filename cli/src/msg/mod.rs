@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut msg`: definitions, hashes, layouts and bytes of ROS 2 types, without a compiled-in type.
+
+mod decode;
+mod find;
+mod show;
+
+use clap::{Args, Subcommand};
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use tautline_schema::{MessageError, SchemaError};
+
+/// Shows definitions, hashes and layouts of ROS 2 types; decodes messages.
+///
+/// Definitions are searched in --path, in the prefixes of AMENT_PREFIX_PATH (source your ROS 2), and in the ROS 2 that
+/// `cargo xtask ros` makes.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut msg show sensor_msgs/LaserScan          fields, offsets, whether it is read in place
+  taut msg show std_srvs/srv/SetBool --json
+  taut msg show my_msgs/msg/Status.msg --path ~/ws/src
+  taut msg hash std_msgs/String                what nodes compare
+  taut msg decode --type std_msgs/String --hex '00010000 08000000 48656c6c6f203000'
+  taut msg decode --type sensor_msgs/Imu sample.cdr --json")]
+pub struct MsgArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Search this folder too: a prefix, a folder of packages, or a package
+    #[arg(long, value_name = "DIR", global = true)]
+    path: Vec<PathBuf>,
+    /// Print JSON
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints fields, constants, offsets, sizes and the hash
+    Show {
+        /// package/Name, package/srv/Name, package/action/Name, or a file (.msg, .srv, .action, or .json of a package)
+        #[arg(value_name = "TYPE")]
+        name: String,
+    },
+    /// Prints the hash (RIHS01) of each type
+    Hash {
+        /// As for show
+        #[arg(value_name = "TYPE", required = true)]
+        names: Vec<String>,
+    },
+    /// Prints the values of a message, as YAML or JSON
+    Decode(decode::DecodeArgs),
+}
+
+/// Why there is nothing to print.
+#[derive(Debug, thiserror::Error)]
+pub enum MsgError {
+    #[error("{0}")]
+    Schema(#[from] SchemaError),
+    #[error("{0}")]
+    Message(#[from] MessageError),
+    #[error("{} cannot be read: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
+    #[error("`{}` is no file with a type: give a .msg, .srv or .action file, or a .json of a ROS package", path.display())]
+    File { path: PathBuf },
+    #[error(
+        "`{text}` is no hexadecimal text: it needs pairs of digits 0-9 a-f, spaces between bytes allowed"
+    )]
+    Hex { text: String },
+    #[error("the result cannot be printed: {0}")]
+    Print(io::Error),
+}
+
+/// Runs the verb.
+pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
+    let mut finder = find::Finder::new(&args.path);
+    let text = match &args.verb {
+        Verb::Show { name } => {
+            let report = show::Report::of(&mut finder, name)?;
+            if args.json { report.json() } else { report.text() }
+        }
+        Verb::Hash { names } => hashes(&mut finder, names, args.json)?,
+        Verb::Decode(decode) => decode::run(&mut finder, decode, args.json)?,
+    };
+    match io::stdout().write_all(text.as_bytes()) {
+        // Whoever reads has seen enough.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
+        Err(error) => Err(MsgError::Print(error)),
+        Ok(()) => Ok(ExitCode::SUCCESS),
+    }
+}
+
+/// A line per type; the name too if there are several.
+fn hashes(finder: &mut find::Finder, names: &[String], json: bool) -> Result<String, MsgError> {
+    let mut hashes = Vec::new();
+    for name in names {
+        let schema = finder.schema(name)?;
+        hashes.push((schema.name().to_string(), schema.hash().to_string()));
+    }
+    if json {
+        let list = hashes.iter().map(|(name, hash)| serde_json::json!({ "type": name, "hash": hash }));
+        return Ok(format!("{}\n", serde_json::Value::from_iter(list)));
+    }
+    match &hashes[..] {
+        [(_, hash)] => Ok(format!("{hash}\n")),
+        hashes => Ok(hashes.iter().map(|(name, hash)| format!("{hash}  {name}\n")).collect()),
+    }
+}

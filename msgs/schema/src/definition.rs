@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a definition says, before the types it names are looked up.
+
+use std::fmt;
+use std::sync::Arc;
+
+use crate::{Place, TypeName, Value};
+
+/// A type of fixed size that is built in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Primitive {
+    /// `bool`: one byte, 0 or 1.
+    Bool,
+    /// `byte`: 8 bits without a meaning.
+    Byte,
+    /// `char`: in ROS 2 another name of `uint8`.
+    Char,
+    /// `int8`.
+    I8,
+    /// `uint8`.
+    U8,
+    /// `int16`.
+    I16,
+    /// `uint16`.
+    U16,
+    /// `int32`.
+    I32,
+    /// `uint32`.
+    U32,
+    /// `int64`.
+    I64,
+    /// `uint64`.
+    U64,
+    /// `float32`.
+    F32,
+    /// `float64`.
+    F64,
+}
+
+impl Primitive {
+    const ALL: [(Self, &'static str); 13] = [
+        (Self::Bool, "bool"),
+        (Self::Byte, "byte"),
+        (Self::Char, "char"),
+        (Self::I8, "int8"),
+        (Self::U8, "uint8"),
+        (Self::I16, "int16"),
+        (Self::U16, "uint16"),
+        (Self::I32, "int32"),
+        (Self::U32, "uint32"),
+        (Self::I64, "int64"),
+        (Self::U64, "uint64"),
+        (Self::F32, "float32"),
+        (Self::F64, "float64"),
+    ];
+
+    /// Its name in definitions.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        Self::ALL.iter().find(|entry| entry.0 == self).map_or("", |entry| entry.1)
+    }
+
+    /// The inverse of [`as_str`](Self::as_str).
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.iter().find(|entry| entry.1 == name).map(|entry| entry.0)
+    }
+
+    /// Its size in bytes, which is its alignment as well.
+    #[must_use]
+    pub fn size(self) -> usize {
+        match self {
+            Self::Bool | Self::Byte | Self::Char | Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::I64 | Self::U64 | Self::F64 => 8,
+        }
+    }
+}
+
+/// The type of one element of a field.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum Base {
+    /// A number, `bool`, `byte` or `char`.
+    Primitive(Primitive),
+    /// `string` or `string<=N`: UTF-8, at most N characters.
+    String {
+        /// The most characters.
+        bound: Option<u32>,
+    },
+    /// `wstring` or `wstring<=N`: UTF-16 on the wire, at most N characters.
+    WString {
+        /// The most characters.
+        bound: Option<u32>,
+    },
+    /// Another message.
+    Nested(TypeName),
+}
+
+/// How many elements a field has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Shape {
+    /// One, without brackets.
+    Single,
+    /// `[N]`: exactly N, at least 1.
+    Array(u32),
+    /// `[<=N]`: at most N, at least 1.
+    Bounded(u32),
+    /// `[]`: any number.
+    Unbounded,
+}
+
+/// The type of a field.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct FieldType {
+    /// The type of one element.
+    pub base: Base,
+    /// How many elements there are.
+    pub shape: Shape,
+}
+
+/// A field of a message.
+#[derive(Clone, Debug)]
+pub struct Field {
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    pub ty: FieldType,
+    /// Its default, of the field's type. Without one it is 0, empty or made of defaults.
+    pub default: Option<Value>,
+    /// The default as type descriptions write it, empty if there is none. No part of the type hash.
+    pub default_text: String,
+    /// The comment above and beside it, lines joined by `\n`; empty if there is none.
+    pub docs: String,
+    /// Where it is defined.
+    pub place: Place,
+}
+
+/// A constant of a message.
+#[derive(Clone, Debug)]
+pub struct Constant {
+    /// Its name.
+    pub name: String,
+    /// Its type: a primitive, `string` or `wstring`.
+    pub ty: Base,
+    /// Its value, of that type.
+    pub value: Value,
+    /// The comment above and beside it, lines joined by `\n`; empty if there is none.
+    pub docs: String,
+}
+
+/// One message; or a service or action, whose fields are the types it consists of, as in type descriptions.
+#[derive(Clone, Debug)]
+pub struct Definition {
+    /// Its name.
+    pub name: TypeName,
+    /// Its fields, at least one: an empty message has `uint8 structure_needs_at_least_one_member`.
+    pub fields: Vec<Field>,
+    /// Its constants.
+    pub constants: Vec<Constant>,
+    /// The comment at its start, lines joined by `\n`; empty if there is none.
+    pub docs: String,
+    /// The file or text it comes from.
+    pub file: Arc<str>,
+}
+
+/// What ROS gives messages without fields, since C and IDL have no empty structs.
+pub(crate) const EMPTY_MEMBER: &str = "structure_needs_at_least_one_member";
+
+impl Definition {
+    /// Whether it defines no field, and has only the one that stands for none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        matches!(&self.fields[..], [field] if field.name == EMPTY_MEMBER)
+    }
+}
+
+/// As definitions write it: `string<=5[<=3]`, `geometry_msgs/Point[]`. Types that are no messages have their full name.
+impl fmt::Display for FieldType {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}", self.base)?;
+        match self.shape {
+            Shape::Single => Ok(()),
+            Shape::Array(len) => write!(formatter, "[{len}]"),
+            Shape::Bounded(bound) => write!(formatter, "[<={bound}]"),
+            Shape::Unbounded => formatter.write_str("[]"),
+        }
+    }
+}
+
+impl fmt::Display for Base {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Primitive(primitive) => formatter.write_str(primitive.as_str()),
+            Self::String { bound: None } => formatter.write_str("string"),
+            Self::String { bound: Some(bound) } => write!(formatter, "string<={bound}"),
+            Self::WString { bound: None } => formatter.write_str("wstring"),
+            Self::WString { bound: Some(bound) } => write!(formatter, "wstring<={bound}"),
+            Self::Nested(name) => formatter.write_str(&short_name(name)),
+        }
+    }
+}
+
+/// `package/Name` for a message, the full name otherwise.
+pub(crate) fn short_name(name: &TypeName) -> String {
+    match name.kind() {
+        crate::Kind::Msg => format!("{}/{}", name.package(), name.name()),
+        _ => name.to_string(),
+    }
+}

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Messages from and to JSON and YAML, led by the schema.
+
+mod read;
+mod write;
+
+use std::sync::Arc;
+
+use serde::de::DeserializeSeed;
+
+use crate::error::MAX_DEPTH;
+use crate::{DynamicMessage, MessageError, Schema, Value};
+use read::Root;
+
+impl DynamicMessage {
+    /// Reads JSON: an object of the fields, those left out having their defaults. NaN and infinities are the strings
+    /// `"NaN"`, `"Infinity"` and `"-Infinity"`.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
+    pub fn from_json(schema: &Arc<Schema>, text: &str) -> Result<Self, MessageError> {
+        let mut deserializer = serde_json::Deserializer::from_str(text);
+        let fields = Root::seed(schema).deserialize(&mut deserializer);
+        let fields = fields.and_then(|fields| deserializer.end().map(|()| fields));
+        Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
+    }
+
+    /// Reads YAML as `ros2 topic pub` takes it: a mapping of the fields, those left out having their defaults.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
+    pub fn from_yaml(schema: &Arc<Schema>, text: &str) -> Result<Self, MessageError> {
+        let fields =
+            serde_saphyr::with_deserializer_from_str_with_options(text, yaml_options(text), |deserializer| {
+                Root::seed(schema).deserialize(deserializer)
+            });
+        Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
+    }
+
+    fn from_text_fields(
+        schema: &Arc<Schema>,
+        fields: Result<Vec<Value>, String>,
+    ) -> Result<Self, MessageError> {
+        let error = |reason| MessageError::Text { type_name: schema.name().to_string(), reason };
+        Self::from_fields(schema, fields.map_err(error)?)
+    }
+
+    /// Writes JSON in one line. [`serde::Serialize`] gives every other form.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        // All keys are strings, all numbers finite.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+/// Limits in proportion to the text, since images and point clouds have many numbers.
+fn yaml_options(text: &str) -> serde_saphyr::Options {
+    let most = text.len() + 16;
+    serde_saphyr::options! {
+        non_finite_float_policy: serde_saphyr::NonFiniteFloatPolicy::PassThrough,
+        with_snippet: false,
+        budget: serde_saphyr::budget! {
+            max_events: most,
+            max_nodes: most,
+            // A list at every level of nesting.
+            max_depth: 2 * MAX_DEPTH,
+        },
+    }
+}

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A length that bytes claim never makes the decoder allocate more than there are bytes.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+
+use tautline_schema::{DynamicMessage, Endian, Schema};
+
+/// Remembers the largest allocation of this thread.
+struct Largest;
+
+thread_local! {
+    static LARGEST: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: forwards to the system's allocator, unchanged.
+unsafe impl GlobalAlloc for Largest {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        LARGEST.set(LARGEST.get().max(layout.size()));
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        LARGEST.set(LARGEST.get().max(size));
+        // SAFETY: the caller keeps the contract of `realloc`.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Largest = Largest;
+
+/// What a fault's path and text need.
+const ERROR_BYTES: usize = 256;
+
+#[test]
+fn lengths_are_not_believed() {
+    let inner = "\n===\nMSG: demo_msgs/Inner\nuint8 a\nstring b\n";
+    for ty in [
+        "bool[]",
+        "uint8[]",
+        "float64[]",
+        "float64[<=4000000000]",
+        "string",
+        "string[]",
+        "wstring",
+        "wstring[]",
+        "Inner[]",
+    ] {
+        let text = format!("{ty} x{inner}");
+        let schema = Arc::new(Schema::from_text(&"demo_msgs/msg/Demo".parse().unwrap(), &text).unwrap());
+        for bytes in [4, 64, 4096] {
+            for len in [bytes as u32 / 8, bytes as u32, 1 << 20, 1 << 31, u32::MAX] {
+                // Elements fail early: a bool of 255, a string of 4 GB without a zero.
+                let mut body = vec![255; bytes];
+                body[..4].copy_from_slice(&len.to_le_bytes());
+                LARGEST.set(0);
+                let decoded = DynamicMessage::from_body(&schema, &body, Endian::Little);
+                let largest = LARGEST.get();
+                assert!(
+                    largest <= bytes.max(ERROR_BYTES),
+                    "{ty}: {largest} bytes for {bytes}, {:?}",
+                    decoded.is_ok()
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Random messages of every type of a real ROS 2: rclpy's bytes hold the same values here, ours the same values there.
+
+mod support;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::Arc;
+
+use tautline_schema::{DynamicMessage, Kind, Layout, Packages, Schema, Size, TypeName};
+
+/// Messages per type.
+const COUNT: usize = 100;
+
+#[test]
+fn values_are_the_same_on_both_sides() {
+    let Some(venv) = support::ros() else { return };
+    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
+    println!("TAUT_SEED={seed}");
+    let mut packages = support::packages(&venv);
+    let mut peer = Peer::start(&venv);
+    let (mut types, mut messages, mut bytes) = (0, 0, 0);
+    let mut trailing = BTreeMap::<usize, usize>::new();
+    for name in messages_of(&mut packages) {
+        let schema = Arc::new(packages.schema(&name).unwrap());
+        let fixed = match Layout::of(&schema).size {
+            Size::Fixed(size) => Some(size),
+            Size::Formula(_) => None,
+        };
+        let theirs = match peer.messages(&name, seed) {
+            Ok(theirs) => theirs,
+            Err(reason) => panic!("{name}: rclpy does not have it: {reason}"),
+        };
+        let mut answers = String::new();
+        for (index, (cdr, json)) in theirs.iter().enumerate() {
+            let decoded = compare(&schema, cdr, json);
+            // Reading YAML is what takes most of the time there.
+            let yaml = if index % 10 == 0 { decoded.to_string() } else { String::new() };
+            let yaml = serde_json::to_string(&yaml).unwrap();
+            answers.push_str(&format!("{} {yaml}\n", hex(&decoded.to_cdr())));
+            assert!(fixed.is_none_or(|size| size == decoded.to_body().len()), "{name}: {fixed:?}");
+            *trailing.entry(decoded.trailing_bytes()).or_default() += 1;
+            messages += 1;
+            bytes += cdr.len();
+        }
+        assert_eq!(peer.answer(&answers), "ok", "{name}");
+        types += 1;
+    }
+    println!(
+        "{types} types, {messages} messages, {bytes} bytes each way; messages by trailing bytes: {trailing:?}"
+    );
+    assert!(types >= 250, "{types}");
+}
+
+/// Decodes what rclpy wrote, holds it against what rclpy says it is, and sends it through every form.
+fn compare(schema: &Arc<Schema>, cdr: &[u8], json: &str) -> DynamicMessage {
+    let name = schema.name();
+    let decoded = DynamicMessage::from_cdr(schema, cdr).unwrap_or_else(|error| panic!("{error}: {json}"));
+    let said = DynamicMessage::from_json(schema, json).unwrap_or_else(|error| panic!("{error}: {json}"));
+    // As text: NaN equals itself, 0.0 does not equal -0.0.
+    let text = decoded.to_json();
+    assert_eq!(text, said.to_json(), "{name}");
+    let bytes = decoded.to_cdr();
+    assert_eq!(bytes, said.to_cdr(), "{name}: the same value has the same bytes");
+    let again = DynamicMessage::from_cdr(schema, &bytes).unwrap();
+    assert_eq!((again.to_json(), again.trailing_bytes()), (text.clone(), 0), "{name}");
+    let yaml = decoded.to_string();
+    let from_yaml =
+        DynamicMessage::from_yaml(schema, &yaml).unwrap_or_else(|error| panic!("{error}: {yaml}"));
+    assert_eq!(from_yaml.to_json(), text, "{name}: {yaml}");
+    decoded
+}
+
+/// All messages, and those that services and actions consist of.
+fn messages_of(packages: &mut Packages) -> BTreeSet<TypeName> {
+    let mut names = BTreeSet::new();
+    for name in packages.list() {
+        let schema = packages.schema(&name).unwrap();
+        if name.kind() == Kind::Msg {
+            names.insert(name);
+        } else {
+            let derived = schema.referenced().map(|definition| &definition.name);
+            // The services of an action are no messages.
+            names.extend(derived.filter(|name| !name.name().ends_with("_SendGoal")).cloned());
+        }
+    }
+    names.retain(|name| !name.name().ends_with("_GetResult"));
+    names
+}
+
+/// The Python process.
+struct Peer {
+    child: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+}
+
+impl Peer {
+    fn start(venv: &Path) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros_values.py");
+        let mut command = Command::new(venv.join("bin/python"));
+        command.arg(script).env_remove("LD_LIBRARY_PATH").stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let (input, output) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
+        Self { child, input, output: BufReader::new(output) }
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        assert!(
+            self.output.read_line(&mut line).unwrap() > 0,
+            "the Python process ended: see its output above"
+        );
+        line.trim_end().to_owned()
+    }
+
+    /// Random messages: the bytes and the JSON of each.
+    fn messages(&mut self, name: &TypeName, seed: u64) -> Result<Vec<(Vec<u8>, String)>, String> {
+        writeln!(self.input, "{name} {COUNT} {seed}").unwrap();
+        let mut messages = Vec::new();
+        for _ in 0..COUNT {
+            let line = self.line();
+            let (cdr, json) = line.split_once(' ').unwrap();
+            if cdr == "skip" {
+                return Err(json.to_owned());
+            }
+            messages.push((unhex(cdr), json.to_owned()));
+        }
+        Ok(messages)
+    }
+
+    fn answer(&mut self, lines: &str) -> String {
+        self.input.write_all(lines.as_bytes()).unwrap();
+        self.line()
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn unhex(text: &str) -> Vec<u8> {
+    let digits: Vec<u8> = text.chars().map(|digit| digit.to_digit(16).unwrap() as u8).collect();
+    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
+}
