@@ -29,6 +29,33 @@ pub enum AnalysisError {
         field: &'static str,
     },
 
+    /// A part that is larger than its whole.
+    #[error("task `{task}` has a {field} longer than its {limit}: set it to the {limit} at most")]
+    TooLarge {
+        /// The task at fault.
+        task: String,
+        /// The field at fault: `minimum distance`, `bcet` or `non-preemptive section`.
+        field: &'static str,
+        /// The field it may not exceed.
+        limit: &'static str,
+    },
+
+    /// Tasks of one thread that disagree about it.
+    #[error("tasks `{task}` and `{other}` share a thread but not its priority or order: give both the same")]
+    MixedGroup {
+        /// One of them.
+        task: String,
+        /// The other.
+        other: String,
+    },
+
+    /// Instants that bound nothing.
+    #[error("the trace gives no release curve: {problem}; record it in order, over several releases")]
+    BadTrace {
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+
     /// The task and all work at its priority or above need more than the core: the backlog grows for ever.
     #[error(
         "task `{task}` has no bounded response time: the work at priority {priority} and above, overheads included, \
@@ -80,5 +107,79 @@ pub enum AnalysisError {
     Overflow {
         /// The task whose analysis overflowed.
         task: String,
+    },
+
+    /// Without a bound for one task, what it triggers or delays has none either.
+    #[error(
+        "task `{task}` has no bounded response time because `{cause}`, which triggers or delays it, has none"
+    )]
+    Upstream {
+        /// The task without a bound.
+        task: String,
+        /// The first task without one.
+        cause: String,
+    },
+
+    /// Tasks that trigger one another, directly or through others.
+    #[error(
+        "tasks {tasks} trigger one another in a circle: let one of them run periodically and read the topic"
+    )]
+    Cycle {
+        /// The tasks of the circle, in their order.
+        tasks: String,
+    },
+
+    /// Jitter that grows in every round: chains delay each other across cores.
+    #[error(
+        "the jitter of task `{task}` still grows after {rounds} rounds and is {jitter_ns} ns, while the work at priority \
+         {priority} and above needs {:.1} % of its core: chains delay each other in a circle; raise the priority of \
+         the later callbacks of a chain, or lower a wcet",
+        utilisation * 100.0
+    )]
+    Diverges {
+        /// The task whose jitter grew last.
+        task: String,
+        /// Its jitter so far.
+        jitter_ns: u64,
+        /// Its priority.
+        priority: u8,
+        /// Utilisation of its level: 1.0 is the whole core.
+        utilisation: f64,
+        /// The rounds spent.
+        rounds: u32,
+    },
+
+    /// More levels than there are priorities.
+    #[error(
+        "{levels} priorities are needed but only 1 to {highest} are free: raise the highest, or let callbacks share threads"
+    )]
+    TooFewPriorities {
+        /// How many are needed.
+        levels: usize,
+        /// The highest that may be used.
+        highest: u8,
+    },
+
+    /// No order of priorities meets all deadlines.
+    #[error(
+        "no priority order meets every deadline: none of {tasks} meets its deadline at the lowest priority that is \
+         left, so lower a wcet or a rate, or move one of them to another core"
+    )]
+    NoAssignment {
+        /// The tasks that could not be placed.
+        tasks: String,
+    },
+
+    /// A system or chain that refers to a task, core or stage which is not there.
+    #[error("`{name}` refers to {what} {index}, which does not exist: there are {count}")]
+    BadReference {
+        /// The task or chain at fault.
+        name: String,
+        /// What it refers to: `task` or `core`.
+        what: &'static str,
+        /// Its index.
+        index: usize,
+        /// How many exist.
+        count: usize,
     },
 }

@@ -5,14 +5,22 @@
 //! time from a task's release to the end of its callback, before anything runs. It knows nothing of the runtime:
 //! plain data in, plain data out, exact integer nanoseconds throughout. Overflow is an error, never a wrap.
 //!
-//! - [`Task`] and [`Overheads`] describe the core; [`response_times`] and [`response_times_with_overheads`] bound it.
-//! - [`response_time_per_task`] does the same without letting one overloaded priority hide the bounds above it.
-//! - [`queue_capacity`] and [`Response::queue_capacity`] say how deep a subscription's queue must be to lose nothing.
+//! | to | use |
+//! |---|---|
+//! | describe a core | [`Task`], [`Release`], [`Overheads`], [`Throttling`] |
+//! | bound its response times | [`response_times`], [`response_times_with_overheads`], [`response_time_per_task`] |
+//! | size queues | [`Response::queue_capacity`], [`queue_capacity`] |
+//! | account for locks | [`CriticalSection`], [`blocking`](blocking()) |
+//! | choose priorities | [`assign`]: rate-monotonic, deadline-monotonic, Audsley's search |
+//! | decide at a glance | [`utilisation`], [`liu_layland_bound`], [`hyperbolic_test`] |
+//! | bound chains over cores and hosts | [`system`], [`chain`] |
+//! | see how much may grow | [`sensitivity`] |
+//! | see what happens | [`timeline`] |
+//! | read all of it from `system.toml` | [`file`] |
 //!
 //! # Model
-//! One core, fixed priorities, fully preemptive: SCHED_FIFO threads pinned to it. Tasks are sporadic (a period is the
-//! shortest time between two releases) and do not suspend themselves while they run. Deadlines may lie past the
-//! period; a task whose response time exceeds its period is analysed over its whole busy window.
+//! Each core has fixed priorities and preempts: SCHED_FIFO threads pinned to it. Tasks do not suspend themselves while
+//! they run. Deadlines may lie past the period; a task is analysed over its whole busy window.
 //!
 //! | symbol | is | field |
 //! |---|---|---|
@@ -20,19 +28,28 @@
 //! | C | worst-case execution time | [`Task::wcet_ns`] |
 //! | D | deadline, relative to the release | [`Task::deadline_ns`] |
 //! | J | release jitter | [`Task::jitter_ns`] |
-//! | B | blocking by lower priorities | [`Task::blocking_ns`] |
+//! | B | blocking by lower priorities | [`Task::blocking_ns`], [`Task::non_preemptive_ns`] |
+//! | n(w) | most releases in a window w | [`Release::most_within`]: ceil((w + J) / T) for a period |
 //!
 //! Job q (0, 1, ...) of task i ends w(q) after the start of the longest busy window of its level, and
 //!
 //! ```text
-//! w(q) = (q+1) C_i + B_i + sum over j of ceil((w(q) + J_j) / T_j) C_j      j: same or higher priority, not i
-//! R_i  = max over q of w(q) - q T_i + J_i                                  until w(q) <= (q+1) T_i - J_i
+//! w(q) = (q+1) C_i + B_i + sum over j of n_j(w(q)) C_j               j: same or higher priority, not i
+//! R_i  = max over q of w(q) - q T_i + J_i                            until w(q) <= (q+1) T_i - J_i
 //! ```
 //!
 //! which for R <= T is the recurrence of Joseph & Pandya (1986) and Audsley et al. (1993), and otherwise that of
-//! Lehoczky (1990) and Tindell (1994). With overheads, C of every callback grows by two context switches, and each
-//! message of *every* topic costs its overhead at the highest priority, since the sampler serves the topics of lower
-//! priority too.
+//! Lehoczky (1990) and Tindell (1994). A task that nothing preempts once it runs starts s(q) after the start of the
+//! window and ends C later, with n_j(s(q) + 1) releases of the others before it (Davis et al. 2007). In a thread
+//! shared by several tasks in the order of arrival, a job that arrives at A ends at the fixed point of
+//! F = B + sum over the thread of n_k(A + 1) C_k + sum over higher j of n_j(F) C_j, and R is the largest F - A
+//! (Bedarkar et al. 2022); in any other order R is at most the busy window.
+//!
+//! With overheads, C of every callback grows by two context switches, and each message of *every* topic costs its
+//! overhead at the highest priority, since the sampler serves the topics of lower priority too; so do timer ticks, and
+//! the pauses of real-time throttling where they can happen.
+//!
+//! What has no bound says why: which level, which utilisation, which cause.
 //!
 //! # Example
 //! Five callbacks at rate-monotonic priorities; the work of the sampler, 60 µs for each message, pushes the slowest
@@ -63,12 +80,25 @@
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod assign;
+mod blocking;
+pub mod chain;
 mod error;
+pub mod file;
+mod level;
 mod queue;
+mod release;
 mod response;
+pub mod sensitivity;
+pub mod system;
 mod task;
+pub mod timeline;
+mod utilisation;
 
+pub use blocking::{CriticalSection, LockProtocol, blocking};
 pub use error::AnalysisError;
 pub use queue::queue_capacity;
+pub use release::{Distances, Release};
 pub use response::{Response, response_time_per_task, response_times, response_times_with_overheads};
-pub use task::{Overheads, Task, utilisation};
+pub use task::{Group, Order, Overheads, Task, Throttling};
+pub use utilisation::{hyperbolic_test, liu_layland_bound, utilisation};

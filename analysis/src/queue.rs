@@ -4,6 +4,7 @@ use std::time::Duration;
 /// The number of messages a subscription must be able to hold so that none is overwritten, the one its callback is
 /// working on included: the most that can arrive within one response time, ceil((R + J) / T), and at least 1.
 ///
+/// `response` counts from the actual arrival; if it counts from the nominal one, jitter is charged twice, which is safe.
 /// Holds only if `response` is a bound, that is for a real-time thread on a core that is not full:
 /// [`Response::queue_capacity`](crate::Response::queue_capacity) checks the latter. `None` if `period` is zero or the
 /// number exceeds `usize`.

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 use std::time::Duration;
 
+use crate::release::{Distances, Release};
+
 /// One callback (or any other recurring work) of the core under analysis. All times are nanoseconds, at most
 /// 2^64 - 2; a longer [`Duration`] is kept as `u64::MAX`, which the analysis refuses.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -11,19 +13,48 @@ pub struct Task {
     pub period_ns: u64,
     /// Worst-case execution time of one job, alone on the core; more than 0.
     pub wcet_ns: u64,
+    /// Least time from a job's start to the message it publishes; 0 if not known. Used to pass jitter on in chains.
+    pub bcet_ns: u64,
     /// Latest end wanted, relative to the nominal release; may exceed the period.
     pub deadline_ns: u64,
     /// How much later than nominal a job may become ready; may exceed the period.
     pub jitter_ns: u64,
-    /// Longest time lower priorities can hold this task up: the longest critical section whose ceiling is at or above
-    /// its priority (priority inheritance or ceiling assumed).
+    /// Least time between two actual releases, whatever the jitter; 0 for none, at most the period.
+    pub min_distance_ns: u64,
+    /// Releases as seen in a trace, in place of the period, which is then their mean; see [`Release::from_trace`].
+    pub distances: Option<Distances>,
+    /// Longest time lower priorities can hold this task up besides their non-preemptive sections: the longest critical
+    /// section whose ceiling is at or above its priority; [`blocking`](crate::blocking()) computes it.
     pub blocking_ns: u64,
+    /// Longest section that nothing preempts, at most the wcet; it delays higher priorities. If it is the wcet, the
+    /// task runs to its end once started.
+    pub non_preemptive_ns: u64,
     /// As in SCHED_FIFO, a larger number is a higher priority. Tasks of one priority delay each other: a job is taken
     /// to wait for every job of its level, a safe bound for first-in, first-out order.
     pub priority: u8,
+    /// The thread that this task shares with all others of the same group; `None` for a thread of its own.
+    pub group: Option<Group>,
     /// Middleware work for each message, in place of [`Overheads::per_message_ns`]: `Some(0)` for a task that no
     /// message wakes, such as a timer interrupt. Used only by the analyses that take [`Overheads`].
     pub message_overhead_ns: Option<u64>,
+}
+
+/// A thread that runs several tasks, one job after the other. They must have one priority.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Group {
+    /// Distinguishes the groups of a core.
+    pub id: u32,
+    /// Which job is next.
+    pub order: Order,
+}
+
+/// The order in which a thread runs the jobs of its tasks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Order {
+    /// One queue of (callback, message), first in, first out: the order of Tautline's callback groups.
+    Fifo,
+    /// Any order that leaves no job waiting while the thread idles, such as tasks that each drain their queue.
+    Any,
 }
 
 impl Task {
@@ -33,10 +64,15 @@ impl Task {
             name: name.into(),
             period_ns: nanos(period),
             wcet_ns: nanos(wcet),
+            bcet_ns: 0,
             deadline_ns: nanos(period),
             jitter_ns: 0,
+            min_distance_ns: 0,
+            distances: None,
             blocking_ns: 0,
+            non_preemptive_ns: 0,
             priority,
+            group: None,
             message_overhead_ns: None,
         }
     }
@@ -55,10 +91,33 @@ impl Task {
         self
     }
 
+    /// Sets how the task is released; the deadline stays.
+    #[must_use]
+    pub fn released(mut self, release: Release) -> Self {
+        let Release { period_ns, jitter_ns, min_distance_ns, distances } = release;
+        (self.period_ns, self.jitter_ns) = (period_ns, jitter_ns);
+        (self.min_distance_ns, self.distances) = (min_distance_ns, distances);
+        self
+    }
+
     /// Sets the blocking by lower priorities.
     #[must_use]
     pub fn blocking(mut self, blocking: Duration) -> Self {
         self.blocking_ns = nanos(blocking);
+        self
+    }
+
+    /// Sets the longest section that nothing preempts.
+    #[must_use]
+    pub fn non_preemptive(mut self, section: Duration) -> Self {
+        self.non_preemptive_ns = nanos(section);
+        self
+    }
+
+    /// Puts the task into a thread with others.
+    #[must_use]
+    pub fn group(mut self, id: u32, order: Order) -> Self {
+        self.group = Some(Group { id, order });
         self
     }
 
@@ -67,6 +126,17 @@ impl Task {
     pub fn message_overhead(mut self, overhead: Duration) -> Self {
         self.message_overhead_ns = Some(nanos(overhead));
         self
+    }
+
+    /// How the task is released.
+    #[must_use]
+    pub fn release(&self) -> Release {
+        Release {
+            period_ns: self.period_ns,
+            jitter_ns: self.jitter_ns,
+            min_distance_ns: self.min_distance_ns,
+            distances: self.distances.clone(),
+        }
     }
 }
 
@@ -78,18 +148,37 @@ pub struct Overheads {
     /// Publisher, transport and sampler work on this core for one message of any topic, the sampler's own context
     /// switches included; charged at the highest priority.
     pub per_message_ns: u64,
+    /// Time between two timer ticks of the core; 0 for a core without.
+    pub tick_period_ns: u64,
+    /// Work of one timer tick, charged at the highest priority.
+    pub tick_ns: u64,
+    /// The kernel's limit on real-time work, if it has one.
+    pub throttling: Option<Throttling>,
+}
+
+/// Real-time throttling: the share of each period that real-time threads may have (`kernel.sched_rt_runtime_us` and
+/// `sched_rt_period_us`; the fair server of Linux 6.12 and later takes away as much, and no sooner).
+///
+/// A pause ends with its period, so pauses are no more than a task of the highest priority, of this period and of
+/// wcet period - runtime. There is none if the work that can be released in one period is within the runtime: less
+/// than that cannot use it up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Throttling {
+    /// Real-time work allowed in each period, in nanoseconds.
+    pub runtime_ns: u64,
+    /// Length of the period, in nanoseconds; more than 0.
+    pub period_ns: u64,
+}
+
+impl Throttling {
+    /// What Linux sets by default: 950 ms of each second.
+    pub const LINUX: Self = Self { runtime_ns: 950_000_000, period_ns: 1_000_000_000 };
 }
 
 impl Overheads {
     /// A machine and a middleware that cost nothing.
-    pub const NONE: Self = Self { context_switch_ns: 0, per_message_ns: 0 };
-}
-
-/// The share of the core the tasks need: the sum of wcet / period, 1.0 being the whole core. Infinite (or NaN) if a
-/// period is 0. For display; the analysis compares exactly.
-#[must_use]
-pub fn utilisation(tasks: &[Task]) -> f64 {
-    tasks.iter().map(|task| task.wcet_ns as f64 / task.period_ns as f64).sum()
+    pub const NONE: Self =
+        Self { context_switch_ns: 0, per_message_ns: 0, tick_period_ns: 0, tick_ns: 0, throttling: None };
 }
 
 fn nanos(duration: Duration) -> u64 {

@@ -40,7 +40,7 @@ fn simulator_runs_the_published_set_as_published() {
 fn bound_is_reached_at_the_critical_instant() {
     let seed = random::seed();
     let mut rng = StdRng::seed_from_u64(seed);
-    for set in 0..1_000 {
+    for set in 0..10_000 {
         let (tasks, overheads, bounds) = bounded_set(&mut rng);
         // Everything is released at 0, as late as its jitter allows; what follows comes as early as it can.
         let mut jobs = Vec::new();
@@ -59,7 +59,7 @@ fn bound_is_reached_at_the_critical_instant() {
 fn bound_is_never_exceeded() {
     let seed = random::seed();
     let mut rng = StdRng::seed_from_u64(seed);
-    for set in 0..1_000 {
+    for set in 0..10_000 {
         let (mut tasks, overheads, _) = bounded_set(&mut rng);
         for task in &mut tasks {
             task.priority = task.priority.div_ceil(2); // equal priorities, too

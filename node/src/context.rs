@@ -2,6 +2,9 @@
 //! The context: a domain joined, a sampler, callback threads.
 
 use crate::error::{Error, Result};
+use crate::qos::QosProfile;
+use crate::system::LoadedSystem;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, Realtime};
@@ -42,6 +45,8 @@ pub(crate) struct Shared {
     pub(crate) events: Events,
     pub(crate) participant: Participant,
     realtime: Realtime,
+    sampler_priority: u8,
+    system: Option<LoadedSystem>,
     settings: ContextBuilder,
 }
 
@@ -57,15 +62,18 @@ impl std::fmt::Debug for Context {
 pub struct ContextBuilder {
     domain: Option<u32>,
     realtime: Option<Realtime>,
-    sampler_priority: u8,
+    sampler_priority: Option<u8>,
     sampler_cores: Option<CoreSet>,
     wait: Wait,
     lock_memory: bool,
     hold_idle: bool,
+    system: Option<PathBuf>,
+    host: Option<String>,
 }
 
 impl ContextBuilder {
-    /// The sampler's priority if none is set: above any callback's that leaves room for the kernel's own threads.
+    /// The sampler's priority if neither this builder nor a system file sets one: above any callback's that leaves room for
+    /// the kernel's own threads.
     pub const SAMPLER_PRIORITY: u8 = 90;
 
     /// The domain, 0 to 232. Otherwise `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
@@ -82,7 +90,7 @@ impl ContextBuilder {
 
     /// `SCHED_FIFO` priority of the sampler, 1 to 99; must be above the callbacks' for their response times to hold.
     pub fn sampler_priority(mut self, priority: u8) -> Self {
-        self.sampler_priority = priority;
+        self.sampler_priority = Some(priority);
         self
     }
 
@@ -111,12 +119,30 @@ impl ContextBuilder {
         self
     }
 
+    /// Takes the priorities, cores and queue depths of callbacks, and the sampler's priority, from a system file: the ones
+    /// that `taut check` computed its bounds with. See [`Context::callback`].
+    pub fn system(mut self, path: impl Into<PathBuf>) -> Self {
+        self.system = Some(path.into());
+        self
+    }
+
+    /// Which of the system file's hosts this is. Otherwise `TAUT_HOST`, else the only one.
+    pub fn host(mut self, name: impl Into<String>) -> Self {
+        self.host = Some(name.into());
+        self
+    }
+
     /// Joins the domain.
     ///
     /// # Errors
-    /// [`Error::Environment`] for a variable that is not understood; [`Error::Transport`] if shared memory cannot be
-    /// had.
+    /// [`Error::Environment`] for a variable that is not understood; [`Error::System`] and [`Error::Host`] for a system
+    /// file that cannot be used; [`Error::Transport`] if shared memory cannot be had.
     pub fn build(self) -> Result<Context> {
+        let host = self.host.clone().or_else(|| environment("TAUT_HOST"));
+        let system =
+            self.system.as_deref().map(|path| LoadedSystem::read(path, host.as_deref())).transpose()?;
+        let of_file = system.as_ref().map(|system| system.sampler_priority);
+        let sampler_priority = self.sampler_priority.or(of_file).unwrap_or(Self::SAMPLER_PRIORITY);
         let domain = match self.domain {
             Some(domain) => domain,
             None => domain_of_environment()?,
@@ -133,6 +159,8 @@ impl ContextBuilder {
             sampler: Mutex::new(Some(sampler)),
             participant,
             realtime,
+            sampler_priority,
+            system,
             settings: self,
         };
         Ok(Context { shared: Arc::new(shared) })
@@ -144,11 +172,13 @@ impl Default for ContextBuilder {
         ContextBuilder {
             domain: None,
             realtime: None,
-            sampler_priority: Self::SAMPLER_PRIORITY,
+            sampler_priority: None,
             sampler_cores: None,
             wait: Wait::Block,
             lock_memory: true,
             hold_idle: true,
+            system: None,
+            host: None,
         }
     }
 }
@@ -202,6 +232,28 @@ impl Context {
     /// Whether threads get their real-time policies.
     pub fn realtime(&self) -> Realtime {
         self.shared.realtime
+    }
+
+    /// The thread that the system file gives the callback `name`: its priority, core, period and deadline, for
+    /// [`Node::spawn_callback`](crate::Node::spawn_callback).
+    ///
+    /// # Errors
+    /// [`Error::NoSystem`] without a system file; [`Error::UnknownCallback`] if it lacks the callback on this host.
+    pub fn callback(&self, name: &str) -> Result<CallbackOptions> {
+        self.system_for(name)?.options(name)
+    }
+
+    /// The queue of the callback `name`: keep-last with the depth that the system file states, else with the capacity at
+    /// which, as computed, no message is lost.
+    ///
+    /// # Errors
+    /// As [`callback`](Self::callback); [`Error::NoCapacity`] if the callback has no bound.
+    pub fn callback_qos(&self, name: &str) -> Result<QosProfile> {
+        self.system_for(name)?.qos(name)
+    }
+
+    fn system_for(&self, name: &str) -> Result<&LoadedSystem> {
+        self.shared.system.as_ref().ok_or_else(|| Error::NoSystem { name: name.into() })
     }
 
     /// False once [`shutdown`](Self::shutdown) was called.
@@ -264,7 +316,7 @@ impl Context {
     }
 
     pub(crate) fn warn_if_above_sampler(&self, options: &CallbackOptions) {
-        let sampler = self.shared.settings.sampler_priority;
+        let sampler = self.shared.sampler_priority;
         if self.realtime() == Realtime::Required && options.policy.realtime_priority() >= Some(sampler) {
             let (name, policy) = (&options.name, options.policy);
             tracing::warn!(
@@ -278,7 +330,7 @@ impl Context {
         let former = (tautline_rt::current_policy()?, tautline_rt::current_affinity()?);
         let mut held = SamplerSettings { former, _idle: None, _seat: None };
         if self.realtime() == Realtime::Required {
-            let policy = Policy::Fifo(settings.sampler_priority);
+            let policy = Policy::Fifo(self.shared.sampler_priority);
             let cores = settings.sampler_cores.unwrap_or(former.1);
             // Before anything is set: on a busy poller's core this thread might not get as far as this check.
             held._seat = Some(self.shared.executor.register_thread("sampler", policy, cores)?);

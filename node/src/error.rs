@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use std::path::PathBuf;
 use tautline_executor::ExecutorError;
 use tautline_rt::RtError;
 use tautline_transport::TransportError;
@@ -31,6 +32,47 @@ pub enum Error {
     /// A timer that would be due without end.
     #[error("a timer cannot have a period of zero: give it the time between two releases")]
     ZeroPeriod,
+    /// The system file cannot be read, or is wrong: everything that is, with line and column.
+    #[error(transparent)]
+    System(#[from] tautline_analysis::file::FileError),
+    /// The system file's hosts do not tell which one this is.
+    #[error("host '{wanted}' is not one of {}'s hosts ({known}): name this one with `ContextBuilder::host` or TAUT_HOST", path.display())]
+    Host {
+        /// The file.
+        path: PathBuf,
+        /// The host asked for.
+        wanted: String,
+        /// The hosts there are.
+        known: String,
+    },
+    /// A callback was asked for by name, but the context was built without a system file.
+    #[error(
+        "callback '{name}' is asked for by name, but this context has no system file: give it one with `ContextBuilder::system`"
+    )]
+    NoSystem {
+        /// The callback.
+        name: String,
+    },
+    /// The system file has no such callback on this host.
+    #[error("callback '{name}' is not in {} on host '{host}'; there are: {known}", path.display())]
+    UnknownCallback {
+        /// The callback.
+        name: String,
+        /// The file.
+        path: PathBuf,
+        /// This host.
+        host: String,
+        /// The callbacks there are.
+        known: String,
+    },
+    /// The analysis gives the callback no bound, so no queue is deep enough.
+    #[error("callback '{name}' of {} has no bound, so no queue depth is enough for it: see `taut check`, or state its topic's depth", path.display())]
+    NoCapacity {
+        /// The callback.
+        name: String,
+        /// The file.
+        path: PathBuf,
+    },
     /// A second thread wants to be the sampler.
     #[error("another thread spins this context already: a context has one sampler")]
     AlreadySpinning,

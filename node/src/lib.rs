@@ -35,6 +35,7 @@ mod error;
 mod names;
 mod node;
 mod subscription;
+mod system;
 mod timer;
 
 pub mod qos;

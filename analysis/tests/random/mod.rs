@@ -14,6 +14,7 @@ pub fn seed() -> u64 {
 
 /// One to six tasks of a few nanoseconds, loads from light to somewhat more than the core, priorities that collide,
 /// some jitter (up to twice the period) and some blocking.
+#[allow(dead_code)] // not every test draws from both
 pub fn tasks(rng: &mut StdRng) -> Vec<Task> {
     let ns = Duration::from_nanos;
     let count = rng.random_range(1..=6);
@@ -28,6 +29,34 @@ pub fn tasks(rng: &mut StdRng) -> Vec<Task> {
         }
         if with_blocking && rng.random_bool(0.5) {
             task = task.blocking(ns(rng.random_range(1..=50)));
+        }
+        task
+    };
+    (0..count).map(task).collect()
+}
+
+/// Two to twenty tasks with a utilisation of 0.3 to 0.99 (before wcets are rounded to whole units), spread as UUniFast
+/// does (Bini & Buttazzo 2005); periods of 10 to 10,000, jitter up to the period in half of the sets.
+#[allow(dead_code)] // not every test draws from both
+pub fn large(rng: &mut StdRng) -> Vec<Task> {
+    let count = rng.random_range(2..=20_u32);
+    let mut left: f64 = rng.random_range(0.3..0.99);
+    let with_jitter = rng.random_bool(0.5);
+    let mut share = |i: u32, rng: &mut StdRng| {
+        let rest = if i + 1 == count {
+            0.0
+        } else {
+            left * rng.random::<f64>().powf(1.0 / f64::from(count - i - 1))
+        };
+        std::mem::replace(&mut left, rest) - rest
+    };
+    let task = |i| {
+        let period = 10_f64.powf(rng.random_range(1.0..4.0)).round();
+        let wcet = (period * share(i, rng)).floor().max(1.0);
+        let ns = |time: f64| Duration::from_nanos(time as u64);
+        let mut task = Task::new(format!("task{i}"), ns(period), ns(wcet), rng.random_range(1..=30));
+        if with_jitter && rng.random_bool(0.5) {
+            task = task.jitter(ns(period * rng.random::<f64>()));
         }
         task
     };

@@ -1,0 +1,307 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! From the file's sections to a system that can be analysed.
+use std::collections::HashMap;
+use std::time::Duration;
+
+use super::declared::{Costs, Declared};
+use super::graph::{Graph, Source};
+use super::places::{self, Place};
+use super::priorities::{self, Thread};
+use super::problem::{Collector, Problems};
+use super::reader::Section;
+use super::{CallbackEntry, ChainEntry, CoreEntry, SystemFile, TopicEntry};
+use crate::system::{Callback, Chain, Core, System, Transfer};
+use crate::{CriticalSection, Overheads, Release, Task, Throttling, blocking};
+
+pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
+    let mut problems = Collector::new(text);
+    let (table, errors) = toml::de::DeTable::parse_recoverable(text);
+    if !errors.is_empty() {
+        // What a broken table contains is guesswork: only its syntax is reported.
+        for error in errors {
+            problems.add(error.span().map_or(0, |span| span.start), error.message());
+        }
+        return Err(problems.into_problems());
+    }
+    let file = super::declared::read(Section::root(&table), &mut problems);
+    let (cores, places) = places::resolve(&file, &mut problems);
+    let graph = Graph::new(&file);
+    graph.check(&places, &mut problems);
+    let threads = priorities::threads(&file, &places, &mut problems);
+    check_locks(&file, &places, &mut problems);
+    super::paths::check(&graph, &mut problems);
+    if !problems.is_empty() {
+        return Err(problems.into_problems());
+    }
+    let streams = graph.streams(&mut problems);
+    if !problems.is_empty() {
+        return Err(problems.into_problems());
+    }
+    // Without problems every callback has a place.
+    let places: Vec<Place> = places.into_iter().flatten().collect();
+    let built = Builder { file: &file, graph: &graph, cores, places, streams, threads }.build();
+    built.map_err(|(at, message)| {
+        problems.add(at, message);
+        problems.into_problems()
+    })
+}
+
+/// A lock blocks only within a core.
+fn check_locks(file: &Declared, places: &[Option<Place>], problems: &mut Collector) {
+    let mut seen: HashMap<&str, (usize, usize)> = HashMap::new();
+    for (i, (callback, place)) in file.callbacks.iter().zip(places).enumerate() {
+        let Some(place) = place else { continue };
+        for (resource, _) in &callback.locks {
+            let (first, core) = *seen.entry(resource).or_insert((i, place.core));
+            if core != place.core {
+                let first = &file.callbacks[first].name;
+                problems.add(callback.at, format!("`{resource}` is locked by callbacks `{first}` and `{}` on different cores, which has no bound: move them to one core, or let them exchange messages", callback.name));
+            }
+        }
+    }
+}
+
+struct Builder<'f> {
+    file: &'f Declared,
+    graph: &'f Graph<'f>,
+    cores: Vec<(usize, usize)>,
+    places: Vec<Place>,
+    streams: Vec<Vec<Source>>,
+    threads: Vec<Thread>,
+}
+
+impl Builder<'_> {
+    fn build(mut self) -> Result<SystemFile, (usize, String)> {
+        // The tasks of callback i are at first[i] and after, one for each stream.
+        let first: Vec<usize> =
+            self.streams.iter().scan(0, |next, s| Some(std::mem::replace(next, *next + s.len()))).collect();
+        let mut callbacks: Vec<Callback> = Vec::new();
+        for i in 0..self.file.callbacks.len() {
+            for &source in &self.streams[i] {
+                callbacks.push(self.callback(i, source, &first));
+            }
+        }
+        let owner = self.owners();
+        let overheads: Vec<_> = self.cores.iter().map(|(host, _)| self.overheads(*host)).collect();
+        // Inherited periods, for policies and default deadlines: triggers may come after what they trigger.
+        for i in 0..callbacks.len() {
+            let mut source = i;
+            while let Some((from, _)) = callbacks[source].trigger {
+                source = from;
+            }
+            callbacks[i].task.period_ns = callbacks[source].task.period_ns;
+        }
+        for (i, start) in first.iter().enumerate() {
+            let tasks = &mut callbacks[*start..*start + self.streams[i].len()];
+            let shortest = tasks.iter().map(|callback| callback.task.period_ns).min().unwrap_or(u64::MAX);
+            let deadline =
+                self.file.callbacks[i].deadline.as_ref().map_or(shortest, |deadline| deadline.value);
+            tasks.iter_mut().for_each(|callback| callback.task.deadline_ns = deadline);
+        }
+        let task_owner: Vec<usize> =
+            (0..owner.len()).flat_map(|i| std::iter::repeat_n(owner[i], self.streams[i].len())).collect();
+        let mut warnings = Vec::new();
+        for (core, overheads) in overheads.iter().enumerate() {
+            let members: Vec<usize> = (0..callbacks.len()).filter(|i| callbacks[*i].core == core).collect();
+            let tasks: Vec<Task> = members.iter().map(|i| callbacks[*i].task.clone()).collect();
+            let owners: Vec<usize> = members.iter().map(|i| task_owner[*i]).collect();
+            let chosen = priorities::choose(self.file, &mut self.threads, &tasks, &owners, overheads);
+            let (host, number) = self.cores[core];
+            let title = format!("host `{}`, core {number}", self.file.hosts[host].name);
+            warnings.extend(
+                chosen
+                    .map_err(|error| (0, format!("{title}: {error}")))?
+                    .map(|warning| format!("{title}: {warning}")),
+            );
+            members.iter().zip(owners).for_each(|(i, owner)| {
+                callbacks[*i].task.priority = self.threads[owner].priority.unwrap_or(1);
+            });
+            self.block(core, &members, &first, &mut callbacks);
+        }
+        let (chains, system_chains) = self.chains(&callbacks, &first);
+        let entries =
+            (0..self.file.callbacks.len()).map(|i| self.entry(i, &first, &callbacks, owner[i])).collect();
+        let system_cores = overheads.into_iter().map(|overheads| Core { overheads }).collect();
+        Ok(SystemFile {
+            callbacks: entries,
+            chains,
+            topics: self.topics(),
+            cores: self.cores.iter().map(|(host, number)| self.core_entry(*host, *number)).collect(),
+            warnings,
+            system: System { cores: system_cores, callbacks, chains: system_chains },
+        })
+    }
+
+    fn callback(&self, index: usize, source: Source, first: &[usize]) -> Callback {
+        let declared = &self.file.callbacks[index];
+        let ns = |time: &Option<super::reader::At<u64>>| time.as_ref().map_or(0, |time| time.value);
+        let mut task =
+            Task::new(declared.name.clone(), Duration::ZERO, Duration::from_nanos(ns(&declared.wcet)), 1);
+        (task.bcet_ns, task.non_preemptive_ns) = (ns(&declared.bcet), ns(&declared.non_preemptive));
+        task.deadline_ns = ns(&declared.deadline);
+        let place = self.places[index];
+        let mut remote = self.remote_outputs(index);
+        let mut trigger = None;
+        let (period, jitter, distance) = match source {
+            Source::Period => (ns(&declared.period), ns(&declared.jitter), ns(&declared.min_distance)),
+            Source::Outside(topic) => {
+                let topic = &self.file.topics[topic];
+                remote += u64::from(topic.remote);
+                (ns(&topic.period), topic.jitter, ns(&topic.min_distance))
+            }
+            Source::Stream(publisher, stream) => {
+                let network = self.places[publisher].host != place.host;
+                remote += u64::from(network);
+                trigger = Some((first[publisher] + stream, self.transfer(network)));
+                (1, 0, 0)
+            }
+        };
+        let costs = self.costs(place.host);
+        let gateway = costs.gateway.unwrap_or(0).saturating_mul(remote);
+        task.message_overhead_ns = Some(costs.per_message.unwrap_or(0).saturating_add(gateway));
+        task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
+        let thread = self.threads.iter().position(|thread| thread.callbacks.contains(&index)).unwrap_or(0);
+        // A callback of several streams takes their messages in any order.
+        if self.threads[thread].group.is_some() || self.streams[index].len() > 1 {
+            let order =
+                self.threads[thread].group.map_or(crate::Order::Any, |group| self.file.groups[group].order);
+            task = task.group(u32::try_from(thread).unwrap_or(u32::MAX), order);
+        }
+        Callback { task, core: place.core, trigger }
+    }
+
+    /// How many gateways take what it publishes.
+    fn remote_outputs(&self, index: usize) -> u64 {
+        let remote = |topic: &str| self.graph.declared.get(topic).is_some_and(|topic| topic.remote);
+        self.file.callbacks[index].publishes.iter().filter(|topic| remote(&topic.value)).count() as u64
+    }
+
+    fn transfer(&self, network: bool) -> Transfer {
+        let (least_ns, most_ns) = self.file.network.filter(|_| network).unwrap_or((0, 0));
+        Transfer { least_ns, most_ns }
+    }
+
+    /// The host's costs, and the file's where it states none.
+    fn costs(&self, host: usize) -> Costs {
+        let (own, all) = (self.file.hosts[host].costs, self.file.costs);
+        Costs {
+            context_switch: own.context_switch.or(all.context_switch),
+            per_message: own.per_message.or(all.per_message),
+            gateway: own.gateway.or(all.gateway),
+            tick: own.tick.or(all.tick),
+            throttling: own.throttling.or(all.throttling),
+        }
+    }
+
+    fn overheads(&self, host: usize) -> Overheads {
+        let costs = self.costs(host);
+        let (tick_period_ns, tick_ns) = costs.tick.unwrap_or((0, 0));
+        Overheads {
+            context_switch_ns: costs.context_switch.unwrap_or(0),
+            per_message_ns: costs.per_message.unwrap_or(0),
+            tick_period_ns,
+            tick_ns,
+            throttling: costs.throttling.map(|(period_ns, runtime_ns)| Throttling { runtime_ns, period_ns }),
+        }
+    }
+
+    fn owners(&self) -> Vec<usize> {
+        let mut owners = vec![0; self.file.callbacks.len()];
+        for (t, thread) in self.threads.iter().enumerate() {
+            thread.callbacks.iter().for_each(|i| owners[*i] = t);
+        }
+        owners
+    }
+
+    /// Sets what lower priorities of the core may hold each task up by their locks.
+    fn block(&self, core: usize, members: &[usize], first: &[usize], callbacks: &mut [Callback]) {
+        let mut names: Vec<&str> = Vec::new();
+        let mut sections = Vec::new();
+        for (i, declared) in
+            self.file.callbacks.iter().enumerate().filter(|(i, _)| self.places[*i].core == core)
+        {
+            for (name, length_ns) in &declared.locks {
+                let resource = names.iter().position(|known| known == name).unwrap_or_else(|| {
+                    names.push(name);
+                    names.len() - 1
+                });
+                let task = members.iter().position(|member| *member == first[i]).unwrap_or(0);
+                sections.push(CriticalSection { task, resource, length_ns: *length_ns });
+            }
+        }
+        if sections.is_empty() {
+            return;
+        }
+        let tasks: Vec<Task> = members.iter().map(|i| callbacks[*i].task.clone()).collect();
+        for (i, ns) in members.iter().zip(blocking(&tasks, &sections, self.file.protocol)) {
+            callbacks[*i].task.blocking_ns = ns;
+        }
+    }
+
+    fn chains(&self, callbacks: &[Callback], first: &[usize]) -> (Vec<ChainEntry>, Vec<Chain>) {
+        let (mut entries, mut chains) = (Vec::new(), Vec::new());
+        for declared in &self.file.chains {
+            let deadline_ns = declared.deadline.unwrap_or(u64::MAX);
+            let stages = super::paths::resolve(self.file, declared);
+            let streams = super::paths::streams(&stages, &self.streams, callbacks, first);
+            let begin = chains.len();
+            for stages in streams {
+                let host = |i: usize| self.cores[callbacks[i].core].0;
+                let transfers =
+                    stages.windows(2).map(|pair| self.transfer(host(pair[0]) != host(pair[1]))).collect();
+                chains.push(Chain { name: declared.name.clone(), stages, transfers, deadline_ns });
+            }
+            entries.push(ChainEntry {
+                name: declared.name.clone(),
+                deadline_ns,
+                streams: begin..chains.len(),
+            });
+        }
+        (entries, chains)
+    }
+
+    fn core_entry(&self, host: usize, number: usize) -> CoreEntry {
+        let host = &self.file.hosts[host];
+        CoreEntry { host: host.name.clone(), number, sampler_priority: host.sampler_priority }
+    }
+
+    /// The topics that the file declares, then those that are only published.
+    fn topics(&self) -> Vec<TopicEntry> {
+        let declared = self.file.topics.iter().map(|topic| TopicEntry {
+            name: topic.name.clone(),
+            type_name: topic.type_name.clone(),
+            depth: topic.depth.as_ref().map(|depth| depth.value),
+            remote: topic.remote,
+        });
+        let mut topics: Vec<_> = declared.collect();
+        for name in self.file.callbacks.iter().flat_map(|callback| &callback.publishes) {
+            if !topics.iter().any(|topic| topic.name == name.value) {
+                topics.push(TopicEntry {
+                    name: name.value.clone(),
+                    type_name: None,
+                    depth: None,
+                    remote: false,
+                });
+            }
+        }
+        topics
+    }
+
+    fn entry(&self, index: usize, first: &[usize], callbacks: &[Callback], thread: usize) -> CallbackEntry {
+        let declared = &self.file.callbacks[index];
+        let start = first[index];
+        let depths =
+            declared.topics.iter().filter_map(|t| self.graph.declared.get(t.value.as_str())?.depth.as_ref());
+        CallbackEntry {
+            name: declared.name.clone(),
+            node: self.file.nodes[self.places[index].node].name.clone(),
+            thread: format!("cb:{}", self.threads[thread].name),
+            core: self.places[index].core,
+            priority: self.threads[thread].priority.unwrap_or(1),
+            topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),
+            depth: depths.map(|depth| depth.value).min(),
+            deadline_ns: callbacks[start].task.deadline_ns,
+            tasks: start..start + self.streams[index].len(),
+        }
+    }
+}

@@ -1,0 +1,268 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The verdict on a system file.
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::{CallbackEntry, SystemFile};
+use crate::system::{Core, SystemReport};
+use crate::{AnalysisError, Overheads, Task, Throttling, utilisation};
+
+/// What the analysis of a [`SystemFile`] found.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct CheckedSystem {
+    /// Whether every callback and every chain meets its deadline, overheads included.
+    pub schedulable: bool,
+    /// The callbacks, in the order of the file.
+    pub callbacks: Vec<CheckedCallback>,
+    /// The chains, in the order of the file.
+    pub chains: Vec<CheckedChain>,
+    /// The cores that run something.
+    pub cores: Vec<CheckedCore>,
+    /// What a person should know: why something has no bound, and which assumptions are at risk.
+    pub warnings: Vec<String>,
+}
+
+/// A callback and its bounds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CheckedCallback {
+    /// Where it runs.
+    pub entry: CallbackEntry,
+    /// Its host.
+    pub host: String,
+    /// Its core's number there.
+    pub core: usize,
+    /// Shortest time between two releases, jitter aside.
+    pub period_ns: u64,
+    /// Its execution time.
+    pub wcet_ns: u64,
+    /// Response time on a machine that costs nothing; `None` without a bound.
+    pub response_ns: Option<u64>,
+    /// Response time with overheads, from the arrival of the message, or from the nominal release of a period.
+    pub response_overhead_ns: Option<u64>,
+    /// The release jitter that the response contains; 0 if it counts from the arrival.
+    pub jitter_ns: u64,
+    /// Whether the response is within the deadline.
+    pub met: bool,
+    /// The queue depth at which no message is lost; `None` without a bound.
+    pub capacity: Option<usize>,
+}
+
+/// A chain and its bounds, overheads included.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CheckedChain {
+    /// Its name.
+    pub name: String,
+    /// See [`ChainBound::latency_ns`](crate::system::ChainBound::latency_ns); `None` without a bound.
+    pub latency_ns: Option<u64>,
+    /// See [`ChainBound::reaction_ns`](crate::system::ChainBound::reaction_ns).
+    pub reaction_ns: Option<u64>,
+    /// See [`ChainBound::age_ns`](crate::system::ChainBound::age_ns).
+    pub age_ns: Option<u64>,
+    /// Its deadline.
+    pub deadline_ns: u64,
+    /// Whether the latency is within the deadline.
+    pub met: bool,
+}
+
+/// A core and what it runs.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct CheckedCore {
+    /// Its host.
+    pub host: String,
+    /// Its number there.
+    pub number: usize,
+    /// Share of the core that callbacks and their messages need; 1.0 is the whole core.
+    pub utilisation: f64,
+    /// Its tasks, with the periods and jitter they inherit.
+    pub tasks: Vec<Task>,
+    /// What the machine costs there.
+    pub overheads: Overheads,
+}
+
+pub(super) fn check(file: &SystemFile) -> CheckedSystem {
+    let free = file.system_without_overheads().analyse();
+    let report = match file.system.analyse() {
+        Ok(report) => report,
+        Err(error) => return refused(file, &error),
+    };
+    let free = free.ok();
+    let callback = |entry: &CallbackEntry| checked_callback(file, entry, &report, free.as_ref());
+    let callbacks: Vec<_> = file.callbacks.iter().map(callback).collect();
+    let chains: Vec<_> = (0..file.chains.len()).map(|i| checked_chain(file, i, &report)).collect();
+    let cores = cores(file, &report);
+    let schedulable = callbacks.iter().all(|c| c.met) && chains.iter().all(|c| c.met);
+    let warnings = warnings(file, &report, &callbacks);
+    CheckedSystem { schedulable, callbacks, chains, cores, warnings }
+}
+
+/// A system without problems is refused only for times that do not fit the arithmetic.
+fn refused(file: &SystemFile, error: &AnalysisError) -> CheckedSystem {
+    let empty = SystemReport {
+        callbacks: file.system.callbacks.iter().map(|_| Err(error.clone())).collect(),
+        chains: file.system.chains.iter().map(|_| Err(error.clone())).collect(),
+        throttled: vec![false; file.cores.len()],
+        rounds: 0,
+    };
+    let callbacks = file.callbacks.iter().map(|entry| checked_callback(file, entry, &empty, None)).collect();
+    let chains = (0..file.chains.len()).map(|i| checked_chain(file, i, &empty)).collect();
+    let (cores, warnings) = (cores(file, &empty), vec![error.to_string()]);
+    CheckedSystem { schedulable: false, callbacks, chains, cores, warnings }
+}
+
+/// From the arrival of a message of the file, else from the nominal release; the longest of its streams.
+fn response(file: &SystemFile, entry: &CallbackEntry, report: &SystemReport) -> Option<u64> {
+    let of_stream = |i: usize| {
+        let response = report.callbacks[i].as_ref().ok()?;
+        let triggered = file.system.callbacks[i].trigger.is_some();
+        Some(if triggered { response.from_arrival_ns } else { response.response_ns })
+    };
+    entry.tasks.clone().map(of_stream).try_fold(0, |longest, response| Some(longest.max(response?)))
+}
+
+fn checked_callback(
+    file: &SystemFile,
+    entry: &CallbackEntry,
+    report: &SystemReport,
+    free: Option<&SystemReport>,
+) -> CheckedCallback {
+    let response_overhead_ns = response(file, entry, report);
+    let capacity = |i: usize| report.callbacks[i].as_ref().ok()?.queue_capacity().ok();
+    let tasks = &file.system.callbacks[entry.tasks.clone()];
+    CheckedCallback {
+        host: file.cores[entry.core].host.clone(),
+        core: file.cores[entry.core].number,
+        period_ns: tasks.iter().map(|callback| callback.task.period_ns).min().unwrap_or(0),
+        wcet_ns: tasks.first().map_or(0, |callback| callback.task.wcet_ns),
+        response_ns: free.and_then(|free| response(file, entry, free)),
+        response_overhead_ns,
+        jitter_ns: tasks.iter().filter(|c| c.trigger.is_none()).map(|c| c.task.jitter_ns).max().unwrap_or(0),
+        met: response_overhead_ns.is_some_and(|response| response <= entry.deadline_ns),
+        capacity: entry.tasks.clone().map(capacity).try_fold(0, |sum: usize, next| sum.checked_add(next?)),
+        entry: entry.clone(),
+    }
+}
+
+fn checked_chain(file: &SystemFile, index: usize, report: &SystemReport) -> CheckedChain {
+    let entry = &file.chains[index];
+    let longest = |time: fn(&crate::system::ChainBound) -> u64| {
+        let times = report.chains[entry.streams.clone()].iter().map(|chain| chain.as_ref().ok().map(time));
+        times.reduce(|a, b| Some(a?.max(b?))).flatten()
+    };
+    let latency_ns = longest(|chain| chain.latency_ns);
+    CheckedChain {
+        name: entry.name.clone(),
+        latency_ns,
+        reaction_ns: longest(|chain| chain.reaction_ns),
+        age_ns: longest(|chain| chain.age_ns),
+        deadline_ns: entry.deadline_ns,
+        met: latency_ns.is_some_and(|latency| latency <= entry.deadline_ns),
+    }
+}
+
+fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
+    let core = |(index, entry): (usize, &super::CoreEntry)| {
+        let members = file.system.callbacks.iter().zip(&report.callbacks).filter(|(c, _)| c.core == index);
+        let tasks: Vec<Task> = members
+            .map(|(callback, outcome)| {
+                let jitter_ns =
+                    outcome.as_ref().map_or(callback.task.jitter_ns, |response| response.jitter_ns);
+                Task { jitter_ns, ..callback.task.clone() }
+            })
+            .collect();
+        let overheads = file.system.cores[index].overheads;
+        let costs = |task: &Task| {
+            let switches = overheads.context_switch_ns.saturating_mul(2);
+            let wcet_ns =
+                task.wcet_ns.saturating_add(task.message_overhead_ns.unwrap_or(0)).saturating_add(switches);
+            Task { wcet_ns, ..task.clone() }
+        };
+        let ticks = match overheads.tick_period_ns {
+            0 => 0.0,
+            period => overheads.tick_ns as f64 / period as f64,
+        };
+        let utilisation = utilisation(&tasks.iter().map(costs).collect::<Vec<_>>()) + ticks;
+        CheckedCore { host: entry.host.clone(), number: entry.number, utilisation, tasks, overheads }
+    };
+    file.cores.iter().enumerate().map(core).filter(|core| !core.tasks.is_empty()).collect()
+}
+
+/// A warning for each node whose one sampler serves several cores.
+fn split_nodes(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
+    let mut nodes: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
+    for callback in callbacks {
+        nodes.entry(&callback.entry.node).or_default().insert(callback.core);
+    }
+    nodes.into_iter().filter(|(_, cores)| cores.len() > 1).map(|(node, cores)| {
+        let cores = cores.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        format!(
+            "node `{node}` has callbacks on cores {cores} but one sampler, whose work is charged to the core of each \
+             callback: the bounds hold only if nothing delays the sampler on its own core; split the node"
+        )
+    })
+}
+
+fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallback]) -> Vec<String> {
+    let mut warnings = file.warnings.clone();
+    let mut unbounded = BTreeSet::new();
+    for error in report.callbacks.iter().filter_map(|outcome| outcome.as_ref().err()) {
+        if unbounded.insert(error.to_string()) {
+            warnings.push(error.to_string());
+        }
+    }
+    for callback in callbacks {
+        let (name, entry) = (&callback.entry.name, &callback.entry);
+        if let (Some(depth), Some(capacity)) = (entry.depth, callback.capacity)
+            && depth < capacity as u64
+        {
+            warnings.push(format!(
+                "callback `{name}` needs a queue of {capacity}, but its topic keeps {depth}: messages may be \
+                 overwritten; set `depth = \"auto\"`, or {capacity}"
+            ));
+        }
+        let sampler = file.cores[entry.core].sampler_priority;
+        if entry.priority >= sampler {
+            warnings.push(format!(
+                "callback `{name}` has priority {}, not below the sampler's {sampler}: messages of other callbacks \
+                 wait for it, and no bound holds; lower it",
+                entry.priority
+            ));
+        }
+        let shares = |other: &&CheckedCallback| {
+            let other = &other.entry;
+            (other.core, other.priority) == (entry.core, entry.priority) && other.thread < entry.thread
+        };
+        if let Some(other) = callbacks.iter().find(shares) {
+            warnings.push(format!(
+                "callbacks `{}` and `{name}` share priority {} on core {}: each is taken to wait for the other",
+                other.entry.name, entry.priority, callback.core
+            ));
+        }
+    }
+    warnings.extend(split_nodes(callbacks));
+    for ((entry, core), throttled) in file.cores.iter().zip(&file.system.cores).zip(&report.throttled) {
+        if let (true, Some(Throttling { runtime_ns, period_ns })) = (*throttled, core.overheads.throttling) {
+            warnings.push(format!(
+                "host `{}`, core {}: real-time work may exceed {} ms in {} ms, where the kernel pauses it; the bounds \
+                 contain the pauses (kernel.sched_rt_runtime_us = -1 removes them)",
+                entry.host,
+                entry.number,
+                runtime_ns / 1_000_000,
+                period_ns / 1_000_000
+            ));
+        }
+    }
+    let free = |core: &Core| core.overheads.per_message_ns == 0 && core.overheads.context_switch_ns == 0;
+    if file.system.cores.iter().all(free) {
+        warnings.push(
+            "the file states no [overheads]: the bounds hold on a machine that costs nothing; `taut demo` measures \
+             them"
+                .into(),
+        );
+    }
+    let mut seen = BTreeSet::new();
+    warnings.retain(|warning| seen.insert(warning.clone()));
+    warnings
+}

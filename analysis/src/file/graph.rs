@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who triggers whom: topics, their publishers, and the streams of messages that reach each callback.
+use std::collections::HashMap;
+
+use super::declared::{Callback, Declared, Topic};
+use super::places::Place;
+use super::problem::{Collector, suggestion};
+
+/// A callback is analysed once for each way that messages reach it; more ways than this are refused.
+const MAX_STREAMS: usize = 64;
+
+/// Topics by name.
+pub(super) struct Graph<'f> {
+    pub file: &'f Declared,
+    pub publishers: HashMap<&'f str, Vec<usize>>,
+    pub declared: HashMap<&'f str, &'f Topic>,
+}
+
+/// One way that releases reach a callback.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Source {
+    /// Its own period.
+    Period,
+    /// A topic whose publisher is not in the file, by index.
+    Outside(usize),
+    /// A stream of another callback: the callback, and which of its streams.
+    Stream(usize, usize),
+}
+
+impl<'f> Graph<'f> {
+    pub fn new(file: &'f Declared) -> Self {
+        let mut publishers: HashMap<_, Vec<usize>> = HashMap::new();
+        for (i, callback) in file.callbacks.iter().enumerate() {
+            for topic in &callback.publishes {
+                publishers.entry(topic.value.as_str()).or_default().push(i);
+            }
+        }
+        let declared = file.topics.iter().map(|topic| (topic.name.as_str(), topic)).collect();
+        Self { file, publishers, declared }
+    }
+
+    /// Checks triggers, reads and topics, and that nothing triggers itself.
+    pub fn check(&self, places: &[Option<Place>], problems: &mut Collector) {
+        for (i, callback) in self.file.callbacks.iter().enumerate() {
+            self.check_trigger(callback, problems);
+            for topic in callback.topics.iter().chain(&callback.reads) {
+                self.check_topic(callback, topic.at, &topic.value, problems);
+                self.check_way(i, topic.at, &topic.value, places, problems);
+            }
+            self.check_times(i, problems);
+        }
+        for topic in &self.file.topics {
+            if let (Some(period), true) = (&topic.period, self.publishers.contains_key(topic.name.as_str())) {
+                problems.add(
+                    period.at,
+                    format!(
+                        "topic `{}` has a `period` and a publisher in the file: remove the period",
+                        topic.name
+                    ),
+                );
+            }
+            if let (Some(distance), Some(period)) = (&topic.min_distance, &topic.period)
+                && distance.value > period.value
+            {
+                problems.add(
+                    distance.at,
+                    format!("`min_distance` of topic `{}` exceeds its period: lower it", topic.name),
+                );
+            }
+        }
+        self.check_circles(problems);
+    }
+
+    fn check_trigger(&self, callback: &Callback, problems: &mut Collector) {
+        let name = &callback.name;
+        if !callback.triggered {
+            problems.add(callback.at, format!("callback `{name}` has no trigger: add `topic` or `period`"));
+        } else if let (Some(period), Some(_)) = (&callback.period, callback.topics.first()) {
+            problems.add(period.at, format!("callback `{name}` has two triggers, `topic` and `period`: remove one, or list the topic in `reads`"));
+        }
+        if callback.period.is_none() {
+            for (key, value) in [("jitter", &callback.jitter), ("min_distance", &callback.min_distance)] {
+                if let (Some(value), true) = (value, callback.triggered) {
+                    problems.add(value.at, format!("`{key}` of callback `{name}` needs a `period`: a topic's is stated in [topics], or computed"));
+                }
+            }
+        }
+    }
+
+    fn check_topic(&self, callback: &Callback, at: usize, topic: &str, problems: &mut Collector) {
+        if self.publishers.contains_key(topic) {
+            return;
+        }
+        match self.declared.get(topic) {
+            Some(declared) if declared.period.is_some() => {}
+            Some(_) => problems.add(
+                at,
+                format!("topic `{topic}`, used by callback `{}`, has no publisher: add it to the `publishes` of one, or give the topic a `period` if its publisher is not in the file", callback.name),
+            ),
+            None => {
+                let known = self.publishers.keys().chain(self.declared.keys()).copied();
+                let hint = suggestion(topic, known);
+                let fix = if hint.is_empty() { ": declare it in [topics], or let a callback publish it".into() } else { hint };
+                problems.add(at, format!("callback `{}` uses topic `{topic}`, which does not exist{fix}", callback.name));
+            }
+        }
+    }
+
+    /// A message between hosts needs a remote topic and a network.
+    fn check_way(
+        &self,
+        callback: usize,
+        at: usize,
+        topic: &str,
+        places: &[Option<Place>],
+        problems: &mut Collector,
+    ) {
+        let Some(here) = places[callback] else { return };
+        for &publisher in self.publishers.get(topic).into_iter().flatten() {
+            let Some(there) = places[publisher].filter(|there| there.host != here.host) else { continue };
+            let (from, to) = (&self.file.hosts[there.host].name, &self.file.hosts[here.host].name);
+            if !self.declared.get(topic).is_some_and(|topic| topic.remote) {
+                problems.add(at, format!("topic `{topic}` goes from host `{from}` to `{to}` but is not remote: add `remote = true` to it in [topics]"));
+            }
+            if self.file.network.is_none() {
+                problems.add(at, format!("topic `{topic}` goes from host `{from}` to `{to}`: add `latency = [shortest, longest]` to [network]"));
+            }
+        }
+    }
+
+    fn check_times(&self, index: usize, problems: &mut Collector) {
+        let callback = &self.file.callbacks[index];
+        let name = &callback.name;
+        let period = self.shortest_period(index, &mut Vec::new());
+        let limits = [
+            ("wcet", &callback.wcet, "period", period),
+            ("min_distance", &callback.min_distance, "period", period),
+            ("bcet", &callback.bcet, "wcet", callback.wcet.as_ref().map(|wcet| wcet.value)),
+            (
+                "non_preemptive",
+                &callback.non_preemptive,
+                "wcet",
+                callback.wcet.as_ref().map(|wcet| wcet.value),
+            ),
+        ];
+        for (key, part, whole_key, whole) in limits {
+            if let (Some(part), Some(whole)) = (part, whole)
+                && part.value > whole
+            {
+                let (value, whole) = (part.value as f64 / 1e6, whole as f64 / 1e6);
+                problems.add(part.at, format!("`{key}` of callback `{name}` is {value} ms, more than its {whole_key} of {whole} ms: lower it, or raise the {whole_key}"));
+            }
+        }
+    }
+
+    /// The shortest period of what triggers a callback, if it is known.
+    fn shortest_period(&self, index: usize, path: &mut Vec<usize>) -> Option<u64> {
+        let callback = &self.file.callbacks[index];
+        if let Some(period) = &callback.period {
+            return Some(period.value);
+        }
+        if path.contains(&index) || path.len() > MAX_STREAMS {
+            return None;
+        }
+        path.push(index);
+        let outside = |topic: &str| self.declared.get(topic)?.period.as_ref().map(|period| period.value);
+        let mut shortest = None;
+        for topic in &callback.topics {
+            let inside = self.publishers.get(topic.value.as_str()).into_iter().flatten();
+            let periods = inside.filter_map(|i| self.shortest_period(*i, path)).chain(outside(&topic.value));
+            shortest = periods.chain(shortest).min();
+        }
+        path.pop();
+        shortest
+    }
+
+    fn triggers(&self, index: usize) -> impl Iterator<Item = usize> {
+        let topics = self.file.callbacks[index].topics.iter();
+        topics.flat_map(|topic| self.publishers.get(topic.value.as_str()).into_iter().flatten().copied())
+    }
+
+    fn check_circles(&self, problems: &mut Collector) {
+        // 0: not seen, 1: on the path, 2: done.
+        let mut state = vec![0; self.file.callbacks.len()];
+        for start in 0..state.len() {
+            let mut path = vec![(start, self.triggers(start).collect::<Vec<_>>())];
+            if state[start] != 0 {
+                continue;
+            }
+            state[start] = 1;
+            while let Some((i, next)) = path.last_mut() {
+                let i = *i;
+                match next.pop() {
+                    None => {
+                        state[i] = 2;
+                        path.pop();
+                    }
+                    Some(j) if state[j] == 1 => {
+                        let from = path.iter().position(|(seen, _)| *seen == j).unwrap_or(0);
+                        let names = path[from..]
+                            .iter()
+                            .rev()
+                            .map(|(i, _)| format!("`{}`", self.file.callbacks[*i].name));
+                        let names = names.collect::<Vec<_>>().join(", ");
+                        problems.add(self.file.callbacks[j].at, format!("callbacks {names} trigger one another in a circle: let one of them run by `period` and list the topic in its `reads`"));
+                    }
+                    Some(j) if state[j] == 0 => {
+                        state[j] = 1;
+                        path.push((j, self.triggers(j).collect()));
+                    }
+                    Some(_) => {}
+                }
+            }
+        }
+    }
+
+    /// The streams of releases of every callback; call it on a graph without problems.
+    pub fn streams(&self, problems: &mut Collector) -> Vec<Vec<Source>> {
+        let mut streams: Vec<Vec<Source>> = vec![Vec::new(); self.file.callbacks.len()];
+        let mut waiting: Vec<usize> = (0..streams.len()).collect();
+        while !waiting.is_empty() {
+            let ready = |i: &usize| self.triggers(*i).all(|source| !streams[source].is_empty());
+            let (now, later): (Vec<_>, Vec<_>) = waiting.iter().copied().partition(ready);
+            if now.is_empty() {
+                return streams;
+            }
+            for i in now {
+                streams[i] = self.streams_of(i, &streams);
+                if streams[i].len() > MAX_STREAMS {
+                    let callback = &self.file.callbacks[i];
+                    problems.add(callback.at, format!("callback `{}` is reached in more than {MAX_STREAMS} ways: let a callback on the way run by `period`", callback.name));
+                    return streams;
+                }
+            }
+            waiting = later;
+        }
+        streams
+    }
+
+    fn streams_of(&self, index: usize, streams: &[Vec<Source>]) -> Vec<Source> {
+        let callback = &self.file.callbacks[index];
+        if callback.period.is_some() {
+            return vec![Source::Period];
+        }
+        let mut sources = Vec::new();
+        for topic in &callback.topics {
+            let name = topic.value.as_str();
+            match self.publishers.get(name) {
+                Some(publishers) => {
+                    let all =
+                        publishers.iter().flat_map(|p| (0..streams[*p].len()).map(|s| Source::Stream(*p, s)));
+                    sources.extend(all);
+                }
+                None => {
+                    sources.extend(self.file.topics.iter().position(|t| t.name == name).map(Source::Outside))
+                }
+            }
+        }
+        sources
+    }
+}

@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The system file, `system.toml`: what runs where, how often, how long and how urgently.
+//!
+//! [`SystemFile::parse`] reports everything that is wrong with a file at once, with line and column;
+//! [`SystemFile::check`] analyses what it describes. docs/system-toml.md explains the format.
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use crate::system::System;
+
+mod build;
+mod check;
+mod declared;
+mod graph;
+mod paths;
+mod places;
+mod priorities;
+mod problem;
+mod reader;
+
+pub use check::{CheckedCallback, CheckedChain, CheckedCore, CheckedSystem};
+pub use problem::{Problem, Problems};
+
+/// A system file without problems: the threads, cores and priorities of all callbacks are known.
+///
+/// ```
+/// use tautline_analysis::file::SystemFile;
+/// let text = r#"
+///     [hosts.robot]
+///     cores = 1
+///     [nodes.driver]
+///     [callbacks.scan]
+///     period = "10ms"
+///     wcet = "2ms"
+/// "#;
+/// let checked = SystemFile::parse(text)?.check();
+/// assert!(checked.schedulable);
+/// assert_eq!(checked.callbacks[0].response_ns, Some(2_000_000));
+///
+/// let problems = SystemFile::parse("[hosts.robot]\ncoers = 1").unwrap_err();
+/// assert!(problems.to_string().contains("2:1: unknown key `coers` in host `robot`: did you mean `cores`?"));
+/// # Ok::<(), tautline_analysis::file::Problems>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SystemFile {
+    pub(super) callbacks: Vec<CallbackEntry>,
+    pub(super) chains: Vec<ChainEntry>,
+    pub(super) topics: Vec<TopicEntry>,
+    pub(super) cores: Vec<CoreEntry>,
+    pub(super) warnings: Vec<String>,
+    pub(super) system: System,
+}
+
+/// A callback of a system file and where it runs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CallbackEntry {
+    /// Its name.
+    pub name: String,
+    /// The node it belongs to.
+    pub node: String,
+    /// Name of the thread that runs it.
+    pub thread: String,
+    /// Index of its core in [`SystemFile::cores`].
+    pub core: usize,
+    /// SCHED_FIFO priority of the thread, 1 to 99.
+    pub priority: u8,
+    /// The topics that trigger it; none if it has a period.
+    pub topics: Vec<String>,
+    /// The smallest queue depth stated for these topics; `None` if all are `auto`.
+    pub depth: Option<u64>,
+    /// Latest end wanted, in nanoseconds after the arrival of the message, or after the nominal release of a period.
+    pub deadline_ns: u64,
+    /// Its tasks in [`SystemFile::system`]: one for each way that messages reach it.
+    pub tasks: Range<usize>,
+}
+
+/// A topic of a system file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct TopicEntry {
+    /// Its name.
+    pub name: String,
+    /// Its type, such as `sensor_msgs/msg/Imu`, if the file states it.
+    pub type_name: Option<String>,
+    /// Its queue depth; `None` for `auto`, what the analysis computes.
+    pub depth: Option<u64>,
+    /// Whether it goes to other hosts.
+    pub remote: bool,
+}
+
+/// A core of a host.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CoreEntry {
+    /// The host's name.
+    pub host: String,
+    /// The core's number there.
+    pub number: usize,
+    /// Priority of the host's samplers.
+    pub sampler_priority: u8,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct ChainEntry {
+    pub name: String,
+    pub deadline_ns: u64,
+    /// Its chains in the system: one for each way through the streams of its callbacks.
+    pub streams: Range<usize>,
+}
+
+/// Why a system file could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// It could not be read.
+    #[error("`{}` cannot be read: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Its content is wrong.
+    #[error("`{}` has {} problem(s):\n{source}", path.display(), source.0.len())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// All that is wrong with it.
+        source: Problems,
+    },
+}
+
+impl SystemFile {
+    /// Reads a system from the text of a file.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, Problems> {
+        build::build(text)
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`FileError::Read`] if it cannot be read, [`FileError::Content`] with everything that is wrong with it.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, FileError> {
+        let path = path.as_ref().to_path_buf();
+        let text = std::fs::read_to_string(&path)
+            .map_err(|source| FileError::Read { path: path.clone(), source })?;
+        Self::parse(&text).map_err(|source| FileError::Content { path, source })
+    }
+
+    /// The callbacks, in the order of the file.
+    #[must_use]
+    pub fn callbacks(&self) -> &[CallbackEntry] {
+        &self.callbacks
+    }
+
+    /// The topics that the file declares, then those that are only published.
+    #[must_use]
+    pub fn topics(&self) -> &[TopicEntry] {
+        &self.topics
+    }
+
+    /// The cores of all hosts.
+    #[must_use]
+    pub fn cores(&self) -> &[CoreEntry] {
+        &self.cores
+    }
+
+    /// What the analysis sees.
+    #[must_use]
+    pub fn system(&self) -> &System {
+        &self.system
+    }
+
+    /// The same on machines that cost nothing.
+    #[must_use]
+    pub fn system_without_overheads(&self) -> System {
+        let mut free = self.system.clone();
+        free.cores.iter_mut().for_each(|core| core.overheads = crate::Overheads::NONE);
+        free.callbacks.iter_mut().for_each(|callback| callback.task.message_overhead_ns = None);
+        free
+    }
+
+    /// Bounds every callback and every chain, with and without overheads.
+    #[must_use]
+    pub fn check(&self) -> CheckedSystem {
+        check::check(self)
+    }
+}

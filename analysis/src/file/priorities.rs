@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Threads and their priorities.
+use super::declared::{Declared, Policy};
+use super::places::Place;
+use super::problem::{Collector, suggestion};
+use crate::{AnalysisError, Overheads, Task, assign};
+
+/// One thread: a callback, or a group of them.
+pub(super) struct Thread {
+    pub name: String,
+    pub core: usize,
+    pub callbacks: Vec<usize>,
+    pub priority: Option<u8>,
+    pub group: Option<usize>,
+}
+
+/// Joins callbacks to threads, and checks groups and the priorities that the file states.
+pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut Collector) -> Vec<Thread> {
+    let mut threads: Vec<Thread> = Vec::new();
+    for (i, callback) in file.callbacks.iter().enumerate() {
+        let name = callback.group.as_ref().map_or(&callback.name, |group| &group.value);
+        let group = callback.group.as_ref().and_then(|group| {
+            let found = file.groups.iter().position(|g| g.name == group.value);
+            if found.is_none() {
+                let hint = suggestion(&group.value, file.groups.iter().map(|g| g.name.as_str()));
+                let hint = if hint.is_empty() { format!(": add [groups.{}]", group.value) } else { hint };
+                problems.add(
+                    group.at,
+                    format!(
+                        "callback `{}` is in group `{}`, which is not in [groups]{hint}",
+                        callback.name, group.value
+                    ),
+                );
+            }
+            found
+        });
+        let Some(place) = places[i] else { continue };
+        let stated = callback.priority.as_ref().map(|priority| priority.value);
+        let of_group = group.and_then(|g| file.groups[g].priority.as_ref().map(|p| p.value));
+        let known = group.and_then(|g| threads.iter_mut().find(|thread| thread.group == Some(g)));
+        let Some(thread) = known else {
+            let (priority, callbacks) = (of_group.or(stated), vec![i]);
+            threads.push(Thread { name: name.clone(), core: place.core, callbacks, priority, group });
+            continue;
+        };
+        let first = &file.callbacks[thread.callbacks[0]].name;
+        if places[thread.callbacks[0]]
+            .is_some_and(|other| (other.node, other.core) != (place.node, place.core))
+        {
+            problems.add(callback.at, format!("callbacks `{first}` and `{}` of group `{name}` are not on one node and core: a group is one thread", callback.name));
+        }
+        if let (Some(stated), Some(priority)) = (stated, thread.priority)
+            && stated != priority
+        {
+            problems.add(callback.at, format!("callback `{}` has priority {stated} but its group `{name}` has {priority}: a group is one thread, so state it once in [groups.{name}]", callback.name));
+        }
+        thread.priority = thread.priority.or(stated);
+        thread.callbacks.push(i);
+    }
+    for group in &file.groups {
+        if !file.callbacks.iter().any(|c| c.group.as_ref().is_some_and(|g| g.value == group.name)) {
+            problems.add(
+                group.at,
+                format!(
+                    "group `{}` has no callback: remove it, or add `group = \"{}\"` to some",
+                    group.name, group.name
+                ),
+            );
+        }
+    }
+    duplicates(file, &threads, problems);
+    threads
+}
+
+/// Two threads of one priority on a core must both say that they mean it.
+fn duplicates(file: &Declared, threads: &[Thread], problems: &mut Collector) {
+    let agrees = |thread: &Thread| thread.callbacks.iter().any(|i| file.callbacks[*i].shares_priority);
+    for (i, thread) in threads.iter().enumerate() {
+        let same = |other: &&Thread| other.core == thread.core && other.priority == thread.priority;
+        let earlier = threads[..i].iter().filter(|_| thread.priority.is_some()).find(same);
+        let Some(other) = earlier.filter(|other| !(agrees(other) && agrees(thread))) else { continue };
+        let callback = &file.callbacks[thread.callbacks[0]];
+        let (at, priority) =
+            (callback.priority.as_ref().map_or(callback.at, |p| p.at), thread.priority.unwrap_or(0));
+        problems.add(at, format!("`{}` and `{}` have priority {priority} on one core: give them different ones, or say `shares_priority = true` in both if you mean it", other.name, thread.name));
+    }
+}
+
+/// Chooses the priorities that the file leaves open on one core, around those it states. `tasks` are the core's, and
+/// `owner` their threads. Returns a warning if no order meets all deadlines.
+pub(super) fn choose(
+    file: &Declared,
+    threads: &mut [Thread],
+    tasks: &[Task],
+    owner: &[usize],
+    overheads: &Overheads,
+) -> Result<Option<String>, AnalysisError> {
+    let open: Vec<usize> = (0..tasks.len()).filter(|i| threads[owner[*i]].priority.is_none()).collect();
+    if open.is_empty() {
+        return Ok(None);
+    }
+    let taken: Vec<u8> = owner.iter().filter_map(|thread| threads[*thread].priority).collect();
+    let free: Vec<u8> = (1..=file.highest).rev().filter(|priority| !taken.contains(priority)).collect();
+    let candidates: Vec<Task> = open.iter().map(|i| tasks[*i].clone()).collect();
+    let levels = u8::try_from(free.len()).unwrap_or(file.highest);
+    let (chosen, warning) = match file.policy {
+        Policy::RateMonotonic => (assign::rate_monotonic(&candidates, levels)?, None),
+        Policy::DeadlineMonotonic => (assign::deadline_monotonic(&candidates, levels)?, None),
+        Policy::Audsley => match assign::audsley(&candidates, overheads, levels) {
+            Ok(chosen) => (chosen, None),
+            Err(error @ AnalysisError::NoAssignment { .. }) => {
+                let warning = format!("{error}; priorities are deadline-monotonic instead");
+                (assign::deadline_monotonic(&candidates, levels)?, Some(warning))
+            }
+            Err(error) => return Err(error),
+        },
+    };
+    for (i, level) in open.iter().zip(chosen) {
+        threads[owner[*i]].priority = Some(free[usize::from(levels - level)]);
+    }
+    Ok(warning)
+}

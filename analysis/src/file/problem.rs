@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+use std::fmt;
+
+/// What is wrong with a system file, and where.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Problem {
+    /// Line, counted from 1.
+    pub line: usize,
+    /// Column in characters, counted from 1.
+    pub column: usize,
+    /// What is wrong and how to mend it, in one sentence.
+    pub message: String,
+}
+
+/// Everything that is wrong with a system file, in the order of the file; never empty.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Problems(pub Vec<Problem>);
+
+impl fmt::Display for Problems {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, Problem { line, column, message }) in self.0.iter().enumerate() {
+            let newline = if i > 0 { "\n" } else { "" };
+            write!(f, "{newline}{line}:{column}: {message}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Problems {}
+
+/// Collects problems by their place in the text.
+pub(super) struct Collector<'a> {
+    text: &'a str,
+    found: Vec<(usize, String)>,
+}
+
+impl<'a> Collector<'a> {
+    pub fn new(text: &'a str) -> Self {
+        Self { text, found: Vec::new() }
+    }
+
+    pub fn add(&mut self, at: usize, message: impl Into<String>) {
+        self.found.push((at, message.into()));
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.found.is_empty()
+    }
+
+    pub fn into_problems(mut self) -> Problems {
+        self.found.sort();
+        self.found.dedup();
+        let locate = |(at, message): (usize, String)| {
+            let before = self.text.get(..at).unwrap_or(self.text);
+            let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
+            let column = before[line_start..].chars().count() + 1;
+            Problem { line: before.matches('\n').count() + 1, column, message }
+        };
+        Problems(self.found.into_iter().map(locate).collect())
+    }
+}
+
+/// `: did you mean ...?` if a known name is close to the one given, else nothing.
+pub(super) fn suggestion<'n>(given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
+    let near = known.into_iter().map(|name| (distance(given, name), name)).min();
+    match near.filter(|(distance, name)| *distance <= 1 + name.chars().count() / 4) {
+        Some((_, name)) => format!(": did you mean `{name}`?"),
+        None => String::new(),
+    }
+}
+
+/// How many characters must be inserted, removed or replaced, or neighbours swapped.
+fn distance(a: &str, b: &str) -> usize {
+    let (a, b): (Vec<_>, Vec<_>) = (a.chars().collect(), b.chars().collect());
+    let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
+    for i in 0..=a.len() {
+        for j in 0..=b.len() {
+            rows[i][j] = if i == 0 || j == 0 {
+                i + j
+            } else {
+                let replaced = rows[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
+                let swapped = if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                    rows[i - 2][j - 2] + 1
+                } else {
+                    usize::MAX
+                };
+                replaced.min(swapped).min(rows[i - 1][j] + 1).min(rows[i][j - 1] + 1)
+            };
+        }
+    }
+    rows[a.len()][b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Collector, distance, suggestion};
+
+    #[test]
+    fn near_names_are_suggested() {
+        assert_eq!(distance("period", "peroid"), 1);
+        assert_eq!(distance("wect", "wcet"), 1);
+        assert_eq!(distance("abc", ""), 3);
+        assert_eq!(suggestion("perid", ["wcet", "period"]), ": did you mean `period`?");
+        assert_eq!(suggestion("colour", ["wcet", "period"]), "");
+    }
+
+    #[test]
+    fn places_are_lines_and_columns() {
+        let mut collector = Collector::new("a = 1\nµ = 2\n");
+        collector.add(9, "second");
+        collector.add(0, "first");
+        let problems = collector.into_problems();
+        assert_eq!(problems.to_string(), "1:1: first\n2:3: second");
+    }
+}

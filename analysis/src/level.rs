@@ -1,0 +1,308 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The one fixed-point search behind all bounds: a task, the thread it runs in, and everything that delays it.
+use crate::release::Release;
+use crate::{AnalysisError, Order, Overheads, Task};
+
+/// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
+const MAX_ITERATIONS: u32 = 1_000_000;
+
+/// Utilisations are compared as fixed-point numbers with 64 fractional bits, rounded down.
+const WHOLE_CORE: u128 = 1 << 64;
+
+/// Work that recurs.
+#[derive(Debug, Clone)]
+struct Demand {
+    release: Release,
+    cost_ns: u64,
+}
+
+impl Demand {
+    /// Work released within a window that starts at a critical instant, or `None` on overflow.
+    fn within(&self, window: u64) -> Option<u64> {
+        self.release.most_within(window).checked_mul(self.cost_ns)
+    }
+
+    /// Share of the core, in units of 1 / [`WHOLE_CORE`], rounded down.
+    fn utilisation(&self) -> Option<u128> {
+        let (releases, time) = self.release.rate();
+        Some(
+            u128::from(self.cost_ns).checked_mul(u128::from(releases))?.checked_mul(WHOLE_CORE)?
+                / u128::from(time),
+        )
+    }
+}
+
+/// The tasks of one core, checked, with their costs.
+pub(crate) struct Core<'a> {
+    tasks: &'a [Task],
+    callbacks: Vec<Demand>,
+    /// What delays every level: messages, ticks, throttling.
+    common: Vec<Demand>,
+    throttled: bool,
+}
+
+/// The response times found for one task: from its nominal release, and from its arrival, at most the jitter later.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bound {
+    pub nominal_ns: u64,
+    pub arrival_ns: u64,
+    pub utilisation: f64,
+}
+
+impl<'a> Core<'a> {
+    pub fn new(tasks: &'a [Task], overheads: &Overheads) -> Result<Self, AnalysisError> {
+        tasks.iter().try_for_each(validate)?;
+        let switches = overheads.context_switch_ns.saturating_mul(2);
+        let demand = |task: &Task, cost_ns| Demand { release: task.release(), cost_ns };
+        let with_switches = |task: &Task| {
+            let cost = task.wcet_ns.checked_add(switches).ok_or_else(|| overflow(task))?;
+            Ok(demand(task, cost))
+        };
+        let callbacks: Vec<_> = tasks.iter().map(with_switches).collect::<Result<_, AnalysisError>>()?;
+        let message =
+            |task: &Task| demand(task, task.message_overhead_ns.unwrap_or(overheads.per_message_ns));
+        let mut common: Vec<_> = tasks.iter().map(message).collect();
+        if overheads.tick_period_ns > 0 {
+            let release = Release::periodic(overheads.tick_period_ns);
+            common.push(Demand { release, cost_ns: overheads.tick_ns });
+        }
+        let mut throttled = false;
+        if let Some(limit) = overheads.throttling.filter(|limit| limit.runtime_ns < limit.period_ns) {
+            let mut all = callbacks.iter().chain(&common);
+            let work = all.try_fold(0, |sum: u64, demand| sum.checked_add(demand.within(limit.period_ns)?));
+            throttled = work.is_none_or(|work| work > limit.runtime_ns);
+            if throttled {
+                let release = Release::periodic(limit.period_ns);
+                common.push(Demand { release, cost_ns: limit.period_ns - limit.runtime_ns });
+            }
+        }
+        Ok(Self { tasks, callbacks, common: merge(common), throttled })
+    }
+
+    /// Whether the kernel may pause this core's real-time threads; their bounds then contain the pauses.
+    pub fn throttled(&self) -> bool {
+        self.throttled
+    }
+
+    pub fn bound(&self, index: usize) -> Result<Bound, AnalysisError> {
+        Level::new(self, index)?.bound()
+    }
+}
+
+/// One task and everything that can delay it.
+struct Level<'a> {
+    task: &'a Task,
+    release: Release,
+    /// The demand of its thread: its own, and that of the tasks that share the thread.
+    own: Vec<Demand>,
+    interference: Vec<Demand>,
+    blocking: u64,
+    /// What remains to be done of a job once nothing can preempt it.
+    tail: u64,
+    utilisation: u128,
+}
+
+impl<'a> Level<'a> {
+    fn new(core: &'a Core, index: usize) -> Result<Self, AnalysisError> {
+        let task = &core.tasks[index];
+        let shares = |(i, other): (usize, &Task)| {
+            i == index || (task.group.is_some() && other.group.map(|g| g.id) == task.group.map(|g| g.id))
+        };
+        let (mut own, mut interference) = (Vec::new(), core.common.clone());
+        let (mut blocking, mut sections) = (0, 0);
+        for (i, other) in core.tasks.iter().enumerate() {
+            if shares((i, other)) {
+                if other.priority != task.priority || other.group != task.group {
+                    let (task, other) = (task.name.clone(), other.name.clone());
+                    return Err(AnalysisError::MixedGroup { task, other });
+                }
+                own.push(core.callbacks[i].clone());
+                blocking = other.blocking_ns.max(blocking);
+            } else if other.priority >= task.priority {
+                interference.push(core.callbacks[i].clone());
+            } else {
+                // A section delays only if it began before: at least 1 ns of it is over.
+                sections = other.non_preemptive_ns.saturating_sub(1).max(sections);
+            }
+        }
+        let tail = if task.non_preemptive_ns >= task.wcet_ns { task.wcet_ns - 1 } else { 0 };
+        let interference = merge(interference);
+        let utilisation = (own.iter().chain(&interference))
+            .try_fold(0, |sum: u128, demand| sum.checked_add(demand.utilisation()?))
+            .ok_or_else(|| overflow(task))?;
+        let blocking = u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?;
+        Ok(Self { task, release: task.release(), own, interference, blocking, tail, utilisation })
+    }
+
+    fn bound(&self) -> Result<Bound, AnalysisError> {
+        self.check_load()?;
+        let (nominal_ns, arrival_ns) = match self.task.group {
+            Some(group) if self.own.len() > 1 => {
+                let arrival = match group.order {
+                    Order::Fifo => self.first_in_first_out()?,
+                    Order::Any => self.busy_window()?,
+                };
+                (self.add(arrival, self.task.jitter_ns)?, arrival)
+            }
+            _ => self.alone()?,
+        };
+        Ok(Bound { nominal_ns, arrival_ns, utilisation: self.utilisation_f64() })
+    }
+
+    /// Rounding down hides less than one unit for each demand, which is refused along with exactly 1.
+    fn check_load(&self) -> Result<(), AnalysisError> {
+        let (task, priority) = (self.task.name.clone(), self.task.priority);
+        if self.utilisation > WHOLE_CORE {
+            return Err(AnalysisError::Overload { task, priority, utilisation: self.utilisation_f64() });
+        }
+        let demands = self.own.len() + self.interference.len();
+        let full = self.utilisation + demands as u128 > WHOLE_CORE;
+        let irregular = |demand: &Demand| demand.release.jitter_ns > 0 || demand.release.distances.is_some();
+        if full && (self.blocking > 0 || self.own.iter().chain(&self.interference).any(irregular)) {
+            return Err(AnalysisError::NoSlack { task, priority });
+        }
+        Ok(())
+    }
+
+    /// A task with a thread of its own: the longest response of the jobs of one busy window (Lehoczky 1990, with
+    /// Tindell's jitter). A job that cannot be preempted ends its `tail` after it began (Davis et al. 2007); work that
+    /// came meanwhile may delay the next one, so there the search goes on to the end of the busy window.
+    fn alone(&self) -> Result<(u64, u64), AnalysisError> {
+        let jitter = self.task.jitter_ns;
+        let window = if self.tail > 0 { self.busy_window()? } else { 0 };
+        let (mut nominal, mut arrival, mut iterations) = (0, 0, 0);
+        let (mut work, mut end) = (self.blocking, 0);
+        for job in 0.. {
+            work = self.add(work, self.own[0].cost_ns)?;
+            end = self.finish(work - self.tail, end, &mut iterations)?;
+            let finish = self.add(end, self.tail)?;
+            // The first job's nominal release may lie its jitter before the window, so this never falls below zero.
+            nominal = nominal.max(self.add(finish, jitter)?.saturating_sub(self.release.nominal_span(job)));
+            arrival = arrival.max(finish - self.release.shortest_span(job).min(finish));
+            let next = self.release.shortest_span(job + 1);
+            if next >= finish && next >= window {
+                break;
+            }
+        }
+        Ok((nominal, arrival))
+    }
+
+    /// A thread whose jobs run in the order of their arrival: the longest response is that of a job that arrives when
+    /// some task of the thread is released, as early as its curve allows (Bedarkar et al., ECRTS 2022).
+    fn first_in_first_out(&self) -> Result<u64, AnalysisError> {
+        let window = self.busy_window()?;
+        let (mut longest, mut end, mut iterations, mut offset) = (0, 0, 0, 0);
+        while offset < window {
+            let closed = self.add(offset, 1)?;
+            let queued = self.demand(self.blocking, &self.own, closed)?;
+            end = self.finish(queued, end, &mut iterations)?;
+            longest = longest.max(end.saturating_sub(offset));
+            let next = |demand: &Demand| demand.release.shortest_span(demand.release.most_within(closed));
+            offset = self.own.iter().map(next).min().unwrap_or(u64::MAX);
+        }
+        Ok(longest)
+    }
+
+    /// The longest time that this level keeps the core busy, which bounds any job's response in any order.
+    fn busy_window(&self) -> Result<u64, AnalysisError> {
+        let mut iterations = 0;
+        let mut window = self.demand(self.blocking, &self.own, 1)?;
+        loop {
+            let own = self.demand(self.blocking, &self.own, window)?;
+            let next = self.demand(own, &self.interference, window)?;
+            if next == window {
+                return Ok(window);
+            }
+            window = next;
+            self.count(&mut iterations)?;
+        }
+    }
+
+    /// Least fixed point of `work` plus interference, searched upwards from `window`, which must not exceed it.
+    fn finish(&self, work: u64, window: u64, iterations: &mut u32) -> Result<u64, AnalysisError> {
+        let mut window = window.max(work);
+        loop {
+            self.count(iterations)?;
+            let next = self.demand(work, &self.interference, window)?;
+            if next == window {
+                return Ok(window);
+            }
+            window = next;
+        }
+    }
+
+    /// `work` and what the demands release within a window.
+    fn demand(&self, work: u64, demands: &[Demand], window: u64) -> Result<u64, AnalysisError> {
+        let mut all = demands.iter();
+        all.try_fold(work, |sum, demand| sum.checked_add(demand.within(window)?))
+            .ok_or_else(|| overflow(self.task))
+    }
+
+    fn count(&self, iterations: &mut u32) -> Result<(), AnalysisError> {
+        *iterations += 1;
+        if *iterations <= MAX_ITERATIONS {
+            return Ok(());
+        }
+        Err(AnalysisError::IterationLimit {
+            task: self.task.name.clone(),
+            priority: self.task.priority,
+            utilisation: self.utilisation_f64(),
+            iterations: MAX_ITERATIONS,
+        })
+    }
+
+    fn add(&self, a: u64, b: u64) -> Result<u64, AnalysisError> {
+        a.checked_add(b).ok_or_else(|| overflow(self.task))
+    }
+
+    fn utilisation_f64(&self) -> f64 {
+        self.utilisation as f64 / WHOLE_CORE as f64
+    }
+}
+
+/// Drops what costs nothing and joins what is released alike: systems have fewer rates than callbacks.
+fn merge(mut demands: Vec<Demand>) -> Vec<Demand> {
+    demands.retain(|demand| demand.cost_ns > 0);
+    let key = |d: &Demand| (d.release.period_ns, d.release.jitter_ns, d.release.min_distance_ns);
+    demands.sort_by_key(key);
+    demands.dedup_by(|next, kept| {
+        let joint = kept.cost_ns.checked_add(next.cost_ns).filter(|_| kept.release == next.release);
+        kept.cost_ns = joint.unwrap_or(kept.cost_ns);
+        joint.is_some()
+    });
+    demands
+}
+
+fn overflow(task: &Task) -> AnalysisError {
+    AnalysisError::Overflow { task: task.name.clone() }
+}
+
+fn validate(task: &Task) -> Result<(), AnalysisError> {
+    let name = || task.name.clone();
+    if task.period_ns == 0 {
+        return Err(AnalysisError::ZeroPeriod { task: name() });
+    }
+    if task.wcet_ns == 0 {
+        return Err(AnalysisError::ZeroWcet { task: name() });
+    }
+    let fields = [
+        ("period", task.period_ns),
+        ("wcet", task.wcet_ns),
+        ("deadline", task.deadline_ns),
+        ("jitter", task.jitter_ns),
+        ("blocking", task.blocking_ns),
+        ("message overhead", task.message_overhead_ns.unwrap_or(0)),
+    ];
+    if let Some((field, _)) = fields.into_iter().find(|(_, ns)| *ns == u64::MAX) {
+        return Err(AnalysisError::TooLong { task: name(), field });
+    }
+    let parts = [
+        ("minimum distance", task.min_distance_ns, "period", task.period_ns),
+        ("bcet", task.bcet_ns, "wcet", task.wcet_ns),
+        ("non-preemptive section", task.non_preemptive_ns, "wcet", task.wcet_ns),
+    ];
+    match parts.into_iter().find(|(_, part, _, whole)| part > whole) {
+        Some((field, _, limit, _)) => Err(AnalysisError::TooLarge { task: name(), field, limit }),
+        None => Ok(()),
+    }
+}

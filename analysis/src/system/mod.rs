@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Several cores and hosts: callbacks that trigger one another, and chains from end to end.
+//!
+//! Each core is analysed for itself. A callback that a message triggers inherits the releases of who publishes it, with
+//! jitter J + R - bcet + (longest - shortest transfer), which may lengthen response times on its core, and so on: all is
+//! repeated until nothing changes any more (compositional analysis, Richter 2005). Jitter starts at its least and only
+//! grows, so what is reached is the least fixed point.
+use crate::{AnalysisError, Overheads, Response, Task};
+
+mod chains;
+mod fixpoint;
+
+pub use chains::ChainBound;
+
+/// Callbacks on the cores of one or several hosts.
+///
+/// ```
+/// use std::time::Duration;
+/// use tautline_analysis::Task;
+/// use tautline_analysis::system::{Callback, Chain, Core, System, Transfer};
+/// let ms = Duration::from_millis;
+/// let driver = Callback::new(Task::new("driver", ms(10), ms(2), 20), 0);
+/// let planner = Callback::new(Task::new("planner", ms(10), ms(4), 19), 1).triggered_by(0, Transfer::LOCAL);
+/// let chain = Chain { name: "scan to plan".into(), stages: vec![0, 1], deadline_ns: 10_000_000, transfers: vec![] };
+/// let system = System { cores: vec![Core::default(); 2], callbacks: vec![driver, planner], chains: vec![chain] };
+/// let report = system.analyse()?;
+/// assert_eq!(report.chains[0].as_ref().unwrap().latency_ns, 6_000_000);
+/// assert!(report.schedulable());
+/// # Ok::<(), tautline_analysis::AnalysisError>(())
+/// ```
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct System {
+    /// The cores of all hosts.
+    pub cores: Vec<Core>,
+    /// What runs on them.
+    pub callbacks: Vec<Callback>,
+    /// Paths through the callbacks whose end-to-end time matters.
+    pub chains: Vec<Chain>,
+}
+
+/// One core.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Core {
+    /// What the machine and the middleware cost there.
+    pub overheads: Overheads,
+}
+
+/// A task on a core.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Callback {
+    /// What it does; if something triggers it, its period, trace and jitter are replaced by inherited ones.
+    pub task: Task,
+    /// Index of its core.
+    pub core: usize,
+    /// Which callback triggers it, by index, and the way of the message; `None` if it has releases of its own.
+    pub trigger: Option<(usize, Transfer)>,
+}
+
+/// How long a message is on its way from the end of one callback to the release of another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Transfer {
+    /// The shortest time.
+    pub least_ns: u64,
+    /// The longest time.
+    pub most_ns: u64,
+}
+
+/// A path through callbacks.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Chain {
+    /// Name used in results and errors.
+    pub name: String,
+    /// Indices of the callbacks. Where one does not trigger the next, the next reads the latest value at its own pace.
+    pub stages: Vec<usize>,
+    /// The way of the message to each stage but the first that reads at its own pace; may be shorter than `stages`,
+    /// what is missing is local.
+    pub transfers: Vec<Transfer>,
+    /// Longest end-to-end time wanted.
+    pub deadline_ns: u64,
+}
+
+impl Transfer {
+    /// Within a host, where the transfer is part of the overhead of each message.
+    pub const LOCAL: Self = Self { least_ns: 0, most_ns: 0 };
+}
+
+impl Callback {
+    /// A callback with releases of its own.
+    #[must_use]
+    pub fn new(task: Task, core: usize) -> Self {
+        Self { task, core, trigger: None }
+    }
+
+    /// Makes the messages of another callback trigger this one.
+    #[must_use]
+    pub fn triggered_by(mut self, callback: usize, transfer: Transfer) -> Self {
+        self.trigger = Some((callback, transfer));
+        self
+    }
+}
+
+/// What the analysis of a [`System`] found.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct SystemReport {
+    /// The bound of each callback, or why it has none.
+    pub callbacks: Vec<Result<Response, AnalysisError>>,
+    /// The bounds of each chain, or why it has none.
+    pub chains: Vec<Result<ChainBound, AnalysisError>>,
+    /// For each core, whether the kernel may pause its real-time threads.
+    pub throttled: Vec<bool>,
+    /// How often all was repeated until nothing changed.
+    pub rounds: u32,
+}
+
+impl SystemReport {
+    /// Whether every callback and every chain meets its deadline.
+    #[must_use]
+    pub fn schedulable(&self) -> bool {
+        let callbacks =
+            self.callbacks.iter().all(|outcome| outcome.as_ref().is_ok_and(|response| response.met));
+        callbacks && self.chains.iter().all(|outcome| outcome.as_ref().is_ok_and(|chain| chain.met))
+    }
+}
+
+impl System {
+    /// Bounds every callback and every chain.
+    ///
+    /// The deadline of a triggered callback counts from the arrival of its message, that of any other from its nominal
+    /// release.
+    ///
+    /// # Errors
+    /// What makes the whole system meaningless: an index that does not exist, a circle of triggers, an invalid task.
+    /// What leaves single callbacks without a bound is in the report.
+    pub fn analyse(&self) -> Result<SystemReport, AnalysisError> {
+        let (outcomes, throttled, rounds) = fixpoint::solve(self)?;
+        let chains = self.chains.iter().map(|chain| chains::bound(self, chain, &outcomes)).collect();
+        let callbacks = outcomes.into_iter().zip(&self.callbacks).map(|(outcome, callback)| {
+            outcome.map(|mut response| {
+                if callback.trigger.is_some() {
+                    response.met = response.from_arrival_ns <= response.deadline_ns;
+                }
+                response
+            })
+        });
+        Ok(SystemReport { callbacks: callbacks.collect(), chains, throttled, rounds })
+    }
+}

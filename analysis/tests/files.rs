@@ -1,0 +1,369 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! System files: the examples, everything that can be wrong with one, and one of a thousand callbacks.
+use std::fmt::Write;
+use std::time::Instant;
+
+use tautline_analysis::file::{CheckedSystem, SystemFile};
+
+/// A system without problems, to which the tests add some.
+const GOOD: &str = r#"
+[hosts.robot]
+cores = 2
+[nodes.driver]
+core = 0
+[nodes.control]
+core = 1
+[topics]
+"/joy" = { period = "20ms" }
+[callbacks.scan]
+node = "driver"
+period = "10ms"
+wcet = "2ms"
+publishes = "/scan"
+[callbacks.plan]
+node = "control"
+topic = "/scan"
+wcet = "3ms"
+publishes = ["/path", "/debug"]
+[callbacks.drive]
+node = "control"
+topic = ["/path", "/joy"]
+wcet = "1ms"
+[[chains]]
+name = "scan to drive"
+path = ["scan", "plan", "drive"]
+deadline = "20ms"
+"#;
+
+fn example(name: &str) -> CheckedSystem {
+    let path = format!("{}/../examples/systems/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    SystemFile::read(path).unwrap_or_else(|error| panic!("{error}")).check()
+}
+
+/// All problems of a text, one line each.
+fn problems(text: &str) -> Vec<String> {
+    match SystemFile::parse(text) {
+        Ok(_) => Vec::new(),
+        Err(problems) => problems.to_string().lines().map(str::to_owned).collect(),
+    }
+}
+
+/// The good file with one piece replaced.
+fn with(piece: &str, replacement: &str) -> String {
+    assert!(GOOD.contains(piece), "{piece}");
+    GOOD.replacen(piece, replacement, 1)
+}
+
+/// Asserts that a file has exactly these problems, each given by its line and a part of its text.
+fn expect(text: &str, expected: &[(usize, &str)]) {
+    let found = problems(text);
+    let matches = found.len() == expected.len()
+        && found
+            .iter()
+            .zip(expected)
+            .all(|(f, (line, part))| f.starts_with(&format!("{line}:")) && f.contains(part));
+    assert!(matches, "expected {expected:#?}, found {found:#?}");
+}
+
+#[test]
+fn the_published_set() {
+    let checked = example("paper");
+    let times = |time: fn(&tautline_analysis::file::CheckedCallback) -> Option<u64>| {
+        checked.callbacks.iter().map(|c| time(c).unwrap() / 1_000).collect::<Vec<_>>()
+    };
+    assert_eq!(times(|c| c.response_ns), [2_000, 6_000, 13_000, 36_000, 170_000]);
+    assert_eq!(times(|c| c.response_overhead_ns), [2_300, 6_300, 13_360, 36_540, 174_040]);
+    assert!(checked.schedulable && checked.warnings.is_empty());
+    assert!(checked.callbacks.iter().all(|c| c.capacity == Some(1)));
+
+    let thread = example("one-thread");
+    assert!(!thread.schedulable);
+    assert!(thread.callbacks.iter().all(|c| c.response_ns == Some(76_000_000)));
+    let capacities: Vec<_> = thread.callbacks.iter().map(|c| c.capacity.unwrap()).collect();
+    assert_eq!(capacities, [8, 4, 2, 1, 1]);
+}
+
+#[test]
+fn the_other_examples_are_schedulable() {
+    for name in ["two-hosts", "groups"] {
+        let checked = example(name);
+        assert!(checked.schedulable, "{name}: {checked:#?}");
+        assert!(!checked.chains.is_empty());
+    }
+    // From the lidar's 4 ms on one host over the network, planning on the other, and back.
+    let chain = &example("two-hosts").chains[0];
+    assert!((20_000_000..24_000_000).contains(&chain.latency_ns.unwrap()), "{chain:?}");
+}
+
+#[test]
+fn a_good_file_and_what_it_says() {
+    let file = SystemFile::parse(GOOD).unwrap();
+    let priorities: Vec<_> = file.callbacks().iter().map(|c| (c.name.as_str(), c.priority, c.core)).collect();
+    assert_eq!(priorities, [("scan", 80, 0), ("plan", 80, 1), ("drive", 79, 1)]);
+    assert_eq!(
+        file.topics().iter().map(|t| t.name.as_str()).collect::<Vec<_>>(),
+        ["/joy", "/scan", "/path", "/debug"]
+    );
+    let checked = file.check();
+    assert!(checked.schedulable, "{checked:#?}");
+    // `drive` is reached in two ways, by /path and by /joy; its queue holds what both may bring.
+    assert_eq!(checked.callbacks[2].entry.tasks.len(), 2);
+    assert_eq!(checked.callbacks[2].capacity, Some(2));
+    // 2 + 3 + (1 + 1 + 3): the other message, and one job of `plan`.
+    assert_eq!(checked.chains[0].latency_ns, Some(10_000_000));
+    assert!(checked.warnings[0].contains("no [overheads]"), "{:?}", checked.warnings);
+}
+
+#[test]
+fn unknown_key() {
+    expect(
+        &with("wcet = \"3ms\"", "wect = \"3ms\""),
+        &[
+            (15, "callback `plan` lacks `wcet`"),
+            (18, "1: unknown key `wect` in callback `plan`: did you mean `wcet`?"),
+        ],
+    );
+    expect(
+        &with("cores = 2", "cores = 2\nrack = 1"),
+        &[(4, "unknown key `rack` in host `robot` (known: cores, ")],
+    );
+}
+
+#[test]
+fn missing_topic() {
+    expect(
+        &with("topic = \"/scan\"", "topic = \"/scna\""),
+        &[
+            (17, "callback `plan` uses topic `/scna`, which does not exist: did you mean `/scan`?"),
+            // Its chain is broken, too.
+            (26, "goes from `scan` to `plan`, which neither is triggered by nor reads"),
+        ],
+    );
+    expect(
+        &with("{ period = \"20ms\" }", "{}"),
+        &[(22, "topic `/joy`, used by callback `drive`, has no publisher")],
+    );
+}
+
+#[test]
+fn circle_of_triggers() {
+    let circle = with("period = \"10ms\"", "topic = \"/path\"");
+    expect(&circle, &[(10, "callbacks `plan`, `scan` trigger one another in a circle")]);
+    let own = with(
+        "publishes = \"/scan\"",
+        "publishes = \"/scan\"\n[callbacks.echo]\nnode = \"driver\"\ntopic = \"/e\"\nwcet = \"1ms\"\npublishes = \"/e\"",
+    );
+    expect(&own, &[(15, "callbacks `echo` trigger one another in a circle")]);
+}
+
+#[test]
+fn period_of_zero() {
+    expect(
+        &with("period = \"10ms\"", "period = \"0ms\""),
+        &[(12, "`period` of callback `scan` is 0: set a time above it")],
+    );
+}
+
+#[test]
+fn wcet_over_period() {
+    expect(
+        &with("wcet = \"2ms\"", "wcet = \"10.5ms\""),
+        &[(13, "`wcet` of callback `scan` is 10.5 ms, more than its period of 10 ms")],
+    );
+    // The period may be that of whoever triggers it.
+    expect(
+        &with("wcet = \"3ms\"", "wcet = \"11ms\""),
+        &[(18, "`wcet` of callback `plan` is 11 ms, more than its period of 10 ms")],
+    );
+}
+
+#[test]
+fn two_threads_of_one_priority() {
+    let stated = |more: &str| {
+        let plan = with("wcet = \"3ms\"", &format!("wcet = \"3ms\"\npriority = 7\n{more}"));
+        plan.replacen("wcet = \"1ms\"", &format!("wcet = \"1ms\"\npriority = 7\n{more}"), 1)
+    };
+    expect(&stated(""), &[(26, "`plan` and `drive` have priority 7 on one core")]);
+    let meant = SystemFile::parse(&stated("shares_priority = true")).unwrap().check();
+    assert!(
+        meant.warnings.iter().any(|w| w.contains("`drive` and `plan` share priority 7")),
+        "{:?}",
+        meant.warnings
+    );
+}
+
+#[test]
+fn cores_and_priorities_that_do_not_exist() {
+    expect(
+        &with("core = 1", "core = 2"),
+        &[(7, "node `control` is on core 2, which host `robot` does not have: use one of 0, 1")],
+    );
+    for priority in ["0", "100", "-3"] {
+        let text = with("wcet = \"2ms\"", &format!("wcet = \"2ms\"\npriority = {priority}"));
+        expect(&text, &[(14, "out of range: set it to 1 (lowest) to 99")]);
+    }
+}
+
+#[test]
+fn callback_without_trigger_or_with_two() {
+    expect(
+        &with("period = \"10ms\"\n", ""),
+        &[(10, "callback `scan` has no trigger: add `topic` or `period`")],
+    );
+    let both = with("period = \"10ms\"", "period = \"10ms\"\ntopic = \"/joy\"");
+    expect(&both, &[(12, "callback `scan` has two triggers")]);
+}
+
+#[test]
+fn hosts_need_remote_topics_and_a_network() {
+    let text = with("[nodes.driver]", "[hosts.other]\ncores = 1\n[nodes.driver]\nhost = \"other\"").replacen(
+        "[nodes.control]",
+        "[nodes.control]\nhost = \"robot\"",
+        1,
+    );
+    expect(
+        &text,
+        &[
+            (21, "is not remote: add `remote = true`"),
+            (21, "add `latency = [shortest, longest]` to [network]"),
+        ],
+    );
+}
+
+#[test]
+fn locks_and_groups() {
+    let lock = "locks = [{ resource = \"map\", length = \"1ms\" }]";
+    let across = with("wcet = \"2ms\"", &format!("wcet = \"2ms\"\n{lock}")).replacen(
+        "wcet = \"1ms\"",
+        &format!("wcet = \"1ms\"\n{lock}"),
+        1,
+    );
+    expect(&across, &[(21, "`map` is locked by callbacks `scan` and `drive` on different cores")]);
+    let alone = with("wcet = \"2ms\"", "wcet = \"2ms\"\ngroup = \"sensor\"");
+    expect(&alone, &[(14, "in group `sensor`, which is not in [groups]: add [groups.sensor]")]);
+}
+
+#[test]
+fn values_of_the_wrong_kind() {
+    expect(
+        &with("period = \"10ms\"", "period = 10"),
+        &[(12, "`period` must be a time with its unit, such as \"1.5ms\", not a number")],
+    );
+    expect(&with("wcet = \"2ms\"", "wcet = \"2 minutes\""), &[(13, "`wcet` is not a time: \"2 minutes\"")]);
+    expect(
+        &with("cores = 2", "cores = \"two\"\n"),
+        &[(3, "`cores` must be a whole number, not a string"), (6, "core 0"), (8, "core 1")],
+    );
+    expect("[hosts.robot\n", &[(1, "")]);
+    assert_eq!(problems("").len(), 3, "no host, no node, no callback");
+}
+
+#[test]
+fn everything_at_once() {
+    let text = r#"
+[hosts.robot]
+coers = 1
+cores = 2
+[nodes.n]
+core = 0
+[callbacks.a]
+topic = "/nowhere"
+wcet = "1ms"
+priority = 120
+[callbacks.b]
+period = "0ms"
+wcet = "1ms"
+[callbacks.c]
+period = "5ms"
+wcet = "6ms"
+priority = 9
+[callbacks.d]
+period = "5ms"
+wcet = "1ms"
+priority = 9
+core = 5
+[callbacks.e]
+wcet = "1ms"
+priority = 9
+[callbacks.f]
+topic = "/g"
+wcet = "1ms"
+publishes = "/f"
+[callbacks.g]
+topic = "/f"
+wcet = "1ms"
+publishes = "/g"
+"#;
+    expect(
+        text,
+        &[
+            (3, "unknown key `coers`"),
+            (8, "`/nowhere`, which does not exist"),
+            (10, "is 120, out of range"),
+            (12, "`period` of callback `b` is 0"),
+            (16, "more than its period"),
+            (22, "callback `d` is on core 5"),
+            (23, "callback `e` has no trigger"),
+            (25, "`c` and `e` have priority 9"),
+            (26, "trigger one another in a circle"),
+        ],
+    );
+}
+
+#[test]
+fn overload_and_shallow_queues_are_explained() {
+    let overloaded = SystemFile::parse(&with("wcet = \"3ms\"", "wcet = \"9.9ms\"")).unwrap().check();
+    assert!(!overloaded.schedulable);
+    assert!(
+        overloaded.warnings.iter().any(|w| w.contains("114.0 % of the core")),
+        "{:?}",
+        overloaded.warnings
+    );
+    assert_eq!((overloaded.callbacks[2].response_overhead_ns, overloaded.chains[0].latency_ns), (None, None));
+
+    let shallow = with("\"/joy\" = { period = \"20ms\" }", "\"/joy\" = { period = \"20ms\", depth = 1 }");
+    let checked = SystemFile::parse(&shallow).unwrap().check();
+    assert!(checked.schedulable);
+    assert!(checked.warnings.iter().any(|w| w.contains("needs a queue of 2, but its topic keeps 1")));
+}
+
+#[test]
+fn a_thousand_callbacks_on_eight_cores() {
+    let period_ms = |chain: usize| 5 + 3 * (chain % 75);
+    let mut text = String::from("[hosts.big]\ncores = 8\n[overheads]\nper_message = \"5us\"\n[nodes.n]\n");
+    for i in 0..1_000 {
+        // 125 chains of eight callbacks, each on the next core.
+        let (chain, stage) = (i / 8, i % 8);
+        let period = period_ms(chain);
+        let wcet = period * 1_000_000 / 180;
+        let trigger = match stage {
+            0 => format!("period = \"{period}ms\""),
+            _ => format!("topic = \"/t{}\"", i - 1),
+        };
+        writeln!(
+            text,
+            "[callbacks.c{i}]\n{trigger}\nwcet = \"{wcet}ns\"\nbcet = \"{wcet}ns\"\ncore = {}",
+            i % 8
+        )
+        .unwrap();
+        writeln!(text, "publishes = \"/t{i}\"\ndeadline = \"{}ms\"", period * 3).unwrap();
+    }
+    for chain in 0..125 {
+        let path: Vec<_> = (0..8).map(|stage| format!("\"c{}\"", chain * 8 + stage)).collect();
+        let deadline = period_ms(chain) * 16;
+        writeln!(
+            text,
+            "[[chains]]\nname = \"{chain}\"\npath = [{}]\ndeadline = \"{deadline}ms\"",
+            path.join(", ")
+        )
+        .unwrap();
+    }
+    let begun = Instant::now();
+    let file = SystemFile::parse(&text).unwrap_or_else(|problems| panic!("{problems}"));
+    let parsed = begun.elapsed();
+    let checked = file.check();
+    println!("1,000 callbacks: read in {parsed:?}, checked in {:?}", begun.elapsed() - parsed);
+    let bounded = checked.callbacks.iter().filter(|c| c.response_overhead_ns.is_some()).count();
+    println!("{bounded} bounds; {:?}", checked.warnings.first());
+    assert_eq!(bounded, 1_000);
+}

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The verdict for scripts: names, order and units are a contract.
+use std::io::{self, Write};
+
+use serde::Serialize;
+use tautline_analysis::file::CheckedSystem;
+
+use super::sensitivity::Growth;
+
+#[derive(Serialize)]
+struct Verdict<'a> {
+    schedulable: bool,
+    callbacks: Vec<Callback<'a>>,
+    chains: Vec<Chain<'a>>,
+    warnings: &'a [String],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sensitivity: Option<&'a Growth>,
+}
+
+/// Times without a bound are null.
+#[derive(Serialize)]
+struct Callback<'a> {
+    name: &'a str,
+    core: usize,
+    priority: u8,
+    period_ms: f64,
+    wcet_ms: f64,
+    response_ms: Option<f64>,
+    response_overhead_ms: Option<f64>,
+    deadline_ms: f64,
+    capacity: Option<usize>,
+}
+
+#[derive(Serialize)]
+struct Chain<'a> {
+    name: &'a str,
+    latency_ms: Option<f64>,
+    deadline_ms: f64,
+}
+
+/// Writes one JSON object and a newline; `sensitivity` is there only if it was asked for.
+pub fn write(checked: &CheckedSystem, growth: Option<&Growth>, out: &mut impl Write) -> io::Result<()> {
+    let ms = |ns: u64| ns as f64 / 1e6;
+    let callbacks = checked.callbacks.iter().map(|callback| Callback {
+        name: &callback.entry.name,
+        core: callback.core,
+        priority: callback.entry.priority,
+        period_ms: ms(callback.period_ns),
+        wcet_ms: ms(callback.wcet_ns),
+        response_ms: callback.response_ns.map(ms),
+        response_overhead_ms: callback.response_overhead_ns.map(ms),
+        deadline_ms: ms(callback.entry.deadline_ns),
+        capacity: callback.capacity,
+    });
+    let chains = checked.chains.iter().map(|chain| Chain {
+        name: &chain.name,
+        latency_ms: chain.latency_ns.map(ms),
+        deadline_ms: ms(chain.deadline_ns),
+    });
+    let verdict = Verdict {
+        schedulable: checked.schedulable,
+        callbacks: callbacks.collect(),
+        chains: chains.collect(),
+        warnings: &checked.warnings,
+        sensitivity: growth,
+    };
+    serde_json::to_writer(&mut *out, &verdict)?;
+    writeln!(out)
+}

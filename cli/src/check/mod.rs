@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut check`: response times, queue capacities and chains of a system file, before anything runs.
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use tautline_analysis::file::{FileError, SystemFile};
+
+mod gantt;
+mod json;
+mod sensitivity;
+mod table;
+
+/// Check that every callback and chain of a system file meets its deadline
+///
+/// Computes worst-case response times with overheads, queue capacities and end-to-end latencies from periods, execution
+/// times and priorities. Exits with 0 if all deadlines are met, 1 if not, 2 if the file cannot be used; everything that
+/// is wrong with it is listed with line and column.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut check system.toml                      the table, the chains, the warnings
+  taut check system.toml --sensitivity        how much each execution time may grow
+  taut check system.toml --svg timeline.svg   who runs when after the critical instant
+  taut check system.toml --json | jq .schedulable
+
+taut init writes a commented file to begin with; docs/system-toml.md explains the format.")]
+pub struct CheckArgs {
+    /// The system file
+    #[arg(default_value = "system.toml", value_name = "FILE")]
+    file: PathBuf,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+    /// Draw the timeline of the critical instant
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Add how much the load, the overheads and each execution time may grow
+    #[arg(long)]
+    sensitivity: bool,
+}
+
+/// Why the result could not be given.
+#[derive(Debug, thiserror::Error)]
+enum CheckError {
+    #[error("`{}` cannot be written: {source}", path.display())]
+    Write { path: PathBuf, source: io::Error },
+    #[error("the result cannot be printed: {0}")]
+    Print(#[from] io::Error),
+}
+
+/// Runs the verb; the exit code is the verdict.
+pub fn run(args: &CheckArgs) -> ExitCode {
+    let file = match SystemFile::read(&args.file) {
+        Ok(file) => file,
+        Err(error) => {
+            print_file_error(&error);
+            return ExitCode::from(2);
+        }
+    };
+    match print(args, &file) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
+        // Whoever reads no further (`taut check | head`) has seen enough.
+        Err(CheckError::Print(error)) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("taut: {error}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// Whether the system is schedulable.
+fn print(args: &CheckArgs, file: &SystemFile) -> Result<bool, CheckError> {
+    let checked = file.check();
+    if let Some(path) = &args.svg {
+        let picture = gantt::draw(&checked);
+        std::fs::write(path, picture).map_err(|source| CheckError::Write { path: path.clone(), source })?;
+    }
+    let growth = args.sensitivity.then(|| sensitivity::Growth::of(file));
+    let mut out = anstream::stdout().lock();
+    if args.json {
+        json::write(&checked, growth.as_ref(), &mut out)?;
+    } else {
+        table::write(&checked, &mut out)?;
+        if let Some(growth) = &growth {
+            sensitivity::write(growth, &mut out)?;
+        }
+        if let Some(path) = &args.svg {
+            writeln!(out, "\nTimeline of the critical instant: {}", path.display())?;
+        }
+    }
+    out.flush()?;
+    Ok(checked.schedulable)
+}
+
+/// In the form that editors jump to: file:line:column.
+fn print_file_error(error: &FileError) {
+    if let FileError::Content { path, source } = error {
+        let count = source.0.len();
+        for problem in &source.0 {
+            eprintln!("{}:{}:{}: {}", path.display(), problem.line, problem.column, problem.message);
+        }
+        let plural = if count == 1 { "" } else { "s" };
+        eprintln!("taut: {} has {count} problem{plural}", path.display());
+    } else {
+        eprintln!("taut: {error}");
+    }
+}

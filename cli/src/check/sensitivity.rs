@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! How much may grow until a deadline is missed.
+use std::io::{self, Write};
+
+use serde::Serialize;
+use tautline_analysis::file::SystemFile;
+use tautline_analysis::sensitivity;
+
+/// Factors; below 1 where a deadline is missed as it is, `None` where there is nothing to grow.
+#[derive(Serialize)]
+pub struct Growth {
+    /// All execution times together.
+    load: f64,
+    /// The same on a machine that costs nothing.
+    load_without_overheads: f64,
+    /// All overheads together.
+    overhead: Option<f64>,
+    /// Each callback's execution time, the others unchanged.
+    callbacks: Vec<CallbackGrowth>,
+}
+
+#[derive(Serialize)]
+struct CallbackGrowth {
+    name: String,
+    wcet: f64,
+    /// The execution time at which the first deadline is just met.
+    wcet_ms: f64,
+}
+
+impl Growth {
+    /// Searches the limits; each takes a dozen analyses of the system.
+    pub fn of(file: &SystemFile) -> Self {
+        let system = file.system();
+        let factor = |thousandths: u64| thousandths as f64 / 1e3;
+        let callbacks = file.callbacks().iter().map(|callback| {
+            let tasks: Vec<usize> = callback.tasks.clone().collect();
+            let thousandths = sensitivity::wcet(system, &tasks);
+            let now_ns = u128::from(system.callbacks[callback.tasks.start].task.wcet_ns);
+            let wcet_ms = (now_ns * u128::from(thousandths) / 1_000) as f64 / 1e6;
+            CallbackGrowth { name: callback.name.clone(), wcet: factor(thousandths), wcet_ms }
+        });
+        // The largest factor that is looked for: nothing limits it.
+        let overhead = Some(sensitivity::overhead(system)).filter(|factor| *factor < 1_000_000).map(factor);
+        Self {
+            load: factor(sensitivity::load(system)),
+            load_without_overheads: factor(sensitivity::load(&file.system_without_overheads())),
+            overhead,
+            callbacks: callbacks.collect(),
+        }
+    }
+}
+
+/// Writes the limits for people.
+pub fn write(growth: &Growth, out: &mut impl Write) -> io::Result<()> {
+    writeln!(out, "\nUntil the first deadline is missed,")?;
+    let Growth { load, load_without_overheads, .. } = growth;
+    writeln!(
+        out,
+        "  all execution times together may be multiplied by {load:.3} \
+         ({load_without_overheads:.3} on a machine that costs nothing)"
+    )?;
+    if let Some(overhead) = growth.overhead {
+        writeln!(out, "  all overheads together by {overhead:.3}")?;
+    }
+    let width = growth.callbacks.iter().map(|callback| callback.name.chars().count()).max().unwrap_or(0);
+    for callback in &growth.callbacks {
+        let CallbackGrowth { name, wcet, wcet_ms } = callback;
+        writeln!(out, "  wcet of {name:width$} alone by {wcet:>8.3}, to {wcet_ms:.3} ms")?;
+    }
+    Ok(())
+}

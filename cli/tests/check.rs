@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut check` and `taut init` as a person or script sees them.
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn taut(args: &[&str], directory: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_taut")).args(args).current_dir(directory).output().unwrap()
+}
+
+fn systems() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/systems")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// An empty directory of this test's own.
+fn scratch(name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&directory);
+    std::fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+#[test]
+fn the_table_and_the_exit_code_are_the_verdict() {
+    let good = taut(&["check", "paper.toml"], &systems());
+    let out = text(&good.stdout);
+    assert_eq!(good.status.code(), Some(0), "{out}");
+    for part in [
+        "170.000",
+        "174.040",
+        "25.960",
+        "cb:topic5",
+        "Schedulable: every deadline is met (5 callbacks, 0 chains).",
+    ] {
+        assert!(out.contains(part), "{part} in {out}");
+    }
+    let bad = taut(&["check", "one-thread.toml"], &systems());
+    assert_eq!(bad.status.code(), Some(1));
+    let verdict = "Not schedulable: callback topic1, callback topic2, callback topic3 may miss the deadline.";
+    assert!(text(&bad.stdout).contains(verdict));
+}
+
+#[test]
+fn json_is_the_contract() {
+    let out = taut(&["check", "two-hosts.toml", "--json"], &systems());
+    assert_eq!(out.status.code(), Some(0));
+    let json: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let keys = |value: &Value| {
+        let mut keys: Vec<_> = value.as_object().unwrap().keys().cloned().collect();
+        keys.sort();
+        keys.join(" ")
+    };
+    assert_eq!(keys(&json), "callbacks chains schedulable warnings");
+    assert_eq!(json["schedulable"], true);
+    assert_eq!(
+        keys(&json["callbacks"][0]),
+        "capacity core deadline_ms name period_ms priority response_ms response_overhead_ms wcet_ms"
+    );
+    assert_eq!(keys(&json["chains"][0]), "deadline_ms latency_ms name");
+    assert_eq!((&json["callbacks"][0]["name"], &json["callbacks"][0]["core"]), (&"lidar".into(), &2.into()));
+    assert!(json["chains"][0]["latency_ms"].as_f64().unwrap() < 40.0);
+
+    let out = taut(&["check", "paper.toml", "--json", "--sensitivity"], &systems());
+    let json: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(json["sensitivity"]["load_without_overheads"], 1.111);
+    assert_eq!(json["callbacks"][4]["response_ms"], 170.0);
+    assert_eq!(json["callbacks"][4]["response_overhead_ms"], 174.04);
+}
+
+#[test]
+fn the_timeline_is_a_picture() {
+    let directory = scratch("timeline");
+    let file = systems().join("two-hosts.toml");
+    let out = taut(&["check", file.to_str().unwrap(), "--svg", "t.svg"], &directory);
+    assert_eq!(out.status.code(), Some(0));
+    let svg = std::fs::read_to_string(directory.join("t.svg")).unwrap();
+    assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n"));
+    for part in ["base, core 2", "brain, core 1", "imu (80)", "watchdog (79)"] {
+        assert!(svg.contains(part), "{part}");
+    }
+    assert!(!svg.contains("NaN") && !svg.contains("inf"));
+}
+
+#[test]
+fn a_bad_file_is_2_with_all_problems_by_line_and_column() {
+    let directory = scratch("bad");
+    std::fs::write(
+        directory.join("system.toml"),
+        "[hosts.a]\ncoers = 1\n[nodes.n]\n[callbacks.c]\nwcet = \"1ms\"\n",
+    )
+    .unwrap();
+    let out = taut(&["check"], &directory);
+    assert_eq!((out.status.code(), text(&out.stdout).as_str()), (Some(2), ""));
+    assert_eq!(
+        text(&out.stderr).lines().collect::<Vec<_>>(),
+        [
+            "system.toml:1:8: host `a` lacks `cores`: add their number, or the list of those to use",
+            "system.toml:2:1: unknown key `coers` in host `a`: did you mean `cores`?",
+            "system.toml:4:12: callback `c` has no trigger: add `topic` or `period`",
+            "taut: system.toml has 3 problems",
+        ]
+    );
+    let missing = taut(&["check", "nothing.toml"], &directory);
+    assert_eq!(missing.status.code(), Some(2));
+    assert!(text(&missing.stderr).contains("`nothing.toml` cannot be read"));
+}
+
+#[test]
+fn init_writes_a_file_that_passes_and_never_overwrites() {
+    let directory = scratch("init");
+    assert_eq!(taut(&["init"], &directory).status.code(), Some(0));
+    let out = taut(&["check"], &directory);
+    assert_eq!(out.status.code(), Some(0), "{}{}", text(&out.stdout), text(&out.stderr));
+    assert!(!text(&out.stdout).contains("warning"));
+
+    std::fs::write(directory.join("system.toml"), "mine").unwrap();
+    let again = taut(&["init"], &directory);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(text(&again.stderr).contains("exists and is left as it is"));
+    assert_eq!(std::fs::read_to_string(directory.join("system.toml")).unwrap(), "mine");
+}

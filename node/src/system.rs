@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The system file at run time: the priorities, cores and capacities that `taut check` computed are those that are set.
+
+use crate::error::{Error, Result};
+use crate::qos::QosProfile;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
+use tautline_executor::CallbackOptions;
+
+/// A system file, checked, as one host sees it.
+#[derive(Debug)]
+pub(crate) struct LoadedSystem {
+    path: PathBuf,
+    host: String,
+    checked: CheckedSystem,
+    pub(crate) sampler_priority: u8,
+}
+
+impl LoadedSystem {
+    /// Reads and analyses the file. A system that is not schedulable, and every warning, is logged.
+    ///
+    /// # Errors
+    /// [`Error::System`] with everything that is wrong with the file; [`Error::Host`] if `host` is not in it, or if it has
+    /// several hosts and none is named.
+    pub(crate) fn read(path: &Path, host: Option<&str>) -> Result<Self> {
+        let file = SystemFile::read(path)?;
+        let mut hosts: Vec<&str> = file.cores().iter().map(|core| core.host.as_str()).collect();
+        hosts.dedup();
+        let known = || hosts.join(", ");
+        let host = match (host, hosts.as_slice()) {
+            (Some(host), _) if hosts.contains(&host) => host.to_owned(),
+            (None, [only]) => (*only).to_owned(),
+            (wanted, _) => {
+                let wanted = wanted.unwrap_or("none").to_owned();
+                return Err(Error::Host { path: path.into(), wanted, known: known() });
+            }
+        };
+        let sampler = file.cores().iter().find(|core| core.host == host).map(|core| core.sampler_priority);
+        let checked = file.check();
+        for warning in &checked.warnings {
+            tracing::warn!("{}: {warning}", path.display());
+        }
+        if !checked.schedulable {
+            tracing::warn!("{}: not schedulable; see `taut check {0}`", path.display());
+        }
+        Ok(LoadedSystem { path: path.into(), host, checked, sampler_priority: sampler.unwrap_or(90) })
+    }
+
+    fn find(&self, name: &str) -> Result<&CheckedCallback> {
+        let here = |callback: &&CheckedCallback| callback.host == self.host;
+        let found = self.checked.callbacks.iter().filter(here).find(|callback| callback.entry.name == name);
+        found.ok_or_else(|| {
+            let known: Vec<_> = self
+                .checked
+                .callbacks
+                .iter()
+                .filter(here)
+                .map(|callback| callback.entry.name.as_str())
+                .collect();
+            let (path, host) = (self.path.clone(), self.host.clone());
+            Error::UnknownCallback { name: name.into(), path, host, known: known.join(", ") }
+        })
+    }
+
+    /// The thread of the callback `name`.
+    pub(crate) fn options(&self, name: &str) -> Result<CallbackOptions> {
+        let callback = self.find(name)?;
+        Ok(CallbackOptions::fifo(callback.entry.priority)
+            .name(callback.entry.thread.as_str())
+            .core(callback.core)
+            .period(Duration::from_nanos(callback.period_ns))
+            .deadline(Duration::from_nanos(callback.entry.deadline_ns)))
+    }
+
+    /// The queue of the callback `name`: as deep as the file says, else as the analysis computed.
+    pub(crate) fn qos(&self, name: &str) -> Result<QosProfile> {
+        let callback = self.find(name)?;
+        let depth = match callback.entry.depth {
+            Some(depth) => usize::try_from(depth).ok(),
+            None => callback.capacity,
+        };
+        match depth {
+            Some(depth) => Ok(QosProfile::default().keep_last(depth.max(1))),
+            None => Err(Error::NoCapacity { name: name.into(), path: self.path.clone() }),
+        }
+    }
+}
