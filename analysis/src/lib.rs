@@ -94,6 +94,7 @@ pub mod system;
 mod task;
 pub mod timeline;
 mod utilisation;
+mod validate;
 
 pub use blocking::{CriticalSection, LockProtocol, blocking};
 pub use error::AnalysisError;

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::time::Instant;
 
+use rand::{RngExt, SeedableRng};
 use tautline_analysis::file::{CheckedSystem, SystemFile};
 
 /// A system without problems, to which the tests add some.
@@ -325,6 +326,42 @@ fn overload_and_shallow_queues_are_explained() {
     let checked = SystemFile::parse(&shallow).unwrap().check();
     assert!(checked.schedulable);
     assert!(checked.warnings.iter().any(|w| w.contains("needs a queue of 2, but its topic keeps 1")));
+}
+
+#[test]
+fn damaged_files_never_panic() {
+    let seed = rand::random();
+    println!("seed {seed}");
+    let mut rng = rand::rngs::StdRng::seed_from_u64(seed);
+    let lines: Vec<&str> = GOOD.lines().collect();
+    let times = ["0ms", "1ns", "584y", "18446744073709551615ns", "9999999999s", "-1ms"];
+    let (mut good, mut bad) = (0, 0);
+    for _ in 0..3_000 {
+        let mut text: Vec<String> = lines.iter().map(|line| line.to_string()).collect();
+        for _ in 0..rng.random_range(1..4) {
+            let (i, j) = (rng.random_range(0..text.len()), rng.random_range(0..lines.len()));
+            match rng.random_range(0..4) {
+                0 => drop(text.remove(i)),
+                1 => text.insert(i, lines[j].into()),
+                2 => {
+                    text[i] =
+                        text[i].replace("ms\"", &format!("{}\"", times[rng.random_range(0..times.len())]))
+                }
+                _ => text[i] = text[i].chars().skip(rng.random_range(0..3)).collect(),
+            }
+        }
+        match SystemFile::parse(&text.join("\n")) {
+            Ok(file) => {
+                file.check();
+                good += 1;
+            }
+            Err(problems) => {
+                assert!(!problems.0.is_empty());
+                bad += 1;
+            }
+        }
+    }
+    assert!(good > 50 && bad > 1_000, "{good} {bad}");
 }
 
 #[test]

@@ -240,9 +240,9 @@ fn simulate(system: &System, rng: &mut StdRng, until: i64) -> (Vec<i64>, Vec<i64
         };
         now += step;
         running.iter().for_each(|j| ready[*j].work -= step);
-        let (done, rest) = ready.into_iter().partition(|job| job.work == 0);
+        let (done, rest): (Vec<Job>, _) = ready.into_iter().partition(|job| job.work == 0);
         ready = rest;
-        for job in Vec::<Job>::from(done) {
+        for job in done {
             responses[job.callback] = (now - job.arrival).max(responses[job.callback]);
             latencies[job.callback] = (now - job.origin).max(latencies[job.callback]);
             for (i, callback) in system.callbacks.iter().enumerate() {

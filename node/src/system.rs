@@ -66,8 +66,10 @@ impl LoadedSystem {
     /// The thread of the callback `name`.
     pub(crate) fn options(&self, name: &str) -> Result<CallbackOptions> {
         let callback = self.find(name)?;
+        // The executor puts its own `cb:` before the name.
+        let thread = callback.entry.thread.strip_prefix("cb:").unwrap_or(&callback.entry.thread);
         Ok(CallbackOptions::fifo(callback.entry.priority)
-            .name(callback.entry.thread.as_str())
+            .name(thread)
             .core(callback.core)
             .period(Duration::from_nanos(callback.period_ns))
             .deadline(Duration::from_nanos(callback.entry.deadline_ns)))

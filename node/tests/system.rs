@@ -63,7 +63,7 @@ fn a_callback_gets_what_the_file_says() {
     let ctx = context(&file).unwrap();
     let fast = ctx.callback("fast").unwrap();
     assert_eq!((fast.policy, fast.cores), (Policy::Fifo(30), Some(CoreSet::one(0))));
-    assert_eq!(fast.period, Some(Duration::from_millis(10)));
+    assert_eq!((fast.name.as_str(), fast.period), ("fast", Some(Duration::from_millis(10))));
     let slow = ctx.callback("slow").unwrap();
     assert_eq!((slow.policy, slow.deadline), (Policy::Fifo(20), Some(Duration::from_millis(100))));
     // By name it can be spawned.

@@ -1,17 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! From the file's sections to a system that can be analysed.
-use std::collections::HashMap;
 use std::time::Duration;
 
 use super::declared::{Costs, Declared};
-use super::graph::{Graph, Source};
+use super::graph::Graph;
+use super::locks;
+use super::paths;
 use super::places::{self, Place};
 use super::priorities::{self, Thread};
 use super::problem::{Collector, Problems};
 use super::reader::Section;
+use super::sections;
+use super::streams::Source;
 use super::{CallbackEntry, ChainEntry, CoreEntry, SystemFile, TopicEntry};
 use crate::system::{Callback, Chain, Core, System, Transfer};
-use crate::{CriticalSection, Overheads, Release, Task, Throttling, blocking};
+use crate::{Overheads, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     let mut problems = Collector::new(text);
@@ -23,13 +26,13 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
         }
         return Err(problems.into_problems());
     }
-    let file = super::declared::read(Section::root(&table), &mut problems);
+    let file = sections::read(Section::root(&table), &mut problems);
     let (cores, places) = places::resolve(&file, &mut problems);
     let graph = Graph::new(&file);
     graph.check(&places, &mut problems);
     let threads = priorities::threads(&file, &places, &mut problems);
-    check_locks(&file, &places, &mut problems);
-    super::paths::check(&graph, &mut problems);
+    locks::check(&file, &places, &mut problems);
+    paths::check(&graph, &mut problems);
     if !problems.is_empty() {
         return Err(problems.into_problems());
     }
@@ -44,21 +47,6 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
         problems.add(at, message);
         problems.into_problems()
     })
-}
-
-/// A lock blocks only within a core.
-fn check_locks(file: &Declared, places: &[Option<Place>], problems: &mut Collector) {
-    let mut seen: HashMap<&str, (usize, usize)> = HashMap::new();
-    for (i, (callback, place)) in file.callbacks.iter().zip(places).enumerate() {
-        let Some(place) = place else { continue };
-        for (resource, _) in &callback.locks {
-            let (first, core) = *seen.entry(resource).or_insert((i, place.core));
-            if core != place.core {
-                let first = &file.callbacks[first].name;
-                problems.add(callback.at, format!("`{resource}` is locked by callbacks `{first}` and `{}` on different cores, which has no bound: move them to one core, or let them exchange messages", callback.name));
-            }
-        }
-    }
 }
 
 struct Builder<'f> {
@@ -116,7 +104,7 @@ impl Builder<'_> {
             members.iter().zip(owners).for_each(|(i, owner)| {
                 callbacks[*i].task.priority = self.threads[owner].priority.unwrap_or(1);
             });
-            self.block(core, &members, &first, &mut callbacks);
+            locks::block(self.file, &self.places, core, &members, &first, &mut callbacks);
         }
         let (chains, system_chains) = self.chains(&callbacks, &first);
         let entries =
@@ -213,37 +201,12 @@ impl Builder<'_> {
         owners
     }
 
-    /// Sets what lower priorities of the core may hold each task up by their locks.
-    fn block(&self, core: usize, members: &[usize], first: &[usize], callbacks: &mut [Callback]) {
-        let mut names: Vec<&str> = Vec::new();
-        let mut sections = Vec::new();
-        for (i, declared) in
-            self.file.callbacks.iter().enumerate().filter(|(i, _)| self.places[*i].core == core)
-        {
-            for (name, length_ns) in &declared.locks {
-                let resource = names.iter().position(|known| known == name).unwrap_or_else(|| {
-                    names.push(name);
-                    names.len() - 1
-                });
-                let task = members.iter().position(|member| *member == first[i]).unwrap_or(0);
-                sections.push(CriticalSection { task, resource, length_ns: *length_ns });
-            }
-        }
-        if sections.is_empty() {
-            return;
-        }
-        let tasks: Vec<Task> = members.iter().map(|i| callbacks[*i].task.clone()).collect();
-        for (i, ns) in members.iter().zip(blocking(&tasks, &sections, self.file.protocol)) {
-            callbacks[*i].task.blocking_ns = ns;
-        }
-    }
-
     fn chains(&self, callbacks: &[Callback], first: &[usize]) -> (Vec<ChainEntry>, Vec<Chain>) {
         let (mut entries, mut chains) = (Vec::new(), Vec::new());
         for declared in &self.file.chains {
             let deadline_ns = declared.deadline.unwrap_or(u64::MAX);
-            let stages = super::paths::resolve(self.file, declared);
-            let streams = super::paths::streams(&stages, &self.streams, callbacks, first);
+            let stages = paths::resolve(self.file, declared);
+            let streams = paths::streams(&stages, &self.streams, callbacks, first);
             let begin = chains.len();
             for stages in streams {
                 let host = |i: usize| self.cores[callbacks[i].core].0;

@@ -6,25 +6,14 @@ use super::declared::{Callback, Declared, Topic};
 use super::places::Place;
 use super::problem::{Collector, suggestion};
 
-/// A callback is analysed once for each way that messages reach it; more ways than this are refused.
-const MAX_STREAMS: usize = 64;
+/// Longer ways back to a period are not followed to check times; the analysis follows all.
+const DEEPEST: usize = 64;
 
 /// Topics by name.
 pub(super) struct Graph<'f> {
     pub file: &'f Declared,
     pub publishers: HashMap<&'f str, Vec<usize>>,
     pub declared: HashMap<&'f str, &'f Topic>,
-}
-
-/// One way that releases reach a callback.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Source {
-    /// Its own period.
-    Period,
-    /// A topic whose publisher is not in the file, by index.
-    Outside(usize),
-    /// A stream of another callback: the callback, and which of its streams.
-    Stream(usize, usize),
 }
 
 impl<'f> Graph<'f> {
@@ -76,12 +65,24 @@ impl<'f> Graph<'f> {
         if !callback.triggered {
             problems.add(callback.at, format!("callback `{name}` has no trigger: add `topic` or `period`"));
         } else if let (Some(period), Some(_)) = (&callback.period, callback.topics.first()) {
-            problems.add(period.at, format!("callback `{name}` has two triggers, `topic` and `period`: remove one, or list the topic in `reads`"));
+            problems.add(
+                period.at,
+                format!(
+                    "callback `{name}` has two triggers, `topic` and `period`: \
+                 remove one, or list the topic in `reads`"
+                ),
+            );
         }
         if callback.period.is_none() {
             for (key, value) in [("jitter", &callback.jitter), ("min_distance", &callback.min_distance)] {
                 if let (Some(value), true) = (value, callback.triggered) {
-                    problems.add(value.at, format!("`{key}` of callback `{name}` needs a `period`: a topic's is stated in [topics], or computed"));
+                    problems.add(
+                        value.at,
+                        format!(
+                            "`{key}` of callback `{name}` needs a `period`: a \
+                         topic's is stated in [topics], or computed"
+                        ),
+                    );
                 }
             }
         }
@@ -95,13 +96,31 @@ impl<'f> Graph<'f> {
             Some(declared) if declared.period.is_some() => {}
             Some(_) => problems.add(
                 at,
-                format!("topic `{topic}`, used by callback `{}`, has no publisher: add it to the `publishes` of one, or give the topic a `period` if its publisher is not in the file", callback.name),
+                format!(
+                    "topic `{topic}`, used by callback `{}`, has no publisher: add it to the \
+                     `publishes` of one, or give the topic a `period` if its publisher is not in the \
+                     file",
+                    callback.name
+                ),
             ),
             None => {
                 let known = self.publishers.keys().chain(self.declared.keys()).copied();
                 let hint = suggestion(topic, known);
-                let fix = if hint.is_empty() { ": declare it in [topics], or let a callback publish it".into() } else { hint };
-                problems.add(at, format!("callback `{}` uses topic `{topic}`, which does not exist{fix}", callback.name));
+                let fix = if hint.is_empty() {
+                    ": declare it in [topics], or let a callback publish \
+                     it"
+                    .into()
+                } else {
+                    hint
+                };
+                problems.add(
+                    at,
+                    format!(
+                        "callback `{}` uses topic `{topic}`, which does not \
+                     exist{fix}",
+                        callback.name
+                    ),
+                );
             }
         }
     }
@@ -120,10 +139,22 @@ impl<'f> Graph<'f> {
             let Some(there) = places[publisher].filter(|there| there.host != here.host) else { continue };
             let (from, to) = (&self.file.hosts[there.host].name, &self.file.hosts[here.host].name);
             if !self.declared.get(topic).is_some_and(|topic| topic.remote) {
-                problems.add(at, format!("topic `{topic}` goes from host `{from}` to `{to}` but is not remote: add `remote = true` to it in [topics]"));
+                problems.add(
+                    at,
+                    format!(
+                        "topic `{topic}` goes from host `{from}` to `{to}` but is not \
+                     remote: add `remote = true` to it in [topics]"
+                    ),
+                );
             }
             if self.file.network.is_none() {
-                problems.add(at, format!("topic `{topic}` goes from host `{from}` to `{to}`: add `latency = [shortest, longest]` to [network]"));
+                problems.add(
+                    at,
+                    format!(
+                        "topic `{topic}` goes from host `{from}` to `{to}`: add `latency \
+                     = [shortest, longest]` to [network]"
+                    ),
+                );
             }
         }
     }
@@ -148,7 +179,13 @@ impl<'f> Graph<'f> {
                 && part.value > whole
             {
                 let (value, whole) = (part.value as f64 / 1e6, whole as f64 / 1e6);
-                problems.add(part.at, format!("`{key}` of callback `{name}` is {value} ms, more than its {whole_key} of {whole} ms: lower it, or raise the {whole_key}"));
+                problems.add(
+                    part.at,
+                    format!(
+                        "`{key}` of callback `{name}` is {value} ms, more than its \
+                     {whole_key} of {whole} ms: lower it, or raise the {whole_key}"
+                    ),
+                );
             }
         }
     }
@@ -159,7 +196,7 @@ impl<'f> Graph<'f> {
         if let Some(period) = &callback.period {
             return Some(period.value);
         }
-        if path.contains(&index) || path.len() > MAX_STREAMS {
+        if path.contains(&index) || path.len() > DEEPEST {
             return None;
         }
         path.push(index);
@@ -174,7 +211,8 @@ impl<'f> Graph<'f> {
         shortest
     }
 
-    fn triggers(&self, index: usize) -> impl Iterator<Item = usize> {
+    /// Whose messages trigger a callback.
+    pub fn triggers(&self, index: usize) -> impl Iterator<Item = usize> {
         let topics = self.file.callbacks[index].topics.iter();
         topics.flat_map(|topic| self.publishers.get(topic.value.as_str()).into_iter().flatten().copied())
     }
@@ -202,7 +240,14 @@ impl<'f> Graph<'f> {
                             .rev()
                             .map(|(i, _)| format!("`{}`", self.file.callbacks[*i].name));
                         let names = names.collect::<Vec<_>>().join(", ");
-                        problems.add(self.file.callbacks[j].at, format!("callbacks {names} trigger one another in a circle: let one of them run by `period` and list the topic in its `reads`"));
+                        problems.add(
+                            self.file.callbacks[j].at,
+                            format!(
+                                "callbacks {names} trigger one \
+                             another in a circle: let one of them run by `period` and list the topic in \
+                             its `reads`"
+                            ),
+                        );
                     }
                     Some(j) if state[j] == 0 => {
                         state[j] = 1;
@@ -212,50 +257,5 @@ impl<'f> Graph<'f> {
                 }
             }
         }
-    }
-
-    /// The streams of releases of every callback; call it on a graph without problems.
-    pub fn streams(&self, problems: &mut Collector) -> Vec<Vec<Source>> {
-        let mut streams: Vec<Vec<Source>> = vec![Vec::new(); self.file.callbacks.len()];
-        let mut waiting: Vec<usize> = (0..streams.len()).collect();
-        while !waiting.is_empty() {
-            let ready = |i: &usize| self.triggers(*i).all(|source| !streams[source].is_empty());
-            let (now, later): (Vec<_>, Vec<_>) = waiting.iter().copied().partition(ready);
-            if now.is_empty() {
-                return streams;
-            }
-            for i in now {
-                streams[i] = self.streams_of(i, &streams);
-                if streams[i].len() > MAX_STREAMS {
-                    let callback = &self.file.callbacks[i];
-                    problems.add(callback.at, format!("callback `{}` is reached in more than {MAX_STREAMS} ways: let a callback on the way run by `period`", callback.name));
-                    return streams;
-                }
-            }
-            waiting = later;
-        }
-        streams
-    }
-
-    fn streams_of(&self, index: usize, streams: &[Vec<Source>]) -> Vec<Source> {
-        let callback = &self.file.callbacks[index];
-        if callback.period.is_some() {
-            return vec![Source::Period];
-        }
-        let mut sources = Vec::new();
-        for topic in &callback.topics {
-            let name = topic.value.as_str();
-            match self.publishers.get(name) {
-                Some(publishers) => {
-                    let all =
-                        publishers.iter().flat_map(|p| (0..streams[*p].len()).map(|s| Source::Stream(*p, s)));
-                    sources.extend(all);
-                }
-                None => {
-                    sources.extend(self.file.topics.iter().position(|t| t.name == name).map(Source::Outside))
-                }
-            }
-        }
-        sources
     }
 }

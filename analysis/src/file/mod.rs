@@ -12,11 +12,14 @@ mod build;
 mod check;
 mod declared;
 mod graph;
+mod locks;
 mod paths;
 mod places;
 mod priorities;
 mod problem;
 mod reader;
+mod sections;
+mod streams;
 
 pub use check::{CheckedCallback, CheckedChain, CheckedCore, CheckedSystem};
 pub use problem::{Problem, Problems};

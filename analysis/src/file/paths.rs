@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The callbacks that chains pass.
 use super::declared::{Chain, Declared};
-use super::graph::{Graph, Source};
+use super::graph::Graph;
 use super::problem::{Collector, suggestion};
+use super::streams::Source;
 use crate::system::Callback;
 
 /// Checks that every stage exists and takes something from the one before.
@@ -30,7 +31,15 @@ pub(super) fn check(graph: &Graph<'_>, problems: &mut Collector) {
             let (Some(from), Some(to)) = (find(&pair[0].value), find(&pair[1].value)) else { continue };
             let takes = |topic: &str| to.topics.iter().chain(&to.reads).any(|taken| taken.value == topic);
             if !from.publishes.iter().any(|topic| takes(&topic.value)) {
-                problems.add(pair[1].at, format!("chain `{}` goes from `{}` to `{}`, which neither is triggered by nor reads a topic that `{}` publishes: correct the path, or the topics", chain.name, from.name, to.name, from.name));
+                problems.add(
+                    pair[1].at,
+                    format!(
+                        "chain `{}` goes from `{}` to `{}`, which neither is \
+                     triggered by nor reads a topic that `{}` publishes: correct the path, or the \
+                     topics",
+                        chain.name, from.name, to.name, from.name
+                    ),
+                );
             }
         }
     }

@@ -47,12 +47,27 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
         if places[thread.callbacks[0]]
             .is_some_and(|other| (other.node, other.core) != (place.node, place.core))
         {
-            problems.add(callback.at, format!("callbacks `{first}` and `{}` of group `{name}` are not on one node and core: a group is one thread", callback.name));
+            problems.add(
+                callback.at,
+                format!(
+                    "callbacks `{first}` and `{}` of group `{name}` are not on \
+                 one node and core: a group is one thread",
+                    callback.name
+                ),
+            );
         }
         if let (Some(stated), Some(priority)) = (stated, thread.priority)
             && stated != priority
         {
-            problems.add(callback.at, format!("callback `{}` has priority {stated} but its group `{name}` has {priority}: a group is one thread, so state it once in [groups.{name}]", callback.name));
+            problems.add(
+                callback.at,
+                format!(
+                    "callback `{}` has priority {stated} but its group `{name}` \
+                 has {priority}: a group is one thread, so state it once in \
+                 [groups.{name}]",
+                    callback.name
+                ),
+            );
         }
         thread.priority = thread.priority.or(stated);
         thread.callbacks.push(i);
@@ -82,7 +97,14 @@ fn duplicates(file: &Declared, threads: &[Thread], problems: &mut Collector) {
         let callback = &file.callbacks[thread.callbacks[0]];
         let (at, priority) =
             (callback.priority.as_ref().map_or(callback.at, |p| p.at), thread.priority.unwrap_or(0));
-        problems.add(at, format!("`{}` and `{}` have priority {priority} on one core: give them different ones, or say `shares_priority = true` in both if you mean it", other.name, thread.name));
+        problems.add(
+            at,
+            format!(
+                "`{}` and `{}` have priority {priority} on one core: give them different \
+             ones, or say `shares_priority = true` in both if you mean it",
+                other.name, thread.name
+            ),
+        );
     }
 }
 

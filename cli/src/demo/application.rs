@@ -1,21 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The application: topics, message, priorities (ECRTS 2025, section 5).
+//! The application: topics, message, priorities (ECRTS 2025, section 5), from examples/systems/paper.toml.
 
 use std::time::Duration;
 use tautline::{Context, ContextBuilder, Message, QosProfile, Realtime};
 use tautline_analysis::Task;
+use tautline_analysis::file::{CheckedCallback, SystemFile};
 
 use super::{DemoArgs, DemoError};
 
-/// Priorities of the paper: the publisher's sampler and worker, the subscriber's sampler, the highest callback.
+/// Priorities of the publisher's sampler and worker in the paper: above the subscriber's.
 pub const PUBLISHER_SAMPLER_PRIORITY: u8 = 25;
 pub const PUBLISHER_WORKER_PRIORITY: u8 = 24;
-pub const SAMPLER_PRIORITY: u8 = 21;
-pub const HIGHEST_CALLBACK_PRIORITY: u8 = 20;
 
-/// Names, periods and execution times in milliseconds.
-const TOPICS: [(&str, u64, u64); 5] =
-    [("topic1", 10, 2), ("topic2", 20, 4), ("topic3", 50, 5), ("topic4", 100, 15), ("topic5", 200, 50)];
+/// Topics, execution times and priorities, as `taut check` reads them.
+const SYSTEM: &str = include_str!("../../../examples/systems/paper.toml");
 
 /// The message of every topic.
 #[derive(Message, Clone, Copy, Default)]
@@ -30,32 +28,35 @@ pub struct Stamped {
 
 /// One topic and its callback.
 pub struct Topic {
-    pub name: &'static str,
+    pub name: String,
     pub period: Duration,
     pub wcet: Duration,
     pub priority: u8,
 }
 
-/// The topics, with rate-monotonic priorities.
+/// The topics, fastest first.
 pub fn topics() -> Result<Vec<Topic>, DemoError> {
-    let periods = TOPICS.map(|(_, period_ms, _)| Duration::from_millis(period_ms));
-    let priorities = tautline::assign::rate_monotonic(&periods, HIGHEST_CALLBACK_PRIORITY)
-        .map_err(tautline::Error::from)?;
-    let topics = TOPICS.iter().zip(periods).zip(priorities);
-    Ok(topics
-        .map(|((&(name, _, wcet_ms), period), priority)| Topic {
-            name,
-            period,
-            wcet: Duration::from_millis(wcet_ms),
-            priority,
-        })
-        .collect())
+    let topic = |callback: CheckedCallback| Topic {
+        name: callback.entry.name,
+        period: Duration::from_nanos(callback.period_ns),
+        wcet: Duration::from_nanos(callback.wcet_ns),
+        priority: callback.entry.priority,
+    };
+    Ok(SystemFile::parse(SYSTEM)?.check().callbacks.into_iter().map(topic).collect())
+}
+
+/// Priority of the subscriber's sampler.
+pub fn sampler_priority(args: &DemoArgs) -> Result<u8, DemoError> {
+    match args.sampler_priority {
+        Some(priority) => Ok(priority),
+        None => Ok(SystemFile::parse(SYSTEM)?.cores().first().map_or(99, |core| core.sampler_priority)),
+    }
 }
 
 impl Topic {
     /// The callback as the analysis sees it.
     pub fn task(&self) -> Task {
-        Task::new(self.name, self.period, self.wcet, self.priority)
+        Task::new(self.name.as_str(), self.period, self.wcet, self.priority)
     }
 }
 

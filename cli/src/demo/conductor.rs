@@ -178,7 +178,7 @@ fn assemble(
         topics: report::topic_reports(runs, &costs),
         preemption: format!("{}{mode}", info.preemption),
         overhead_us: overhead_ns as f64 / 1e3,
-        sampler_priority: args.sampler_priority,
+        sampler_priority: application::sampler_priority(args)?,
         interruption_us: regular_ns as f64 / 1e3,
         interrupted_percent: 100.0 * total_ns as f64 / window_ns.max(1) as f64,
         longest_interruption_us: longest_ns as f64 / 1e3,
@@ -237,7 +237,9 @@ impl Process {
             std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
         let mut command = Command::new(executable);
         command.arg("demo").args(["--seconds", &args.seconds.to_string(), "--namespace", &args.namespace]);
-        command.args(["--sampler-priority", &args.sampler_priority.to_string()]);
+        if let Some(priority) = args.sampler_priority {
+            command.args(["--sampler-priority", &priority.to_string()]);
+        }
         if let Some(core) = args.core {
             command.args(["--core", &core.to_string()]);
         }

@@ -43,10 +43,9 @@ pub struct DemoArgs {
     /// Write the picture here
     #[arg(long, value_name = "FILE", default_value = "taut-demo.svg")]
     svg: PathBuf,
-    /// Priority of the subscriber's sampler; the callbacks have 20 to 16
-    #[arg(long, value_name = "P", default_value_t = application::SAMPLER_PRIORITY,
-          value_parser = clap::value_parser!(u8).range(1..=99))]
-    sampler_priority: u8,
+    /// Priority of the subscriber's sampler; the callbacks have 20 to 16 [default: 21]
+    #[arg(long, value_name = "P", value_parser = clap::value_parser!(u8).range(1..=99))]
+    sampler_priority: Option<u8>,
     /// Which of the demo's processes this is
     #[arg(long, hide = true, value_enum)]
     role: Option<Role>,
@@ -70,6 +69,8 @@ pub enum DemoError {
     Realtime(#[from] tautline::rt::RtError),
     #[error("{0}")]
     Setup(#[from] tautline::Error),
+    #[error("examples/systems/paper.toml, from which this program was built: {0}")]
+    System(#[from] tautline_analysis::file::Problems),
     #[error("the {role} process {what}; run with RUST_LOG=debug to see more")]
     Child { role: &'static str, what: String },
     #[error("{} cannot be written: {source}", path.display())]

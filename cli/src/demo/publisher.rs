@@ -26,7 +26,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     let end_ns = first_ns + Duration::from_secs(args.seconds).as_nanos() as u64;
     let mut tasks = Vec::new();
     for topic in application::topics()? {
-        let publisher = node.create_publisher::<Stamped>(topic.name, application::qos())?;
+        let publisher = node.create_publisher::<Stamped>(&topic.name, application::qos())?;
         let timer = node.create_wall_timer_at(first_ns, topic.period)?;
         tasks.push((publisher, timer));
     }

@@ -16,15 +16,17 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     if let Some(core) = args.core {
         application::bind(core)?;
     }
-    let context = application::context(args, args.sampler_priority).build()?;
+    let context = application::context(args, application::sampler_priority(args)?).build()?;
     let mut node = Node::create(context.clone(), "subscriber", &args.namespace)?;
     let mut callbacks = Vec::new();
     for topic in application::topics()? {
-        let subscription = node.subscribe_loaned::<Stamped>(topic.name, application::qos())?;
+        let subscription = node.subscribe_loaned::<Stamped>(&topic.name, application::qos())?;
         let log = Arc::new(Log::for_run(&topic, args.seconds));
         let (counters, wcet) = (subscription.counters(), topic.wcet);
-        let options =
-            CallbackOptions::fifo(topic.priority).name(topic.name).period(topic.period).execution_time(false);
+        let options = CallbackOptions::fifo(topic.priority)
+            .name(topic.name.as_str())
+            .period(topic.period)
+            .execution_time(false);
         let handle = {
             let log = log.clone();
             node.spawn_callback(
