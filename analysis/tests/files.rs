@@ -116,6 +116,39 @@ fn a_good_file_and_what_it_says() {
 }
 
 #[test]
+fn the_schema_knows_what_the_reader_knows() {
+    let path = format!("{}/../docs/system.schema.json", env!("CARGO_MANIFEST_DIR"));
+    let schema: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    for (pointer, section) in [
+        ("", ""),
+        ("/properties/priorities", "[priorities]"),
+        ("/properties/network", "[network]"),
+        ("/definitions/overheads", "[overheads]"),
+        ("/definitions/overheads/properties/tick", "[overheads.tick]"),
+        ("/definitions/overheads/properties/throttling", "[overheads.throttling]"),
+        ("/definitions/host", "[hosts.x]"),
+        ("/definitions/node", "[nodes.x]"),
+        ("/definitions/topic", "[topics.x]"),
+        ("/definitions/group", "[groups.x]"),
+        ("/definitions/callback", "[callbacks.x]"),
+        ("/definitions/callback/properties/locks/items", "[[callbacks.x.locks]]"),
+        ("/definitions/chain", "[[chains]]"),
+    ] {
+        // The message about a key that nobody knows lists those that are known.
+        let found = problems(&format!("{section}\nunheard-of-in-any-section = 1\n"));
+        let known =
+            found.iter().find_map(|p| p.split_once("(known: ")?.1.strip_suffix(')')).unwrap_or_default();
+        let mut known: Vec<_> = known.split(", ").collect();
+        let described =
+            schema.pointer(&format!("{pointer}/properties")).and_then(|keys| keys.as_object()).unwrap();
+        let mut described: Vec<_> = described.keys().map(String::as_str).collect();
+        (known.sort(), described.sort());
+        known.dedup();
+        assert_eq!(known, described, "{section}");
+    }
+}
+
+#[test]
 fn unknown_key() {
     expect(
         &with("wcet = \"3ms\"", "wect = \"3ms\""),
@@ -352,7 +385,8 @@ fn damaged_files_never_panic() {
         }
         match SystemFile::parse(&text.join("\n")) {
             Ok(file) => {
-                file.check();
+                let checked = file.check();
+                assert_eq!(checked.callbacks.len(), file.callbacks().len());
                 good += 1;
             }
             Err(problems) => {

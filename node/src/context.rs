@@ -328,7 +328,7 @@ impl Context {
     fn become_sampler(&self) -> Result<SamplerSettings> {
         let settings = &self.shared.settings;
         let former = (tautline_rt::current_policy()?, tautline_rt::current_affinity()?);
-        let mut held = SamplerSettings { former, _idle: None, _seat: None };
+        let mut held = SamplerSettings { policy: None, cores: None, _idle: None, _seat: None };
         if self.realtime() == Realtime::Required {
             let policy = Policy::Fifo(self.shared.sampler_priority);
             let cores = settings.sampler_cores.unwrap_or(former.1);
@@ -342,10 +342,12 @@ impl Context {
             if settings.hold_idle {
                 held._idle = IdleHold::new().inspect_err(|error| tracing::warn!("{error}")).ok();
             }
+            held.policy = Some(former.0);
             tautline_rt::set_policy(policy)?;
         }
         // The cores last, for the same reason.
         if let Some(cores) = settings.sampler_cores {
+            held.cores = Some(former.1);
             tautline_rt::set_affinity(cores)?;
         }
         Ok(held)
@@ -370,19 +372,19 @@ impl Drop for BorrowedSampler<'_> {
     }
 }
 
-/// What the sampler's thread holds while it spins, and what it was before.
+/// What the sampler's thread holds while it spins, and what it was before in what was changed.
 struct SamplerSettings {
-    former: (Policy, CoreSet),
+    policy: Option<Policy>,
+    cores: Option<CoreSet>,
     _idle: Option<IdleHold>,
     _seat: Option<tautline_executor::ThreadRegistration>,
 }
 
 impl Drop for SamplerSettings {
     fn drop(&mut self) {
-        let (policy, cores) = self.former;
         // The cores first: without its priority the thread might never leave a core that a busy poller holds.
-        let restored = [tautline_rt::set_affinity(cores), tautline_rt::set_policy(policy)];
-        for error in restored.into_iter().filter_map(std::result::Result::err) {
+        let restored = [self.cores.map(tautline_rt::set_affinity), self.policy.map(tautline_rt::set_policy)];
+        for error in restored.into_iter().flatten().filter_map(std::result::Result::err) {
             tracing::warn!("the sampler's thread keeps a setting: {error}");
         }
     }

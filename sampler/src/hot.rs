@@ -30,6 +30,8 @@ impl Agenda {
             return;
         }
         self.due.retain(|Reverse((_, other))| *other != slot);
+        words.released.store(0, Ordering::Relaxed);
+        words.accepted.store(words.armed.load(Ordering::Relaxed), Ordering::Release);
         if words.period_ns.load(Ordering::Relaxed) != 0 {
             self.due.push(Reverse((words.first_release_ns.load(Ordering::Relaxed), slot)));
         }

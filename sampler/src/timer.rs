@@ -19,7 +19,11 @@ pub(crate) struct TimerWords {
     /// Zero: there is no timer here.
     pub(crate) period_ns: AtomicU64,
     pub(crate) first_release_ns: AtomicU64,
-    /// Releases so far; the only word that the sampler writes.
+    /// Counts the timers that were armed here.
+    pub(crate) armed: AtomicU64,
+    /// The one of these that `released` counts for; written by the sampler.
+    pub(crate) accepted: AtomicU64,
+    /// Releases so far; written by the sampler.
     pub(crate) released: AtomicU64,
 }
 
@@ -43,6 +47,7 @@ pub struct Timer {
     slot: Slot,
     first_release_ns: u64,
     period_ns: u64,
+    number: u64,
     seen: u64,
     missed: u64,
 }
@@ -51,12 +56,12 @@ impl Timer {
     pub(crate) fn arm(shared: Arc<Shared>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
         let words = &shared.timers[slot.index()];
         words.first_release_ns.store(first_release_ns, Ordering::Relaxed);
-        words.released.store(0, Ordering::Relaxed);
+        let number = words.armed.fetch_add(1, Ordering::Relaxed) + 1;
         words.period_ns.store(period_ns, Ordering::Relaxed);
         // Release: pairs with the Acquire in the sampler, which then reads the words above.
         words.changed.store(true, Ordering::Release);
         slot.ring();
-        Timer { shared, slot, first_release_ns, period_ns, seen: 0, missed: 0 }
+        Timer { shared, slot, first_release_ns, period_ns, number, seen: 0, missed: 0 }
     }
 
     /// Period in nanoseconds.
@@ -83,8 +88,12 @@ impl Timer {
     /// Wait-free; no allocation; no syscall.
     pub fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
         self.slot.waker().register(context.waker());
-        // Acquire: pairs with the sampler's Release.
-        let released = self.shared.timers[self.slot.index()].released.load(Ordering::Acquire);
+        let words = &self.shared.timers[self.slot.index()];
+        // Acquire: each pairs with the sampler's Release.
+        if words.accepted.load(Ordering::Acquire) != self.number {
+            return Poll::Pending; // what is counted there is a former timer's
+        }
+        let released = words.released.load(Ordering::Acquire);
         if released == self.seen {
             return Poll::Pending;
         }

@@ -18,6 +18,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::monotonic_ns;
+use tautline_rt::{Policy, Realtime};
 
 /// How often the janitor looks around when nobody calls it.
 const PERIOD: Duration = Duration::from_millis(250);
@@ -72,10 +73,13 @@ impl Janitor {
         let shared = Arc::new(Shared { domain, doorbell, node, charges, stop });
         let thread = {
             let shared = shared.clone();
-            tautline_rt::ThreadBuilder::new("janitor")
-                .policy(tautline_rt::Policy::Other { nice: 5 })
-                .spawn(move || move || run(&shared))
-                .map_err(TransportError::Janitor)?
+            let builder = tautline_rt::ThreadBuilder::new("janitor");
+            // One that is nicer already, or batch or idle, stays so: an ordinary user cannot go back.
+            let builder = match tautline_rt::current_policy().map_err(TransportError::Janitor)? {
+                Policy::Other { nice: 5.. } | Policy::Unmanaged(_) => builder.realtime(Realtime::Off),
+                _ => builder.policy(Policy::Other { nice: 5 }),
+            };
+            builder.spawn(move || move || run(&shared)).map_err(TransportError::Janitor)?
         };
         Ok(Janitor { shared, thread: Some(thread) })
     }

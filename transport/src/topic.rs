@@ -60,14 +60,6 @@ impl Topic {
         limits.check(name)?;
         let wanted = Limits { depth: limits.depth.max(depth), ..limits };
         let factory = open_service(node, name, name, type_info, wanted)?;
-        let history = transient_local
-            .then(|| {
-                // One more than the depth: the mark that ends a history. ':' cannot be in a topic's name.
-                let limits =
-                    Limits { depth: Limits::MAX_DEPTH.min(wanted.depth + 1), held: wanted.held, ..wanted };
-                open_service(node, name, &format!("history:{name}"), type_info, limits)
-            })
-            .transpose()?;
         let config = factory.static_config();
         let limits = Limits {
             publishers: config.max_publishers(),
@@ -76,6 +68,14 @@ impl Topic {
             held: config.subscriber_max_borrowed_samples(),
             loans: limits.loans,
         };
+        let history = transient_local
+            .then(|| {
+                // As the topic's, whoever opens it, and one more than the depth: the mark that ends a history.
+                // ':' cannot be in a topic's name.
+                let limits = Limits { depth: limits.depth + 1, ..limits };
+                open_service(node, name, &format!("history:{name}"), type_info, limits)
+            })
+            .transpose()?;
         if limits.depth < depth {
             return Err(TransportError::Limit {
                 topic: name.into(),

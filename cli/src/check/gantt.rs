@@ -88,7 +88,8 @@ fn horizon(core: &CheckedCore, members: &[(&CheckedCallback, Vec<usize>)]) -> (u
     let unbounded = members.iter().any(|(callback, _)| callback.response_overhead_ns.is_none());
     // A deadline not much later is worth showing, too.
     let deadlines = members.iter().map(|(callback, _)| callback.entry.deadline_ns);
-    let deadline = deadlines.filter(|deadline| *deadline <= bounds.saturating_add(bounds / 4)).max().unwrap_or(0);
+    let deadline =
+        deadlines.filter(|deadline| *deadline <= bounds.saturating_add(bounds / 4)).max().unwrap_or(0);
     let wanted = if unbounded { longest.saturating_mul(2) } else { bounds.max(deadline) };
     let shortest = core.tasks.iter().map(|task| task.wcet_ns).min().unwrap_or(1);
     let until = wanted.saturating_add(wanted / 25).max(shortest).max(1);

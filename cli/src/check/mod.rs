@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
-use tautline_analysis::file::{FileError, SystemFile};
+use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
 mod gantt;
 mod json;
@@ -35,7 +35,7 @@ pub struct CheckArgs {
     /// Draw the timeline of the critical instant
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Add how much the load, the overheads and each execution time may grow
+    /// Add how much the load, the overheads and each execution time may grow (a dozen analyses for each callback)
     #[arg(long)]
     sensitivity: bool,
 }
@@ -58,31 +58,32 @@ pub fn run(args: &CheckArgs) -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    match print(args, &file) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::from(1),
+    let checked = file.check();
+    match print(args, &file, &checked) {
         // Whoever reads no further (`taut check | head`) has seen enough.
-        Err(CheckError::Print(error)) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("taut: {error}");
-            ExitCode::from(2)
-        }
+        Err(CheckError::Print(error)) if error.kind() != io::ErrorKind::BrokenPipe => failed(&error.into()),
+        Err(error @ CheckError::Write { .. }) => failed(&error),
+        _ if checked.schedulable => ExitCode::SUCCESS,
+        _ => ExitCode::from(1),
     }
 }
 
-/// Whether the system is schedulable.
-fn print(args: &CheckArgs, file: &SystemFile) -> Result<bool, CheckError> {
-    let checked = file.check();
+fn failed(error: &CheckError) -> ExitCode {
+    eprintln!("taut: {error}");
+    ExitCode::from(2)
+}
+
+fn print(args: &CheckArgs, file: &SystemFile, checked: &CheckedSystem) -> Result<(), CheckError> {
     if let Some(path) = &args.svg {
-        let picture = gantt::draw(&checked);
+        let picture = gantt::draw(checked);
         std::fs::write(path, picture).map_err(|source| CheckError::Write { path: path.clone(), source })?;
     }
     let growth = args.sensitivity.then(|| sensitivity::Growth::of(file));
     let mut out = anstream::stdout().lock();
     if args.json {
-        json::write(&checked, growth.as_ref(), &mut out)?;
+        json::write(checked, growth.as_ref(), &mut out)?;
     } else {
-        table::write(&checked, &mut out)?;
+        table::write(checked, &mut out)?;
         if let Some(growth) = &growth {
             sensitivity::write(growth, &mut out)?;
         }
@@ -91,7 +92,7 @@ fn print(args: &CheckArgs, file: &SystemFile) -> Result<bool, CheckError> {
         }
     }
     out.flush()?;
-    Ok(checked.schedulable)
+    Ok(())
 }
 
 /// In the form that editors jump to: file:line:column.

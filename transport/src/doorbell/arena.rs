@@ -166,20 +166,31 @@ unsafe impl Sync for Arena {}
 
 impl Arena {
     pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
-        let id = ArenaId(random());
+        loop {
+            if let Some(arena) = Self::try_create(domain, ArenaId(random()))? {
+                return Ok(arena);
+            }
+        }
+    }
+
+    /// `None` if a janitor took the file for a dead owner's, between its creation and its locking.
+    fn try_create(domain: u32, id: ArenaId) -> Result<Option<Self>, TransportError> {
         let path = path(domain, id);
-        let make = || -> io::Result<Arena> {
+        let make = || -> io::Result<Option<Arena>> {
             let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
             // Waits: a janitor that looks whether this file's owner lives may hold the lock for a moment.
             rustix::fs::flock(&file, FlockOperation::LockExclusive)?;
+            if rustix::fs::fstat(&file)?.st_nlink == 0 {
+                return Ok(None);
+            }
             rustix::fs::ftruncate(&file, size_of::<Layout>() as u64)?;
             let map = map(&file)?;
             let arena = Arena { id, map, owned: Some((path.clone(), file)) };
             arena.layout().version.store(VERSION, Ordering::Relaxed);
             // Release: pairs with the Acquire in `open`; the version is there when the magic is.
             arena.layout().magic.store(MAGIC, Ordering::Release);
-            Ok(arena)
+            Ok(Some(arena))
         };
         make().map_err(|source| TransportError::Arena { path: path.clone(), source })
     }
@@ -303,18 +314,11 @@ pub(crate) fn remove_stale_arenas(domain: u32) {
         else {
             continue;
         };
-        // A file without its magic is being made: its owner has not locked it yet, or died in those microseconds.
-        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() && !is_young(&path) {
+        // Not locked: its owner died, or has not come to lock it and will then make another one.
+        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
             let _ = rustix::fs::unlink(&path);
         }
     }
-}
-
-/// Between creating a file and locking it its owner looks dead: leave new files alone.
-fn is_young(path: &Path) -> bool {
-    let age =
-        std::fs::metadata(path).and_then(|meta| meta.modified()).ok().and_then(|time| time.elapsed().ok());
-    age.is_none_or(|age| age.as_millis() < 200)
 }
 
 fn map(file: &OwnedFd) -> io::Result<NonNull<Layout>> {

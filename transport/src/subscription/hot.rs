@@ -135,18 +135,23 @@ impl<T: Message + Plain> Subscription<T> {
             };
             let header = *sample.user_header();
             let Some(noted) = state.tracker.note(header.gid, header.sequence_number, links) else { continue };
-            self.counters.note(noted.lost, noted.waiting.min(self.qos.depth as u64));
             if self.qos.history == History::KeepAll
                 && let Some(link) = noted.link.and_then(|link| links.get(link))
             {
                 state.waiters.ring(slot.doorbell(), link);
             }
+            if noted.duplicate {
+                continue;
+            }
+            self.counters.note(noted.lost, noted.waiting.min(self.qos.depth as u64));
             return self.lend(sample, &self.shelf).map(Some);
         }
     }
 
     /// The next sample of the history, while that lasts.
     fn take_history(&self, state: &mut State) -> Result<Option<Sample<T>>, TakeError> {
+        let slot = &self.departure.slot;
+        let links = slot.doorbell().arena().links(slot.index());
         while let Some(catch) = &mut state.catch {
             let Some(sample) = receive(&catch.inlet, &catch.shelf)? else {
                 if catch.is_complete() {
@@ -157,7 +162,7 @@ impl<T: Message + Plain> Subscription<T> {
             let header = *sample.user_header();
             if header.flags & END_OF_HISTORY != 0 {
                 catch.end(header.gid);
-            } else if state.tracker.note_history(header.gid, header.sequence_number) {
+            } else if state.tracker.note_history(header.gid, header.sequence_number, links) {
                 self.counters.note(0, 0);
                 return self.lend(sample, &catch.shelf).map(Some);
             }

@@ -12,7 +12,6 @@ pub(crate) struct Tracker {
     seen: Vec<Seen>,
     /// Where the last publisher was found: most topics have one.
     last: usize,
-    oldest: usize,
     /// Publishers that have ended, until nothing of theirs can be in the queue.
     ended: Vec<Ended>,
 }
@@ -33,6 +32,8 @@ struct Seen {
 
 /// What a sample's sequence number says.
 pub(crate) struct Noted {
+    /// It came already, with the history: it only makes room.
+    pub(crate) duplicate: bool,
     /// Samples missing before this one.
     pub(crate) lost: u64,
     /// Samples of this publisher that waited, this one included; 0 if unknown.
@@ -44,7 +45,7 @@ pub(crate) struct Noted {
 impl Tracker {
     pub(crate) fn new() -> Self {
         let (seen, ended) = (Vec::with_capacity(CAPACITY), Vec::with_capacity(LINKS));
-        Tracker { seen, last: 0, oldest: 0, ended }
+        Tracker { seen, last: 0, ended }
     }
 
     /// Notes a live sample. `None`: it came already, with the history.
@@ -58,19 +59,17 @@ impl Tracker {
                 // Matched before it sent this one: it wrote where its count starts for us. Earlier than that, the
                 // sample reached us before the publisher knew of us, and nothing before it was meant for us.
                 let start = links.iter().find(|link| link.gid() == gid).map_or(sequence_number, Link::start);
-                self.remember(gid, start.min(sequence_number))
+                self.remember(gid, start.min(sequence_number), links)
             }
         };
         let seen = self.seen.get_mut(index)?;
-        if sequence_number < seen.next {
-            return None;
-        }
         let link = seen
             .link
             .filter(|&link| links.get(link).is_some_and(|link| link.gid() == gid))
             .or_else(|| links.iter().position(|link| link.gid() == gid));
-        let lost = sequence_number - seen.next;
-        seen.next = sequence_number + 1;
+        let duplicate = sequence_number < seen.next;
+        let lost = sequence_number.saturating_sub(seen.next);
+        seen.next = seen.next.max(sequence_number + 1);
         seen.link = link;
         let mut waiting = 0;
         if let Some(link) = link.and_then(|link| links.get(link)) {
@@ -78,12 +77,12 @@ impl Tracker {
             // Release: pairs with the Acquire in the publisher's check for room.
             link.taken.0.store(sequence_number, Ordering::Release);
         }
-        Some(Noted { lost, waiting, link })
+        Some(Noted { duplicate, lost, waiting, link })
     }
 
     /// Notes a sample of a history. False: it came already.
-    pub(crate) fn note_history(&mut self, gid: Gid, sequence_number: u64) -> bool {
-        let index = self.find(gid).unwrap_or_else(|| self.remember(gid, sequence_number));
+    pub(crate) fn note_history(&mut self, gid: Gid, sequence_number: u64, links: &[Link]) -> bool {
+        let index = self.find(gid).unwrap_or_else(|| self.remember(gid, sequence_number, links));
         let Some(seen) = self.seen.get_mut(index).filter(|seen| sequence_number >= seen.next) else {
             return false;
         };
@@ -115,7 +114,7 @@ impl Tracker {
         while let Some(Ended { gid, link, start, sent }) = self.ended.pop() {
             let index = match self.find(gid) {
                 Some(index) => index,
-                None => self.remember(gid, start),
+                None => self.remember(gid, start, links),
             };
             if let Some(seen) = self.seen.get_mut(index) {
                 lost += (sent + 1).saturating_sub(seen.next);
@@ -137,14 +136,15 @@ impl Tracker {
         Some(index)
     }
 
-    fn remember(&mut self, gid: Gid, next: u64) -> usize {
+    fn remember(&mut self, gid: Gid, next: u64, links: &[Link]) -> usize {
         let seen = Seen { gid, next, link: None };
         if self.seen.len() < CAPACITY {
             self.seen.push(seen);
             return self.seen.len() - 1;
         }
-        let index = self.oldest;
-        self.oldest = (self.oldest + 1) % CAPACITY;
+        // Full: one that has gone makes room. There is one, since CAPACITY is more than a topic's publishers.
+        let lives = |gid| links.iter().any(|link| link.gid() == gid && link.is_claimed());
+        let index = self.seen.iter().position(|seen| !lives(seen.gid)).unwrap_or(0);
         self.seen[index] = seen;
         index
     }
@@ -160,7 +160,9 @@ mod tests {
     #[test]
     fn gaps_are_counted_for_each_publisher() {
         let mut tracker = Tracker::new();
-        let lost = |tracker: &mut Tracker, gid, n| tracker.note(gid, n, &[]).map(|noted| noted.lost);
+        let lost = |tracker: &mut Tracker, gid, n| {
+            tracker.note(gid, n, &[]).filter(|noted| !noted.duplicate).map(|noted| noted.lost)
+        };
         assert_eq!(lost(&mut tracker, A, 5), Some(0), "nothing is known of what came before");
         assert_eq!(lost(&mut tracker, B, 1), Some(0));
         assert_eq!(lost(&mut tracker, A, 9), Some(3));
@@ -171,9 +173,9 @@ mod tests {
     #[test]
     fn what_the_history_gave_is_not_given_again() {
         let mut tracker = Tracker::new();
-        assert!(tracker.note_history(A, 3) && tracker.note_history(A, 4));
-        assert!(!tracker.note_history(A, 3));
-        assert!(tracker.note(A, 4, &[]).is_none());
+        assert!(tracker.note_history(A, 3, &[]) && tracker.note_history(A, 4, &[]));
+        assert!(!tracker.note_history(A, 3, &[]));
+        assert!(tracker.note(A, 4, &[]).is_some_and(|noted| noted.duplicate));
         assert_eq!(tracker.note(A, 6, &[]).map(|noted| noted.lost), Some(1));
     }
 
