@@ -16,7 +16,7 @@
 //! | bound chains over cores and hosts | [`system`], [`chain`] |
 //! | see how much may grow | [`sensitivity`] |
 //! | see what happens | [`timeline`] |
-//! | read all of it from `system.toml` | [`file`] |
+//! | read all of it from `system.toml` | [`mod@file`] |
 //!
 //! # Model
 //! Each core has fixed priorities and preempts: SCHED_FIFO threads pinned to it. Tasks do not suspend themselves while

@@ -275,8 +275,8 @@ impl Context {
         &self.shared.events
     }
 
-    /// Turns the calling thread into the sampler until [`shutdown`](Self::shutdown): locks the process's memory, sets the
-    /// thread's policy, priority and cores, reads them back, and serves events. Afterwards the thread has its former
+    /// Turns the calling thread into the sampler until [`shutdown`](Self::shutdown): locks the process's memory, tells malloc
+    /// to give nothing back to the system (for the whole process, for good), sets the thread's policy, priority and cores, reads them back, and serves events. Afterwards the thread has its former
     /// policy and cores again; the memory stays locked.
     ///
     /// With [`Realtime::Off`] it serves events under the policy that the thread has, on the sampler's core if one is set.

@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 use tautline_executor::ExecutorError;
+use tautline_msgs::{Message, Plain};
 use tautline_rt::RtError;
-use tautline_transport::TransportError;
+use tautline_transport::{LoanError, PublishError, TakeError, TransportError, Unpublished};
 
-/// What can go wrong while a node is set up. Each message names the thing, the limit and the fix.
+/// What can go wrong while a node is set up or publishes. Each message names the thing, the limit and the fix.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -85,6 +86,25 @@ pub enum Error {
     /// The system refused a real-time setting.
     #[error(transparent)]
     Realtime(#[from] RtError),
+    /// A message was not published.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+    /// No sample was taken.
+    #[error(transparent)]
+    Take(#[from] TakeError),
+}
+
+impl From<LoanError> for Error {
+    fn from(error: LoanError) -> Self {
+        Error::Publish(error.into())
+    }
+}
+
+/// The loan is dropped: match on [`Unpublished::Full`] to keep it.
+impl<T: Message + Plain> From<Unpublished<'_, T>> for Error {
+    fn from(unpublished: Unpublished<'_, T>) -> Self {
+        Error::Publish(unpublished.into())
+    }
 }
 
 /// The sentence of [`Display`](std::fmt::Display): what `fn main() -> tautline::Result<()>` prints is meant to be read.

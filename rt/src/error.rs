@@ -80,9 +80,10 @@ pub enum RtError {
     /// No privilege for real-time priorities at all.
     #[error(
         "real-time priority {priority} needs CAP_SYS_NICE: run `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, \
-         or add the line `@realtime - rtprio 98` to /etc/security/limits.d/90-tautline.conf, join the group \
+         or add the line `@realtime - rtprio {}` to /etc/security/limits.d/90-tautline.conf, join the group \
          `realtime` and log in again",
-        exe.display()
+        exe.display(),
+        priority.max(&98)
     )]
     MissingCapability {
         /// The priority asked for.

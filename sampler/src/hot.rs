@@ -107,7 +107,7 @@ impl Sampler {
     /// Takes the rings first, so that a timer armed by one of them is looked at at once.
     fn serve(&mut self) -> usize {
         let (shared, agenda) = (&*self.events.shared, &mut self.agenda);
-        let rung = shared.doorbell.drain(|slot| agenda.update(shared, slot));
+        let rung = self.seat.drain(|slot| agenda.update(shared, slot));
         rung + agenda.release(shared)
     }
 
@@ -133,6 +133,6 @@ impl Sampler {
                 core::hint::spin_loop();
             }
         }
-        doorbell.sleep(until);
+        self.seat.sleep(until);
     }
 }

@@ -25,7 +25,7 @@ pub struct Sampler {
     pub(crate) events: Events,
     pub(crate) agenda: Agenda,
     pub(crate) wait: Wait,
-    _seat: SamplerSeat,
+    pub(crate) seat: SamplerSeat,
 }
 
 impl Sampler {
@@ -38,8 +38,8 @@ impl Sampler {
     /// [`TransportError::SecondSampler`] if the participant has one already; [`TransportError::Slots`] if it has no slot
     /// left.
     pub fn new(participant: &Participant) -> Result<Self, TransportError> {
-        let _seat = participant.doorbell().claim_sampler()?;
-        Ok(Sampler { events: Events::new(participant)?, agenda: Agenda::new(), wait: Wait::Block, _seat })
+        let seat = participant.doorbell().claim_sampler()?;
+        Ok(Sampler { events: Events::new(participant)?, agenda: Agenda::new(), wait: Wait::Block, seat })
     }
 
     /// The same, waiting another way.

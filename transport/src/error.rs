@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum TransportError {
     /// The file of the doorbell could not be made or mapped.
-    #[error("the doorbell {} cannot be used: {source}; check that /dev/shm exists, is writable and has 8 MiB free", path.display())]
+    #[error("the doorbell {} cannot be used: {source}; check that /dev/shm exists, is writable and is not full", path.display())]
     Arena {
         /// The file.
         path: PathBuf,

@@ -8,7 +8,7 @@
 //!
 //! Its lock is taken by creating and dropping ports, never by publish or take.
 
-use crate::doorbell::{Doorbell, remove_stale_arenas};
+use crate::doorbell::{Doorbell, Owner, remove_stale_arenas};
 use crate::error::TransportError;
 use crate::history::Keeper;
 use crate::ports;
@@ -162,12 +162,12 @@ fn look_around(shared: &Shared) {
 fn release_dead_links(shared: &Shared, watch: &Watch) {
     let arena = shared.doorbell.arena();
     // Claims first, then the list: a publisher is listed before it claims, so that none of these is merely new.
-    let claimed: Vec<_> = arena.links(watch.slot).iter().filter(|link| link.is_claimed()).collect();
-    let claims: Vec<_> = claimed.into_iter().map(|link| (link, link.gid())).collect();
+    let links = arena.links(watch.slot).iter();
+    let claims: Vec<_> = links.filter_map(|link| Some((link, link.owner()?))).collect();
     let alive = ports::publishers(&watch.topic);
-    for (link, gid) in claims {
-        if !alive.iter().any(|port| port.gid == gid) {
-            link.release(gid);
+    for (link, owner) in claims {
+        if !alive.iter().any(|port| Owner::of(port.gid) == owner) {
+            link.release_of_dead(owner);
         }
     }
 }

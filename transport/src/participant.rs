@@ -33,6 +33,8 @@ impl Participant {
     /// Joins `domain`: makes an iceoryx2 node and a doorbell, starts the janitor (an ordinary, low-priority thread that
     /// cleans up after processes that died and serves late joiners).
     ///
+    /// Sets iceoryx2's log level, which is the process's, to fatal: what it would print comes back as an error here.
+    ///
     /// # Real-time
     /// Setup only: allocates, starts a thread.
     ///

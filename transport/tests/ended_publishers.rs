@@ -75,3 +75,28 @@ fn two_hundred_publishers_come_and_go() {
         assert_eq!(received + subscription.counters().lost(), 2 * (round + 1), "round {round}");
     }
 }
+
+#[test]
+fn one_that_lives_on_is_remembered_however_many_come_and_go() {
+    let participant = Participant::new(DOMAIN).unwrap();
+    let topic = "/ended/remembered";
+    let subscription =
+        participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let create = || participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
+    let lives = create();
+    for n in 1..=100 {
+        publish(&lives, n..=n);
+        assert_eq!(take_all(&subscription), [n]);
+    }
+    for n in 0..130 {
+        let other = create();
+        assert_eq!(take_all(&subscription), []);
+        publish(&other, n..=n);
+        assert_eq!(take_all(&subscription), [n]);
+        drop(other);
+        assert_eq!(take_all(&subscription), []);
+    }
+    publish(&lives, 101..=101);
+    assert_eq!(take_all(&subscription), [101]);
+    assert_eq!(subscription.counters().lost(), 0);
+}

@@ -4,7 +4,7 @@
 mod support;
 
 use support::{Count, Part, domain, say, take_all, wait_for, wait_for_the_end};
-use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
+use tautline_transport::{Limits, Participant, PublishError, Publisher, Qos, Subscription};
 
 fn kept(depth: usize) -> Qos {
     Qos::keep_last(depth).transient_local()
@@ -188,4 +188,42 @@ fn volatile_ends_get_nothing_old() {
     assert_eq!(take_until(&joiner, 103), [101, 102, 103]);
     publish(&volatile, [4]);
     assert_eq!((take_all(&plain), take_all(&joiner)), (vec![4], vec![4]));
+}
+
+#[test]
+fn what_came_with_the_history_makes_room_when_it_comes_again() {
+    let participant = Participant::new(domain(157)).unwrap();
+    let qos = Qos::keep_all(2).transient_local();
+    for round in 0..20 {
+        let topic = format!("/room{round}");
+        let publisher = participant.create_publisher::<Count>(&topic, qos, Limits::default()).unwrap();
+        let joiner = participant.create_subscription::<Count>(&topic, qos, Limits::default()).unwrap();
+        // The janitor copies these to the joiner, which has them in its queue as well.
+        publish(&publisher, 1..=2);
+        assert_eq!(take_until(&joiner, 2), [1, 2]);
+        wait_for("room", || {
+            assert_eq!(take_all(&joiner), []);
+            publisher.publish(&Count { n: 3 }) != Err(PublishError::Full)
+        });
+    }
+}
+
+#[test]
+fn a_history_has_the_topics_limits_whoever_opens_it() {
+    let participant = Participant::new(domain(158)).unwrap();
+    let deep = Limits { depth: 1000, subscribers: 4, publishers: 2, ..Limits::default() };
+    let small = Limits { depth: 1, subscribers: 1, publishers: 1, ..Limits::default() };
+    let _first = participant.create_subscription::<Count>("/late", Qos::default(), deep).unwrap();
+    let create = || participant.create_publisher::<Count>("/late", kept(10), small).unwrap();
+    let (one, other) = (create(), create());
+    publish(&one, 1..=1);
+    publish(&other, 2..=2);
+    for depth in [800, 1, 10] {
+        let joiner = participant.create_subscription::<Count>("/late", kept(depth), small).unwrap();
+        let mut taken = Vec::new();
+        wait_for("both histories", || {
+            taken.extend(take_all(&joiner));
+            taken.len() == 2
+        });
+    }
 }

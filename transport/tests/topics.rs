@@ -406,9 +406,10 @@ fn two_participants_in_one_process() {
     let (one, two) = (Participant::new(domain(146)).unwrap(), Participant::new(domain(146)).unwrap());
     let publisher = one.create_publisher::<Count>("/two", Qos::default(), DEFAULT).unwrap();
     let subscription = two.create_subscription::<Count>("/two", Qos::default(), DEFAULT).unwrap();
-    two.doorbell().drain(|_| ());
+    let sampler = two.doorbell().claim_sampler().unwrap();
+    sampler.drain(|_| ());
     publisher.publish(&Count { n: 3 }).unwrap();
-    assert_eq!(two.doorbell().drain(|_| ()), 1, "the subscription's participant is the one that is rung");
+    assert_eq!(sampler.drain(|_| ()), 1, "the subscription's participant is the one that is rung");
     assert_eq!(take_all(&subscription), [3]);
     drop(one);
     publisher.publish(&Count { n: 4 }).unwrap();

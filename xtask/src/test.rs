@@ -57,7 +57,11 @@ fn tests(steps: &mut Steps) {
     } else {
         "test --workspace --all-targets --no-fail-fast"
     };
-    steps.command("tests", &mut cargo(all));
+    let mut tests = cargo(all);
+    if machine::is_ci() {
+        tests.env("TAUT_LEAK_CYCLES", "1000");
+    }
+    steps.command("tests", &mut tests);
     steps.command("doc tests", &mut cargo("test --workspace --doc --no-fail-fast"));
 }
 

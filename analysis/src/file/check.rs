@@ -189,6 +189,43 @@ fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
     file.cores.iter().enumerate().map(core).filter(|core| !core.tasks.is_empty()).collect()
 }
 
+/// Why callbacks have no bound: causes first, then what follows from them, which may be much.
+fn unbounded(report: &SystemReport) -> Vec<String> {
+    const MOST_CONSEQUENCES: usize = 10;
+    let errors = report.callbacks.iter().filter_map(|outcome| outcome.as_ref().err());
+    let (mut consequences, mut causes): (Vec<_>, Vec<_>) =
+        errors.partition(|error| matches!(error, AnalysisError::Upstream { .. }));
+    let more = consequences.len().saturating_sub(MOST_CONSEQUENCES);
+    consequences.truncate(MOST_CONSEQUENCES);
+    causes.append(&mut consequences);
+    let mut warnings: Vec<String> = causes.into_iter().map(ToString::to_string).collect();
+    if more > 0 {
+        warnings.push(format!("{more} more callbacks have no bound for like reasons"));
+    }
+    warnings
+}
+
+/// A warning for each priority that several threads of a core have.
+fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
+    let mut levels: BTreeMap<(usize, u8), BTreeMap<&str, &CheckedCallback>> = BTreeMap::new();
+    for callback in callbacks {
+        let entry = &callback.entry;
+        levels.entry((entry.core, entry.priority)).or_default().entry(&entry.thread).or_insert(callback);
+    }
+    levels.into_iter().filter(|(_, threads)| threads.len() > 1).map(|((_, priority), threads)| {
+        let mut callbacks = threads.values();
+        let (first, second) = (callbacks.next(), callbacks.next());
+        let name = |callback: Option<&&CheckedCallback>| callback.map_or("", |c| c.entry.name.as_str()).to_owned();
+        let more = if threads.len() > 2 { format!(" ({} in all)", threads.len()) } else { String::new() };
+        format!(
+            "callbacks `{}` and `{}`{more} share priority {priority} on core {}: each is taken to wait for the others",
+            name(first),
+            name(second),
+            first.map_or(0, |callback| callback.core)
+        )
+    })
+}
+
 /// A warning for each node whose one sampler serves several cores.
 fn split_nodes(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
     let mut nodes: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
@@ -206,12 +243,7 @@ fn split_nodes(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
 
 fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallback]) -> Vec<String> {
     let mut warnings = file.warnings.clone();
-    let mut unbounded = BTreeSet::new();
-    for error in report.callbacks.iter().filter_map(|outcome| outcome.as_ref().err()) {
-        if unbounded.insert(error.to_string()) {
-            warnings.push(error.to_string());
-        }
-    }
+    warnings.extend(unbounded(report));
     for callback in callbacks {
         let (name, entry) = (&callback.entry.name, &callback.entry);
         if let (Some(depth), Some(capacity)) = (entry.depth, callback.capacity)
@@ -230,17 +262,8 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
                 entry.priority
             ));
         }
-        let shares = |other: &&CheckedCallback| {
-            let other = &other.entry;
-            (other.core, other.priority) == (entry.core, entry.priority) && other.thread < entry.thread
-        };
-        if let Some(other) = callbacks.iter().find(shares) {
-            warnings.push(format!(
-                "callbacks `{}` and `{name}` share priority {} on core {}: each is taken to wait for the other",
-                other.entry.name, entry.priority, callback.core
-            ));
-        }
     }
+    warnings.extend(shared_priorities(callbacks));
     warnings.extend(split_nodes(callbacks));
     for ((entry, core), throttled) in file.cores.iter().zip(&file.system.cores).zip(&report.throttled) {
         if let (true, Some(Throttling { runtime_ns, period_ns })) = (*throttled, core.overheads.throttling) {

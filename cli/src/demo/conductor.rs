@@ -9,13 +9,13 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fs::File;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
-use tautline::rt::{Interruptions, ThreadBuilder, clock, host, permission};
+use tautline::rt::{Interruptions, ThreadBuilder, clock, current_affinity, host, permission};
 use tautline::{CoreSet, Policy};
 
 /// How long a process may take to set itself up, or to end when it was told to.
@@ -28,13 +28,20 @@ const NOISE_WINDOW: Duration = Duration::from_millis(500);
 const GLANCE: Duration = Duration::from_millis(100);
 
 pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
-    let allowed = CoreSet::allowed()?;
+    if let Some(value) =
+        std::env::var_os("TAUT_REALTIME").filter(|value| !value.is_empty() && value != "required")
+    {
+        if value != "off" {
+            return Err(DemoError::Environment { value: value.to_string_lossy().into_owned() });
+        }
+        args.no_rt = true;
+    }
     let core = match args.core {
         Some(core) => {
             CoreSet::one(core).check().map_err(|source| DemoError::Core { core, source })?;
             core
         }
-        None => allowed.iter().last().unwrap_or(0),
+        None => current_affinity()?.iter().last().unwrap_or(0),
     };
     args.core = Some(core);
     // A namespace of its own: two demos at once do not hear each other.
@@ -50,7 +57,8 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     let _ = signal_hook::flag::register(signal_hook::consts::SIGTERM, interrupted.clone());
 
     let mut files = Files::open(&args)?;
-    let interruptions = watch_core(&args, core)?;
+    // Without priorities, what other programs took would be seen, not what the machine takes.
+    let interruptions = if args.no_rt { Interruptions::default() } else { watch_core(&args, core)? };
     let steal_before = host::steal_ticks(Some(core));
     let mut subscriber = Process::start(Role::Subscriber, &args)?;
     subscriber.wait_until_ready()?;
@@ -61,7 +69,7 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     let seconds = started.elapsed().as_secs_f64().min(args.seconds as f64);
     std::thread::sleep(DRAIN);
     let measured = subscriber.end()?;
-    let steal_ticks = host::steal_ticks(Some(core)) - steal_before;
+    let steal_ticks = host::steal_ticks(Some(core)).saturating_sub(steal_before);
 
     let run = Run { core, seconds, steal_ticks, interruptions };
     let report = assemble(&args, &run, &published, measured)?;
@@ -156,8 +164,12 @@ fn assemble(
     let topics = application::topics()?;
     let handled: u64 = measured.topics.iter().map(|topic| topic.latencies_ns.len() as u64).sum();
     // Everything that the two processes did besides the callbacks' own work, spread over the messages.
-    let overhead_ns =
-        published.cpu_ns / published.messages.max(1) + measured.overhead_cpu_ns / handled.max(1);
+    // Of a run that was interrupted before its first message there is none.
+    let share = |cpu_ns: u64, messages| cpu_ns.checked_div(messages).unwrap_or(0);
+    let overhead_ns = match handled {
+        0 => 0,
+        handled => share(published.cpu_ns, published.messages) + share(measured.overhead_cpu_ns, handled),
+    };
     let costs = Costs { per_message: Duration::from_nanos(overhead_ns), interruptions: run.interruptions };
     let pair = |(topic, measured): (Topic, protocol::TopicMeasured)| TopicRun {
         task: topic.task(),
@@ -187,17 +199,43 @@ fn assemble(
 
 /// The files to write, opened before the run: a path that cannot be written is known at once.
 struct Files {
-    svg: (PathBuf, File),
-    json: Option<(PathBuf, File)>,
+    svg: Output,
+    json: Option<Output>,
+}
+
+/// A file that gets its name when it is complete: what was there before stays until then.
+struct Output {
+    path: PathBuf,
+    part: PathBuf,
+    file: File,
+}
+
+impl Output {
+    fn open(path: &Path) -> Result<Self, DemoError> {
+        let mut part = path.as_os_str().to_owned();
+        part.push(".part");
+        let part = PathBuf::from(part);
+        let refuse = |source| DemoError::Write { path: path.to_path_buf(), source };
+        Ok(Output { path: path.to_path_buf(), file: File::create(&part).map_err(refuse)?, part })
+    }
+
+    fn finish(&mut self, content: &[u8]) -> Result<(), DemoError> {
+        let written = self.file.write_all(content).and_then(|()| std::fs::rename(&self.part, &self.path));
+        written.map_err(|source| DemoError::Write { path: self.path.clone(), source })
+    }
+}
+
+impl Drop for Output {
+    /// Removes what was not finished; what was has another name.
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.part);
+    }
 }
 
 impl Files {
     fn open(args: &DemoArgs) -> Result<Self, DemoError> {
-        let open = |path: &PathBuf| match File::create(path) {
-            Ok(file) => Ok((path.clone(), file)),
-            Err(source) => Err(DemoError::Write { path: path.clone(), source }),
-        };
-        Ok(Files { svg: open(&args.svg)?, json: args.json.as_ref().map(open).transpose()? })
+        let json = args.json.as_deref().map(Output::open).transpose()?;
+        Ok(Files { svg: Output::open(&args.svg)?, json })
     }
 
     fn write(&mut self, report: &DemoReport) -> Result<(), DemoError> {
@@ -205,15 +243,13 @@ impl Files {
         let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
         report::write_table(report, &mut text, colour).map_err(DemoError::Print)?;
         std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
-        let picture = plot::render_svg(report)?;
-        let (path, file) = &mut self.svg;
-        file.write_all(picture.as_bytes())
-            .map_err(|source| DemoError::Write { path: path.clone(), source })?;
-        println!("Picture: {}", path.display());
-        if let Some((path, file)) = &mut self.json {
-            report::write_json(report, file)
-                .map_err(|source| DemoError::Write { path: path.clone(), source })?;
-            println!("JSON:    {}", path.display());
+        self.svg.finish(plot::render_svg(report)?.as_bytes())?;
+        println!("Picture: {}", self.svg.path.display());
+        if let Some(json) = &mut self.json {
+            let mut text = Vec::new();
+            report::write_json(report, &mut text).map_err(DemoError::Print)?;
+            json.finish(&text)?;
+            println!("JSON:    {}", json.path.display());
         }
         Ok(())
     }

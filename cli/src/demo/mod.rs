@@ -71,9 +71,11 @@ pub enum DemoError {
     Setup(#[from] tautline::Error),
     #[error("examples/systems/paper.toml, from which this program was built: {0}")]
     System(#[from] tautline_analysis::file::Problems),
+    #[error("TAUT_REALTIME={value} is not understood: it may be 'required' or 'off'")]
+    Environment { value: String },
     #[error("the {role} process {what}; run with RUST_LOG=debug to see more")]
     Child { role: &'static str, what: String },
-    #[error("{} cannot be written: {source}", path.display())]
+    #[error("{} cannot be written: {source}; choose another place with --svg or --json", path.display())]
     Write { path: PathBuf, source: std::io::Error },
     #[error("the report cannot be printed: {0}")]
     Print(std::io::Error),

@@ -95,6 +95,9 @@ impl Link {
         if self.out.owner.compare_exchange(from, owner, Ordering::AcqRel, Ordering::Relaxed).is_err() {
             return false;
         }
+        // Nobody's until the claim is complete: should this process be killed here, the numbers are no publisher's.
+        self.out.gid[1].store(0, Ordering::Relaxed);
+        self.out.gid[0].store(0, Ordering::Release);
         self.out.start.store(start, Ordering::Relaxed);
         self.out.sent.store(start.saturating_sub(1), Ordering::Relaxed);
         self.taken.0.store(start.saturating_sub(1), Ordering::Relaxed);
@@ -128,6 +131,17 @@ impl Link {
         let _ = self.out.owner.compare_exchange(owner, ENDED, Ordering::Release, Ordering::Relaxed);
     }
 
+    /// Whose the link is, if a publisher claimed it. Not its gid: that comes after the claim, and perhaps never.
+    pub(crate) fn owner(&self) -> Option<Owner> {
+        let owner = self.out.owner.load(Ordering::Acquire);
+        (owner > ENDED).then_some(Owner(owner))
+    }
+
+    /// As [`release`](Self::release), for an owner that was killed.
+    pub(crate) fn release_of_dead(&self, owner: Owner) {
+        let _ = self.out.owner.compare_exchange(owner.0, ENDED, Ordering::Release, Ordering::Relaxed);
+    }
+
     pub(crate) fn is_claimed(&self) -> bool {
         self.out.owner.load(Ordering::Acquire) > ENDED
     }
@@ -143,6 +157,16 @@ impl Link {
         if self.gid() == gid {
             let _ = self.out.owner.compare_exchange(ENDED, FREE, Ordering::AcqRel, Ordering::Relaxed);
         }
+    }
+}
+
+/// Who claimed a link.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Owner(u64);
+
+impl Owner {
+    pub(crate) fn of(gid: Gid) -> Self {
+        Owner(owner_word(gid))
     }
 }
 

@@ -17,7 +17,7 @@ mod loom;
 #[cfg(all(test, not(taut_loom)))]
 mod stress;
 
-pub(crate) use arena::{Arena, ArenaId, LINKS, Link, remove_stale_arenas, slot_flags};
+pub(crate) use arena::{Arena, ArenaId, LINKS, Link, Owner, remove_stale_arenas, slot_flags};
 
 use crate::error::TransportError;
 use crate::sync::Ordering;
@@ -80,26 +80,6 @@ impl Doorbell {
         Ok(SamplerSeat { doorbell: self.clone() })
     }
 
-    /// Takes every pending slot: wakes the task registered there and tells `each` which slot it was. Returns how many.
-    ///
-    /// # Real-time
-    /// O(pending + 16); no allocation; a syscall for each waker whose thread sleeps.
-    pub fn drain(&self, mut each: impl FnMut(usize)) -> usize {
-        self.arena.bell().drain(|index| {
-            self.wake(index);
-            each(index);
-        })
-    }
-
-    /// Sleeps until something is pending or the absolute `CLOCK_MONOTONIC` time `deadline_ns`; may return early. Only
-    /// the thread that drains may call it.
-    ///
-    /// # Real-time
-    /// One syscall; no allocation.
-    pub fn sleep(&self, deadline_ns: Option<u64>) {
-        self.arena.bell().sleep(deadline_ns);
-    }
-
     /// Whether something is pending.
     ///
     /// # Real-time
@@ -122,6 +102,27 @@ impl Doorbell {
 /// The right of one sampler to drain a doorbell; free again when dropped.
 pub struct SamplerSeat {
     doorbell: Arc<Doorbell>,
+}
+
+impl SamplerSeat {
+    /// Takes every pending slot: wakes the task registered there and tells `each` which slot it was. Returns how many.
+    ///
+    /// # Real-time
+    /// O(pending + 16); no allocation; a syscall for each waker whose thread sleeps.
+    pub fn drain(&self, mut each: impl FnMut(usize)) -> usize {
+        self.doorbell.arena.bell().drain(|index| {
+            self.doorbell.wake(index);
+            each(index);
+        })
+    }
+
+    /// Sleeps until something is pending or the absolute `CLOCK_MONOTONIC` time `deadline_ns`; may return early.
+    ///
+    /// # Real-time
+    /// One syscall; no allocation.
+    pub fn sleep(&self, deadline_ns: Option<u64>) {
+        self.doorbell.arena.bell().sleep(deadline_ns);
+    }
 }
 
 impl Drop for SamplerSeat {

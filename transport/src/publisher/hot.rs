@@ -35,6 +35,17 @@ pub enum Unpublished<'p, T: Message + Plain> {
     Incomplete,
 }
 
+impl<T: Message + Plain> core::fmt::Display for Unpublished<'_, T> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Unpublished::Full(_) => PublishError::Full.fmt(f),
+            Unpublished::Incomplete => PublishError::Incomplete.fmt(f),
+        }
+    }
+}
+
+impl<T: Message + Plain> core::error::Error for Unpublished<'_, T> {}
+
 impl<T: Message + Plain> core::fmt::Debug for Unpublished<'_, T> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
@@ -181,7 +192,8 @@ impl<'p, T: Message + Plain> Loan<'p, T> {
         self.publisher.publish_loan(self, Some(released_ns))
     }
 
-    /// Publishes as soon as every keep-all subscription has room.
+    /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
+    /// one takes the first one's place, which then waits until it is polled for another reason.
     ///
     /// # Real-time
     /// Each poll as [`publish`](Self::publish); woken through this process's sampler when a subscription has taken.

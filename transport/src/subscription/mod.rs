@@ -65,7 +65,7 @@ impl Counters {
 
     /// Messages that were overwritten before they were taken, or whose publisher was gone before this subscription could
     /// connect to it: what is missing in the sequence numbers of each publisher. Exact from the moment at which the
-    /// publisher knows of the subscription.
+    /// publisher knows of the subscription, as long as no more than 64 publishers end between two takes.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }

@@ -113,7 +113,7 @@ fn misses_are_named_and_explained() {
     report.realtime = false;
     let out = prose(&report);
     assert!(
-        out.contains("no bound applies") && out.contains("setcap") && !out.contains("Prediction"),
+        out.contains("no bound applies") && out.contains("a banner names") && !out.contains("Prediction"),
         "{out}"
     );
 }

@@ -147,9 +147,7 @@ fn explanations(report: &DemoReport) -> Vec<String> {
     if !report.realtime {
         texts.push(
             "Not real-time: no bound applies, and the RTA columns show what real-time priorities would give. \
-             To mend, run as root, or give the program the privilege \
-             (sudo setcap cap_sys_nice,cap_ipc_lock+ep <path of taut>), or add \
-             '<user> - rtprio 99' and '<user> - memlock unlimited' to /etc/security/limits.conf and log in again."
+             Leave --no-rt away; where the system refuses real-time priorities, a banner names what mends it."
                 .into(),
         );
     }
