@@ -3,12 +3,13 @@
 
 use crate::error::TransportError;
 use crate::header::SampleHeader;
-use crate::qos::Limits;
+use crate::qos::{Durability, Limits, Qos};
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
+use tautline_msgs::{Message, Plain};
 
 pub(crate) type IoxNode = Node<ipc::Service>;
 pub(crate) type IoxPublisher = iceoryx2::port::publisher::Publisher<ipc::Service, [u8], SampleHeader>;
@@ -48,8 +49,24 @@ pub(crate) struct Topic {
 }
 
 impl Topic {
+    /// Opens or creates the topic for messages of type `T`.
+    pub(crate) fn open_for<T: Message + Plain>(
+        node: &IoxNode,
+        name: &str,
+        qos: Qos,
+        limits: Limits,
+        is_queue: bool,
+    ) -> Result<Self, TransportError> {
+        qos.check(name)?;
+        let transient_local = qos.durability == Durability::TransientLocal;
+        let type_info = TypeInfo { name: T::TYPE_NAME, len_bytes: size_of::<T>() };
+        // Only a subscription's depth is a queue; a transient-local publisher's keeper is one as well.
+        let depth = if is_queue || transient_local { qos.depth } else { 1 };
+        Self::open(node, name, type_info, limits, depth, transient_local)
+    }
+
     /// Opens or creates the topic. `depth` is what the caller will ask for, which a new topic's limit must allow.
-    pub(crate) fn open(
+    fn open(
         node: &IoxNode,
         name: &str,
         type_info: TypeInfo,

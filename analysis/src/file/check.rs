@@ -189,18 +189,18 @@ fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
     file.cores.iter().enumerate().map(core).filter(|core| !core.tasks.is_empty()).collect()
 }
 
-/// Why callbacks have no bound: causes first, then what follows from them, which may be much.
+/// Why callbacks have no bound: causes first, then what follows from them; of each as many as a person reads.
 fn unbounded(report: &SystemReport) -> Vec<String> {
-    const MOST_CONSEQUENCES: usize = 10;
+    const MOST: usize = 10;
     let errors = report.callbacks.iter().filter_map(|outcome| outcome.as_ref().err());
-    let (mut consequences, mut causes): (Vec<_>, Vec<_>) =
+    let (consequences, causes): (Vec<_>, Vec<_>) =
         errors.partition(|error| matches!(error, AnalysisError::Upstream { .. }));
-    let more = consequences.len().saturating_sub(MOST_CONSEQUENCES);
-    consequences.truncate(MOST_CONSEQUENCES);
-    causes.append(&mut consequences);
-    let mut warnings: Vec<String> = causes.into_iter().map(ToString::to_string).collect();
-    if more > 0 {
-        warnings.push(format!("{more} more callbacks have no bound for like reasons"));
+    let mut warnings = Vec::new();
+    for errors in [causes, consequences] {
+        warnings.extend(errors.iter().take(MOST).map(ToString::to_string));
+        if errors.len() > MOST {
+            warnings.push(format!("{} more callbacks have no bound for like reasons", errors.len() - MOST));
+        }
     }
     warnings
 }

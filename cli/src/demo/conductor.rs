@@ -2,30 +2,24 @@
 //! The process that the user started: starts the two others, shows the progress, prints the report.
 
 use super::application::{self, Topic};
+use super::output::Files;
+use super::process::{GLANCE, Process};
 use super::protocol::{self, Line, Measured, Published};
 use super::report::{self, Costs, DemoReport, TopicRun};
-use super::{DemoArgs, DemoError, Role, plot};
-use clap::ValueEnum;
+use super::{DemoArgs, DemoError, Role};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::fs::File;
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
-use tautline::rt::{Interruptions, ThreadBuilder, clock, current_affinity, host, permission};
+use tautline::rt::{Interruptions, ThreadBuilder, current_affinity, host, permission};
 use tautline::{CoreSet, Policy};
 
-/// How long a process may take to set itself up, or to end when it was told to.
-const PATIENCE: Duration = Duration::from_secs(20);
 /// After the last release: the longest response time of a run that keeps its bounds, and some more.
 const DRAIN: Duration = Duration::from_millis(400);
 /// How long the core is watched before the run.
 const NOISE_WINDOW: Duration = Duration::from_millis(500);
-/// How often the progress is looked at.
-const GLANCE: Duration = Duration::from_millis(100);
 
 pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     if let Some(value) =
@@ -195,163 +189,4 @@ fn assemble(
         interrupted_percent: 100.0 * total_ns as f64 / window_ns.max(1) as f64,
         longest_interruption_us: longest_ns as f64 / 1e3,
     })
-}
-
-/// The files to write, opened before the run: a path that cannot be written is known at once.
-struct Files {
-    svg: Output,
-    json: Option<Output>,
-}
-
-/// A file that gets its name when it is complete: what was there before stays until then.
-struct Output {
-    path: PathBuf,
-    part: PathBuf,
-    file: File,
-}
-
-impl Output {
-    fn open(path: &Path) -> Result<Self, DemoError> {
-        let mut part = path.as_os_str().to_owned();
-        part.push(".part");
-        let part = PathBuf::from(part);
-        let refuse = |source| DemoError::Write { path: path.to_path_buf(), source };
-        Ok(Output { path: path.to_path_buf(), file: File::create(&part).map_err(refuse)?, part })
-    }
-
-    fn finish(&mut self, content: &[u8]) -> Result<(), DemoError> {
-        let written = self.file.write_all(content).and_then(|()| std::fs::rename(&self.part, &self.path));
-        written.map_err(|source| DemoError::Write { path: self.path.clone(), source })
-    }
-}
-
-impl Drop for Output {
-    /// Removes what was not finished; what was has another name.
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.part);
-    }
-}
-
-impl Files {
-    fn open(args: &DemoArgs) -> Result<Self, DemoError> {
-        let json = args.json.as_deref().map(Output::open).transpose()?;
-        Ok(Files { svg: Output::open(&args.svg)?, json })
-    }
-
-    fn write(&mut self, report: &DemoReport) -> Result<(), DemoError> {
-        let mut text = Vec::new();
-        let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
-        report::write_table(report, &mut text, colour).map_err(DemoError::Print)?;
-        std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
-        self.svg.finish(plot::render_svg(report)?.as_bytes())?;
-        println!("Picture: {}", self.svg.path.display());
-        if let Some(json) = &mut self.json {
-            let mut text = Vec::new();
-            report::write_json(report, &mut text).map_err(DemoError::Print)?;
-            json.finish(&text)?;
-            println!("JSON:    {}", json.path.display());
-        }
-        Ok(())
-    }
-}
-
-/// A child process; dropping it ends it.
-struct Process {
-    role: &'static str,
-    child: Child,
-    lines: Receiver<Line>,
-}
-
-impl Process {
-    fn start(role: Role, args: &DemoArgs) -> Result<Self, DemoError> {
-        let name = match role {
-            Role::Publisher => "publisher",
-            Role::Subscriber => "subscriber",
-        };
-        let failed = |what: String| DemoError::Child { role: name, what };
-        let executable =
-            std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
-        let mut command = Command::new(executable);
-        command.arg("demo").args(["--seconds", &args.seconds.to_string(), "--namespace", &args.namespace]);
-        if let Some(priority) = args.sampler_priority {
-            command.args(["--sampler-priority", &priority.to_string()]);
-        }
-        if let Some(core) = args.core {
-            command.args(["--core", &core.to_string()]);
-        }
-        if args.no_rt {
-            command.arg("--no-rt");
-        }
-        if let Some(value) = role.to_possible_value() {
-            command.args(["--role", value.get_name()]);
-        }
-        let mut child = command
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .map_err(|error| failed(format!("cannot be started: {error}")))?;
-        let output = child.stdout.take().ok_or_else(|| failed("has no output".into()))?;
-        Ok(Process { role: name, child, lines: protocol::listen(output) })
-    }
-
-    fn wait_until_ready(&mut self) -> Result<(), DemoError> {
-        match self.lines.recv_timeout(PATIENCE) {
-            Ok(Line::Ready) => Ok(()),
-            Ok(_) => Err(self.failed("spoke before it was ready".into())),
-            Err(RecvTimeoutError::Disconnected) => Err(self.ended_early()),
-            Err(RecvTimeoutError::Timeout) => {
-                Err(self.failed(format!("was not ready after {} s", PATIENCE.as_secs())))
-            }
-        }
-    }
-
-    fn tell_to_end(&mut self) {
-        drop(self.child.stdin.take());
-    }
-
-    /// Ends the subscriber and gives what it measured.
-    fn end(mut self) -> Result<Measured, DemoError> {
-        self.tell_to_end();
-        let give_up = clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
-        while clock::monotonic_ns() < give_up {
-            match self.lines.recv_timeout(GLANCE) {
-                Ok(Line::Measured(measured)) => return self.wait().map(|()| measured),
-                Ok(_) | Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return Err(self.ended_early()),
-            }
-        }
-        Err(self.failed(format!("did not end within {} s", PATIENCE.as_secs())))
-    }
-
-    fn wait(&mut self) -> Result<(), DemoError> {
-        match self.child.wait() {
-            Ok(status) if status.success() => Ok(()),
-            Ok(status) => Err(self.failed(format!("failed ({status})"))),
-            Err(error) => Err(self.failed(format!("cannot be waited for: {error}"))),
-        }
-    }
-
-    fn must_live(&mut self) -> Result<(), DemoError> {
-        match self.child.try_wait() {
-            Ok(Some(status)) => Err(self.failed(format!("ended early ({status})"))),
-            _ => Ok(()),
-        }
-    }
-
-    fn ended_early(&mut self) -> DemoError {
-        let status = self.child.wait().map_or_else(|error| error.to_string(), |status| status.to_string());
-        self.failed(format!("ended early ({status})"))
-    }
-
-    fn failed(&self, what: String) -> DemoError {
-        DemoError::Child { role: self.role, what }
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        self.tell_to_end();
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }

@@ -6,7 +6,9 @@
 
 mod application;
 mod conductor;
+mod output;
 mod plot;
+mod process;
 mod protocol;
 mod publisher;
 mod report;

@@ -15,7 +15,7 @@ use crate::janitor::Watch;
 use crate::participant::Shared;
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
-use crate::topic::{IoxPublisher, Topic, TypeInfo};
+use crate::topic::{IoxPublisher, Topic};
 use iceoryx2::prelude::BackpressureStrategy;
 use peers::Peers;
 use std::cell::RefCell;
@@ -50,12 +50,8 @@ impl<T: Message + Plain> Publisher<T> {
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
-        qos.check(topic)?;
+        let topic = Arc::new(Topic::open_for::<T>(&shared.node, topic, qos, limits, false)?);
         let transient = qos.durability == Durability::TransientLocal;
-        let type_info = TypeInfo { name: T::TYPE_NAME, len_bytes: size_of::<T>() };
-        // Only a subscription's depth is a queue; a transient-local publisher's keeper is one as well.
-        let depth = if transient { qos.depth } else { 1 };
-        let topic = Arc::new(Topic::open(&shared.node, topic, type_info, limits, depth, transient)?);
         let slot = shared.doorbell.claim()?;
         let role = if transient { Role::TransientPublisher } else { Role::Publisher };
         if transient {

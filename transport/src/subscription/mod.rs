@@ -15,7 +15,7 @@ use crate::lending::{Shelf, Sole};
 use crate::participant::Shared;
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
-use crate::topic::{IoxSample, IoxSubscriber, Topic, TypeInfo};
+use crate::topic::{IoxSample, IoxSubscriber, Topic};
 use std::cell::RefCell;
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -93,10 +93,8 @@ impl<T: Message + Plain> Subscription<T> {
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
-        qos.check(topic)?;
+        let topic = Arc::new(Topic::open_for::<T>(&shared.node, topic, qos, limits, true)?);
         let transient = qos.durability == Durability::TransientLocal;
-        let type_info = TypeInfo { name: T::TYPE_NAME, len_bytes: size_of::<T>() };
-        let topic = Arc::new(Topic::open(&shared.node, topic, type_info, limits, qos.depth, transient)?);
         let limit = topic.limits.subscribers;
         let existing = ports::subscriptions(&topic.factory).len();
         if existing >= limit {

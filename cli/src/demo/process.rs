@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! One of the demo's two processes, seen from the one that started it.
+
+use super::protocol::{self, Line, Measured};
+use super::{DemoArgs, DemoError, Role};
+use clap::ValueEnum;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
+use tautline::rt::clock;
+
+/// How long a process may take to set itself up, or to end when it was told to.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// How often the other side is looked at.
+pub const GLANCE: Duration = Duration::from_millis(100);
+
+/// A child process; dropping it ends it.
+pub struct Process {
+    role: &'static str,
+    child: Child,
+    pub lines: Receiver<Line>,
+}
+
+impl Process {
+    pub fn start(role: Role, args: &DemoArgs) -> Result<Self, DemoError> {
+        let name = match role {
+            Role::Publisher => "publisher",
+            Role::Subscriber => "subscriber",
+        };
+        let failed = |what: String| DemoError::Child { role: name, what };
+        let executable =
+            std::env::current_exe().map_err(|error| failed(format!("has no executable: {error}")))?;
+        let mut command = Command::new(executable);
+        command.arg("demo").args(["--seconds", &args.seconds.to_string(), "--namespace", &args.namespace]);
+        if let Some(priority) = args.sampler_priority {
+            command.args(["--sampler-priority", &priority.to_string()]);
+        }
+        if let Some(core) = args.core {
+            command.args(["--core", &core.to_string()]);
+        }
+        if args.no_rt {
+            command.arg("--no-rt");
+        }
+        if let Some(value) = role.to_possible_value() {
+            command.args(["--role", value.get_name()]);
+        }
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|error| failed(format!("cannot be started: {error}")))?;
+        let output = child.stdout.take().ok_or_else(|| failed("has no output".into()))?;
+        Ok(Process { role: name, child, lines: protocol::listen(output) })
+    }
+
+    pub fn wait_until_ready(&mut self) -> Result<(), DemoError> {
+        match self.lines.recv_timeout(PATIENCE) {
+            Ok(Line::Ready) => Ok(()),
+            Ok(_) => Err(self.failed("spoke before it was ready".into())),
+            Err(RecvTimeoutError::Disconnected) => Err(self.ended_early()),
+            Err(RecvTimeoutError::Timeout) => {
+                Err(self.failed(format!("was not ready after {} s", PATIENCE.as_secs())))
+            }
+        }
+    }
+
+    pub fn tell_to_end(&mut self) {
+        drop(self.child.stdin.take());
+    }
+
+    /// Ends the subscriber and gives what it measured.
+    pub fn end(mut self) -> Result<Measured, DemoError> {
+        self.tell_to_end();
+        let give_up = clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
+        while clock::monotonic_ns() < give_up {
+            match self.lines.recv_timeout(GLANCE) {
+                Ok(Line::Measured(measured)) => return self.wait().map(|()| measured),
+                Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return Err(self.ended_early()),
+            }
+        }
+        Err(self.failed(format!("did not end within {} s", PATIENCE.as_secs())))
+    }
+
+    pub fn wait(&mut self) -> Result<(), DemoError> {
+        match self.child.wait() {
+            Ok(status) if status.success() => Ok(()),
+            Ok(status) => Err(self.failed(format!("failed ({status})"))),
+            Err(error) => Err(self.failed(format!("cannot be waited for: {error}"))),
+        }
+    }
+
+    pub fn must_live(&mut self) -> Result<(), DemoError> {
+        match self.child.try_wait() {
+            Ok(Some(status)) => Err(self.failed(format!("ended early ({status})"))),
+            _ => Ok(()),
+        }
+    }
+
+    pub fn ended_early(&mut self) -> DemoError {
+        let status = self.child.wait().map_or_else(|error| error.to_string(), |status| status.to_string());
+        self.failed(format!("ended early ({status})"))
+    }
+
+    fn failed(&self, what: String) -> DemoError {
+        DemoError::Child { role: self.role, what }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.tell_to_end();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
