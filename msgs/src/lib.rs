@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages of fixed layout whose bytes in memory are their CDR.
+//! Messages: plain ones whose bytes in memory are their CDR, and owned ones converted to and from it.
 //!
 //! A topic carries one format, on the network and in shared memory: the XCDR1 little-endian body that ROS 2 sends
 //! (without its 4 encapsulation bytes), starting at an 8-byte aligned address. For a [`Plain`] type these bytes *are*
@@ -36,20 +36,29 @@
 //! | `primitives` | `Plain` for integers, floats, `bool`, `char`, arrays |
 //! | `invalid` | [`Invalid`]: why bytes are not a value |
 //! | `layout` | the compile-time proof that C layout is CDR layout, called by the derive |
+//! | [`cdr`] | [`Cdr`](cdr::Cdr): owned messages of any size, converted to and from CDR |
+//! | `service` | [`Service`], [`Action`] |
 //!
-//! Types of variable size (strings, sequences) will be views over the same bytes, in a module beside `plain`; ROS 2
-//! packages and their RIHS01 hashes beside `message`.
+//! Views of types of variable size (strings, sequences) over the same bytes will be in a module beside `plain`.
 
+pub mod cdr;
 mod invalid;
 #[doc(hidden)]
 pub mod layout;
 mod message;
 mod plain;
 mod primitives;
+#[doc(hidden)]
+pub mod serde_fields;
+mod service;
 
 pub use invalid::Invalid;
 pub use message::Message;
 pub use plain::{Plain, from_bytes, write_cdr};
+/// For generated code.
+#[doc(hidden)]
+pub use serde;
+pub use service::{Action, Service};
 /// Derives [`Plain`] for a struct or field-less enum, and the trait [`Message`](trait@Message) for a struct that is a
 /// topic's type.
 ///

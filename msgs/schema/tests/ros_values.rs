@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Random messages of every type of a real ROS 2: rclpy's bytes hold the same values here, ours the same values there.
 
+#[path = "support/peer.rs"]
+mod peer;
 mod support;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufRead, BufReader, Write};
-use std::path::Path;
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 
+use peer::{Peer, hex};
 use tautline_schema::{DynamicMessage, Kind, Layout, Packages, Schema, Size, TypeName};
 
 /// Messages per type.
@@ -29,7 +29,7 @@ fn values_are_the_same_on_both_sides() {
             Size::Fixed(size) => Some(size),
             Size::Formula(_) => None,
         };
-        let theirs = match peer.messages(&name, seed) {
+        let theirs = match peer.messages(&name, COUNT, seed) {
             Ok(theirs) => theirs,
             Err(reason) => panic!("{name}: rclpy does not have it: {reason}"),
         };
@@ -88,67 +88,4 @@ fn messages_of(packages: &mut Packages) -> BTreeSet<TypeName> {
     }
     names.retain(|name| !name.name().ends_with("_GetResult"));
     names
-}
-
-/// The Python process.
-struct Peer {
-    child: Child,
-    input: ChildStdin,
-    output: BufReader<ChildStdout>,
-}
-
-impl Peer {
-    fn start(venv: &Path) -> Self {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros_values.py");
-        let mut command = Command::new(venv.join("bin/python"));
-        command.arg(script).env_remove("LD_LIBRARY_PATH").stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = command.spawn().unwrap();
-        let (input, output) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
-        Self { child, input, output: BufReader::new(output) }
-    }
-
-    fn line(&mut self) -> String {
-        let mut line = String::new();
-        assert!(
-            self.output.read_line(&mut line).unwrap() > 0,
-            "the Python process ended: see its output above"
-        );
-        line.trim_end().to_owned()
-    }
-
-    /// Random messages: the bytes and the JSON of each.
-    fn messages(&mut self, name: &TypeName, seed: u64) -> Result<Vec<(Vec<u8>, String)>, String> {
-        writeln!(self.input, "{name} {COUNT} {seed}").unwrap();
-        let mut messages = Vec::new();
-        for _ in 0..COUNT {
-            let line = self.line();
-            let (cdr, json) = line.split_once(' ').unwrap();
-            if cdr == "skip" {
-                return Err(json.to_owned());
-            }
-            messages.push((unhex(cdr), json.to_owned()));
-        }
-        Ok(messages)
-    }
-
-    fn answer(&mut self, lines: &str) -> String {
-        self.input.write_all(lines.as_bytes()).unwrap();
-        self.line()
-    }
-}
-
-impl Drop for Peer {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-fn unhex(text: &str) -> Vec<u8> {
-    let digits: Vec<u8> = text.chars().map(|digit| digit.to_digit(16).unwrap() as u8).collect();
-    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
 }

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Rust types from ROS 2 definitions.
+//!
+//! ```
+//! use tautline_gen::{Options, generate};
+//! use tautline_schema::Packages;
+//!
+//! let mut packages = Packages::new(); // or from_env(), where ROS 2 is installed
+//! packages.add_folder("../ros/definitions"); // <package>/msg/<Name>.msg
+//!
+//! let code = generate(&mut packages, &["builtin_interfaces"], &Options::default())?;
+//! assert!(code.contains("pub struct Time {"));
+//! # Ok::<(), tautline_gen::GenerateError>(())
+//! ```
+//!
+//! A package becomes a module, with the paths of r2r: `std_msgs::msg::String`, `std_srvs::srv::SetBool::{Service,
+//! Request, Response, Event}`, `example_interfaces::action::Fibonacci::{Action, Goal, Result, Feedback, FeedbackMessage,
+//! SendGoal, GetResult}`. A message is a struct with public fields, constants, ROS's defaults, serde, and `Cdr` of
+//! `tautline-msgs`. The text is formatted as rustfmt does, without needing it.
+//!
+//! | module | holds |
+//! |---|---|
+//! | `package` | [`generate`]: modules and what lies in them |
+//! | `message` | the struct of a message |
+//! | `types` | Rust types, CDR forms and literals of fields |
+//! | `names` | paths, and names that are keywords |
+//! | `text` | lines and their indentation |
+#![forbid(unsafe_code)]
+
+mod error;
+mod message;
+mod names;
+mod package;
+mod text;
+mod types;
+
+pub use error::GenerateError;
+pub use names::Options;
+pub use package::{RustType, generate, messages};

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+/// Of rustfmt without a configuration.
+const MAX_WIDTH: usize = 100;
+
+/// Code, line by line.
+#[derive(Default)]
+pub struct Text {
+    code: String,
+    depth: usize,
+}
+
+impl Text {
+    /// A line at the current depth. A line that opens a block makes it deeper, one that closes it less deep.
+    pub fn line(&mut self, line: &str) {
+        let closes = line.starts_with(['}', ')', ']']);
+        self.depth -= usize::from(closes);
+        if !line.is_empty() {
+            self.code.extend(std::iter::repeat_n("    ", self.depth));
+            self.code.push_str(line);
+        }
+        self.code.push('\n');
+        self.depth += usize::from(line.ends_with(['{', '(', '[']) && !line.starts_with("//"));
+    }
+
+    /// Whether rustfmt would leave this line as one.
+    pub fn fits(&self, line: &str) -> bool {
+        4 * self.depth + line.chars().count() <= MAX_WIDTH
+    }
+
+    /// Two parts of a line, in two lines if rustfmt would write two.
+    pub fn pair(&mut self, first: &str, second: &str) {
+        let line = format!("{first} {second}");
+        if self.fits(&line) {
+            return self.line(&line);
+        }
+        self.line(first);
+        self.depth += 1;
+        self.line(second);
+        self.depth -= 1;
+    }
+
+    /// A line of documentation.
+    pub fn doc(&mut self, line: &str) {
+        self.line(format!("/// {line}").trim_end());
+    }
+
+    /// An empty line, unless a block was just opened or there is none above.
+    pub fn gap(&mut self) {
+        if !self.code.is_empty() && !self.code.ends_with("{\n") {
+            self.code.push('\n');
+        }
+    }
+
+    pub fn finish(self) -> String {
+        self.code
+    }
+}

@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the generated code looks like. That it compiles and is right, `tautline-ros-msgs` shows.
+
+use std::io::Write;
+use std::process::{Command, Stdio};
+
+use tautline_gen::{GenerateError, Options, generate, messages};
+use tautline_schema::Packages;
+
+/// The definitions of all bundled packages.
+fn bundled() -> Packages {
+    let mut packages = Packages::new();
+    packages.add_folder(concat!(env!("CARGO_MANIFEST_DIR"), "/../ros/definitions"));
+    packages
+}
+
+/// A package in a folder of its own.
+fn demo(text: &str) -> (tempfile::TempDir, Packages) {
+    let folder = tempfile::tempdir().unwrap();
+    let messages = folder.path().join("demo_msgs/msg");
+    std::fs::create_dir_all(&messages).unwrap();
+    std::fs::write(messages.join("Demo.msg"), text).unwrap();
+    let mut packages = Packages::new();
+    packages.add_folder(folder.path());
+    (folder, packages)
+}
+
+#[test]
+fn a_message_becomes_a_struct() {
+    let text = "uint8 LOST=255\nstring NAME=\"a\\\"b\"\nfloat64[40] many\nuint8 count 1\nstring<=3[<=2] type\nwstring self\n\
+                std_msgs/Header header\nint8[3] three [1, 2, -3]\n";
+    let (_folder, mut packages) = demo(text);
+    packages.add_folder(concat!(env!("CARGO_MANIFEST_DIR"), "/../ros/definitions"));
+    let mut options = Options { msgs: "::tautline::msgs".to_owned(), ..Options::default() };
+    options.external.insert("std_msgs".to_owned(), "::tautline::std_msgs".to_owned());
+    let code = generate(&mut packages, &["demo_msgs"], &options).unwrap();
+    for line in [
+        "pub const LOST: u8 = 255;",
+        "pub const NAME: &'static str = \"a\\\"b\";",
+        "#[serde(with = \"::tautline::msgs::serde_fields::float\")]",
+        "pub many: [f64; 40],",
+        "many: ::core::array::from_fn(|_| ::core::default::Default::default()),",
+        "count: 1,",
+        "pub r#type: ::std::vec::Vec<::std::string::String>,",
+        "r#type: ::tautline::msgs::cdr::Bounded<::std::vec::Vec<::tautline::msgs::cdr::Bounded<::std::string::String, 3>>, 2>,",
+        "#[serde(rename = \"self\")]",
+        "pub self_: ::std::string::String,",
+        "pub header: ::tautline::std_msgs::msg::Header,",
+        "three: [1, 2, -3],",
+    ] {
+        assert!(code.lines().any(|found| found.trim() == line), "{line}\n{code}");
+    }
+}
+
+#[test]
+fn paths_are_those_of_r2r() {
+    let mut packages = bundled();
+    let paths: Vec<_> = messages(&mut packages, &["test_msgs", "std_srvs"])
+        .unwrap()
+        .into_iter()
+        .filter(|ty| ["Fibonacci", "SetBool"].iter().any(|name| ty.name.name().starts_with(name)))
+        .map(|ty| ty.path)
+        .collect();
+    let action = "test_msgs::action::Fibonacci::";
+    let service = "std_srvs::srv::SetBool::";
+    let parts = ["Event", "Request", "Response"];
+    let mut expected: Vec<_> = parts.iter().map(|part| format!("{service}{part}")).collect();
+    expected.extend(["Feedback", "FeedbackMessage"].map(|part| format!("{action}{part}")));
+    expected.extend(parts.iter().map(|part| format!("{action}GetResult::{part}")));
+    expected.extend(["Goal", "Result"].map(|part| format!("{action}{part}")));
+    expected.extend(parts.iter().map(|part| format!("{action}SendGoal::{part}")));
+    expected.sort();
+    let mut paths = paths;
+    paths.sort();
+    assert_eq!(paths, expected);
+}
+
+#[test]
+fn a_missing_package_is_named() {
+    let (_folder, mut packages) = demo("std_msgs/Header header\n");
+    packages.add_folder(concat!(env!("CARGO_MANIFEST_DIR"), "/../ros/definitions"));
+    let error = generate(&mut packages, &["demo_msgs"], &Options::default()).unwrap_err();
+    assert!(matches!(&error, GenerateError::Package { package, .. } if package == "std_msgs"), "{error}");
+    let error = generate(&mut packages, &["nothing_msgs"], &Options::default()).unwrap_err();
+    assert!(matches!(&error, GenerateError::Empty { .. }), "{error}");
+}
+
+/// rustfmt, without a configuration, finds nothing to change.
+#[test]
+fn code_is_formatted() {
+    let mut packages = bundled();
+    let names = packages.list();
+    let names: Vec<_> = names.iter().map(|name| name.package()).collect();
+    let code = generate(&mut packages, &names, &Options::default()).unwrap();
+    let mut command = Command::new("rustfmt");
+    command.args(["--edition", "2024", "--config-path", "/dev/null"]);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped());
+    let Ok(mut rustfmt) = command.spawn() else {
+        assert!(std::env::var_os("CI").is_none(), "CI needs rustfmt");
+        eprintln!("skipped: no rustfmt");
+        return;
+    };
+    let mut input = rustfmt.stdin.take().unwrap();
+    let sent = code.clone();
+    let writer = std::thread::spawn(move || input.write_all(sent.as_bytes()).unwrap());
+    let output = rustfmt.wait_with_output().unwrap();
+    writer.join().unwrap();
+    let formatted = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success());
+    let differs = code.lines().zip(formatted.lines()).enumerate().find(|(_, (ours, theirs))| ours != theirs);
+    assert_eq!(differs, None);
+    assert_eq!(code.len(), formatted.len());
+}

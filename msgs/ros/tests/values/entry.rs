@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The generated types as values: what to check with a message of each.
+
+use std::sync::Arc;
+
+use tautline_msgs::cdr::{Cdr, DecodeFault, EncodeFault};
+use tautline_msgs::serde::Serialize;
+use tautline_msgs::serde::de::DeserializeOwned;
+use tautline_schema::{DynamicMessage, Schema, TypeName};
+
+pub struct Entry {
+    pub name: &'static str,
+    pub hash: &'static str,
+    /// The CDR of its default.
+    pub default: fn() -> Vec<u8>,
+    /// Decodes a message, holds it against the dynamic one in every form, and gives our bytes.
+    pub check: fn(&[u8], &DynamicMessage) -> Vec<u8>,
+}
+
+include!(concat!(env!("OUT_DIR"), "/entries.rs"));
+
+/// Every message that is generated, the parts of services and actions included.
+pub fn entries() -> &'static [Entry] {
+    ENTRIES
+}
+
+impl Entry {
+    const fn of<T: Cdr + Serialize + DeserializeOwned + Default + PartialEq + Clone>() -> Self {
+        Self {
+            name: T::TYPE_NAME,
+            hash: T::TYPE_HASH,
+            default: || T::default().to_cdr().unwrap(),
+            check: check::<T>,
+        }
+    }
+
+    pub fn type_name(&self) -> TypeName {
+        self.name.parse().unwrap()
+    }
+
+    /// What `definitions` says it is.
+    pub fn schema(&self) -> Arc<Schema> {
+        let mut packages = tautline_schema::Packages::new();
+        packages.add_folder(concat!(env!("CARGO_MANIFEST_DIR"), "/definitions"));
+        Arc::new(packages.schema(&self.type_name()).unwrap())
+    }
+}
+
+fn check<T: Cdr + Serialize + DeserializeOwned + Default + PartialEq + Clone>(
+    cdr: &[u8],
+    dynamic: &DynamicMessage,
+) -> Vec<u8> {
+    let name = T::TYPE_NAME;
+    let owned = T::from_cdr(cdr).unwrap_or_else(|error| panic!("{error}"));
+    let bytes = owned.to_cdr().unwrap();
+    assert_eq!(bytes, dynamic.to_cdr(), "{name}");
+    let body = &bytes[4..];
+
+    // Padding is written, nothing after the message is, and nothing before its end is enough.
+    let len = owned.cdr_len();
+    let mut buffer = vec![0xaa; len + 8];
+    assert_eq!((owned.encode(&mut buffer), len), (Ok(len), body.len()), "{name}");
+    assert_eq!((&buffer[..len], &buffer[len..]), (body, &[0xaa; 8][..]), "{name}");
+    let error = owned.encode(&mut buffer[..len - 1]).unwrap_err();
+    assert!(matches!(error.fault, EncodeFault::Room { .. }), "{error}");
+    for end in (0..body.len()).step_by(1 + body.len() / 8).chain([body.len() - 1]) {
+        let error = T::from_cdr(&bytes[..4 + end]).err().unwrap_or_else(|| panic!("{name}: {end} of {len}"));
+        assert!(matches!(error.fault, DecodeFault::End { .. }), "{error}");
+        assert!(error.type_name.contains('/') && error.offset <= end.next_multiple_of(8), "{error}");
+    }
+
+    let json = serde_json::to_string(&owned).unwrap();
+    assert_eq!(json, dynamic.to_json(), "{name}");
+    let again: T = serde_json::from_str(&json).unwrap_or_else(|error| panic!("{name}: {error}: {json}"));
+    // As bytes, since a NaN does not equal itself.
+    assert!(again.to_cdr().unwrap() == bytes || json.contains("\"NaN\""), "{name}: {json}");
+    assert_eq!(again.cdr_len(), len, "{name}");
+    bytes
+}

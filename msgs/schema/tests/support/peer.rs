@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The Python process with rclpy, also for the tests of the generated types.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use tautline_schema::TypeName;
+
+/// A process that runs `ros_values.py`.
+pub struct Peer {
+    child: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+}
+
+impl Peer {
+    pub fn start(venv: &Path) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../msgs/schema/tests/ros_values.py");
+        let mut command = Command::new(venv.join("bin/python"));
+        command.arg(script).env_remove("LD_LIBRARY_PATH").stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let (input, output) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
+        Self { child, input, output: BufReader::new(output) }
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        assert!(
+            self.output.read_line(&mut line).unwrap() > 0,
+            "the Python process ended: see its output above"
+        );
+        line.trim_end().to_owned()
+    }
+
+    /// Random messages: the bytes and the JSON of each.
+    pub fn messages(
+        &mut self,
+        name: &TypeName,
+        count: usize,
+        seed: u64,
+    ) -> Result<Vec<(Vec<u8>, String)>, String> {
+        writeln!(self.input, "{name} {count} {seed}").unwrap();
+        let mut messages = Vec::new();
+        for _ in 0..count {
+            let line = self.line();
+            let (cdr, json) = line.split_once(' ').unwrap();
+            if cdr == "skip" {
+                return Err(json.to_owned());
+            }
+            messages.push((unhex(cdr), json.to_owned()));
+        }
+        Ok(messages)
+    }
+
+    /// Sends a line `<cdr as hex> <yaml as JSON string>` per message; gives `ok` or what differs.
+    pub fn answer(&mut self, lines: &str) -> String {
+        self.input.write_all(lines.as_bytes()).unwrap();
+        self.line()
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn unhex(text: &str) -> Vec<u8> {
+    let digits: Vec<u8> = text.chars().map(|digit| digit.to_digit(16).unwrap() as u8).collect();
+    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
+}

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use crate::cdr::{EncodeError, EncodeFault};
+
+/// A little-endian body while it is written. Never writes past the end of its buffer.
+#[derive(Debug)]
+pub struct Writer<'a> {
+    out: &'a mut [u8],
+    at: usize,
+}
+
+impl<'a> Writer<'a> {
+    /// Starts a body at the start of `out`.
+    #[must_use]
+    pub fn new(out: &'a mut [u8]) -> Self {
+        Self { out, at: 0 }
+    }
+
+    /// How many bytes are written.
+    #[must_use]
+    pub fn position(&self) -> usize {
+        self.at
+    }
+
+    /// Appends zeros up to the next multiple of `align`, a power of two, then `bytes`.
+    ///
+    /// # Real-time
+    ///
+    /// Wait-free; no allocation; no syscall. Linear in the number of bytes.
+    ///
+    /// # Errors
+    ///
+    /// [`EncodeFault::Room`] if the buffer ends before; nothing is written then.
+    #[inline]
+    pub fn put(&mut self, align: usize, bytes: &[u8]) -> Result<(), EncodeError> {
+        let start = self.at.next_multiple_of(align);
+        let end = start + bytes.len();
+        let Some(place) = self.out.get_mut(self.at..end) else {
+            return Err(EncodeError::new(EncodeFault::Room { needed: end, len: self.out.len() }));
+        };
+        let (padding, place) = place.split_at_mut(start - self.at);
+        for byte in padding {
+            *byte = 0;
+        }
+        place.copy_from_slice(bytes);
+        self.at = end;
+        Ok(())
+    }
+
+    /// Appends a length as `uint32`.
+    ///
+    /// # Real-time
+    ///
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Errors
+    ///
+    /// [`EncodeFault::Length`] if it does not fit, else as [`put`](Self::put).
+    #[inline]
+    pub fn length(&mut self, len: usize) -> Result<(), EncodeError> {
+        match u32::try_from(len) {
+            Ok(len) => self.put(4, &len.to_le_bytes()),
+            Err(_) => Err(EncodeError::new(EncodeFault::Length { len })),
+        }
+    }
+}
