@@ -167,7 +167,7 @@ fn release_dead_links(shared: &Shared, watch: &Watch) {
     let alive = ports::publishers(&watch.topic);
     for (link, owner) in claims {
         if !alive.iter().any(|port| Owner::of(port.gid) == owner) {
-            link.release_of_dead(owner);
+            link.release(owner);
         }
     }
 }

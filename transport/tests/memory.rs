@@ -118,3 +118,25 @@ fn images_keep_no_more_than_is_in_flight() {
         assert!(computed <= measured * 3 / 2, "nor much more");
     }
 }
+
+/// 1,000 bytes are a KB; three figures, or two where they suffice.
+fn in_words(bytes: usize) -> String {
+    let (unit, name) = match bytes {
+        0..1_000_000 => (1e3, "KB"),
+        1_000_000..1_000_000_000 => (1e6, "MB"),
+        _ => (1e9, "GB"),
+    };
+    let value = bytes as f64 / unit;
+    if value >= 100.0 { format!("{value:.0} {name}") } else { format!("{value:.1} {name}") }
+}
+
+#[test]
+fn the_documents_table_is_what_the_formula_says() {
+    let text = include_str!("../../docs/memory.md");
+    for (name, bytes) in [("64 B", 64), ("4 KiB", 4 << 10), ("1 MiB", 1 << 20), ("8 MiB", 8 << 20)] {
+        let memory = topic_memory(bytes, Limits::default(), 3, 10);
+        let (reserved, resident) = (in_words(memory.reserved_bytes), in_words(memory.resident_bytes));
+        let row = format!("| {name} | 10 | 3 | {reserved} | {resident} |");
+        assert!(text.contains(&row), "docs/memory.md lacks: {row}");
+    }
+}

@@ -91,7 +91,7 @@ impl Link {
     /// Claims the link, if its owner word is `from`, for a publisher whose next sample will be number `start`.
     fn claim(&self, from: u64, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> bool {
         let [low, high] = gid.words();
-        let owner = owner_word(gid);
+        let Owner(owner) = Owner::of(gid);
         if self.out.owner.compare_exchange(from, owner, Ordering::AcqRel, Ordering::Relaxed).is_err() {
             return false;
         }
@@ -124,22 +124,16 @@ impl Link {
         (arena, self.out.waiter_slot.load(Ordering::Relaxed) as usize)
     }
 
-    /// The publisher `gid` ends. Its numbers stay, so that samples still queued are counted rightly. Does nothing if the
+    /// The publisher `owner` ends, or was killed. Its numbers stay, so that samples still queued are counted rightly. Does nothing if the
     /// link is another's by now: a publisher may learn late that a subscription went, and its slot was claimed again.
-    pub(crate) fn release(&self, gid: Gid) {
-        let owner = owner_word(gid);
-        let _ = self.out.owner.compare_exchange(owner, ENDED, Ordering::Release, Ordering::Relaxed);
+    pub(crate) fn release(&self, owner: Owner) {
+        let _ = self.out.owner.compare_exchange(owner.0, ENDED, Ordering::Release, Ordering::Relaxed);
     }
 
     /// Whose the link is, if a publisher claimed it. Not its gid: that comes after the claim, and perhaps never.
     pub(crate) fn owner(&self) -> Option<Owner> {
         let owner = self.out.owner.load(Ordering::Acquire);
         (owner > ENDED).then_some(Owner(owner))
-    }
-
-    /// As [`release`](Self::release), for an owner that was killed.
-    pub(crate) fn release_of_dead(&self, owner: Owner) {
-        let _ = self.out.owner.compare_exchange(owner.0, ENDED, Ordering::Release, Ordering::Relaxed);
     }
 
     pub(crate) fn is_claimed(&self) -> bool {
@@ -160,19 +154,14 @@ impl Link {
     }
 }
 
-/// Who claimed a link.
+/// Who claimed a link: half of a publisher's gid, moved away from the two reserved values.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Owner(u64);
 
 impl Owner {
     pub(crate) fn of(gid: Gid) -> Self {
-        Owner(owner_word(gid))
+        Owner(gid.words()[0] | 2)
     }
-}
-
-/// What a publisher writes as owner: half of its gid, moved away from the two reserved values.
-fn owner_word(gid: Gid) -> u64 {
-    gid.words()[0] | 2
 }
 
 /// A mapped arena: this process's own, or a peer's. Unmapped when dropped; the owner's file is removed as well.
@@ -388,10 +377,10 @@ mod tests {
         arena.reset(0);
         assert_eq!(arena.claim_link(0, new, 5, (arena.id(), 8)), Some(0));
         let link = &arena.links(0)[0];
-        link.release(old);
+        link.release(Owner::of(old));
         assert!(link.is_claimed());
         assert_eq!(arena.claim_link(0, third, 1, (arena.id(), 9)), Some(1));
-        link.release(new);
+        link.release(Owner::of(new));
         assert!(!link.is_claimed());
         assert_eq!((link.gid(), link.start()), (new, 5), "readable until it is claimed again");
     }

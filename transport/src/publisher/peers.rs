@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The subscriptions that a publisher rings, brought up to date when the topic's epoch changes.
 
-use crate::doorbell::{Link, Slot, slot_flags};
+use crate::doorbell::{Link, Owner, Slot, slot_flags};
 use crate::header::Gid;
 use crate::ports::{self, Reached};
 use crate::topic::Topic;
@@ -64,7 +64,7 @@ impl Peers {
         self.matched.retain(|matched| {
             let stays = ports.iter().any(|port| port.id == matched.id);
             if !stays && let Some(link) = matched.link() {
-                link.release(gid);
+                link.release(Owner::of(gid));
             }
             stays
         });
@@ -104,7 +104,7 @@ impl Peers {
     pub(crate) fn end(&self, gid: Gid) {
         for matched in &self.matched {
             if let Some(link) = matched.link() {
-                link.release(gid);
+                link.release(Owner::of(gid));
             }
             matched.reached.arena().advance_epoch(matched.slot);
         }
