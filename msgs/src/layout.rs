@@ -69,6 +69,22 @@ pub const fn next_multiple(value: usize, align: usize) -> usize {
     value.next_multiple_of(align)
 }
 
+/// Zeroes the bytes from `start` to before `end`, as far as there are any.
+#[inline]
+pub fn clear(memory: &mut [u8], start: usize, end: usize) {
+    if let Some(padding) = memory.get_mut(start..end) {
+        padding.fill(0);
+    }
+}
+
+/// Zeroes the padding in the field of type `T` at `offset`.
+#[inline]
+pub fn clear_at<T: Plain>(memory: &mut [u8], offset: usize) {
+    if T::CONTENT_SIZE != T::CDR_SIZE {
+        T::clear_padding(memory.get_mut(offset..).unwrap_or_default());
+    }
+}
+
 /// Validates the field of type `T` at `offset` in `bytes`.
 #[inline]
 pub fn validate_at<T: Plain>(bytes: &[u8], offset: usize) -> Result<(), Invalid> {

@@ -31,17 +31,22 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `message` | [`Message`]: the ROS name of a type |
+//! | `message` | [`Message`]: name, hash, definition; in place, to CDR and back |
+//! | `body` | [`Body`]: bytes that claim to be a message, where they can be read in place |
+//! | `definition` | [`Definition`]: the text of a type's definition |
 //! | `plain` | [`Plain`]: layout and validity; [`from_bytes`], [`write_cdr`] |
 //! | `primitives` | `Plain` for integers, floats, `bool`, `char`, arrays |
 //! | `invalid` | [`Invalid`]: why bytes are not a value |
 //! | `layout` | the compile-time proof that C layout is CDR layout, called by the derive |
-//! | [`cdr`] | [`Cdr`](cdr::Cdr): owned messages of any size, converted to and from CDR |
+//! | [`cdr`] | fields of any size: owned, read in place, written in place |
+//! | `generated` | the macros that generated code calls |
 //! | `service` | [`Service`], [`Action`] |
-//!
-//! Views of types of variable size (strings, sequences) over the same bytes will be in a module beside `plain`.
 
+#[macro_use]
+mod generated;
+mod body;
 pub mod cdr;
+mod definition;
 mod invalid;
 #[doc(hidden)]
 pub mod layout;
@@ -52,8 +57,14 @@ mod primitives;
 pub mod serde_fields;
 mod service;
 
+pub use body::{BODY_ALIGN, Body};
+pub use definition::Definition;
+#[doc(hidden)]
+pub use definition::definition_of;
 pub use invalid::Invalid;
-pub use message::Message;
+pub use message::{HEADER, Message, split_header};
+#[doc(hidden)]
+pub use plain::view_plain;
 pub use plain::{Plain, from_bytes, write_cdr};
 /// For generated code.
 #[doc(hidden)]

@@ -2,7 +2,8 @@
 
 use core::any::type_name;
 
-use crate::Invalid;
+use crate::cdr::{DecodeError, DecodeFault, Endian, FieldPath, Form, SLACK};
+use crate::{Body, Invalid, Message};
 
 /// A type of fixed size whose C layout is its XCDR1 little-endian layout: a reference to the bytes is a reference to
 /// the value.
@@ -30,7 +31,7 @@ use crate::Invalid;
     note = "plain are u8..u64, i8..i64, f32, f64, bool, char, arrays of these, and structs and enums with `#[derive(Message)]`",
     note = "text of limited length can be a `[u8; N]` with a length field"
 )]
-pub unsafe trait Plain: Copy + Send + Sync + 'static {
+pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
     /// Bytes from the start of the value to the end of its last primitive.
     ///
     /// `CDR_SIZE <= size_of::<Self>() <= CDR_SIZE.next_multiple_of(8)`: a body stored in a buffer rounded up to
@@ -42,6 +43,14 @@ pub unsafe trait Plain: Copy + Send + Sync + 'static {
 
     /// Whether any initialised bytes are a valid value, so that there is nothing to validate.
     const ALWAYS_VALID: bool;
+
+    /// Bytes of all its primitives: [`CDR_SIZE`](Plain::CDR_SIZE) without the padding between them.
+    const CONTENT_SIZE: usize;
+
+    /// Whether any number of values can lie one after the other in a body, wherever the first one does: there is no
+    /// padding before, within or after it.
+    #[doc(hidden)]
+    const DENSE: bool = Self::CONTENT_SIZE == size_of::<Self>() && Self::FIRST_ALIGN == align_of::<Self>();
 
     /// Checks that `bytes` hold a valid value: each `bool` is 0 or 1, each `char` a Unicode scalar value, each enum
     /// one of its variants. Bytes past `CDR_SIZE` are not looked at; alignment does not matter.
@@ -60,6 +69,15 @@ pub unsafe trait Plain: Copy + Send + Sync + 'static {
     /// Call [`write_cdr`] instead.
     #[doc(hidden)]
     fn write_fields(&self, out: &mut [u8]);
+
+    /// Zeroes the padding between the primitives of the value in `memory`, which Rust leaves unspecified when a value is
+    /// assigned: what is sent must hold no rest of other data.
+    ///
+    /// # Real-time
+    ///
+    /// Wait-free; no allocation; no syscall. Nothing to do if [`CONTENT_SIZE`](Plain::CONTENT_SIZE) is
+    /// [`CDR_SIZE`](Plain::CDR_SIZE).
+    fn clear_padding(memory: &mut [u8]);
 }
 
 /// The value that `bytes` hold, in place.
@@ -116,4 +134,31 @@ pub fn write_cdr<T: Plain>(value: &T, out: &mut [u8]) -> Result<usize, Invalid> 
     body.fill(0);
     value.write_fields(body);
     Ok(T::CDR_SIZE)
+}
+
+/// Checks a whole body of a plain type. A fault is looked for again field by field, to say where it is.
+///
+/// # Errors
+///
+/// As [`Message::view`].
+#[doc(hidden)]
+#[inline]
+pub fn view_plain<T: Plain + Message>(body: Body<'_>) -> Result<&T, DecodeError> {
+    let len = body.bytes().len();
+    match from_bytes(body.memory()) {
+        Ok(value) if len >= T::CDR_SIZE && len <= T::CDR_SIZE + SLACK => Ok(value),
+        _ => Err(explain::<T>(body)),
+    }
+}
+
+#[cold]
+fn explain<T: Plain + Message>(body: Body<'_>) -> DecodeError {
+    match T::decode(body.bytes(), Endian::Little) {
+        Err(error) => error,
+        // The message is whole, but its trailing padding is missing.
+        Ok(_) => {
+            let fault = DecodeFault::End { needed: size_of::<T>(), left: body.memory().len() };
+            DecodeError { type_name: T::TYPE_NAME, path: FieldPath::EMPTY, offset: 0, fault }
+        }
+    }
 }

@@ -13,7 +13,11 @@ macro_rules! always_valid {
         unsafe impl Plain for $primitive {
             const CDR_SIZE: usize = size_of::<Self>();
             const FIRST_ALIGN: usize = size_of::<Self>();
+            const CONTENT_SIZE: usize = size_of::<Self>();
             const ALWAYS_VALID: bool = true;
+
+            #[inline]
+            fn clear_padding(_: &mut [u8]) {}
 
             #[inline]
             fn validate(_: &[u8]) -> Result<(), Invalid> {
@@ -34,7 +38,11 @@ always_valid!(u8 u16 u32 u64 i8 i16 i32 i64 f32 f64);
 unsafe impl Plain for bool {
     const CDR_SIZE: usize = 1;
     const FIRST_ALIGN: usize = 1;
+    const CONTENT_SIZE: usize = 1;
     const ALWAYS_VALID: bool = false;
+
+    #[inline]
+    fn clear_padding(_: &mut [u8]) {}
 
     #[inline]
     fn validate(bytes: &[u8]) -> Result<(), Invalid> {
@@ -54,7 +62,11 @@ unsafe impl Plain for bool {
 unsafe impl Plain for char {
     const CDR_SIZE: usize = 4;
     const FIRST_ALIGN: usize = 4;
+    const CONTENT_SIZE: usize = 4;
     const ALWAYS_VALID: bool = false;
+
+    #[inline]
+    fn clear_padding(_: &mut [u8]) {}
 
     #[inline]
     fn validate(bytes: &[u8]) -> Result<(), Invalid> {
@@ -81,7 +93,22 @@ unsafe impl<T: Plain, const N: usize> Plain for [T; N] {
         (N - 1) * size_of::<T>() + T::CDR_SIZE
     };
     const FIRST_ALIGN: usize = T::FIRST_ALIGN;
+    const CONTENT_SIZE: usize = N * T::CONTENT_SIZE;
     const ALWAYS_VALID: bool = T::ALWAYS_VALID;
+
+    #[inline]
+    fn clear_padding(memory: &mut [u8]) {
+        if T::CONTENT_SIZE == size_of::<T>() {
+            return;
+        }
+        let last = N - 1;
+        for (index, element) in memory.chunks_mut(size_of::<T>()).take(N).enumerate() {
+            T::clear_padding(element);
+            if index != last {
+                layout::clear(element, T::CDR_SIZE, size_of::<T>());
+            }
+        }
+    }
 
     #[inline]
     fn validate(bytes: &[u8]) -> Result<(), Invalid> {

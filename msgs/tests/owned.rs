@@ -1,23 +1,27 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Owned messages: bytes, bad bytes, bounds, allocation. That they equal ROS 2's, `tautline-ros-msgs` shows.
+//! Messages of any size, owned and in place: bytes, bad bytes, bounds, allocation. That they equal ROS 2's,
+//! `tautline-ros-msgs` shows.
+#![allow(missing_docs, reason = "a test")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use tautline_msgs::cdr::{Bounded, Cdr, DecodeError, DecodeFault, EncodeFault, Endian, WString};
-use tautline_msgs::{cdr_struct, serde_fields};
+use tautline_msgs::cdr::{
+    self, Bounded, DecodeError, DecodeFault, EncodeFault, Endian, Seq, WStr, WString, WriteError, WriteFault,
+};
+use tautline_msgs::{Body, Message, cdr_form, in_place, message, serde_fields};
 
-#[derive(Clone, Debug, PartialEq)]
-struct Empty {}
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Empty {}
 
-#[derive(Clone, Debug, PartialEq)]
-struct Point {
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Point {
     x: f64,
     name: String,
 }
 
-#[derive(Clone, Debug, PartialEq)]
-struct Demo {
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Demo {
     id: u8,
     path: Vec<Point>,
     data: Vec<u8>,
@@ -29,10 +33,18 @@ struct Demo {
     empty: Vec<Empty>,
 }
 
-cdr_struct! { "demo_msgs/msg/Empty", "RIHS01_00"; Empty {} }
-cdr_struct! { "demo_msgs/msg/Point", "RIHS01_00"; Point { x: f64, name: Bounded<String, 2> } }
-cdr_struct! {
-    "demo_msgs/msg/Demo", "RIHS01_00";
+cdr_form! { "demo_msgs/msg/Empty"; Empty {} }
+in_place! { "demo_msgs/msg/Empty"; Empty EmptyRef EmptyWriter (); {} }
+message! { EmptyRef Empty "demo_msgs/msg/Empty" { "RIHS01_00", "", [] } }
+cdr_form! { "demo_msgs/msg/Point"; Point { x: f64, name: Bounded<String, 2> } }
+in_place! {
+    "demo_msgs/msg/Point";
+    Point PointRef PointWriter PointSizes;
+    { x: f64 as f64 [], name: Bounded<String, 2> as &'a str [name], }
+}
+message! { PointRef Point "demo_msgs/msg/Point" { "RIHS01_00", "float64 x\nstring<=2 name\n", [] } }
+cdr_form! {
+    "demo_msgs/msg/Demo";
     Demo {
         id: u8,
         path: Vec<Point>,
@@ -44,6 +56,37 @@ cdr_struct! {
         flags: Vec<bool>,
         empty: Vec<Empty>,
     }
+}
+in_place! {
+    "demo_msgs/msg/Demo";
+    Demo DemoRef DemoWriter DemoSizes<'s>;
+    {
+        id: u8 as u8 [],
+        path: Vec<Point> as Seq<'a, Point> [path],
+        data: Bounded<Vec<u8>, 4> as &'a [u8] [data],
+        ok: bool as bool [],
+        wide: Bounded<WString, 3> as WStr<'a> [wide],
+        r#type: [u16; 2] as &'a [u16; 2] [],
+        last: Vec<f64> as &'a [f64] [last],
+        flags: Vec<bool> as &'a [bool] [flags],
+        empty: Vec<Empty> as Seq<'a, Empty> [empty],
+    }
+}
+message! { DemoRef Demo "demo_msgs/msg/Demo" { "RIHS01_00", "not needed here", [Point, Empty] } }
+
+#[derive(Clone, Copy, Default)]
+pub struct PointSizes {
+    name: usize,
+}
+
+#[derive(Clone, Copy, Default)]
+pub struct DemoSizes<'s> {
+    path: &'s [PointSizes],
+    data: usize,
+    wide: usize,
+    last: usize,
+    flags: usize,
+    empty: &'s [()],
 }
 
 fn demo() -> Demo {
@@ -73,6 +116,10 @@ const BODY: [u8; 87] = [
     0, 0, 0, 0, 0, 0, 0, 0, 0,
 ];
 const LEN: usize = 78;
+
+/// Where a body can be read in place.
+#[repr(align(8))]
+struct Aligned<const N: usize>([u8; N]);
 
 #[test]
 fn bytes_are_those_of_the_wire() {
@@ -122,22 +169,27 @@ fn bad_bytes_have_a_field_and_an_offset() {
     let changed = |at: usize, bytes: &[u8]| {
         let mut body = BODY;
         body[at..at + bytes.len()].copy_from_slice(bytes);
-        let DecodeError { type_name, field, offset, fault } =
-            Demo::decode(&body[..LEN], Endian::Little).unwrap_err();
-        (type_name.rsplit('/').next().unwrap(), field, offset, fault)
+        let owned = Demo::decode(&body[..LEN], Endian::Little).unwrap_err();
+        let body = Aligned(body);
+        let viewed = Demo::view(Body::new(&body.0, LEN).unwrap()).unwrap_err();
+        assert_eq!(owned, viewed);
+        let DecodeError { type_name, path, offset, fault } = owned;
+        assert_eq!(type_name, "demo_msgs/msg/Demo");
+        (path.to_string(), offset, fault)
     };
+    let at = |path: &str, offset, fault| (path.to_owned(), offset, fault);
     assert_eq!(
         changed(4, &[255; 4]),
-        ("Demo", "path", 8, DecodeFault::End { needed: 12 * u32::MAX as usize, left: 70 })
+        at("path", 8, DecodeFault::End { needed: 12 * u32::MAX as usize, left: 70 })
     );
-    assert_eq!(changed(21, &[0x80]), ("Point", "name", 21, DecodeFault::Unicode));
-    assert_eq!(changed(21, b"bc"), ("Point", "name", 20, DecodeFault::Bound { len: 3, bound: 2 }));
-    assert_eq!(changed(23, b"x"), ("Point", "name", 24, DecodeFault::Terminator));
-    assert_eq!(changed(24, &[5]), ("Demo", "data", 24, DecodeFault::Bound { len: 5, bound: 4 }));
-    assert_eq!(changed(30, &[2]), ("Demo", "ok", 30, DecodeFault::Bool { value: 2 }));
-    assert_eq!(changed(38, &[1]), ("Demo", "wide", 36, DecodeFault::Unicode));
-    assert_eq!(changed(41, &[0]), ("Demo", "wide", 36, DecodeFault::Unicode));
-    assert_eq!(changed(69, &[9]), ("Demo", "flags", 69, DecodeFault::Bool { value: 9 }));
+    assert_eq!(changed(21, &[0x80]), at("path[0].name", 21, DecodeFault::Unicode));
+    assert_eq!(changed(21, b"bc"), at("path[0].name", 20, DecodeFault::Bound { len: 3, bound: 2 }));
+    assert_eq!(changed(23, b"x"), at("path[0].name", 24, DecodeFault::Terminator));
+    assert_eq!(changed(24, &[5]), at("data", 24, DecodeFault::Bound { len: 5, bound: 4 }));
+    assert_eq!(changed(30, &[2]), at("ok", 30, DecodeFault::Bool { value: 2 }));
+    assert_eq!(changed(38, &[1]), at("wide", 36, DecodeFault::Unicode));
+    assert_eq!(changed(41, &[0]), at("wide", 36, DecodeFault::Unicode));
+    assert_eq!(changed(69, &[9]), at("flags[1]", 69, DecodeFault::Bool { value: 9 }));
     let error = Demo::decode(&BODY[..50], Endian::Little).unwrap_err();
     assert_eq!(
         error.to_string(),
@@ -163,6 +215,101 @@ fn headers_and_trailing_bytes_are_checked() {
     assert_eq!(with(demo(), &[1.0], 17), Err(DecodeFault::Trailing { len: 17, most: 16 }));
     assert_eq!(with(demo(), &[], 24), Ok(()));
     assert_eq!(with(demo(), &[], 25), Err(DecodeFault::Trailing { len: 25, most: 24 }));
+}
+
+#[test]
+fn a_view_reads_what_is_there() {
+    let body = Aligned(BODY);
+    let view = Demo::view(Body::new(&body.0, LEN).unwrap()).unwrap();
+    assert_eq!((view.id(), view.data(), view.ok()), (7, &[1, 255][..], true));
+    let names: Vec<_> = view.path().iter().map(|point| (point.x(), point.name())).collect();
+    assert_eq!(names, [(1.0, "aé")]);
+    assert!(view.path().get(1).is_none() && view.path().len() == 1 && view.wide() == "é😀");
+    assert_eq!((view.r#type(), view.last(), view.flags()), (&[0x1234, 1], &[-2.0][..], &[true, false][..]));
+    assert_eq!(view.empty().iter().count(), 2);
+    // Borrowed, not copied.
+    assert_eq!(view.data().as_ptr(), &raw const body.0[28]);
+    assert_eq!(view.last().as_ptr().cast(), &raw const body.0[56]);
+    assert!(format!("{view:?}").contains("name: \"aé\""));
+
+    let fault = |bytes| Body::new(bytes, LEN).map(|_| ()).unwrap_err();
+    assert_eq!(fault(&body.0[1..]), DecodeFault::Alignment { align: 8 });
+    assert_eq!(fault(&body.0[..72]), DecodeFault::End { needed: LEN, left: 72 });
+    let mut wire = Aligned([0; LEN + 8]);
+    wire.0[4..8].copy_from_slice(&[0, 1, 0, 0]);
+    wire.0[8..].copy_from_slice(&BODY[..LEN]);
+    assert_eq!(Demo::view_cdr(&wire.0[4..]).unwrap().id(), 7);
+    wire.0[5] = 0;
+    assert_eq!(Demo::view_cdr(&wire.0[4..]).unwrap_err().fault, DecodeFault::BigEndian);
+}
+
+/// The sizes of `demo()`.
+const SIZES: DemoSizes<'static> =
+    DemoSizes { path: &[PointSizes { name: 3 }], data: 2, wide: 3, last: 1, flags: 2, empty: &[(); 2] };
+
+fn write_demo(demo: &mut DemoWriter<'_, '_>) -> Result<(), WriteError> {
+    // In any order.
+    demo.flags.copy_from(&[true, false])?;
+    demo.id.set(7);
+    demo.path.each(|_, point| {
+        point.name.set("aé")?;
+        point.x.set(1.0);
+        Ok(())
+    })?;
+    demo.data.slice_mut().copy_from_slice(&[1, 255]);
+    *demo.ok.value_mut() = true;
+    demo.wide.set("é😀")?;
+    demo.r#type.copy_from(&[0x1234, 1])?;
+    demo.last.copy_from(&[-2.0])?;
+    demo.empty.each(|_, _| Ok(()))
+}
+
+#[test]
+fn writing_in_place_gives_the_same_bytes() {
+    let mut memory = Aligned([0xaa; LEN + 2]);
+    assert_eq!(cdr::sized_len::<Demo>(SIZES), LEN);
+    COUNT.set(0);
+    let written = cdr::fill::<Demo>(SIZES, &mut memory.0, write_demo);
+    assert_eq!((COUNT.get(), written), (0, Ok(LEN)));
+    assert_eq!(memory.0[..LEN], BODY[..LEN]);
+    assert_eq!(memory.0[LEN..], [0xaa; 2]);
+
+    let default = cdr::fill::<Demo>(DemoSizes::default(), &mut memory.0, |demo| {
+        demo.default_rest();
+        Ok(())
+    });
+    assert_eq!(memory.0[..default.unwrap()], Demo::default().to_cdr().unwrap()[4..]);
+}
+
+#[test]
+fn nothing_is_forgotten_when_writing_in_place() {
+    let mut memory = Aligned([0xaa; LEN + 2]);
+    let mut written = |sizes, write: fn(&mut DemoWriter<'_, '_>) -> Result<(), WriteError>| {
+        let error = cdr::fill::<Demo>(sizes, &mut memory.0, write).unwrap_err();
+        (error.type_name.rsplit('/').next().unwrap(), error.field, error.fault)
+    };
+    assert_eq!(written(SIZES, |_| Ok(())), ("Demo", "id", WriteFault::Unset));
+    let name_only = |demo: &mut DemoWriter<'_, '_>| demo.path.each(|_, point| point.name.set("aé"));
+    assert_eq!(written(SIZES, name_only), ("Point", "x", WriteFault::Unset));
+    let all_defaults = |demo: &mut DemoWriter<'_, '_>| {
+        demo.default_rest();
+        Ok(())
+    };
+    assert_eq!(written(SIZES, all_defaults), ("Demo", "path", WriteFault::Unset), "text has a stated length");
+    let other_length = |demo: &mut DemoWriter<'_, '_>| demo.wide.set("longer");
+    let fault = WriteFault::Length { len: 6, stated: 3 };
+    assert_eq!(written(SIZES, other_length), ("Demo", "", fault), "the closure's own error has no field");
+    let over = DemoSizes { data: 5, ..SIZES };
+    let fault = WriteFault::Encode(EncodeFault::Bound { len: 5, bound: 4 });
+    assert_eq!(written(over, all_defaults), ("Demo", "data", fault));
+    let too_long = DemoSizes { last: usize::MAX / 2, ..SIZES };
+    let (_, field, fault) = written(too_long, all_defaults);
+    assert!(field == "last" && matches!(fault, WriteFault::Encode(EncodeFault::Length { .. })), "{fault}");
+    let no_room = DemoSizes { last: 1 << 20, ..SIZES };
+    let (_, field, fault) = written(no_room, all_defaults);
+    assert!(field == "last" && matches!(fault, WriteFault::Encode(EncodeFault::Room { .. })), "{fault}");
+    let odd = cdr::fill::<Demo>(SIZES, &mut memory.0[1..], write_demo).unwrap_err();
+    assert_eq!(odd.fault, WriteFault::Encode(EncodeFault::Alignment { align: 8 }));
 }
 
 #[test]

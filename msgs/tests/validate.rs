@@ -112,3 +112,38 @@ fn a_short_buffer_is_left_alone() {
     assert_eq!(write_cdr(&1_u64, &mut out), Err(fault));
     assert_eq!(out, [7; 7]);
 }
+
+macro_rules! frame {
+    ($name:ident, $text:literal, $half:expr) => {
+        #[derive(Message, Clone, Copy)]
+        #[message(name = $text, crate = "tautline_msgs")]
+        #[repr(C)]
+        struct $name {
+            data: [u16; $half * 2],
+        }
+    };
+}
+
+frame!(Frame, "test_msgs/msg/Frame", 1 + 2);
+
+/// `1 + 2 * 2` would be 5 numbers.
+#[test]
+fn a_macro_of_the_user_passes_a_length() {
+    assert_eq!((size_of::<Frame>(), Frame::CDR_SIZE, Frame::FIXED_LEN), (12, 12, Some(12)));
+    let frame = Frame { data: [7; 6] };
+    assert_eq!((frame.cdr_len(), frame.to_cdr().unwrap().len()), (12, 16));
+}
+
+#[test]
+fn padding_is_cleared_and_nothing_else() {
+    let mut memory = [0xaa; size_of::<Outer>()];
+    Outer::clear_padding(&mut memory);
+    let kept: Vec<_> = (0..Outer::CDR_SIZE).filter(|&byte| memory[byte] == 0xaa).collect();
+    assert_eq!(kept.len(), Outer::CONTENT_SIZE);
+    // What the fields write is what is kept.
+    let outer: Outer = *from_bytes(&body(0, &[]).0).unwrap_or_else(|fault| panic!("{fault}"));
+    let mut written = [0x55; size_of::<Outer>()];
+    outer.write_fields(&mut written);
+    let content: Vec<_> = (0..Outer::CDR_SIZE).filter(|&byte| written[byte] == 0).collect();
+    assert_eq!(kept, content);
+}

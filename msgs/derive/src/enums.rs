@@ -61,7 +61,11 @@ pub fn expand(
         unsafe impl #krate::Plain for #name {
             const CDR_SIZE: usize = ::core::mem::size_of::<#integer>();
             const FIRST_ALIGN: usize = ::core::mem::size_of::<#integer>();
+            const CONTENT_SIZE: usize = ::core::mem::size_of::<#integer>();
             const ALWAYS_VALID: bool = false;
+
+            #[inline]
+            fn clear_padding(_: &mut [u8]) {}
 
             #[inline]
             fn validate(bytes: &[u8]) -> ::core::result::Result<(), #krate::Invalid> {
@@ -81,6 +85,43 @@ pub fn expand(
             #[inline]
             fn write_fields(&self, out: &mut [u8]) {
                 #krate::Plain::write_fields(&(*self as #integer), out);
+            }
+        }
+
+        #[automatically_derived]
+        impl #krate::cdr::Form for #name {
+            type Value = Self;
+            const MIN_SIZE: usize = ::core::mem::size_of::<#integer>();
+
+            #[inline]
+            fn end(_: &Self, at: usize) -> usize {
+                <#integer as #krate::cdr::Form>::end(&0, at)
+            }
+
+            #[inline]
+            fn write(
+                value: &Self,
+                writer: &mut #krate::cdr::Writer<'_>,
+            ) -> ::core::result::Result<(), #krate::cdr::EncodeError> {
+                <#integer as #krate::cdr::Form>::write(&(*value as #integer), writer)
+            }
+
+            #[inline]
+            fn read(
+                reader: &mut #krate::cdr::Reader<'_>,
+            ) -> ::core::result::Result<Self, #krate::cdr::Fault> {
+                let value = <#integer as #krate::cdr::Form>::read(reader)?;
+                #(
+                    if value == #name::#variants as #integer {
+                        return ::core::result::Result::Ok(#name::#variants);
+                    }
+                )*
+                let value = ::core::primitive::i64::from(value);
+                ::core::result::Result::Err(reader.no_value(
+                    value,
+                    &#type_name,
+                    ::core::mem::size_of::<#integer>(),
+                ))
             }
         }
     })

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Structs: `Plain` field by field, the proof of their layout, and `Message` if they have a name.
 
-use proc_macro2::{Span, TokenStream, TokenTree};
+use proc_macro2::{Delimiter, Group, Span, TokenStream, TokenTree};
 use quote::{ToTokens, quote, quote_spanned};
 use syn::spanned::Spanned;
-use syn::{DataStruct, DeriveInput, Error, Field, Fields, Ident, Path, Result, Type};
+use syn::{DataStruct, DeriveInput, Error, Expr, Field, Fields, Ident, Path, Result, Type};
 
 use crate::attributes::{Attributes, Repr};
 
@@ -16,7 +16,6 @@ pub fn expand(
 ) -> Result<TokenStream> {
     let name = &input.ident;
     let krate = &attributes.krate;
-    let message = message_impl(name, attributes)?;
     if !repr.has("C") {
         return Err(Error::new_spanned(
             name,
@@ -29,15 +28,22 @@ pub fn expand(
     }
 
     let idents: Vec<_> = fields.iter().filter_map(|field| field.ident.as_ref()).collect();
-    let types: Vec<_> = fields.iter().map(|field| &field.ty).collect();
+    let types: Vec<_> = fields.iter().map(|field| parenthesised(&field.ty)).collect();
+    let types: Vec<_> = types.iter().collect();
     let (first, last) = (types[0], types[types.len() - 1]);
     let last_ident = idents[idents.len() - 1];
     // One error at the field of a type that is not plain, in place of one for each use below.
-    let bounds = types.iter().map(|ty| {
-        let krate = respanned(krate, ty.span());
-        quote_spanned!(ty.span()=> #ty: #krate::Plain)
-    });
+    let bounds: Vec<_> = types
+        .iter()
+        .map(|ty| {
+            let krate = respanned(krate, ty.span());
+            quote_spanned!(ty.span()=> #ty: #krate::Plain)
+        })
+        .collect();
+    let message = message_impl(name, attributes, &bounds)?;
     let proofs = fields.windows(2).map(|pair| proof(name, krate, pair[0], pair[1]));
+
+    let form = form(input, krate, &idents, &types, &bounds);
 
     // The last line before the impl evaluates the arrays' own proof, also where no field follows them.
     Ok(quote! {
@@ -55,6 +61,7 @@ pub fn expand(
             const CDR_SIZE: usize =
                 ::core::mem::offset_of!(#name, #last_ident) + <#last as #krate::Plain>::CDR_SIZE;
             const FIRST_ALIGN: usize = <#first as #krate::Plain>::FIRST_ALIGN;
+            const CONTENT_SIZE: usize = 0 #(+ <#types as #krate::Plain>::CONTENT_SIZE)*;
             const ALWAYS_VALID: bool = true #(&& <#types as #krate::Plain>::ALWAYS_VALID)*;
 
             #[inline]
@@ -67,18 +74,112 @@ pub fn expand(
             fn write_fields(&self, out: &mut [u8]) {
                 #(#krate::Plain::write_fields(&self.#idents, &mut out[::core::mem::offset_of!(#name, #idents)..]);)*
             }
+
+            #[inline]
+            fn clear_padding(memory: &mut [u8]) {
+                let end = 0usize;
+                #(
+                    let start = ::core::mem::offset_of!(#name, #idents);
+                    #krate::layout::clear(memory, end, start);
+                    #krate::layout::clear_at::<#types>(memory, start);
+                    let end = start + <#types as #krate::Plain>::CDR_SIZE;
+                )*
+                let _ = end;
+            }
         }
+
+        #form
     })
 }
 
-fn message_impl(name: &Ident, attributes: &Attributes) -> Result<TokenStream> {
+/// The same type with parentheses where a macro of the user's passed a part of an array's length, `$kib * 1024` say: the
+/// invisible ones that are there are lost on the way back to the compiler.
+fn parenthesised(ty: &Type) -> Type {
+    match ty {
+        Type::Array(array) => {
+            let mut array = array.clone();
+            array.elem = Box::new(parenthesised(&array.elem));
+            array.len = Expr::Verbatim(visible(array.len.to_token_stream()));
+            Type::Array(array)
+        }
+        Type::Group(group) => parenthesised(&group.elem),
+        other => other.clone(),
+    }
+}
+
+fn visible(tokens: TokenStream) -> TokenStream {
+    let token = |token| match token {
+        TokenTree::Group(group) => {
+            let delimiter = match group.delimiter() {
+                Delimiter::None => Delimiter::Parenthesis,
+                other => other,
+            };
+            let mut visible = Group::new(delimiter, visible(group.stream()));
+            visible.set_span(group.span());
+            TokenTree::Group(visible)
+        }
+        other => other,
+    };
+    tokens.into_iter().map(token).collect()
+}
+
+/// `Form`, field by field.
+fn form(
+    input: &DeriveInput,
+    krate: &Path,
+    idents: &[&Ident],
+    types: &[&Type],
+    bounds: &[TokenStream],
+) -> TokenStream {
+    let name = &input.ident;
+    quote! {
+        #[automatically_derived]
+        impl #krate::cdr::Form for #name
+        where
+            #(#bounds,)*
+        {
+            type Value = Self;
+            const MIN_SIZE: usize = 0usize #(.saturating_add(<#types as #krate::cdr::Form>::MIN_SIZE))*;
+
+            #[inline]
+            fn end(value: &Self, at: usize) -> usize {
+                #(let at = <#types as #krate::cdr::Form>::end(&value.#idents, at);)*
+                at
+            }
+
+            #[inline]
+            fn write(
+                value: &Self,
+                writer: &mut #krate::cdr::Writer<'_>,
+            ) -> ::core::result::Result<(), #krate::cdr::EncodeError> {
+                #(<#types as #krate::cdr::Form>::write(&value.#idents, writer)?;)*
+                ::core::result::Result::Ok(())
+            }
+
+            #[inline]
+            fn read(
+                reader: &mut #krate::cdr::Reader<'_>,
+            ) -> ::core::result::Result<Self, #krate::cdr::Fault> {
+                ::core::result::Result::Ok(Self {
+                    #(#idents: match <#types as #krate::cdr::Form>::read(reader) {
+                        ::core::result::Result::Ok(value) => value,
+                        ::core::result::Result::Err(fault) => {
+                            return ::core::result::Result::Err(
+                                reader.in_field(fault, &::core::stringify!(#idents)),
+                            );
+                        }
+                    },)*
+                })
+            }
+        }
+    }
+}
+
+fn message_impl(name: &Ident, attributes: &Attributes, bounds: &[TokenStream]) -> Result<TokenStream> {
     let krate = &attributes.krate;
     match (&attributes.name, attributes.nested) {
         (Some(type_name), _) => Ok(quote! {
-            #[automatically_derived]
-            impl #krate::Message for #name {
-                const TYPE_NAME: &'static str = #type_name;
-            }
+            #krate::message! { plain #name #type_name {} where #(#bounds,)* }
         }),
         (None, Some(_)) => Ok(TokenStream::new()),
         (None, None) => Err(Error::new_spanned(
@@ -144,7 +245,7 @@ fn check_type(ty: &Type) -> Result<()> {
 fn proof(name: &Ident, krate: &Path, previous: &Field, field: &Field) -> TokenStream {
     let struct_name = name.to_string();
     let [previous, described] = [previous, field].map(|field| {
-        let (ident, ty) = (&field.ident, &field.ty);
+        let (ident, ty) = (&field.ident, &parenthesised(&field.ty));
         let field_name = ident.to_token_stream().to_string();
         let type_name = type_text(ty);
         quote! {

@@ -15,19 +15,24 @@
 //!
 //! A package becomes a module, with the paths of r2r: `std_msgs::msg::String`, `std_srvs::srv::SetBool::{Service,
 //! Request, Response, Event}`, `example_interfaces::action::Fibonacci::{Action, Goal, Result, Feedback, FeedbackMessage,
-//! SendGoal, GetResult}`. A message is a struct with public fields, constants, ROS's defaults, serde, and `Cdr` of
-//! `tautline-msgs`. The text is formatted as rustfmt does, without needing it.
+//! SendGoal, GetResult}`. A message is a struct with public fields, constants, ROS's defaults, serde, and `Message` of
+//! `tautline-msgs`. It is `Plain` if its memory can be its CDR; if not, `ImageRef`, `ImageWriter` and `ImageSizes` read
+//! and write it in place. The text is formatted as rustfmt does, without needing it.
 //!
 //! | module | holds |
 //! |---|---|
 //! | `package` | [`generate`]: modules and what lies in them |
 //! | `message` | the struct of a message |
+//! | `memory` | how it lies in memory |
+//! | `in_place` | getters and sizes |
 //! | `types` | Rust types, CDR forms and literals of fields |
 //! | `names` | paths, and names that are keywords |
 //! | `text` | lines and their indentation |
 #![forbid(unsafe_code)]
 
 mod error;
+mod in_place;
+mod memory;
 mod message;
 mod names;
 mod package;

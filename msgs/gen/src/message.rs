@@ -1,15 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The struct of one message.
+//! The struct of one message, and what reads and writes it in place.
 
-use tautline_schema::{Definition, Field, Schema, Shape, Value};
+use std::collections::BTreeSet;
 
+use tautline_schema::{Base, Definition, Field, Schema, SchemaError, Shape, Value};
+
+use crate::in_place::Types;
+use crate::memory::Memory;
 use crate::text::Text;
 use crate::types::{constant, default_of, form, has_default, is_zero, literal, owned, rust, serde};
 use crate::{Options, names};
 
 /// Writes the struct `name`, in the module `module`, with all that is implemented for it.
-pub fn write(text: &mut Text, schema: &Schema, name: &str, module: &str, options: &Options) {
+pub fn write(
+    text: &mut Text,
+    schema: &Schema,
+    name: &str,
+    module: &str,
+    options: &Options,
+) -> Result<(), SchemaError> {
     let definition = schema.definition();
+    let memory = Memory::of(schema);
     let fields = if definition.is_empty() { &[] } else { &definition.fields[..] };
     let derives_default = fields.iter().all(|field| match &field.default {
         Some(default) => is_zero(default),
@@ -20,8 +31,8 @@ pub fn write(text: &mut Text, schema: &Schema, name: &str, module: &str, options
     docs(text, definition, fields);
     let serde_path = format!("{}::serde", options.msgs);
     text.line("#[derive(");
-    for derived in ["Clone", "Debug", "Default", "PartialEq"] {
-        if derives_default || derived != "Default" {
+    for derived in ["Clone", "Copy", "Debug", "Default", "PartialEq"] {
+        if (derives_default || derived != "Default") && (memory.is_plain() || derived != "Copy") {
             text.line(&format!("{derived},"));
         }
     }
@@ -29,6 +40,9 @@ pub fn write(text: &mut Text, schema: &Schema, name: &str, module: &str, options
     text.line(&format!("{serde_path}::Deserialize,"));
     text.line(")]");
     text.line(&format!("#[serde(crate = \"{serde_path}\", default)]"));
+    if memory.is_plain() {
+        text.line("#[repr(C)]");
+    }
     if fields.is_empty() {
         text.line(&format!("pub struct {name} {{}}"));
     } else {
@@ -42,9 +56,47 @@ pub fn write(text: &mut Text, schema: &Schema, name: &str, module: &str, options
     if !derives_default {
         write_default(text, fields, name);
     }
+    let types = Types { schema, module, options };
+    forms(text, definition, fields, name, &types, memory);
+    if memory == Memory::Dense {
+        text.line(&format!("{}::dense_struct! {{ {name} }}", options.msgs));
+    } else {
+        in_place(text, definition, fields, name, &types)?;
+    }
+    text.line(&format!("{}::message! {{", options.msgs));
+    let view = if memory.is_plain() { "plain".to_owned() } else { format!("{name}Ref") };
+    text.line(&format!("{view} {name} \"{}\" {{", definition.name));
+    let own_text = schema.to_text();
+    let own_text = own_text.split_once(&"=".repeat(80)).map_or(&own_text[..], |(own, _)| own);
+    text.line(&format!("\"{}\",", schema.hash()));
+    text.line(&format!("{own_text:?},"));
+    let nested: BTreeSet<_> = fields
+        .iter()
+        .filter_map(|field| match &field.ty.base {
+            Base::Nested(name) => Some(names::relative(name, module, options)),
+            _ => None,
+        })
+        .collect();
+    text.line(&format!("[{}],", nested.into_iter().collect::<Vec<_>>().join(", ")));
+    text.line("}");
+    text.line("}");
+    Ok(())
+}
+
+/// The conversion to and from CDR.
+fn forms(
+    text: &mut Text,
+    definition: &Definition,
+    fields: &[Field],
+    name: &str,
+    types: &Types<'_>,
+    memory: Memory,
+) {
+    let Types { module, options, .. } = types;
+    let macro_name = if memory.is_plain() { "plain_struct" } else { "cdr_form" };
     text.gap();
-    text.line(&format!("{}::cdr_struct! {{", options.msgs));
-    text.line(&format!("\"{}\", \"{}\";", definition.name, schema.hash()));
+    text.line(&format!("{}::{macro_name}! {{", options.msgs));
+    text.line(&format!("\"{}\";", definition.name));
     if fields.is_empty() {
         text.line(&format!("{name} {{}}"));
     } else {
@@ -55,6 +107,54 @@ pub fn write(text: &mut Text, schema: &Schema, name: &str, module: &str, options
         text.line("}");
     }
     text.line("}");
+}
+
+/// What reads it in place, what writes it in place, and its sizes.
+fn in_place(
+    text: &mut Text,
+    definition: &Definition,
+    fields: &[Field],
+    name: &str,
+    types: &Types<'_>,
+) -> Result<(), SchemaError> {
+    let Types { module, options, .. } = types;
+    let sizes = types.sizes(name)?;
+    text.line(&format!("{}::in_place! {{", options.msgs));
+    text.line(&format!("\"{}\";", definition.name));
+    text.line(&format!("{name} {name}Ref {name}Writer {};", sizes.ty));
+    text.line("{");
+    for field in fields {
+        field_docs(text, field);
+        let field_name = names::field(&field.name);
+        let sized = sizes.fields.iter().any(|(sized, _)| *sized == field.name);
+        let sized = if sized { &field_name[..] } else { "" };
+        let (form, view) = (form(&field.ty, module, options), types.view(&field.ty)?);
+        text.line(&format!("{field_name}: {form} as {view} [{sized}],"));
+    }
+    text.line("}");
+    text.line("}");
+    if sizes.fields.is_empty() {
+        return Ok(());
+    }
+    text.gap();
+    text.doc(&format!(
+        "The lengths of an [`{name}`], stated before it is written in place: of strings in bytes of"
+    ));
+    text.doc("UTF-8 (`wstring`: units of UTF-16), of sequences in elements.");
+    text.line("#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]");
+    text.line(&format!("pub struct {} {{", sizes.ty));
+    for (field, ty) in &sizes.fields {
+        text.doc(&format!("Of `{field}`."));
+        let field = format!("pub {}:", names::field(field));
+        // rustfmt breaks these two columns earlier.
+        match text.fits(&format!("{field} {ty},  ")) {
+            true => text.pair(&field, &format!("{ty},")),
+            false => text.broken(&field, &format!("{ty},")),
+        }
+    }
+    text.line("}");
+    text.gap();
+    Ok(())
 }
 
 /// The definition, normalised.
@@ -78,7 +178,7 @@ fn docs(text: &mut Text, definition: &Definition, fields: &[Field]) {
 
 fn write_field(text: &mut Text, field: &Field, module: &str, options: &Options) {
     let name = names::field(&field.name);
-    text.doc(&format!("`{}`", field.ty));
+    field_docs(text, field);
     let renamed =
         (name.trim_start_matches("r#") != field.name).then(|| format!("rename = \"{}\"", field.name));
     let attributes: Vec<_> = renamed.into_iter().chain(serde(&field.ty, options)).collect();
@@ -86,6 +186,13 @@ fn write_field(text: &mut Text, field: &Field, module: &str, options: &Options) 
         text.line(&format!("#[serde({})]", attributes.join(", ")));
     }
     text.pair(&format!("pub {name}:"), &format!("{},", rust(&field.ty, module, options)));
+}
+
+fn field_docs(text: &mut Text, field: &Field) {
+    text.doc(&format!("`{}`", field.ty));
+    for line in field.docs.lines() {
+        text.doc(line);
+    }
 }
 
 fn constants(text: &mut Text, definition: &Definition, name: &str) {

@@ -128,8 +128,7 @@ impl Generator<'_> {
                 }
             }
         }
-        message::write(&mut self.text, schema, name, module, self.options);
-        Ok(())
+        Ok(message::write(&mut self.text, schema, name, module, self.options)?)
     }
 
     /// The schema of a part of a service or action.

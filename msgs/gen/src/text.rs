@@ -34,6 +34,11 @@ impl Text {
         if self.fits(&line) {
             return self.line(&line);
         }
+        self.broken(first, second);
+    }
+
+    /// Two parts of a line in two lines.
+    pub fn broken(&mut self, first: &str, second: &str) {
         self.line(first);
         self.depth += 1;
         self.line(second);

@@ -3,12 +3,13 @@
 //!
 //! A package is a module, and there if the cargo feature of its name is on. Paths are those of r2r:
 //! `std_msgs::msg::String`, `std_srvs::srv::SetBool::Request`, `example_interfaces::action::Fibonacci::Goal`. Every
-//! message has public fields, its constants, ROS's defaults, serde, and [`Cdr`](tautline_msgs::cdr::Cdr); every service
-//! and action a unit struct with [`Service`](tautline_msgs::Service) or [`Action`](tautline_msgs::Action).
+//! message has public fields, its constants, ROS's defaults, serde, and [`Message`](tautline_msgs::Message); every service
+//! and action a unit struct with [`Service`](tautline_msgs::Service) or [`Action`](tautline_msgs::Action). A message whose
+//! memory can be its CDR is [`Plain`](tautline_msgs::Plain); any other is read in place through its `Ref` and written in
+//! place through its `Writer`.
 //!
 //! ```
 //! use tautline_msgs::Message;
-//! use tautline_msgs::cdr::Cdr;
 //! use tautline_ros_msgs::geometry_msgs::msg::{Quaternion, Twist};
 //!
 //! assert_eq!(Twist::TYPE_NAME, "geometry_msgs/msg/Twist");
@@ -21,6 +22,4 @@
 //! assert_eq!(Quaternion::default().w, 1.0); // as the definition says
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
-#![forbid(unsafe_code)]
-
 include!(concat!(env!("OUT_DIR"), "/packages.rs"));

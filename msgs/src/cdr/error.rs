@@ -30,6 +30,12 @@ pub enum EncodeFault {
         /// The length.
         len: usize,
     },
+    /// The memory starts at an address at which numbers cannot be written in place.
+    #[error("the memory does not start at a multiple of {align} bytes: align it")]
+    Alignment {
+        /// In bytes.
+        align: usize,
+    },
     /// The buffer is too short.
     #[error("the buffer of {len} bytes ends before byte {needed}: make it as long as `cdr_len` says")]
     Room {
@@ -40,17 +46,32 @@ pub enum EncodeFault {
     },
 }
 
-/// Why bytes are not a value of a type. Holds no heap memory.
+/// Why bytes are not a message of a type. Holds no heap memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecodeError {
-    /// The innermost message that the bytes were read as, `package/msg/Name`.
+    /// The message that the bytes were read as, `package/msg/Name`.
     pub type_name: &'static str,
-    /// Its field; empty for the message itself.
-    pub field: &'static str,
+    /// The field, from the message inwards; empty for the message itself.
+    pub path: FieldPath,
     /// Where in the body of the whole message, in bytes, the encapsulation header not counted.
     pub offset: usize,
     /// What is wrong.
     pub fault: DecodeFault,
+}
+
+/// What is wrong at one place, before it is known in which field of which message that is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fault {
+    pub(crate) offset: usize,
+    pub(crate) fault: DecodeFault,
+}
+
+impl Fault {
+    /// `offset` is in bytes from the start of the body.
+    #[cold]
+    pub(crate) fn new(offset: usize, fault: DecodeFault) -> Self {
+        Self { offset, fault }
+    }
 }
 
 /// Why bytes are not a value.
@@ -92,6 +113,25 @@ pub enum DecodeFault {
         /// The number found.
         value: u8,
     },
+    /// A number that no value of an enum or `char` has.
+    #[error("{value} is no `{type_name}`: the message is of another type")]
+    Value {
+        /// The number found.
+        value: i64,
+        /// `char`, or the enum's name.
+        type_name: &'static &'static str,
+    },
+    /// The numbers are big-endian, which only [`Message::decode`](crate::Message::decode) understands.
+    #[error("the message is big-endian, which cannot be read in place: decode it into an owned message")]
+    BigEndian,
+    /// The bytes start at an address at which they cannot be read in place.
+    #[error(
+        "the body does not start at a multiple of {align} bytes: copy it to one that does, or decode it into an owned message"
+    )]
+    Alignment {
+        /// In bytes.
+        align: usize,
+    },
     /// More bytes follow the last field than alignment explains.
     #[error(
         "{len} bytes follow the last field, where at most {most} can be padding: the message is of another type"
@@ -122,21 +162,73 @@ impl EncodeError {
     }
 }
 
-impl DecodeError {
-    #[cold]
-    pub(crate) fn new(offset: usize, fault: DecodeFault) -> Self {
-        Self { type_name: "", field: "", offset, fault }
+/// How many fields of a [`FieldPath`] are kept.
+const MAX_FIELDS: usize = 5;
+
+/// The way to a field: `fields[3].name`. Holds no heap memory; of more than five fields the outermost are left out.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct FieldPath {
+    /// The innermost first. Thin pointers, so that the error is not larger than what it is returned with.
+    names: [Option<&'static &'static str>; MAX_FIELDS],
+    indices: [u32; MAX_FIELDS],
+    /// The element in the field that is entered next.
+    index: u32,
+    len: u8,
+}
+
+const NO_INDEX: u32 = u32::MAX;
+
+impl FieldPath {
+    pub(crate) const EMPTY: Self =
+        Self { names: [None; MAX_FIELDS], indices: [NO_INDEX; MAX_FIELDS], index: NO_INDEX, len: 0 };
+
+    /// Whether it leads nowhere: what is meant is the message itself.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
     }
 
-    /// Says where it happened, unless a message further in did.
+    /// Puts a field before what there is.
     #[cold]
-    #[doc(hidden)]
-    #[must_use]
-    pub fn within(mut self, type_name: &'static str, field: &'static str) -> Self {
-        if self.type_name.is_empty() {
-            (self.type_name, self.field) = (type_name, plain(field));
+    pub(crate) fn enter_field(&mut self, name: &'static &'static str) {
+        let place = usize::from(self.len);
+        if let (Some(last_name), Some(last_index)) = (self.names.get_mut(place), self.indices.get_mut(place))
+        {
+            (*last_name, *last_index) = (Some(name), self.index);
         }
-        self
+        self.index = NO_INDEX;
+        self.len = self.len.saturating_add(1);
+    }
+
+    /// Says which element of the field entered next.
+    #[cold]
+    pub(crate) fn enter_index(&mut self, index: usize) {
+        self.index = u32::try_from(index).unwrap_or(NO_INDEX - 1);
+    }
+}
+
+impl fmt::Display for FieldPath {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut dot = "";
+        if usize::from(self.len) > MAX_FIELDS {
+            formatter.write_str("..")?;
+            dot = ".";
+        }
+        for (name, index) in self.names.iter().zip(self.indices).rev() {
+            let Some(name) = name else { continue };
+            write!(formatter, "{dot}{}", plain(name))?;
+            if index != NO_INDEX {
+                write!(formatter, "[{index}]")?;
+            }
+            dot = ".";
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Debug for FieldPath {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "\"{self}\"")
     }
 }
 
@@ -157,10 +249,11 @@ impl fmt::Display for EncodeError {
 
 impl fmt::Display for DecodeError {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { type_name, field, offset, fault } = self;
-        match *field {
-            "" => write!(formatter, "`{type_name}`: at byte {offset} of the body: {fault}"),
-            _ => write!(formatter, "`{type_name}`: at byte {offset} of the body, field `{field}`: {fault}"),
+        let Self { type_name, path, offset, fault } = self;
+        if path.is_empty() {
+            write!(formatter, "`{type_name}`: at byte {offset} of the body: {fault}")
+        } else {
+            write!(formatter, "`{type_name}`: at byte {offset} of the body, field `{path}`: {fault}")
         }
     }
 }

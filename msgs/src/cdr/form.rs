@@ -4,7 +4,7 @@
 
 use core::marker::PhantomData;
 
-use crate::cdr::{DecodeError, DecodeFault, EncodeError, EncodeFault, Endian, Reader, Writer};
+use crate::cdr::{DecodeFault, EncodeError, EncodeFault, Endian, Fault, Reader, Writer};
 
 /// How values of one type are written and read: for a `uint8[<=4]` it is `Bounded<Vec<u8>, 4>`, with the value
 /// `Vec<u8>`.
@@ -37,8 +37,8 @@ pub trait Form: Sized {
     ///
     /// # Errors
     ///
-    /// [`DecodeError`] if the bytes are none.
-    fn read(reader: &mut Reader<'_>) -> Result<Self::Value, DecodeError>;
+    /// [`Fault`] if the bytes are none.
+    fn read(reader: &mut Reader<'_>) -> Result<Self::Value, Fault>;
 
     /// As [`end`](Self::end), for values one after the other.
     #[inline]
@@ -62,11 +62,11 @@ pub trait Form: Sized {
     /// # Errors
     ///
     /// As there.
-    fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self::Value>, DecodeError> {
+    fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self::Value>, Fault> {
         reader.expect(len, Self::MIN_SIZE)?;
         let mut values = Vec::with_capacity(len.min(reader.left() / size_of::<Self::Value>().max(1)));
-        for _ in 0..len {
-            values.push(Self::read(reader)?);
+        for index in 0..len {
+            values.push(Self::read(reader).map_err(|fault| reader.at_index(fault, index))?);
         }
         Ok(values)
     }
@@ -76,7 +76,7 @@ pub trait Form: Sized {
     /// # Errors
     ///
     /// As there.
-    fn read_array<const N: usize>(reader: &mut Reader<'_>) -> Result<[Self::Value; N], DecodeError> {
+    fn read_array<const N: usize>(reader: &mut Reader<'_>) -> Result<[Self::Value; N], Fault> {
         let end = DecodeFault::End { needed: N, left: reader.left() };
         Self::read_vec(reader, N)?.try_into().map_err(|_| reader.fault(end))
     }
@@ -92,7 +92,7 @@ pub trait Bound: Form {
     /// # Errors
     ///
     /// As there; [`DecodeFault::Bound`] if it is longer.
-    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self::Value, DecodeError>;
+    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self::Value, Fault>;
 }
 
 /// The form of a `wstring`, whose value is a `String`.
@@ -121,7 +121,7 @@ impl<F: Bound, const N: usize> Form for Bounded<F, N> {
     }
 
     #[inline]
-    fn read(reader: &mut Reader<'_>) -> Result<F::Value, DecodeError> {
+    fn read(reader: &mut Reader<'_>) -> Result<F::Value, Fault> {
         F::read_bounded(reader, N)
     }
 }
@@ -141,7 +141,7 @@ impl<F: Form, const N: usize> Form for [F; N] {
     }
 
     #[inline]
-    fn read(reader: &mut Reader<'_>) -> Result<[F::Value; N], DecodeError> {
+    fn read(reader: &mut Reader<'_>) -> Result<[F::Value; N], Fault> {
         F::read_array(reader)
     }
 }
@@ -162,7 +162,7 @@ impl<F: Form> Form for Vec<F> {
     }
 
     #[inline]
-    fn read(reader: &mut Reader<'_>) -> Result<Self::Value, DecodeError> {
+    fn read(reader: &mut Reader<'_>) -> Result<Self::Value, Fault> {
         Self::read_bounded(reader, usize::MAX)
     }
 }
@@ -173,10 +173,10 @@ impl<F: Form> Bound for Vec<F> {
         value.len()
     }
 
-    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self::Value, DecodeError> {
+    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self::Value, Fault> {
         let start = reader.position();
         match reader.length()? {
-            len if len > bound => Err(DecodeError::new(start, DecodeFault::Bound { len, bound })),
+            len if len > bound => Err(Fault::new(start, DecodeFault::Bound { len, bound })),
             len => F::read_vec(reader, len),
         }
     }
@@ -199,7 +199,7 @@ impl Form for String {
     }
 
     #[inline]
-    fn read(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+    fn read(reader: &mut Reader<'_>) -> Result<Self, Fault> {
         Self::read_bounded(reader, usize::MAX)
     }
 }
@@ -209,19 +209,8 @@ impl Bound for String {
         value.chars().count()
     }
 
-    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self, DecodeError> {
-        let len = reader.length()?;
-        let start = reader.position();
-        let text = match reader.take(1, len)?.split_last() {
-            Some((0, text)) => text,
-            // Some writers give an empty string no zero byte.
-            None => &[],
-            Some(_) => return Err(reader.fault(DecodeFault::Terminator)),
-        };
-        let text = core::str::from_utf8(text)
-            .map_err(|error| DecodeError::new(start + error.valid_up_to(), DecodeFault::Unicode))?;
-        check(text, bound, start)?;
-        Ok(text.to_owned())
+    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self, Fault> {
+        Ok(text(reader, bound)?.to_owned())
     }
 }
 
@@ -238,7 +227,7 @@ impl Form for WString {
         value.encode_utf16().try_for_each(|unit| writer.put(4, &u32::from(unit).to_le_bytes()))
     }
 
-    fn read(reader: &mut Reader<'_>) -> Result<String, DecodeError> {
+    fn read(reader: &mut Reader<'_>) -> Result<String, Fault> {
         Self::read_bounded(reader, usize::MAX)
     }
 }
@@ -248,7 +237,7 @@ impl Bound for WString {
         value.chars().count()
     }
 
-    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<String, DecodeError> {
+    fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<String, Fault> {
         let len = reader.length()?;
         let start = reader.position();
         let bytes = reader.take(1, len.saturating_mul(4))?;
@@ -263,17 +252,34 @@ impl Bound for WString {
             u16::try_from(unit).unwrap_or(0xdfff)
         });
         let text: Result<String, _> = char::decode_utf16(units).collect();
-        let text = text.map_err(|_| DecodeError::new(start, DecodeFault::Unicode))?;
+        let text = text.map_err(|_| Fault::new(start, DecodeFault::Unicode))?;
         check(&text, bound, start)?;
         Ok(text)
     }
 }
 
+/// A string of at most `bound` characters.
+#[inline]
+pub(crate) fn text<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<&'a str, Fault> {
+    let len = reader.length()?;
+    let start = reader.position();
+    let text = match reader.take(1, len)?.split_last() {
+        Some((0, text)) => text,
+        // Some writers give an empty string no zero byte.
+        None => &[],
+        Some(_) => return Err(reader.fault(DecodeFault::Terminator)),
+    };
+    let text = core::str::from_utf8(text)
+        .map_err(|error| Fault::new(start + error.valid_up_to(), DecodeFault::Unicode))?;
+    check(text, bound, start)?;
+    Ok(text)
+}
+
 /// Bytes are no fewer than characters: short text need not be counted.
-fn check(text: &str, bound: usize, start: usize) -> Result<(), DecodeError> {
+fn check(text: &str, bound: usize, start: usize) -> Result<(), Fault> {
     if text.len() > bound && text.chars().count() > bound {
         let len = text.chars().count();
-        return Err(DecodeError::new(start, DecodeFault::Bound { len, bound }));
+        return Err(Fault::new(start, DecodeFault::Bound { len, bound }));
     }
     Ok(())
 }

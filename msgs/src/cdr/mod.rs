@@ -7,23 +7,41 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `message` | [`Cdr`]: a message as a whole, with its header or without |
 //! | `form` | [`Form`]: one field; `String`, `Vec`, arrays, [`WString`], [`Bounded`] |
 //! | `numbers` | `Form` for numbers and `bool`, copied in bulk |
-//! | `structs` | the macro that generated code calls |
+//! | `view` | [`View`]: the same fields read in place; [`Seq`], [`WStr`] |
+//! | `fill` | [`Fill`]: the same fields written in place, lengths first |
 //! | `writer`, `reader` | [`Writer`] and [`Reader`]: bytes and how far they are written or read |
 //! | `error` | [`EncodeError`], [`DecodeError`] |
 
 mod error;
-mod form;
-mod message;
+mod fill;
+pub(crate) mod form;
 mod numbers;
 mod reader;
-mod structs;
+mod seq;
+mod view;
 mod writer;
+mod wstr;
 
-pub use error::{DecodeError, DecodeFault, EncodeError, EncodeFault};
+pub use error::{DecodeError, DecodeFault, EncodeError, EncodeFault, Fault, FieldPath};
+pub use fill::{
+    BoundFill, Carver, Elements, Field, Fill, Piece, Slice, Text, WText, WriteError, WriteFault, fill,
+    sized_len,
+};
 pub use form::{Bound, Bounded, Form, WString};
-pub use message::{Cdr, Endian, HEADER};
-pub use reader::Reader;
+pub(crate) use reader::SLACK;
+pub use reader::{Endian, Reader};
+pub use seq::{Iter, Seq};
+#[doc(hidden)]
+pub use view::view_message;
+pub use view::{BoundView, View};
 pub use writer::Writer;
+pub use wstr::WStr;
+
+/// For generated code.
+#[doc(hidden)]
+pub mod dense {
+    pub use super::fill::numbers::{end, field, values};
+    pub use super::view::{array as view_array, one as view_one, slice as view_list};
+}

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Numbers and `bool`. Slices of them are copied in bulk: the target is little-endian as the format is.
 
-use crate::cdr::{DecodeError, DecodeFault, EncodeError, Endian, Form, Reader, Writer};
+use crate::cdr::{DecodeFault, EncodeError, Endian, Fault, Form, Reader, Writer};
 
 macro_rules! numbers {
     ($($type:ty)*) => {$(
@@ -20,7 +20,7 @@ macro_rules! numbers {
             }
 
             #[inline]
-            fn read(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+            fn read(reader: &mut Reader<'_>) -> Result<Self, Fault> {
                 let bytes = reader.take(size_of::<Self>(), size_of::<Self>())?.try_into().unwrap_or_default();
                 Ok(match reader.endian() {
                     Endian::Little => Self::from_le_bytes(bytes),
@@ -45,7 +45,7 @@ macro_rules! numbers {
                 writer.put(size_of::<Self>(), bytes)
             }
 
-            fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self>, DecodeError> {
+            fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self>, Fault> {
                 if len == 0 {
                     if size_of::<Self>() == 8 {
                         reader.add_slack();
@@ -68,7 +68,7 @@ macro_rules! numbers {
                 Ok(values)
             }
 
-            fn read_array<const N: usize>(reader: &mut Reader<'_>) -> Result<[Self; N], DecodeError> {
+            fn read_array<const N: usize>(reader: &mut Reader<'_>) -> Result<[Self; N], Fault> {
                 let bytes = reader.take(size_of::<Self>(), N.saturating_mul(size_of::<Self>()))?;
                 let mut values = [Self::default(); N];
                 for (value, bytes) in values.iter_mut().zip(bytes.chunks_exact(size_of::<Self>())) {
@@ -101,9 +101,15 @@ impl Form for bool {
     }
 
     #[inline]
-    fn read(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let [value] = Self::read_array(reader)?;
-        Ok(value)
+    fn read(reader: &mut Reader<'_>) -> Result<Self, Fault> {
+        match reader.take(1, 1)? {
+            [0] => Ok(false),
+            [1] => Ok(true),
+            other => {
+                let value = other.first().copied().unwrap_or_default();
+                Err(Fault::new(reader.position() - 1, DecodeFault::Bool { value }))
+            }
+        }
     }
 
     #[inline]
@@ -117,26 +123,51 @@ impl Form for bool {
         writer.put(1, unsafe { core::slice::from_raw_parts(values.as_ptr().cast(), values.len()) })
     }
 
-    fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self>, DecodeError> {
+    fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self>, Fault> {
         Ok(bools(reader, len)?.iter().map(|&byte| byte == 1).collect())
     }
 
-    fn read_array<const N: usize>(reader: &mut Reader<'_>) -> Result<[Self; N], DecodeError> {
+    fn read_array<const N: usize>(reader: &mut Reader<'_>) -> Result<[Self; N], Fault> {
         let bytes: [u8; N] = bools(reader, N)?.try_into().unwrap_or([0; N]);
         Ok(bytes.map(|byte| byte == 1))
     }
 }
 
+/// A Unicode scalar value as `uint32`: what the derive allows in plain structs. ROS 2's own `char` is a `uint8`.
+impl Form for char {
+    type Value = Self;
+    const MIN_SIZE: usize = 4;
+
+    #[inline]
+    fn end(_: &Self, at: usize) -> usize {
+        u32::end(&0, at)
+    }
+
+    #[inline]
+    fn write(value: &Self, writer: &mut Writer<'_>) -> Result<(), EncodeError> {
+        u32::write(&u32::from(*value), writer)
+    }
+
+    #[inline]
+    fn read(reader: &mut Reader<'_>) -> Result<Self, Fault> {
+        let value = u32::read(reader)?;
+        Self::from_u32(value).ok_or_else(|| {
+            let fault = DecodeFault::Value { value: value.into(), type_name: &"char" };
+            Fault::new(reader.position() - 4, fault)
+        })
+    }
+}
+
 /// Bytes that are 0 or 1.
 #[inline]
-fn bools<'a>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [u8], DecodeError> {
+fn bools<'a>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [u8], Fault> {
     let start = reader.position();
     let bytes = reader.take(1, len)?;
     match bytes.iter().position(|&byte| byte > 1) {
         None => Ok(bytes),
         Some(index) => {
             let value = bytes.get(index).copied().unwrap_or_default();
-            Err(DecodeError::new(start + index, DecodeFault::Bool { value }))
+            Err(reader.at_index(Fault::new(start + index, DecodeFault::Bool { value }), index))
         }
     }
 }

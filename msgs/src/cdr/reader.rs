@@ -1,33 +1,54 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use crate::cdr::{DecodeError, DecodeFault, Endian};
+use crate::cdr::{DecodeError, DecodeFault, Fault, FieldPath};
+
+/// The order of the bytes of numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Endian {
+    /// Least significant first: what ROS 2 writes on x86-64 and aarch64.
+    Little,
+    /// Most significant first.
+    Big,
+}
 
 /// A body, which may hold anything, and how far it is read.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Reader<'a> {
     body: &'a [u8],
     at: usize,
     endian: Endian,
     /// How many bytes may follow the last field.
     slack: usize,
+    /// Where a fault is, written while it is on its way out.
+    path: Option<FieldPath>,
 }
 
 /// What may follow a message at its end, and as much again for every empty sequence of 8-byte numbers and every
 /// `wstring`: when ROS 2 computes the length of a message, it aligns elements that are not there and counts a zero at
 /// the end of a `wstring`, and then sends that many bytes.
-const SLACK: usize = 8;
+pub(crate) const SLACK: usize = 8;
 
 impl<'a> Reader<'a> {
     /// Starts at the start of `body`.
     #[must_use]
     pub fn new(body: &'a [u8], endian: Endian) -> Self {
-        Self { body, at: 0, endian, slack: SLACK }
+        Self { body, at: 0, endian, slack: SLACK, path: None }
     }
 
     /// How many bytes are read.
     #[must_use]
     pub fn position(&self) -> usize {
         self.at
+    }
+
+    /// All of the body.
+    pub(crate) fn body(&self) -> &'a [u8] {
+        self.body
+    }
+
+    /// Goes on at `at`, in bytes from the start of the body.
+    pub(crate) fn skip_to(&mut self, at: usize) {
+        self.at = at;
     }
 
     /// How many bytes are left.
@@ -48,7 +69,7 @@ impl<'a> Reader<'a> {
     ///
     /// [`DecodeFault::End`] if the body ends before.
     #[inline]
-    pub fn take(&mut self, align: usize, len: usize) -> Result<&'a [u8], DecodeError> {
+    pub fn take(&mut self, align: usize, len: usize) -> Result<&'a [u8], Fault> {
         self.at = self.at.next_multiple_of(align);
         let end = self.at.saturating_add(len);
         match self.body.get(self.at..end) {
@@ -66,7 +87,7 @@ impl<'a> Reader<'a> {
     ///
     /// As [`take`](Self::take).
     #[inline]
-    pub fn length(&mut self) -> Result<usize, DecodeError> {
+    pub fn length(&mut self) -> Result<usize, Fault> {
         let bytes = self.take(4, 4)?;
         let bytes = bytes.try_into().unwrap_or_default();
         let len = match self.endian {
@@ -82,7 +103,7 @@ impl<'a> Reader<'a> {
     ///
     /// [`DecodeFault::End`] otherwise.
     #[inline]
-    pub fn expect(&self, count: usize, min_size: usize) -> Result<(), DecodeError> {
+    pub fn expect(&self, count: usize, min_size: usize) -> Result<(), Fault> {
         let (needed, left) = (count.saturating_mul(min_size), self.left());
         if needed > left { Err(self.fault(DecodeFault::End { needed, left })) } else { Ok(()) }
     }
@@ -92,7 +113,7 @@ impl<'a> Reader<'a> {
     /// # Errors
     ///
     /// [`DecodeFault::Trailing`] otherwise.
-    pub fn finish(&self) -> Result<(), DecodeError> {
+    pub fn finish(&self) -> Result<(), Fault> {
         let (len, most) = (self.left(), self.slack);
         if len > most { Err(self.fault(DecodeFault::Trailing { len, most })) } else { Ok(()) }
     }
@@ -103,9 +124,39 @@ impl<'a> Reader<'a> {
         self.slack += SLACK;
     }
 
-    /// An error here.
+    /// A fault here.
     #[cold]
-    pub(crate) fn fault(&self, fault: DecodeFault) -> DecodeError {
-        DecodeError::new(self.at, fault)
+    pub(crate) fn fault(&self, fault: DecodeFault) -> Fault {
+        Fault::new(self.at, fault)
+    }
+
+    /// The number of `size` bytes that was read last is no value of its type.
+    #[cold]
+    #[doc(hidden)]
+    #[must_use]
+    pub fn no_value(&self, value: i64, type_name: &'static &'static str, size: usize) -> Fault {
+        Fault::new(self.at.saturating_sub(size), DecodeFault::Value { value, type_name })
+    }
+
+    /// Says in which field a fault is, on its way out.
+    #[cold]
+    #[doc(hidden)]
+    #[must_use]
+    pub fn in_field(&mut self, fault: Fault, name: &'static &'static str) -> Fault {
+        self.path.get_or_insert(FieldPath::EMPTY).enter_field(name);
+        fault
+    }
+
+    /// Says in which element a fault is, on its way out.
+    #[cold]
+    pub(crate) fn at_index(&mut self, fault: Fault, index: usize) -> Fault {
+        self.path.get_or_insert(FieldPath::EMPTY).enter_index(index);
+        fault
+    }
+
+    /// The fault with all that is known of its place.
+    #[cold]
+    pub(crate) fn error(&self, Fault { offset, fault }: Fault, type_name: &'static str) -> DecodeError {
+        DecodeError { type_name, path: self.path.unwrap_or(FieldPath::EMPTY), offset, fault }
     }
 }

@@ -3,14 +3,16 @@
 
 use std::sync::Arc;
 
-use tautline_msgs::cdr::{Cdr, DecodeFault, EncodeFault};
+use tautline_msgs::cdr::{self, DecodeFault, EncodeFault, Endian, Fill, Piece, Reader, View};
 use tautline_msgs::serde::Serialize;
 use tautline_msgs::serde::de::DeserializeOwned;
+use tautline_msgs::{Body, Definition, Message};
 use tautline_schema::{DynamicMessage, Schema, TypeName};
 
 pub struct Entry {
     pub name: &'static str,
     pub hash: &'static str,
+    pub definition: Option<&'static Definition>,
     /// The CDR of its default.
     pub default: fn() -> Vec<u8>,
     /// Decodes a message, holds it against the dynamic one in every form, and gives our bytes.
@@ -25,10 +27,15 @@ pub fn entries() -> &'static [Entry] {
 }
 
 impl Entry {
-    const fn of<T: Cdr + Serialize + DeserializeOwned + Default + PartialEq + Clone>() -> Self {
+    const fn of<T: Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq + Clone>()
+    -> Self {
         Self {
             name: T::TYPE_NAME,
-            hash: T::TYPE_HASH,
+            hash: match T::TYPE_HASH {
+                Some(hash) => hash,
+                None => "",
+            },
+            definition: T::DEFINITION,
             default: || T::default().to_cdr().unwrap(),
             check: check::<T>,
         }
@@ -46,7 +53,7 @@ impl Entry {
     }
 }
 
-fn check<T: Cdr + Serialize + DeserializeOwned + Default + PartialEq + Clone>(
+fn check<T: Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq + Clone>(
     cdr: &[u8],
     dynamic: &DynamicMessage,
 ) -> Vec<u8> {
@@ -69,6 +76,8 @@ fn check<T: Cdr + Serialize + DeserializeOwned + Default + PartialEq + Clone>(
         assert!(error.type_name.contains('/') && error.offset <= end.next_multiple_of(8), "{error}");
     }
 
+    in_place(&owned, body);
+
     let json = serde_json::to_string(&owned).unwrap();
     assert_eq!(json, dynamic.to_json(), "{name}");
     let again: T = serde_json::from_str(&json).unwrap_or_else(|error| panic!("{name}: {error}: {json}"));
@@ -76,4 +85,39 @@ fn check<T: Cdr + Serialize + DeserializeOwned + Default + PartialEq + Clone>(
     assert!(again.to_cdr().unwrap() == bytes || json.contains("\"NaN\""), "{name}: {json}");
     assert_eq!(again.cdr_len(), len, "{name}");
     bytes
+}
+
+/// Read in place it is the same message, written in place it has the same bytes, whatever the memory held before.
+fn in_place<T: Message + View + Fill + View + Fill>(owned: &T, body: &[u8]) {
+    let name = T::TYPE_NAME;
+    let mut words = vec![u64::MAX; body.len().div_ceil(8) + 1];
+    // SAFETY: the bytes of numbers.
+    let memory = unsafe { std::slice::from_raw_parts_mut(words.as_mut_ptr().cast::<u8>(), 8 * words.len()) };
+    memory[..body.len()].copy_from_slice(body);
+    memory[body.len()..].fill(0);
+    let view = Body::new(memory, body.len()).unwrap();
+    <T as Message>::view(view).unwrap_or_else(|error| panic!("{error}"));
+    let again = T::own(T::view_value(&mut Reader::new(view.bytes(), Endian::Little)).unwrap());
+    let mut bytes = vec![0; body.len()];
+    assert_eq!(again.encode(&mut bytes), Ok(body.len()), "{name}");
+    assert_eq!(bytes, body, "{name}");
+    // A message that is cut off is not read, whatever lies after it.
+    for end in (0..body.len()).step_by(1 + body.len() / 8) {
+        let memory = Body::new(&memory[..end], end).unwrap();
+        let error = <T as Message>::view(memory).err().unwrap_or_else(|| panic!("{name}: {end}"));
+        assert!(
+            matches!(error.fault, DecodeFault::End { .. }) && error.offset <= end.next_multiple_of(8),
+            "{error}"
+        );
+    }
+    memory.fill(0xaa);
+    let sizes = T::sizes_of(owned);
+    assert_eq!(cdr::sized_len::<T>(sizes), body.len(), "{name}");
+    let written = cdr::fill::<T>(sizes, memory, |writer| {
+        writer.default_rest(Some(owned));
+        Ok(())
+    });
+    assert_eq!(written, Ok(body.len()), "{name}");
+    assert_eq!(&memory[..body.len()], body, "{name}");
+    assert_eq!(memory[body.len()..], vec![0xaa; memory.len() - body.len()], "{name}");
 }

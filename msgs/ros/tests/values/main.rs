@@ -39,6 +39,7 @@ fn hashes_and_defaults_are_those_of_the_definitions() {
     for entry in entries() {
         let schema: Arc<_> = entry.schema();
         assert_eq!(entry.hash, schema.hash().to_string(), "{}", entry.name);
+        assert_eq!(entry.definition.unwrap().to_text(), schema.to_text(), "{}", entry.name);
         assert_eq!((entry.default)(), DynamicMessage::new(&schema).to_cdr(), "{}", entry.name);
     }
 }

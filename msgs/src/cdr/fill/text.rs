@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Strings and `wstring`s of a length stated before.
+
+use super::one_by_one;
+use crate::cdr::{
+    BoundFill, Carver, EncodeError, EncodeFault, Fill, Form, Piece, WString, WriteError, WriteFault,
+};
+
+/// The place of a string.
+#[derive(Debug)]
+pub struct Text<'a> {
+    /// Without the zero byte at its end.
+    place: &'a mut [u8],
+    bound: usize,
+    set: bool,
+}
+
+impl Text<'_> {
+    /// Writes it.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault::Length`] if it has not as many bytes as was stated, [`EncodeFault::Bound`] if it has more characters
+    /// than the definition allows.
+    #[inline]
+    pub fn set(&mut self, text: &str) -> Result<(), WriteError> {
+        if text.len() != self.place.len() {
+            let (len, stated) = (text.len(), self.place.len());
+            return Err(WriteError::new(WriteFault::Length { len, stated }));
+        }
+        check_bound(text, self.bound)?;
+        self.place.copy_from_slice(text.as_bytes());
+        self.set = true;
+        Ok(())
+    }
+}
+
+impl Piece<String> for Text<'_> {
+    #[inline]
+    fn check(&self) -> Result<(), WriteError> {
+        if self.set || self.place.is_empty() { Ok(()) } else { Err(WriteError::new(WriteFault::Unset)) }
+    }
+
+    fn default_rest(&mut self, text: Option<&String>) {
+        if !self.set
+            && let Some(text) = text
+        {
+            // Of another length: it stays unset, which `check` reports.
+            let _ = self.set(text);
+        }
+    }
+}
+
+/// The place of a `wstring`.
+#[derive(Debug)]
+pub struct WText<'a> {
+    place: &'a mut [u8],
+    bound: usize,
+    set: bool,
+}
+
+impl WText<'_> {
+    /// Writes it.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault::Length`] if it has not as many UTF-16 units as was stated, [`EncodeFault::Bound`] if it has more
+    /// characters than the definition allows.
+    pub fn set(&mut self, text: &str) -> Result<(), WriteError> {
+        let (len, stated) = (text.encode_utf16().count(), self.place.len() / 4);
+        if len != stated {
+            return Err(WriteError::new(WriteFault::Length { len, stated }));
+        }
+        check_bound(text, self.bound)?;
+        for (place, unit) in self.place.chunks_exact_mut(4).zip(text.encode_utf16()) {
+            place.copy_from_slice(&u32::from(unit).to_le_bytes());
+        }
+        self.set = true;
+        Ok(())
+    }
+}
+
+impl Piece<String> for WText<'_> {
+    fn check(&self) -> Result<(), WriteError> {
+        if self.set || self.place.is_empty() { Ok(()) } else { Err(WriteError::new(WriteFault::Unset)) }
+    }
+
+    fn default_rest(&mut self, text: Option<&String>) {
+        if !self.set
+            && let Some(text) = text
+        {
+            // As for `Text`.
+            let _ = self.set(text);
+        }
+    }
+}
+
+/// Bytes are no fewer than characters: short text need not be counted.
+fn check_bound(text: &str, bound: usize) -> Result<(), WriteError> {
+    if text.len() > bound && text.chars().count() > bound {
+        let len = text.chars().count();
+        return Err(WriteError::new(WriteFault::Encode(EncodeFault::Bound { len, bound })));
+    }
+    Ok(())
+}
+
+impl Fill for String {
+    type Sizes<'s> = usize;
+    type Writer<'a, 's> = Text<'a>;
+    one_by_one!();
+
+    crate::sizes_of_values! {
+        fn sizes_of(value: &Self) -> usize {
+            value.len()
+        }
+    }
+
+    #[inline]
+    fn sized_end(len: usize, at: usize) -> usize {
+        u32::end(&0, at).saturating_add(len).saturating_add(1)
+    }
+
+    #[inline]
+    fn carve<'a, 's: 's>(len: usize, carver: &mut Carver<'a>) -> Result<Text<'a>, EncodeError> {
+        Self::carve_bounded(len, usize::MAX, carver)
+    }
+}
+
+impl BoundFill for String {
+    #[inline]
+    fn carve_bounded<'a, 's: 's>(
+        len: usize,
+        bound: usize,
+        carver: &mut Carver<'a>,
+    ) -> Result<Text<'a>, EncodeError> {
+        carver.length(len.saturating_add(1), usize::MAX)?;
+        let place = carver.take(1, len)?;
+        carver.take(1, 1)?.fill(0);
+        Ok(Text { place, bound, set: false })
+    }
+}
+
+impl Fill for WString {
+    type Sizes<'s> = usize;
+    type Writer<'a, 's> = WText<'a>;
+    one_by_one!();
+
+    crate::sizes_of_values! {
+        fn sizes_of(value: &String) -> usize {
+            value.encode_utf16().count()
+        }
+    }
+
+    fn sized_end(len: usize, at: usize) -> usize {
+        u32::end(&0, at).saturating_add(len.saturating_mul(4))
+    }
+
+    fn carve<'a, 's: 's>(len: usize, carver: &mut Carver<'a>) -> Result<WText<'a>, EncodeError> {
+        Self::carve_bounded(len, usize::MAX, carver)
+    }
+}
+
+impl BoundFill for WString {
+    fn carve_bounded<'a, 's: 's>(
+        len: usize,
+        bound: usize,
+        carver: &mut Carver<'a>,
+    ) -> Result<WText<'a>, EncodeError> {
+        carver.length(len, usize::MAX)?;
+        Ok(WText { place: carver.take(1, len.saturating_mul(4))?, bound, set: false })
+    }
+}

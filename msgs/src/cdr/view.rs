@@ -1,0 +1,308 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Reading in place: what a getter gives for each form.
+
+use crate::cdr::{Bound, Bounded, DecodeError, DecodeFault, Endian, Fault, Form, Reader, WStr, WString};
+use crate::{Body, Message, Plain};
+
+/// A form that is read in place: a number by value; text, sequences of numbers and messages of one layout as references
+/// into the body; the rest as views that read when they are asked.
+///
+/// The body is little-endian and starts at a multiple of 8 bytes: see [`Body`](crate::Body).
+pub trait View: Form {
+    /// What reads one value.
+    type Ref<'a>: Copy + Send + Sync;
+    /// What reads a sequence of them.
+    type List<'a>: Copy + Send + Sync;
+    /// What reads an array of them.
+    type Array<'a, const N: usize>: Copy + Send + Sync;
+
+    /// Checks a value.
+    ///
+    /// # Real-time
+    ///
+    /// Wait-free; no allocation; no syscall. See [`Message::view`](crate::Message::view).
+    ///
+    /// # Errors
+    ///
+    /// [`Fault`] if the bytes are none.
+    fn view_value<'a>(reader: &mut Reader<'a>) -> Result<Self::Ref<'a>, Fault>;
+
+    /// As [`view_value`](Self::view_value), for `len` values one after the other.
+    ///
+    /// # Errors
+    ///
+    /// As there.
+    fn view_list<'a>(reader: &mut Reader<'a>, len: usize) -> Result<Self::List<'a>, Fault>;
+
+    /// As [`view_list`](Self::view_list), for a number of values known beforehand.
+    ///
+    /// # Errors
+    ///
+    /// As there.
+    fn view_array<'a, const N: usize>(reader: &mut Reader<'a>) -> Result<Self::Array<'a, N>, Fault>;
+
+    /// The value that a view reads.
+    fn own(view: Self::Ref<'_>) -> Self::Value;
+
+    /// As [`own`](Self::own), for a sequence.
+    fn own_list(view: Self::List<'_>) -> Vec<Self::Value>;
+
+    /// As [`own`](Self::own), for an array.
+    fn own_array<const N: usize>(view: Self::Array<'_, N>) -> [Self::Value; N]
+    where
+        Self::Value: Default;
+}
+
+/// A form that is read in place and whose length can be bounded.
+pub trait BoundView: View + Bound {
+    /// As [`View::view_value`], for at most `bound` elements or characters.
+    ///
+    /// # Errors
+    ///
+    /// As there; [`DecodeFault::Bound`] if it is longer.
+    fn view_bounded<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<Self::Ref<'a>, Fault>;
+}
+
+/// Lists of forms whose values differ in length, or are padded: read one by one.
+macro_rules! seq {
+    () => {
+        type List<'a> = $crate::cdr::Seq<'a, Self>;
+        type Array<'a, const LEN: usize> = $crate::cdr::Seq<'a, Self>;
+
+        #[inline]
+        fn view_list<'a>(
+            reader: &mut $crate::cdr::Reader<'a>,
+            len: usize,
+        ) -> ::core::result::Result<Self::List<'a>, $crate::cdr::Fault> {
+            $crate::cdr::Seq::check(reader, len)
+        }
+
+        #[inline]
+        fn view_array<'a, const LEN: usize>(
+            reader: &mut $crate::cdr::Reader<'a>,
+        ) -> ::core::result::Result<Self::Array<'a, LEN>, $crate::cdr::Fault> {
+            $crate::cdr::Seq::check(reader, LEN)
+        }
+
+        fn own_list(view: $crate::cdr::Seq<'_, Self>) -> ::std::vec::Vec<Self::Value> {
+            view.iter().map(Self::own).collect()
+        }
+
+        fn own_array<const LEN: usize>(view: $crate::cdr::Seq<'_, Self>) -> [Self::Value; LEN]
+        where
+            Self::Value: ::core::default::Default,
+        {
+            let mut values = view.iter();
+            ::core::array::from_fn(|_| values.next().map(Self::own).unwrap_or_default())
+        }
+    };
+}
+
+macro_rules! numbers {
+    ($($type:ty)*) => {$(
+        impl View for $type {
+            type Ref<'a> = Self;
+            type List<'a> = &'a [Self];
+            type Array<'a, const N: usize> = &'a [Self; N];
+
+            #[inline]
+            fn view_value<'a>(reader: &mut Reader<'a>) -> Result<Self, Fault> {
+                <Self as Form>::read(reader)
+            }
+
+            #[inline]
+            fn view_list<'a>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [Self], Fault> {
+                if len == 0 && size_of::<Self>() == 8 {
+                    reader.add_slack();
+                }
+                slice(reader, len)
+            }
+
+            #[inline]
+            fn view_array<'a, const N: usize>(reader: &mut Reader<'a>) -> Result<&'a [Self; N], Fault> {
+                array(reader)
+            }
+
+            #[inline]
+            fn own(view: Self) -> Self {
+                view
+            }
+
+            #[inline]
+            fn own_list(view: &[Self]) -> Vec<Self> {
+                view.to_vec()
+            }
+
+            #[inline]
+            fn own_array<const N: usize>(view: &[Self; N]) -> [Self; N] {
+                *view
+            }
+        }
+    )*};
+}
+
+numbers!(bool i8 u8 i16 u16 i32 u32 i64 u64 f32 f64);
+
+/// One value in place.
+#[doc(hidden)]
+#[inline]
+pub fn one<'a, T: Plain>(reader: &mut Reader<'a>) -> Result<&'a T, Fault> {
+    array::<T, 1>(reader).map(|[one]| one)
+}
+
+/// An array in place.
+#[doc(hidden)]
+#[inline]
+pub fn array<'a, T: Plain, const N: usize>(reader: &mut Reader<'a>) -> Result<&'a [T; N], Fault> {
+    let start = reader.position();
+    slice(reader, N)?
+        .first_chunk()
+        .ok_or_else(|| Fault::new(start, DecodeFault::End { needed: N, left: reader.left() }))
+}
+
+/// Values one after the other, in place. Without padding between or within, so that their memory is their CDR wherever
+/// the first lies.
+#[doc(hidden)]
+#[inline]
+pub fn slice<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], Fault> {
+    const { assert!(T::DENSE, "elements with padding are read one by one") }
+    if len == 0 {
+        return Ok(&[]);
+    }
+    let mut before = reader.clone();
+    let bytes = reader.take(T::FIRST_ALIGN, len.saturating_mul(size_of::<T>()))?;
+    let start = reader.position() - bytes.len();
+    let values = bytes.as_ptr().cast::<T>();
+    if !values.is_aligned() {
+        return Err(Fault::new(start, DecodeFault::Alignment { align: align_of::<T>() }));
+    }
+    if !T::ALWAYS_VALID
+        && let Some(index) =
+            bytes.chunks_exact(size_of::<T>()).position(|element| T::validate(element).is_err())
+    {
+        // Read as an owned one, it says which field is wrong.
+        let at = start + index * size_of::<T>();
+        before.skip_to(at);
+        let unknown = Fault::new(at, DecodeFault::Value { value: 0, type_name: &"value of this type" });
+        let fault = T::read(&mut before).err().unwrap_or(unknown);
+        *reader = before;
+        return Err(reader.at_index(fault, index));
+    }
+    // SAFETY: `len` elements are within `bytes`, aligned, initialised and valid as just checked; the result borrows what
+    // `bytes` does.
+    Ok(unsafe { core::slice::from_raw_parts(values, len) })
+}
+
+/// Checks a whole body.
+///
+/// # Errors
+///
+/// As [`Message::view`].
+#[doc(hidden)]
+#[inline]
+pub fn view_message<T: Message + View>(body: Body<'_>) -> Result<T::Ref<'_>, DecodeError> {
+    let mut reader = Reader::new(body.bytes(), Endian::Little);
+    let checked = T::view_value(&mut reader).and_then(|view| reader.finish().map(|()| view));
+    checked.map_err(|fault| reader.error(fault, T::TYPE_NAME))
+}
+
+impl<F: View> View for Vec<F> {
+    type Ref<'a> = F::List<'a>;
+    seq!();
+
+    #[inline]
+    fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::List<'a>, Fault> {
+        Self::view_bounded(reader, usize::MAX)
+    }
+
+    fn own(view: F::List<'_>) -> Self::Value {
+        F::own_list(view)
+    }
+}
+
+impl<F: View> BoundView for Vec<F> {
+    #[inline]
+    fn view_bounded<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<F::List<'a>, Fault> {
+        let start = reader.position();
+        match reader.length()? {
+            len if len > bound => Err(Fault::new(start, DecodeFault::Bound { len, bound })),
+            len => F::view_list(reader, len),
+        }
+    }
+}
+
+impl<F: View<Value: Default>, const N: usize> View for [F; N] {
+    type Ref<'a> = F::Array<'a, N>;
+    seq!();
+
+    #[inline]
+    fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::Array<'a, N>, Fault> {
+        F::view_array(reader)
+    }
+
+    fn own(view: F::Array<'_, N>) -> Self::Value {
+        F::own_array(view)
+    }
+}
+
+impl<F: BoundView, const N: usize> View for Bounded<F, N> {
+    type Ref<'a> = F::Ref<'a>;
+    seq!();
+
+    #[inline]
+    fn view_value<'a>(reader: &mut Reader<'a>) -> Result<F::Ref<'a>, Fault> {
+        F::view_bounded(reader, N)
+    }
+
+    fn own(view: F::Ref<'_>) -> Self::Value {
+        F::own(view)
+    }
+}
+
+impl View for String {
+    type Ref<'a> = &'a str;
+    seq!();
+
+    #[inline]
+    fn view_value<'a>(reader: &mut Reader<'a>) -> Result<&'a str, Fault> {
+        Self::view_bounded(reader, usize::MAX)
+    }
+
+    fn own(view: &str) -> Self {
+        view.to_owned()
+    }
+}
+
+impl BoundView for String {
+    #[inline]
+    fn view_bounded<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<&'a str, Fault> {
+        crate::cdr::form::text(reader, bound)
+    }
+}
+
+impl View for WString {
+    type Ref<'a> = WStr<'a>;
+    seq!();
+
+    #[inline]
+    fn view_value<'a>(reader: &mut Reader<'a>) -> Result<WStr<'a>, Fault> {
+        Self::view_bounded(reader, usize::MAX)
+    }
+
+    fn own(view: WStr<'_>) -> String {
+        view.chars().collect()
+    }
+}
+
+impl BoundView for WString {
+    fn view_bounded<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<WStr<'a>, Fault> {
+        let len = reader.length()?;
+        let start = reader.position();
+        let text = WStr::new(slice(reader, len)?).ok_or(Fault::new(start, DecodeFault::Unicode))?;
+        reader.add_slack();
+        match text.chars().count() {
+            len if len > bound => Err(Fault::new(start, DecodeFault::Bound { len, bound })),
+            _ => Ok(text),
+        }
+    }
+}

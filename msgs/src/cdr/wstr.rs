@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use core::fmt::{self, Write};
+
+/// The text of a `wstring` in a body: UTF-16, each unit in four bytes. Valid.
+#[derive(Clone, Copy)]
+pub struct WStr<'a> {
+    units: &'a [u32],
+}
+
+impl<'a> WStr<'a> {
+    /// `None` if the units are no text.
+    pub(crate) fn new(units: &'a [u32]) -> Option<Self> {
+        let text = Self { units };
+        text.decode().all(|char| char.is_ok()).then_some(text)
+    }
+
+    fn decode(self) -> impl Iterator<Item = Result<char, core::char::DecodeUtf16Error>> {
+        // A lone surrogate stands for what is no unit.
+        char::decode_utf16(self.units.iter().map(|&unit| u16::try_from(unit).unwrap_or(0xdfff)))
+    }
+
+    /// The characters.
+    pub fn chars(self) -> impl Iterator<Item = char> {
+        self.decode().map(|char| char.unwrap_or(char::REPLACEMENT_CHARACTER))
+    }
+
+    /// The number of UTF-16 units.
+    #[must_use]
+    pub fn len(self) -> usize {
+        self.units.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self.units.is_empty()
+    }
+}
+
+impl fmt::Display for WStr<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.chars().try_for_each(|char| formatter.write_char(char))
+    }
+}
+
+impl fmt::Debug for WStr<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_char('"')?;
+        self.chars().flat_map(char::escape_debug).try_for_each(|char| formatter.write_char(char))?;
+        formatter.write_char('"')
+    }
+}
+
+impl PartialEq<str> for WStr<'_> {
+    fn eq(&self, other: &str) -> bool {
+        self.chars().eq(other.chars())
+    }
+}
+
+impl PartialEq<&str> for WStr<'_> {
+    fn eq(&self, other: &&str) -> bool {
+        *self == **other
+    }
+}

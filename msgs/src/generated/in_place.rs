@@ -1,0 +1,251 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+/// Implements [`View`](crate::cdr::View) with a struct of getters and [`Fill`](crate::cdr::Fill) with a struct of pieces.
+///
+/// Each field is listed with its form, with what its getter gives, and in brackets its name if it has sizes.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! in_place {
+    (@sizes $sizes:ident) => {
+        ::core::default::Default::default()
+    };
+    (@sizes $sizes:ident $field:ident) => {
+        $sizes.$field
+    };
+    (@byte $carver:ident, ) => {{
+        $carver.take(1, 1)?.fill(0);
+    }};
+    (@byte $carver:ident, $($field:ident)+) => {};
+    (@skip $reader:ident, ) => {{
+        $reader.take(1, 1)?;
+    }};
+    (@skip $reader:ident, $($field:ident)+) => {};
+    (@end $at:expr, ) => {
+        $at + 1
+    };
+    (@end $at:expr, $($field:ident)+) => {
+        $at
+    };
+    (
+        $name:literal;
+        $type:ident $view:ident $writer:ident $sizes:ty;
+        { $($(#[$docs:meta])* $field:ident: $form:ty as $ref:ty [$($sized:ident)?],)* }
+    ) => {
+        #[doc = concat!("Reads [`", stringify!($type), "`] in place.")]
+        #[derive(Clone, Copy)]
+        pub struct $view<'a> {
+            $($field: $ref,)*
+            _body: ::core::marker::PhantomData<&'a [u8]>,
+        }
+
+        impl<'a> $view<'a> {
+            /// The message as an owned one.
+            #[must_use]
+            pub fn to_owned(&self) -> $type {
+                <$type as $crate::cdr::View>::own(*self)
+            }
+
+            $(
+                $(#[$docs])*
+                #[inline]
+                #[must_use]
+                pub fn $field(&self) -> $ref {
+                    self.$field
+                }
+            )*
+        }
+
+        impl ::core::fmt::Debug for $view<'_> {
+            fn fmt(&self, formatter: &mut ::core::fmt::Formatter<'_>) -> ::core::fmt::Result {
+                formatter
+                    .debug_struct(stringify!($view))
+                    $(.field(stringify!($field), &self.$field))*
+                    .finish()
+            }
+        }
+
+        #[doc = concat!("Writes [`", stringify!($type), "`] in place: a piece for each field, each to be set.")]
+        #[derive(Debug)]
+        pub struct $writer<'a, 's> {
+            $($(#[$docs])* pub $field: <$form as $crate::cdr::Fill>::Writer<'a, 's>,)*
+            _body: ::core::marker::PhantomData<(&'a mut [u8], &'s ())>,
+        }
+
+        impl<'a, 's> $writer<'a, 's> {
+            /// Sets what was not set yet to the defaults of the definition.
+            pub fn default_rest(&mut self) {
+                $crate::cdr::Piece::<$type>::default_rest(self, ::core::option::Option::None);
+            }
+        }
+
+        impl<'a, 's> $crate::cdr::Piece<$type> for $writer<'a, 's> {
+            #[inline]
+            fn check(&self) -> ::core::result::Result<(), $crate::cdr::WriteError> {
+                $(
+                    if let ::core::result::Result::Err(error) = <<$form as $crate::cdr::Fill>::Writer<'a, 's>
+                        as $crate::cdr::Piece<<$form as $crate::cdr::Form>::Value>>::check(&self.$field)
+                    {
+                        return ::core::result::Result::Err(error.within($name, stringify!($field)));
+                    }
+                )*
+                ::core::result::Result::Ok(())
+            }
+
+            fn default_rest(&mut self, value: ::core::option::Option<&$type>) {
+                let default;
+                let value = match value {
+                    ::core::option::Option::Some(value) => value,
+                    ::core::option::Option::None => {
+                        default = <$type as ::core::default::Default>::default();
+                        &default
+                    }
+                };
+                $(
+                    <<$form as $crate::cdr::Fill>::Writer<'a, 's>
+                        as $crate::cdr::Piece<<$form as $crate::cdr::Form>::Value>>::default_rest(
+                        &mut self.$field,
+                        ::core::option::Option::Some(&value.$field),
+                    );
+                )*
+                let _ = value;
+            }
+        }
+
+        impl $crate::cdr::View for $type {
+            type Ref<'a> = $view<'a>;
+            type List<'a> = $crate::cdr::Seq<'a, Self>;
+            type Array<'a, const N: usize> = $crate::cdr::Seq<'a, Self>;
+
+            #[inline]
+            fn view_value<'a>(
+                reader: &mut $crate::cdr::Reader<'a>,
+            ) -> ::core::result::Result<$view<'a>, $crate::cdr::Fault> {
+                $crate::in_place!(@skip reader, $($field)*);
+                ::core::result::Result::Ok($view {
+                    $($field: match <$form as $crate::cdr::View>::view_value(reader) {
+                        ::core::result::Result::Ok(value) => value,
+                        ::core::result::Result::Err(fault) => {
+                            return ::core::result::Result::Err(reader.in_field(fault, &stringify!($field)));
+                        }
+                    },)*
+                    _body: ::core::marker::PhantomData,
+                })
+            }
+
+            #[inline]
+            fn view_list<'a>(
+                reader: &mut $crate::cdr::Reader<'a>,
+                len: usize,
+            ) -> ::core::result::Result<$crate::cdr::Seq<'a, Self>, $crate::cdr::Fault> {
+                $crate::cdr::Seq::check(reader, len)
+            }
+
+            #[inline]
+            fn view_array<'a, const N: usize>(
+                reader: &mut $crate::cdr::Reader<'a>,
+            ) -> ::core::result::Result<$crate::cdr::Seq<'a, Self>, $crate::cdr::Fault> {
+                $crate::cdr::Seq::check(reader, N)
+            }
+
+            fn own(view: $view<'_>) -> Self {
+                let _ = view;
+                Self { $($field: <$form as $crate::cdr::View>::own(view.$field),)* }
+            }
+
+            fn own_list(view: $crate::cdr::Seq<'_, Self>) -> ::std::vec::Vec<Self> {
+                view.iter().map(Self::own).collect()
+            }
+
+            fn own_array<const N: usize>(view: $crate::cdr::Seq<'_, Self>) -> [Self; N] {
+                let mut values = view.iter();
+                ::core::array::from_fn(|_| values.next().map(Self::own).unwrap_or_default())
+            }
+        }
+
+        impl $crate::cdr::Fill for $type {
+            type Sizes<'s> = $sizes;
+            type ListSizes<'s> = &'s [$sizes];
+            type ArraySizes<'s> = &'s [$sizes];
+            type Writer<'a, 's> = $writer<'a, 's>;
+            type ListWriter<'a, 's> = $crate::cdr::Elements<'a, 's, Self>;
+            type ArrayWriter<'a, 's, const N: usize> = $crate::cdr::Elements<'a, 's, Self>;
+
+            $crate::sizes_of_values! {
+                fn sizes_of(value: &Self) -> Self::Sizes<'static> {
+                    let _ = value;
+                    #[allow(unused_mut, clippy::needless_update)]
+                    let mut sizes = <Self::Sizes<'static> as ::core::default::Default>::default();
+                    $($(sizes.$sized = <$form as $crate::cdr::Fill>::sizes_of(&value.$sized);)?)*
+                    sizes
+                }
+                fn list_sizes_of(values: &[Self]) -> Self::ListSizes<'static> {
+                    ::std::vec::Vec::leak(values.iter().map(Self::sizes_of).collect())
+                }
+                fn array_sizes_of(values: &[Self]) -> Self::ArraySizes<'static> {
+                    Self::list_sizes_of(values)
+                }
+            }
+
+            #[inline]
+            fn sized_end(sizes: Self::Sizes<'_>, at: usize) -> usize {
+                $(
+                    let at = <$form as $crate::cdr::Fill>::sized_end(
+                        $crate::in_place!(@sizes sizes $($sized)?),
+                        at,
+                    );
+                )*
+                let _ = sizes;
+                $crate::in_place!(@end at, $($field)*)
+            }
+
+            #[inline]
+            fn sized_list_end(sizes: Self::ListSizes<'_>, at: usize) -> usize {
+                $crate::cdr::Elements::<Self>::end(sizes, sizes.len(), at)
+            }
+
+            #[inline]
+            fn sized_array_end(sizes: Self::ArraySizes<'_>, len: usize, at: usize) -> usize {
+                $crate::cdr::Elements::<Self>::end(sizes, len, at)
+            }
+
+            #[inline]
+            fn carve<'a, 's: 's>(
+                sizes: $sizes,
+                carver: &mut $crate::cdr::Carver<'a>,
+            ) -> ::core::result::Result<$writer<'a, 's>, $crate::cdr::EncodeError> {
+                $crate::in_place!(@byte carver, $($field)*);
+                let _ = sizes;
+                ::core::result::Result::Ok($writer {
+                    $($field: match <$form as $crate::cdr::Fill>::carve(
+                        $crate::in_place!(@sizes sizes $($sized)?),
+                        carver,
+                    ) {
+                        ::core::result::Result::Ok(piece) => piece,
+                        ::core::result::Result::Err(error) => {
+                            return ::core::result::Result::Err(error.within($name, stringify!($field)));
+                        }
+                    },)*
+                    _body: ::core::marker::PhantomData,
+                })
+            }
+
+            #[inline]
+            fn carve_list<'a, 's: 's>(
+                sizes: &'s [$sizes],
+                bound: usize,
+                carver: &mut $crate::cdr::Carver<'a>,
+            ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
+                carver.length(sizes.len(), bound)?;
+                $crate::cdr::Elements::carve(sizes, sizes.len(), carver)
+            }
+
+            #[inline]
+            fn carve_array<'a, 's: 's, const N: usize>(
+                sizes: &'s [$sizes],
+                carver: &mut $crate::cdr::Carver<'a>,
+            ) -> ::core::result::Result<$crate::cdr::Elements<'a, 's, Self>, $crate::cdr::EncodeError> {
+                $crate::cdr::Elements::carve(sizes, N, carver)
+            }
+        }
+    };
+}

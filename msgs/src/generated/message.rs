@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+/// Implements [`Message`](crate::Message): `plain` for one read through `&Self`, else with the name of what reads it.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! message {
+    (plain $type:ident $name:literal $definition:tt $(where $($bounds:tt)*)?) => {
+        impl $crate::Message for $type $(where $($bounds)*)? {
+            type View<'a> = &'a Self;
+            const FIXED_LEN: ::core::option::Option<usize> =
+                ::core::option::Option::Some(<Self as $crate::Plain>::CDR_SIZE);
+            $crate::message!(@definition $name $definition);
+
+            #[inline]
+            fn view(body: $crate::Body<'_>) -> ::core::result::Result<&Self, $crate::cdr::DecodeError> {
+                $crate::view_plain(body)
+            }
+
+            #[inline]
+            fn shorten<'short, 'long: 'short>(view: &'long Self) -> &'short Self {
+                view
+            }
+        }
+    };
+    ($view:ident $type:ident $name:literal $definition:tt) => {
+        impl $crate::Message for $type {
+            type View<'a> = $view<'a>;
+            const FIXED_LEN: ::core::option::Option<usize> = ::core::option::Option::None;
+            $crate::message!(@definition $name $definition);
+
+            #[inline]
+            fn view(
+                body: $crate::Body<'_>,
+            ) -> ::core::result::Result<$view<'_>, $crate::cdr::DecodeError> {
+                $crate::cdr::view_message::<Self>(body)
+            }
+
+            #[inline]
+            fn shorten<'short, 'long: 'short>(view: $view<'long>) -> $view<'short> {
+                view
+            }
+        }
+    };
+    (@definition $name:literal {}) => {
+        const TYPE_NAME: &'static str = $name;
+        const TYPE_HASH: ::core::option::Option<&'static str> = ::core::option::Option::None;
+        const DEFINITION: ::core::option::Option<&'static $crate::Definition> = ::core::option::Option::None;
+    };
+    (@definition $name:literal { $hash:literal, $text:literal, [$($nested:ty),* $(,)?] $(,)? }) => {
+        const TYPE_NAME: &'static str = $name;
+        const TYPE_HASH: ::core::option::Option<&'static str> = ::core::option::Option::Some($hash);
+        const DEFINITION: ::core::option::Option<&'static $crate::Definition> =
+            ::core::option::Option::Some(&$crate::Definition {
+                type_name: $name,
+                text: $text,
+                nested: &[$($crate::definition_of::<$nested>()),*],
+            });
+    };
+}

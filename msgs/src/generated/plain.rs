@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+/// Implements [`Plain`](crate::Plain) and [`Form`](crate::cdr::Form) for a `#[repr(C)]` struct whose fields are listed
+/// with their types. Does not compile if C places one of them where CDR does not.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! plain_struct {
+    ($name:literal; $type:ident { $($field:ident: $ty:ty),+ $(,)? }) => {
+        $crate::cdr_form! { $name; $type { $($field: $ty),+ } }
+
+        // SAFETY: `repr(C)`, all fields are `Plain`, zeros are a valid value of each, and evaluating `CDR_SIZE` proves that
+        // C places each field where CDR does.
+        unsafe impl $crate::Plain for $type {
+            const CDR_SIZE: usize = {
+                let end = 0usize;
+                $(
+                    let start = end.next_multiple_of(<$ty as $crate::Plain>::FIRST_ALIGN);
+                    assert!(
+                        ::core::mem::offset_of!($type, $field) == start,
+                        concat!("field `", stringify!($field), "` is elsewhere in C than in CDR")
+                    );
+                    let end = start + <$ty as $crate::Plain>::CDR_SIZE;
+                )+
+                end
+            };
+            const FIRST_ALIGN: usize = {
+                let aligns = [$(<$ty as $crate::Plain>::FIRST_ALIGN),+];
+                aligns[0]
+            };
+            const CONTENT_SIZE: usize = 0 $(+ <$ty as $crate::Plain>::CONTENT_SIZE)+;
+            const ALWAYS_VALID: bool = true $(&& <$ty as $crate::Plain>::ALWAYS_VALID)+;
+
+            #[inline]
+            fn validate(bytes: &[u8]) -> ::core::result::Result<(), $crate::Invalid> {
+                $($crate::layout::validate_at::<$ty>(bytes, ::core::mem::offset_of!($type, $field))?;)+
+                ::core::result::Result::Ok(())
+            }
+
+            #[inline]
+            fn write_fields(&self, out: &mut [u8]) {
+                $($crate::Plain::write_fields(&self.$field, &mut out[::core::mem::offset_of!($type, $field)..]);)+
+            }
+
+            #[inline]
+            fn clear_padding(memory: &mut [u8]) {
+                let end = 0usize;
+                $(
+                    let start = ::core::mem::offset_of!($type, $field);
+                    $crate::layout::clear(memory, end, start);
+                    $crate::layout::clear_at::<$ty>(memory, start);
+                    let end = start + <$ty as $crate::Plain>::CDR_SIZE;
+                )+
+                let _ = end;
+            }
+        }
+
+        const _: usize = <$type as $crate::Plain>::CDR_SIZE;
+    };
+}
