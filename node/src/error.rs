@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 use tautline_executor::ExecutorError;
-use tautline_msgs::{Message, Plain};
 use tautline_rt::RtError;
 use tautline_transport::{LoanError, PublishError, TakeError, TransportError, Unpublished};
 
@@ -101,8 +100,8 @@ impl From<LoanError> for Error {
 }
 
 /// The loan is dropped: match on [`Unpublished::Full`] to keep it.
-impl<T: Message + Plain> From<Unpublished<'_, T>> for Error {
-    fn from(unpublished: Unpublished<'_, T>) -> Self {
+impl<L> From<Unpublished<L>> for Error {
+    fn from(unpublished: Unpublished<L>) -> Self {
         Error::Publish(unpublished.into())
     }
 }

@@ -56,8 +56,8 @@ pub use tautline_msgs::{Message, Plain};
 pub use tautline_rt as rt;
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, Sample, TakeError,
-    TopicMemory, TransportError, Unpublished, topic_memory,
+    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, PublisherCounters, Sample,
+    TakeError, TopicMemory, TransportError, Unpublished, topic_memory,
 };
 
 /// The README's program compiles.

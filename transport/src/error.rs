@@ -53,6 +53,14 @@ pub enum TransportError {
         /// Why not.
         reason: String,
     },
+    /// The type's name or hash cannot be one.
+    #[error("topic '{topic}': {reason}")]
+    TopicType {
+        /// The topic.
+        topic: String,
+        /// Why not.
+        reason: String,
+    },
     /// The topic exists with another type.
     #[error(
         "topic '{topic}' carries '{existing}', not '{requested}': rename one of them, or use the same type"
@@ -60,9 +68,9 @@ pub enum TransportError {
     TypeMismatch {
         /// The topic.
         topic: String,
-        /// The type it has, and its size.
+        /// The type it has, with its size and hash where they are known.
         existing: String,
-        /// The type asked for, and its size.
+        /// The type asked for, with its size and hash where they are known.
         requested: String,
     },
     /// A limit of the topic is below what is asked for.
@@ -120,11 +128,16 @@ pub enum LoanError {
     /// As many loans as the topic's `Limits::loans` are out already.
     #[error("every loan of this publisher is in use: publish or drop one, or raise `Limits::loans`")]
     Exhausted,
-    /// The message is larger than the topic's samples.
-    #[error("the message is larger than this topic's samples")]
+    /// The message is longer than the topic's fixed size, or than `Limits::message_bytes` of a publisher that may not grow, or
+    /// than [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES).
+    #[error(
+        "the message is longer than its topic's fixed size, or than `Limits::message_bytes` of a publisher that may not grow, or than 4 GiB"
+    )]
     TooLarge,
-    /// iceoryx2 has no memory left for this publisher.
-    #[error("the publisher's shared memory is exhausted: is /dev/shm full?")]
+    /// iceoryx2 has no memory left for this publisher, or the system none for a larger segment.
+    #[error(
+        "the publisher's shared memory is exhausted: is /dev/shm full, or address space limited (ulimit -v)?"
+    )]
     OutOfMemory,
 }
 

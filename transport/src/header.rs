@@ -26,7 +26,8 @@ impl fmt::Debug for Gid {
     }
 }
 
-/// Where a message comes from and when it was sent.
+/// Where a message comes from and when it was sent. Of a message from another host, number, time and publisher are what
+/// they were there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct MessageInfo {
     /// Counts the publisher's messages, from 1.
@@ -42,16 +43,22 @@ pub struct MessageInfo {
 /// The user header of every iceoryx2 sample. In another process's hands: a claim, but one of which every value is
 /// harmless: a wrong number is a wrong count.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("tautline/SampleHeader/1")]
+#[type_name("tautline/SampleHeader/2")]
 #[repr(C)]
 pub(crate) struct SampleHeader {
+    /// Counts the samples of the port that sent this one, from 1: what losses are counted from.
     pub(crate) sequence_number: u64,
-    pub(crate) source_timestamp_ns: i64,
-    pub(crate) released_ns: u64,
+    /// That port.
     pub(crate) gid: Gid,
-    /// Length of the body as CDR, in bytes: a plain type's memory without its trailing padding.
+    pub(crate) released_ns: u64,
+    /// Length of the body as CDR, in bytes: a plain type's memory without its trailing padding. The payload is this,
+    /// rounded up to 8.
     pub(crate) body_bytes: u64,
     pub(crate) flags: u64,
+    pub(crate) source_timestamp_ns: i64,
+    /// As published first: those of the port, unless the message came from another host.
+    pub(crate) source_sequence_number: u64,
+    pub(crate) source_gid: Gid,
 }
 
 /// A header without a payload: a publisher's history ends here.
@@ -60,10 +67,10 @@ pub(crate) const END_OF_HISTORY: u64 = 1;
 impl SampleHeader {
     pub(crate) fn info(&self) -> MessageInfo {
         MessageInfo {
-            sequence_number: self.sequence_number,
+            sequence_number: self.source_sequence_number,
             source_timestamp_ns: self.source_timestamp_ns,
             released_ns: self.released_ns,
-            publisher_gid: self.gid,
+            publisher_gid: self.source_gid,
         }
     }
 }

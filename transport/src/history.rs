@@ -13,7 +13,8 @@ use crate::error::TransportError;
 use crate::header::{END_OF_HISTORY, Gid, SampleHeader};
 use crate::lending::{Shelf, Sole};
 use crate::ports::{self, Reached};
-use crate::topic::{IoxPublisher, IoxSample, IoxSubscriber, Topic};
+use crate::qos::Qos;
+use crate::topic::{IoxPublisher, IoxSample, IoxSubscriber, Topic, Word};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use tautline_rt::clock::monotonic_ns;
@@ -30,7 +31,7 @@ pub(crate) struct Keeper {
     depth: usize,
     queue: Sole<IoxSubscriber>,
     /// What was taken from the queue when an earlier late joiner came.
-    kept: VecDeque<(SampleHeader, Vec<u8>)>,
+    kept: VecDeque<(SampleHeader, Vec<Word>)>,
     outlet: Option<Sole<IoxPublisher>>,
     served: Vec<u128>,
 }
@@ -44,7 +45,8 @@ impl Keeper {
         depth: usize,
         slot: usize,
     ) -> Result<Self, TransportError> {
-        let address = Address { role: Role::Keeper, arena: doorbell.arena().id(), slot };
+        let (arena, qos) = (doorbell.arena().id(), Qos::keep_last(depth));
+        let address = Address { role: Role::Keeper, arena, slot, qos };
         let queue = topic
             .factory
             .subscriber_builder()
@@ -101,12 +103,8 @@ impl Keeper {
         let topic = self.topic.clone();
         let Some(history) = &topic.history else { return Ok(()) };
         if self.outlet.is_none() {
-            let outlet = history
-                .publisher_builder()
-                .initial_max_slice_len(topic.type_info.len_bytes)
-                .max_loaned_samples(1)
-                .backpressure_strategy(iceoryx2::prelude::BackpressureStrategy::DiscardData)
-                .create()
+            let outlet = topic
+                .history_port(history)
                 .map_err(|error| topic.iceoryx_error("serving late joiners", error))?;
             self.outlet = Some(Sole::new(outlet));
         }

@@ -10,6 +10,7 @@
 
 use crate::doorbell::{Doorbell, Owner, remove_stale_arenas};
 use crate::error::TransportError;
+use crate::graph::Graph;
 use crate::history::Keeper;
 use crate::ports;
 use crate::sync::Ordering;
@@ -46,6 +47,7 @@ struct Charges {
 struct Shared {
     domain: u32,
     doorbell: Arc<Doorbell>,
+    graph: Arc<Graph>,
     node: Arc<IoxNode>,
     charges: Mutex<Charges>,
     stop: AtomicBool,
@@ -67,10 +69,11 @@ impl Janitor {
     pub(crate) fn start(
         domain: u32,
         doorbell: Arc<Doorbell>,
+        graph: Arc<Graph>,
         node: Arc<IoxNode>,
     ) -> Result<Self, TransportError> {
         let (charges, stop) = (Mutex::default(), AtomicBool::new(false));
-        let shared = Arc::new(Shared { domain, doorbell, node, charges, stop });
+        let shared = Arc::new(Shared { domain, doorbell, graph, node, charges, stop });
         let thread = {
             let shared = shared.clone();
             let builder = tautline_rt::ThreadBuilder::new("janitor");
@@ -121,7 +124,9 @@ fn run(shared: &Shared) {
         }
         look_around(shared);
         if Instant::now() >= next_cleanup {
-            shared.node.try_cleanup_dead_nodes();
+            if shared.node.try_cleanup_dead_nodes().cleanups > 0 {
+                shared.graph.advance();
+            }
             remove_stale_arenas(shared.domain);
             next_cleanup = Instant::now() + CLEANUP_PERIOD;
         }

@@ -8,6 +8,8 @@
 //!
 //! - **Zero copy.** What lies in shared memory is the message's CDR, which for [plain](tautline_msgs::Plain) types is
 //!   the type's memory.
+//! - **Bytes below, types above.** [`RawPublisher`] and [`RawSubscription`] carry bodies of any length and look at none;
+//!   [`Publisher`] and [`Subscription`] are a thin layer over them. All ends of a topic agree on the [`TopicType`].
 //! - **Nothing waits in publish.** A slow keep-last subscription loses its oldest samples and counts them; a full
 //!   keep-all one makes publish return `Full` with the loan.
 //! - **No lock between threads of different priority** on the way of a sample, in this process or another.
@@ -34,6 +36,7 @@
 mod address;
 mod doorbell;
 mod error;
+mod graph;
 mod header;
 mod history;
 mod janitor;
@@ -46,12 +49,18 @@ mod qos;
 mod subscription;
 mod sync;
 mod topic;
+mod topic_type;
+mod topics;
+mod typed;
 
 pub use doorbell::{Doorbell, SLOTS, SamplerSeat, Slot};
 pub use error::{LoanError, PublishError, TakeError, TransportError};
 pub use header::{Gid, MessageInfo};
 pub use memory::{TopicMemory, topic_memory};
 pub use participant::{MAX_DOMAIN, Participant};
-pub use publisher::{Loan, Publisher, Unpublished};
+pub use publisher::{PublisherCounters, RawLoan, RawPublisher, Unpublished};
 pub use qos::{Durability, History, Limits, Qos, Reliability};
-pub use subscription::{Counters, Sample, Subscription};
+pub use subscription::{Counters, RawSample, RawSubscription};
+pub use topic_type::TopicType;
+pub use topics::{EndpointInfo, TopicInfo};
+pub use typed::{Loan, Publisher, Sample, Subscription};

@@ -3,11 +3,14 @@
 
 use crate::doorbell::{Doorbell, Slot};
 use crate::error::TransportError;
+use crate::graph::Graph;
 use crate::janitor::Janitor;
-use crate::publisher::Publisher;
+use crate::publisher::RawPublisher;
 use crate::qos::{Limits, Qos};
-use crate::subscription::Subscription;
+use crate::subscription::RawSubscription;
 use crate::topic::IoxNode;
+use crate::topic_type::TopicType;
+use crate::typed::{Publisher, Subscription};
 use iceoryx2::prelude::*;
 use std::sync::Arc;
 use tautline_msgs::{Message, Plain};
@@ -19,13 +22,14 @@ pub const MAX_DOMAIN: u32 = 232;
 /// same user. A clone is the same membership.
 #[derive(Clone)]
 pub struct Participant {
-    shared: Arc<Shared>,
+    pub(crate) shared: Arc<Shared>,
 }
 
 pub(crate) struct Shared {
     pub(crate) domain: u32,
     pub(crate) doorbell: Arc<Doorbell>,
     pub(crate) janitor: Janitor,
+    pub(crate) graph: Arc<Graph>,
     pub(crate) node: Arc<IoxNode>,
 }
 
@@ -61,8 +65,9 @@ impl Participant {
             .map_err(|error| refuse(format!("{error:?}")))?;
         let node = Arc::new(node);
         let doorbell = Doorbell::create(domain)?;
-        let janitor = Janitor::start(domain, doorbell.clone(), node.clone())?;
-        Ok(Participant { shared: Arc::new(Shared { domain, doorbell, janitor, node }) })
+        let graph = Graph::open(domain)?;
+        let janitor = Janitor::start(domain, doorbell.clone(), graph.clone(), node.clone())?;
+        Ok(Participant { shared: Arc::new(Shared { domain, doorbell, janitor, graph, node }) })
     }
 
     /// The domain.
@@ -96,7 +101,7 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<Publisher<T>, TransportError> {
-        Publisher::create(self.shared.clone(), topic, qos, limits)
+        Publisher::create(self, topic, qos, limits)
     }
 
     /// Creates a subscription of `topic`, a fully qualified name. What is published from now on is queued.
@@ -112,7 +117,41 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<Subscription<T>, TransportError> {
-        Subscription::create(self.shared.clone(), topic, qos, limits)
+        Subscription::create(self, topic, qos, limits)
+    }
+
+    /// Creates a publisher of bytes of `topic`, a fully qualified name.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    pub fn create_raw_publisher(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawPublisher, TransportError> {
+        RawPublisher::create(self.shared.clone(), topic, topic_type, qos, limits)
+    }
+
+    /// Creates a subscription to the bytes of `topic`, a fully qualified name. What is published from now on is queued.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    pub fn create_raw_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        RawSubscription::create(self.shared.clone(), topic, topic_type, qos, limits)
     }
 }
 

@@ -105,8 +105,8 @@ impl Default for Qos {
 /// Limits of a topic, fixed by whoever opens it first; exceeding one is an error that names it.
 ///
 /// They reserve address space, not memory: a publisher reserves
-/// `subscribers x (depth + held) + loans` samples, and a page becomes resident when a sample in it is first written
-/// ([`topic_memory`](crate::topic_memory) computes both). Each publisher and subscription that are connected also need
+/// `depth + (subscribers + publishers) x held + loans` samples, and a page becomes resident when a sample in it is first
+/// written ([`topic_memory`](crate::topic_memory) computes both). Each publisher and subscription that are connected also need
 /// open files: one in the publisher's process, two in the subscription's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
@@ -120,6 +120,14 @@ pub struct Limits {
     pub held: usize,
     /// Most loans that a publisher can have out at once. 4 by default.
     pub loans: usize,
+    /// The largest message in bytes of CDR that a publisher sends without growing its memory, for types whose size is not
+    /// fixed. A larger one is published too, but takes a new segment: not real-time, counted, and said once in the log.
+    /// Each publisher has its own. 4,096 by default.
+    pub message_bytes: usize,
+    /// Whether a publisher of a type without a fixed size takes a larger segment for a message longer than `message_bytes`. If
+    /// not, such a message is refused ([`LoanError::TooLarge`](crate::LoanError::TooLarge)), and iceoryx2's books take a
+    /// megabyte less. True by default.
+    pub may_grow: bool,
 }
 
 impl Limits {
@@ -131,19 +139,30 @@ impl Limits {
     pub const MAX_DEPTH: usize = 65_536;
     /// Greatest value of [`Limits::held`] and [`Limits::loans`].
     pub const MAX_HELD: usize = 4_096;
+    /// Greatest value of [`Limits::message_bytes`], and largest message: 4 GiB, what CDR's 32-bit lengths can say.
+    pub const MAX_MESSAGE_BYTES: usize = 1 << 32;
 
     pub(crate) fn check(&self, topic: &str) -> Result<(), TransportError> {
         in_range(topic, "publishers", self.publishers, Self::MAX_PUBLISHERS)?;
         in_range(topic, "subscribers", self.subscribers, Self::MAX_SUBSCRIBERS)?;
         in_range(topic, "depth", self.depth, Self::MAX_DEPTH)?;
         in_range(topic, "held", self.held, Self::MAX_HELD)?;
-        in_range(topic, "loans", self.loans, Self::MAX_HELD)
+        in_range(topic, "loans", self.loans, Self::MAX_HELD)?;
+        in_range(topic, "message_bytes", self.message_bytes, Self::MAX_MESSAGE_BYTES)
     }
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Limits { publishers: 8, subscribers: 16, depth: 100, held: 4, loans: 4 }
+        Limits {
+            publishers: 8,
+            subscribers: 16,
+            depth: 100,
+            held: 4,
+            loans: 4,
+            message_bytes: 4096,
+            may_grow: true,
+        }
     }
 }
 

@@ -3,80 +3,80 @@
 
 use crate::error::TransportError;
 use crate::header::SampleHeader;
+use crate::memory;
 use crate::qos::{Durability, Limits, Qos};
+use crate::topic_type::TopicType;
+use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::*;
-use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
-use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError};
+use iceoryx2::service::builder::publish_subscribe::{
+    Builder, PublishSubscribeCreateError, PublishSubscribeOpenError,
+};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as TopicFactory;
-use tautline_msgs::{Message, Plain};
 
 pub(crate) type IoxNode = Node<ipc::Service>;
-pub(crate) type IoxPublisher = iceoryx2::port::publisher::Publisher<ipc::Service, [u8], SampleHeader>;
-pub(crate) type IoxSubscriber = iceoryx2::port::subscriber::Subscriber<ipc::Service, [u8], SampleHeader>;
-pub(crate) type IoxSample = iceoryx2::sample::Sample<ipc::Service, [u8], SampleHeader>;
-pub(crate) type IoxLoan = iceoryx2::sample_mut::SampleMut<ipc::Service, [u8], SampleHeader>;
-pub(crate) type Factory = TopicFactory<ipc::Service, [u8], SampleHeader>;
+pub(crate) type IoxPublisher = iceoryx2::port::publisher::Publisher<ipc::Service, [Word], SampleHeader>;
+pub(crate) type IoxSubscriber = iceoryx2::port::subscriber::Subscriber<ipc::Service, [Word], SampleHeader>;
+pub(crate) type IoxSample = iceoryx2::sample::Sample<ipc::Service, [Word], SampleHeader>;
+pub(crate) type IoxLoan = iceoryx2::sample_mut::SampleMut<ipc::Service, [Word], SampleHeader>;
+pub(crate) type Factory = TopicFactory<ipc::Service, [Word], SampleHeader>;
 
-/// Bodies are CDR, whose alignment is at most 8.
-pub(crate) const BODY_ALIGNMENT: usize = 8;
-/// Attribute keys of a topic's service.
-const TYPE: &str = "ros.type";
-const SIZE: &str = "ros.size";
+/// What payloads are made of: bodies are CDR, whose alignment is at most 8. (iceoryx2 can align bytes to 8 as well, but then
+/// reserves 8 bytes for each.)
+pub(crate) type Word = u64;
+pub(crate) const BODY_ALIGNMENT: usize = align_of::<Word>();
+/// Starts the names of the services through which late joiners get what they missed. ':' cannot be in a topic's name.
+pub(crate) const HISTORY: &str = "history:";
 
-/// What a topic carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct TypeInfo {
-    pub(crate) name: &'static str,
-    /// Size of a body in memory, in bytes.
-    pub(crate) len_bytes: usize,
+/// The payload that holds a body of `len_bytes`, which is at most [`Limits::MAX_MESSAGE_BYTES`].
+pub(crate) fn padded(len_bytes: usize) -> usize {
+    len_bytes.max(1).next_multiple_of(BODY_ALIGNMENT)
 }
 
-impl TypeInfo {
-    fn describe(self) -> String {
-        format!("{} ({} bytes)", self.name, self.len_bytes)
-    }
+/// The bytes of a payload.
+pub(crate) fn bytes(payload: &[Word]) -> &[u8] {
+    // SAFETY: the same memory; a Word has no padding, and u8 no alignment.
+    unsafe { core::slice::from_raw_parts(payload.as_ptr().cast(), size_of_val(payload)) }
+}
+
+/// The bytes of a payload.
+pub(crate) fn bytes_mut(payload: &mut [Word]) -> &mut [u8] {
+    // SAFETY: as in `bytes`; and any bytes are valid Words.
+    unsafe { core::slice::from_raw_parts_mut(payload.as_mut_ptr().cast(), size_of_val(payload)) }
 }
 
 /// An open topic.
 pub(crate) struct Topic {
     pub(crate) name: String,
     pub(crate) factory: Factory,
-    pub(crate) type_info: TypeInfo,
+    /// What is known of the type here, or was when the topic was made.
+    pub(crate) topic_type: TopicType,
     pub(crate) limits: Limits,
     /// Where late joiners get what they missed; only for topics with a transient-local end in this process.
     pub(crate) history: Option<Factory>,
 }
 
 impl Topic {
-    /// Opens or creates the topic for messages of type `T`.
-    pub(crate) fn open_for<T: Message + Plain>(
+    /// Opens or creates the topic.
+    pub(crate) fn open(
         node: &IoxNode,
         name: &str,
+        topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
         is_queue: bool,
     ) -> Result<Self, TransportError> {
         qos.check(name)?;
+        limits.check(name)?;
+        topic_type.check(name)?;
         let transient_local = qos.durability == Durability::TransientLocal;
-        let type_info = TypeInfo { name: T::TYPE_NAME, len_bytes: size_of::<T>() };
         // Only a subscription's depth is a queue; a transient-local publisher's keeper is one as well.
         let depth = if is_queue || transient_local { qos.depth } else { 1 };
-        Self::open(node, name, type_info, limits, depth, transient_local)
-    }
-
-    /// Opens or creates the topic. `depth` is what the caller will ask for, which a new topic's limit must allow.
-    fn open(
-        node: &IoxNode,
-        name: &str,
-        type_info: TypeInfo,
-        limits: Limits,
-        depth: usize,
-        transient_local: bool,
-    ) -> Result<Self, TransportError> {
-        limits.check(name)?;
         let wanted = Limits { depth: limits.depth.max(depth), ..limits };
-        let factory = open_service(node, name, name, type_info, wanted)?;
+        let (factory, topic_type) = open_service(node, name, name, topic_type, wanted)?;
+        // Known here by now, or by whoever made the topic: a claim, which sizes memory.
+        let message_bytes = topic_type.body_bytes.map_or(limits.message_bytes, |bytes| bytes.max(1));
+        Limits { message_bytes, ..limits }.check(name)?;
         let config = factory.static_config();
         let limits = Limits {
             publishers: config.max_publishers(),
@@ -84,15 +84,17 @@ impl Topic {
             depth: config.subscriber_max_buffer_size(),
             held: config.subscriber_max_borrowed_samples(),
             loans: limits.loans,
+            message_bytes,
+            may_grow: limits.may_grow && topic_type.body_bytes.is_none(),
         };
         let history = transient_local
             .then(|| {
-                // As the topic's, whoever opens it, and one more than the depth: the mark that ends a history.
-                // ':' cannot be in a topic's name.
-                let limits = Limits { depth: limits.depth + 1, ..limits };
-                open_service(node, name, &format!("history:{name}"), type_info, limits)
+                // As the topic's, whoever opens it.
+                let limits = history_limits(limits);
+                open_service(node, name, &format!("{HISTORY}{name}"), &topic_type, limits)
             })
-            .transpose()?;
+            .transpose()?
+            .map(|(factory, _)| factory);
         if limits.depth < depth {
             return Err(TransportError::Limit {
                 topic: name.into(),
@@ -101,7 +103,7 @@ impl Topic {
                 requested: depth,
             });
         }
-        Ok(Topic { name: name.into(), factory, type_info, limits, history })
+        Ok(Topic { name: name.into(), factory, topic_type, limits, history })
     }
 
     /// What a port does when iceoryx2 cannot connect it to another one: go on without, but not silently.
@@ -118,44 +120,81 @@ impl Topic {
         }
     }
 
+    /// Makes a publisher's port, whose memory holds as many samples as can be in flight, and may grow if the
+    /// limits say so.
+    pub(crate) fn publisher_port(
+        &self,
+        factory: &Factory,
+        name: &PortName,
+        limits: Limits,
+    ) -> Result<IoxPublisher, PublisherCreateError> {
+        let strategy =
+            if limits.may_grow { AllocationStrategy::PowerOfTwo } else { AllocationStrategy::Static };
+        let samples = memory::samples(limits);
+        factory
+            .publisher_builder()
+            .name(name)
+            .initial_max_slice_len(padded(limits.message_bytes) / size_of::<Word>())
+            .allocation_strategy(strategy)
+            .override_sample_preallocation(move |_| samples)
+            .max_loaned_samples(limits.loans)
+            // A full queue overwrites its oldest sample; should that ever fail, nothing may spin in publish().
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .set_degradation_handler(self.warn_of_degradation())
+            .create()
+    }
+
+    /// The port through which a keeper gives late joiners what they missed.
+    pub(crate) fn history_port(&self, history: &Factory) -> Result<IoxPublisher, PublisherCreateError> {
+        // What it sends was published, by this process: it grows if that did.
+        let limits = Limits { loans: 1, ..history_limits(self.limits) };
+        self.publisher_port(history, &PortName::new_empty(), limits)
+    }
+
     pub(crate) fn iceoryx_error(&self, what: &'static str, reason: impl std::fmt::Debug) -> TransportError {
         TransportError::Iceoryx { topic: self.name.clone(), what, reason: format!("{reason:?}") }
     }
 }
 
+/// Opens a topic that exists, whatever its type. `None` if it does not, or cannot be opened.
+pub(crate) fn open_existing(node: &IoxNode, topic: &str) -> Option<Factory> {
+    builder(node, &ServiceName::new(topic).ok()?).open().ok()
+}
+
+fn builder(node: &IoxNode, service_name: &ServiceName) -> Builder<[Word], SampleHeader, ipc::Service> {
+    node.service_builder(service_name).publish_subscribe::<[Word]>().user_header::<SampleHeader>()
+}
+
+/// One more than the topic's depth: the mark that ends a history.
+fn history_limits(limits: Limits) -> Limits {
+    Limits { depth: limits.depth + 1, ..limits }
+}
+
+/// Opens or creates a service, and says what is then known of its type.
 fn open_service(
     node: &IoxNode,
     topic: &str,
     service: &str,
-    type_info: TypeInfo,
+    topic_type: &TopicType,
     limits: Limits,
-) -> Result<Factory, TransportError> {
+) -> Result<(Factory, TopicType), TransportError> {
     let refuse = |what, reason: String| TransportError::Iceoryx { topic: topic.into(), what, reason };
     let service_name = ServiceName::new(service).map_err(|error| TransportError::TopicName {
         topic: topic.into(),
         reason: format!("iceoryx2 does not accept it ({error:?})"),
     })?;
-    let builder = || {
-        let builder =
-            node.service_builder(&service_name).publish_subscribe::<[u8]>().user_header::<SampleHeader>();
-        match Alignment::new(BODY_ALIGNMENT) {
-            Some(alignment) => builder.payload_alignment(alignment),
-            None => builder,
-        }
-    };
     // Another process may create or remove the service between two of these steps: try again a few times.
     for _ in 0..100 {
-        match builder().open() {
-            Ok(factory) => return check_type(topic, type_info, factory),
+        match builder(node, &service_name).open() {
+            Ok(factory) => {
+                let existing = TopicType::from_attributes(factory.attributes());
+                return Ok((factory, topic_type.join(topic, existing)?));
+            }
             Err(
                 PublishSubscribeOpenError::DoesNotExist | PublishSubscribeOpenError::IsMarkedForDestruction,
             ) => {}
             Err(PublishSubscribeOpenError::IncompatibleTypes) => {
-                return Err(TransportError::TypeMismatch {
-                    topic: topic.into(),
-                    existing: "something that is not a Tautline message".into(),
-                    requested: type_info.describe(),
-                });
+                return Err(topic_type.mismatch(topic, None));
             }
             Err(PublishSubscribeOpenError::ExceedsMaxNumberOfNodes) => {
                 return Err(TransportError::Limit {
@@ -167,8 +206,9 @@ fn open_service(
             }
             Err(error) => return Err(refuse("opening", format!("{error:?}"))),
         }
-        let attributes = attributes(type_info).map_err(|reason| refuse("describing the type", reason))?;
-        let created = builder()
+        let attributes =
+            topic_type.to_attributes().map_err(|reason| refuse("describing the type", reason))?;
+        let created = builder(node, &service_name)
             .enable_safe_overflow(true)
             .history_size(0)
             .max_publishers(limits.publishers)
@@ -179,7 +219,7 @@ fn open_service(
             .subscriber_max_borrowed_samples(limits.held)
             .create_with_attributes(&attributes);
         match created {
-            Ok(factory) => return Ok(factory),
+            Ok(factory) => return Ok((factory, topic_type.clone())),
             Err(
                 PublishSubscribeCreateError::AlreadyExists
                 | PublishSubscribeCreateError::IsBeingCreatedByAnotherInstance,
@@ -192,33 +232,4 @@ fn open_service(
 
 fn nodes(limits: Limits) -> usize {
     (limits.publishers + limits.subscribers).max(20)
-}
-
-fn attributes(type_info: TypeInfo) -> Result<AttributeSpecifier, String> {
-    let define = |specifier: AttributeSpecifier, name: &str, value: &str| {
-        let value = AttributeValue::try_from(value).map_err(|error| format!("{error:?}"))?;
-        specifier.define(&key(name)?, &value).map_err(|error| format!("{error:?}"))
-    };
-    let specifier = define(AttributeSpecifier::new(), TYPE, type_info.name)?;
-    define(specifier, SIZE, &type_info.len_bytes.to_string())
-}
-
-fn key(name: &str) -> Result<AttributeKey, String> {
-    AttributeKey::try_from(name).map_err(|error| format!("{error:?}"))
-}
-
-fn check_type(topic: &str, type_info: TypeInfo, factory: Factory) -> Result<Factory, TransportError> {
-    let attribute = |name| {
-        let value = factory.attributes().key_value(&key(name).ok()?, 0)?;
-        Some(value.to_string())
-    };
-    let (name, size) = (attribute(TYPE), attribute(SIZE));
-    if name.as_deref() == Some(type_info.name) && size == Some(type_info.len_bytes.to_string()) {
-        return Ok(factory);
-    }
-    Err(TransportError::TypeMismatch {
-        topic: topic.into(),
-        existing: format!("{} ({} bytes)", name.as_deref().unwrap_or("?"), size.as_deref().unwrap_or("?")),
-        requested: type_info.describe(),
-    })
 }

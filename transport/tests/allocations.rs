@@ -7,7 +7,7 @@ mod support;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::{Cell, RefCell};
 use support::{Count, domain};
-use tautline_transport::{Limits, Participant, Qos};
+use tautline_transport::{Limits, Participant, Qos, TopicType};
 
 const CYCLES: usize = 10_000;
 
@@ -83,4 +83,31 @@ fn publish_and_take() {
 
     // A sample that is dropped without being published.
     assert_eq!(count(|| drop(publisher.loan().unwrap())), (1, 1));
+}
+
+#[test]
+fn publish_and_take_of_any_size_below_the_limit() {
+    let participant = Participant::new(domain(180)).unwrap();
+    let limits = Limits { message_bytes: 100_000, ..Limits::default() };
+    let (text, qos) = (TopicType::new("test_msgs/msg/Text"), Qos::default());
+    let publisher = participant.create_raw_publisher("/heap", &text, qos, limits).unwrap();
+    let subscription = participant.create_raw_subscription("/heap", &text, qos, limits).unwrap();
+    let cycle = |len_bytes: usize| {
+        let mut loan = publisher.loan(len_bytes).unwrap();
+        if let Some(first) = loan.first_mut() {
+            *first = 5;
+        }
+        loan.publish().unwrap();
+        let sample = subscription.try_take().unwrap().unwrap();
+        assert!(sample.body().len() == len_bytes && sample.body().first().is_none_or(|first| *first == 5));
+    };
+    cycle(0);
+    let counted = count(|| (0..CYCLES).for_each(|n| cycle(n * 7919 % 100_001)));
+    assert_eq!(counted, (CYCLES, CYCLES), "iceoryx2's loans, and none of ours");
+    assert_eq!(publisher.counters().growths(), 0);
+    assert!(count(|| cycle(100_001)).0 > 1, "a larger segment is made");
+    assert_eq!(publisher.counters().growths(), 1);
+    // The old segment goes when its last sample has come back.
+    (0..2).for_each(cycle);
+    assert_eq!(count(|| (0..CYCLES).for_each(|n| cycle(n * 13 % 100_001))), (CYCLES, CYCLES), "that is all");
 }

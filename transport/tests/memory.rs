@@ -5,7 +5,7 @@ mod support;
 
 use support::{IMAGE_BYTES, Image, Part, say, shared_memory};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, Participant, Qos, topic_memory};
+use tautline_transport::{Limits, Participant, Qos, TopicType, topic_memory};
 
 const MIB: u64 = 1 << 20;
 
@@ -21,7 +21,8 @@ struct Eight {
 fn child_main() {
     let Some((part, domain)) = support::part() else { return };
     match part.as_str() {
-        "idle" => idle_topics(domain),
+        "idle" => idle_topics(domain, &TopicType::of::<Eight>()),
+        "idle texts" => idle_topics(domain, &TopicType::new("test_msgs/msg/Text")),
         "images" => images(domain),
         "locked images" => match tautline_rt::lock_memory(tautline_rt::MemoryLock::OnFault) {
             Ok(()) => images(domain),
@@ -44,14 +45,13 @@ fn blocks(domain: u32) -> u64 {
     shared_memory(domain).values().sum()
 }
 
-fn idle_topics(domain: u32) {
+fn idle_topics(domain: u32, topic_type: &TopicType) {
     let participant = Participant::new(domain).unwrap();
     let create = |n: usize| {
         let topic = format!("/idle_{n}");
-        let publisher =
-            participant.create_publisher::<Eight>(&topic, Qos::default(), Limits::default()).unwrap();
-        let subscription =
-            participant.create_subscription::<Eight>(&topic, Qos::default(), Limits::default()).unwrap();
+        let (qos, limits) = (Qos::default(), Limits::default());
+        let publisher = participant.create_raw_publisher(&topic, topic_type, qos, limits).unwrap();
+        let subscription = participant.create_raw_subscription(&topic, topic_type, qos, limits).unwrap();
         (publisher, subscription)
     };
     // The first one brings in code and the allocator's first pages.
@@ -95,6 +95,18 @@ fn twenty_idle_topics_cost_less_than_4_mib() {
     println!("bytes in /dev/shm, bytes resident in the process: {said}");
     let sum: u64 = said.split(' ').map(|bytes| bytes.parse::<u64>().unwrap()).sum();
     assert!(sum < 4 * MIB, "{said}");
+}
+
+#[test]
+fn twenty_idle_topics_that_may_grow_cost_what_is_computed() {
+    let mut part = Part::start("idle texts", 181);
+    let said = part.hear();
+    assert!(part.end().success());
+    println!("bytes in /dev/shm, bytes resident in the process: {said}");
+    let sum: u64 = said.split(' ').map(|bytes| bytes.parse::<u64>().unwrap()).sum();
+    let books = topic_memory(4096, Limits::default(), 1, 10).growth_books_bytes as u64;
+    assert!(sum < 20 * books + 4 * MIB, "{said}; books of {books} bytes each");
+    assert!(sum > 20 * books, "nor is it less: {said}; {books}");
 }
 
 #[test]

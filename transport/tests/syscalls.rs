@@ -7,7 +7,7 @@ mod support;
 
 use std::os::fd::AsRawFd;
 use support::{Count, Part, clean, wait_for};
-use tautline_transport::{Limits, Participant, Qos};
+use tautline_transport::{Limits, Participant, Qos, TopicType};
 
 const MESSAGES: u64 = 10_000;
 
@@ -19,6 +19,9 @@ fn child_main() {
     let limits = Limits::default();
     let publisher = participant.create_publisher::<Count>("/quiet", Qos::default(), limits).unwrap();
     let subscription = participant.create_subscription::<Count>("/quiet", Qos::default(), limits).unwrap();
+    let (text, larger) = (TopicType::new("test_msgs/msg/Text"), Limits { message_bytes: 5000, ..limits });
+    let texts = participant.create_raw_publisher("/text", &text, Qos::default(), larger).unwrap();
+    let taken = participant.create_raw_subscription("/text", &text, Qos::default(), larger).unwrap();
     let stdout = std::io::stdout().as_raw_fd();
     let work = move || {
         let mut sum = 0;
@@ -26,6 +29,10 @@ fn child_main() {
             let mut loan = publisher.loan().unwrap();
             loan.n = n;
             loan.publish().unwrap();
+            let mut loan = texts.loan(n as usize % 5000).unwrap();
+            loan.fill(1);
+            loan.publish().unwrap();
+            assert_eq!(taken.try_take().unwrap().unwrap().body().len(), n as usize % 5000);
             sum += subscription.try_take().unwrap().unwrap().n;
             if part == "yielder" {
                 // What the proof must notice.

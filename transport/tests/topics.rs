@@ -12,9 +12,25 @@ use tautline_transport::{
     Limits, LoanError, Participant, PublishError, Qos, TakeError, TransportError, Unpublished,
 };
 
-const DEFAULT: Limits = Limits { publishers: 8, subscribers: 16, depth: 100, held: 4, loans: 4 };
+const DEFAULT: Limits = Limits {
+    publishers: 8,
+    subscribers: 16,
+    depth: 100,
+    held: 4,
+    loans: 4,
+    message_bytes: 4096,
+    may_grow: true,
+};
 
-const GREATEST: Limits = Limits { publishers: 64, subscribers: 128, depth: 4, held: 1, loans: 1 };
+const GREATEST: Limits = Limits {
+    publishers: 64,
+    subscribers: 128,
+    depth: 4,
+    held: 1,
+    loans: 1,
+    message_bytes: 4096,
+    may_grow: true,
+};
 
 #[derive(Message, Clone, Copy)]
 #[message(name = "test_msgs/msg/Other", crate = "tautline_msgs")]

@@ -79,12 +79,16 @@ impl Drop for Domain {
     }
 }
 
-/// Removes the 16-byte file that iceoryx2 leaves behind for each domain, from the domains that tests use (120 and up) and
-/// that have no other file: nobody is in them.
+/// Removes the two small files that every domain has for good (iceoryx2's and the graph's epoch), from the domains that tests
+/// use (120 and up) and that have no other file: nobody is in them.
 pub fn sweep() {
     for domain in 120..=232 {
         let files = files_of(domain);
-        if files.iter().all(|file| file.to_string_lossy().ends_with(".global_mgmt")) {
+        let lasts = |file: &PathBuf| {
+            let name = file.to_string_lossy();
+            name.ends_with(".global_mgmt") || name.ends_with("_graph1")
+        };
+        if files.iter().all(lasts) {
             files.iter().for_each(|file| drop(fs::remove_file(file)));
         }
     }

@@ -7,35 +7,43 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::Publisher;
+use super::RawPublisher;
 use super::peers::Peers;
 use crate::error::{LoanError, PublishError};
-use crate::header::SampleHeader;
+use crate::header::{MessageInfo, SampleHeader};
 use crate::sync::{Ordering, fence};
-use crate::topic::IoxLoan;
+use crate::topic::{IoxLoan, Word, bytes, bytes_mut, padded};
 use core::future::poll_fn;
 use core::ops::{Deref, DerefMut};
-use core::ptr::NonNull;
 use core::task::Poll;
-use tautline_msgs::{Message, Plain};
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 
-/// A sample to write in place: `&mut T` in shared memory. Dropping it gives it back unsent.
-pub struct Loan<'p, T: Message + Plain> {
-    publisher: &'p Publisher<T>,
+/// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it gives it
+/// back unsent.
+pub struct RawLoan<'p> {
+    publisher: &'p RawPublisher,
     sample: IoxLoan,
-    body: NonNull<T>,
+    len_bytes: usize,
 }
 
-/// A loan that was not published.
-pub enum Unpublished<'p, T: Message + Plain> {
+/// A loan `L` that was not published.
+pub enum Unpublished<L> {
     /// A keep-all subscription has no room. Nothing was sent; the loan is untouched.
-    Full(Loan<'p, T>),
+    Full(L),
     /// The sample was spent: some subscriptions got it, the others count it as lost.
     Incomplete,
 }
 
-impl<T: Message + Plain> core::fmt::Display for Unpublished<'_, T> {
+impl<L> Unpublished<L> {
+    pub(crate) fn map<M>(self, change: impl FnOnce(L) -> M) -> Unpublished<M> {
+        match self {
+            Unpublished::Full(loan) => Unpublished::Full(change(loan)),
+            Unpublished::Incomplete => Unpublished::Incomplete,
+        }
+    }
+}
+
+impl<L> core::fmt::Display for Unpublished<L> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Unpublished::Full(_) => PublishError::Full.fmt(f),
@@ -44,9 +52,9 @@ impl<T: Message + Plain> core::fmt::Display for Unpublished<'_, T> {
     }
 }
 
-impl<T: Message + Plain> core::error::Error for Unpublished<'_, T> {}
+impl<L> core::error::Error for Unpublished<L> {}
 
-impl<T: Message + Plain> core::fmt::Debug for Unpublished<'_, T> {
+impl<L> core::fmt::Debug for Unpublished<L> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
             Unpublished::Full(_) => "Full",
@@ -55,8 +63,8 @@ impl<T: Message + Plain> core::fmt::Debug for Unpublished<'_, T> {
     }
 }
 
-impl<T: Message + Plain> From<Unpublished<'_, T>> for PublishError {
-    fn from(unpublished: Unpublished<'_, T>) -> Self {
+impl<L> From<Unpublished<L>> for PublishError {
+    fn from(unpublished: Unpublished<L>) -> Self {
         match unpublished {
             Unpublished::Full(_) => PublishError::Full,
             Unpublished::Incomplete => PublishError::Incomplete,
@@ -64,52 +72,64 @@ impl<T: Message + Plain> From<Unpublished<'_, T>> for PublishError {
     }
 }
 
-impl<T: Message + Plain> Publisher<T> {
-    /// Loans a sample. Its content is a valid `T` but otherwise unspecified: zeros, or an earlier message of this
-    /// publisher; write what the message needs.
+/// What a sample's header says of its origin.
+enum Stamp {
+    /// Published and released now.
+    Now,
+    /// Published now, released at this `CLOCK_MONOTONIC` time.
+    ReleasedAt(u64),
+    /// Published elsewhere, released now.
+    As(MessageInfo),
+}
+
+impl RawPublisher {
+    /// Loans a sample for a body of `len_bytes`. Its content is unspecified: zeros, or an earlier message of this publisher;
+    /// write every byte.
     ///
     /// # Real-time
-    /// Wait-free; one allocation of 48 bytes (iceoryx2's); no syscall. For a type with bool, char or enum fields,
-    /// O(number of these) to check that the memory holds a valid `T`.
+    /// Wait-free; one allocation of 48 bytes (iceoryx2's); no syscall. For a type without a fixed size, a body that is longer
+    /// than `Limits::message_bytes` and than all before takes a larger segment: allocates, maps memory.
     ///
     /// # Errors
-    /// [`LoanError::Exhausted`]: `Limits::loans` are out already.
-    pub fn loan(&self) -> Result<Loan<'_, T>, LoanError> {
-        let sample = self.port.loan_slice_uninit(size_of::<T>()).map_err(loan_error)?;
-        // SAFETY: the memory belongs to a mapped file, so every byte has a value: zero, or what was written last.
-        let mut sample = unsafe { sample.assume_init() };
-        let bytes: &mut [u8] = sample.payload_mut();
-        if bytes.len() != size_of::<T>() || bytes.as_ptr().align_offset(align_of::<T>()) != 0 {
+    /// [`LoanError::Exhausted`]: `Limits::loans` are out already. [`LoanError::TooLarge`]: longer than the topic's fixed size,
+    /// rounded up to 8, or than `Limits::message_bytes` without `Limits::may_grow`, or than
+    /// [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES). [`LoanError::OutOfMemory`].
+    pub fn loan(&self, len_bytes: usize) -> Result<RawLoan<'_>, LoanError> {
+        if len_bytes > crate::qos::Limits::MAX_MESSAGE_BYTES {
             return Err(LoanError::TooLarge);
         }
-        // Only this publisher writes here, and only whole `T`s; zeros are a valid `T` too. Another process that broke
-        // the rules must still not make an invalid `T`.
-        if !T::ALWAYS_VALID && T::validate(bytes).is_err() {
-            bytes.fill(0);
+        let payload_bytes = padded(len_bytes);
+        if payload_bytes > self.capacity_bytes.get() && !self.grow(payload_bytes) {
+            return Err(LoanError::TooLarge);
         }
-        let body = NonNull::from(bytes).cast::<T>();
-        Ok(Loan { publisher: self, sample, body })
+        let sample = self.port.loan_slice_uninit(payload_bytes / size_of::<Word>());
+        let sample = sample.map_err(loan_error)?;
+        // SAFETY: the memory belongs to a mapped file, so every byte has a value: zero, or what was written last.
+        let mut sample = unsafe { sample.assume_init() };
+        // What is not the body's is zero, whatever was here before.
+        bytes_mut(sample.payload_mut()).get_mut(len_bytes..).unwrap_or_default().fill(0);
+        Ok(RawLoan { publisher: self, sample, len_bytes })
     }
 
-    /// Copies `message` into a loan and publishes it.
+    /// Copies `body` into a loan and publishes it.
     ///
     /// # Real-time
-    /// As [`loan`](Self::loan) and [`Loan::publish`], and one copy of the message.
+    /// As [`loan`](Self::loan) and [`RawLoan::publish`], and one copy of the body.
     ///
     /// # Errors
     /// [`PublishError`]; nothing was sent unless it is [`PublishError::Incomplete`].
-    pub fn publish(&self, message: &T) -> Result<(), PublishError> {
-        let mut loan = self.loan()?;
-        *loan = *message;
+    pub fn publish(&self, body: &[u8]) -> Result<(), PublishError> {
+        let mut loan = self.loan(body.len())?;
+        loan.copy_from_slice(body);
         loan.publish().map_err(PublishError::from)
     }
 
-    /// Publishes a loan. See [`Loan::publish`].
+    /// Publishes a loan. See [`RawLoan::publish`].
     fn publish_loan<'p>(
         &'p self,
-        mut loan: Loan<'p, T>,
-        released_ns: Option<u64>,
-    ) -> Result<(), Unpublished<'p, T>> {
+        mut loan: RawLoan<'p>,
+        stamp: Stamp,
+    ) -> Result<(), Unpublished<RawLoan<'p>>> {
         let mut peers = self.peers.borrow_mut();
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
         if self.keep_all && !has_room(&peers) {
@@ -117,13 +137,20 @@ impl<T: Message + Plain> Publisher<T> {
         }
         let sequence_number = peers.sequence_number + 1;
         peers.sequence_number = sequence_number;
+        let (released_ns, source) = match stamp {
+            Stamp::As(source) => (monotonic_ns(), source),
+            Stamp::Now => (monotonic_ns(), self.info(sequence_number)),
+            Stamp::ReleasedAt(released_ns) => (released_ns, self.info(sequence_number)),
+        };
         *loan.sample.user_header_mut() = SampleHeader {
             sequence_number,
-            source_timestamp_ns: wall_ns(),
-            released_ns: released_ns.unwrap_or_else(monotonic_ns),
             gid: self.gid,
-            body_bytes: T::CDR_SIZE as u64,
+            released_ns,
+            body_bytes: loan.len_bytes as u64,
             flags: 0,
+            source_timestamp_ns: source.source_timestamp_ns,
+            source_sequence_number: source.sequence_number,
+            source_gid: source.publisher_gid,
         };
         for link in peers.matched.iter().filter_map(|matched| matched.link()) {
             link.out.sent.store(sequence_number, Ordering::Relaxed);
@@ -135,6 +162,16 @@ impl<T: Message + Plain> Publisher<T> {
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
         peers.ring();
         sent.map(|_| ()).map_err(|_| Unpublished::Incomplete)
+    }
+
+    /// What this publisher's own message says of itself.
+    fn info(&self, sequence_number: u64) -> MessageInfo {
+        MessageInfo {
+            sequence_number,
+            source_timestamp_ns: wall_ns(),
+            released_ns: 0,
+            publisher_gid: self.gid,
+        }
     }
 }
 
@@ -165,7 +202,12 @@ fn has_room(peers: &Peers) -> bool {
     true
 }
 
-impl<'p, T: Message + Plain> Loan<'p, T> {
+impl<'p> RawLoan<'p> {
+    /// The whole payload: the body and the zeros that follow it, up to a multiple of 8.
+    pub(crate) fn payload_mut(&mut self) -> &mut [u8] {
+        bytes_mut(self.sample.payload_mut())
+    }
+
     /// Publishes the sample to every subscription. It never waits: a slow keep-last subscription loses its oldest
     /// sample and counts it; with a full keep-all subscription, and if this publisher keeps all, nothing is sent and the
     /// loan comes back.
@@ -176,8 +218,8 @@ impl<'p, T: Message + Plain> Loan<'p, T> {
     ///
     /// # Errors
     /// [`Unpublished`], with the loan if nothing was sent.
-    pub fn publish(self) -> Result<(), Unpublished<'p, T>> {
-        self.publisher.publish_loan(self, None)
+    pub fn publish(self) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publisher.publish_loan(self, Stamp::Now)
     }
 
     /// Publishes with a release time of the caller's: what response times are measured from, such as the instant at
@@ -188,8 +230,21 @@ impl<'p, T: Message + Plain> Loan<'p, T> {
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
-    pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<'p, T>> {
-        self.publisher.publish_loan(self, Some(released_ns))
+    pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publisher.publish_loan(self, Stamp::ReleasedAt(released_ns))
+    }
+
+    /// Publishes a message that came from another host: subscriptions read its number, time stamp and publisher in their
+    /// [`MessageInfo`]. It is released here and now, and losses are counted by this publisher's own numbers, so messages of
+    /// many remote publishers may go through one port.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_as(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publisher.publish_loan(self, Stamp::As(source))
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
@@ -218,18 +273,17 @@ impl<'p, T: Message + Plain> Loan<'p, T> {
     }
 }
 
-impl<T: Message + Plain> Deref for Loan<'_, T> {
-    type Target = T;
+impl Deref for RawLoan<'_> {
+    type Target = [u8];
 
-    fn deref(&self) -> &T {
-        // SAFETY: `body` points to a valid, aligned T (checked in `loan`) in memory that `sample` keeps.
-        unsafe { self.body.as_ref() }
+    fn deref(&self) -> &[u8] {
+        bytes(self.sample.payload()).get(..self.len_bytes).unwrap_or_default()
     }
 }
 
-impl<T: Message + Plain> DerefMut for Loan<'_, T> {
-    fn deref_mut(&mut self) -> &mut T {
-        // SAFETY: as in deref; the loan is borrowed mutably and no subscription has it yet.
-        unsafe { self.body.as_mut() }
+impl DerefMut for RawLoan<'_> {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        let len_bytes = self.len_bytes;
+        self.payload_mut().get_mut(..len_bytes).unwrap_or_default()
     }
 }

@@ -1,73 +1,85 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Publishers: loan, write in place, publish.
+//! Publishers of bytes: loan, write in place, publish. What is above knows the type.
 
 mod hot;
 mod peers;
 
-pub use hot::{Loan, Unpublished};
+pub use hot::{RawLoan, Unpublished};
 
 use crate::address::{Address, Role};
 use crate::doorbell::{Slot, slot_flags};
 use crate::error::TransportError;
+use crate::graph::Presence;
 use crate::header::Gid;
 use crate::history::Keeper;
 use crate::janitor::Watch;
+use crate::memory;
 use crate::participant::Shared;
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
-use crate::topic::{IoxPublisher, Topic};
-use iceoryx2::prelude::BackpressureStrategy;
+use crate::topic::{IoxPublisher, Topic, padded};
+use crate::topic_type::TopicType;
 use peers::Peers;
-use std::cell::RefCell;
-use std::marker::PhantomData;
+use std::cell::{Cell, RefCell};
 use std::sync::Arc;
-use tautline_msgs::{Message, Plain};
+use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Publishes messages of type `T` on one topic.
+/// Publishes bodies of CDR on one topic, of whatever type. What is written is not looked at.
 ///
 /// May be moved to another thread, and is used by one at a time.
-pub struct Publisher<T> {
+pub struct RawPublisher {
     port: IoxPublisher,
     peers: RefCell<Peers>,
     keep_all: bool,
     gid: Gid,
     qos: Qos,
+    /// The longest payload that fits without a larger segment.
+    capacity_bytes: Cell<usize>,
+    counters: Arc<PublisherCounters>,
     slot: Slot,
     topic: Arc<Topic>,
+    // After the port, which it announces the end of.
+    _presence: Presence,
     shared: Arc<Shared>,
-    _message: PhantomData<T>,
 }
 
-// SAFETY: the port shares an `Rc` with its loans only, and every Loan borrows the Publisher: while one is alive the
-// Publisher cannot be moved. (A loan that was forgotten never touches the `Rc` again.) The rest is Send; the Publisher
-// is not Sync, through the port and the RefCell.
-unsafe impl<T> Send for Publisher<T> {}
+/// What happened to one publisher's memory, readable from any thread.
+#[derive(Debug, Default)]
+pub struct PublisherCounters {
+    growths: AtomicU64,
+}
 
-impl<T: Message + Plain> Publisher<T> {
+impl PublisherCounters {
+    /// How often a message was longer than any before and than `Limits::message_bytes`, so that a larger segment had to be
+    /// made: allocations and system calls in a loan. 0 is what a real-time publisher should read.
+    pub fn growths(&self) -> u64 {
+        self.growths.load(Ordering::Relaxed)
+    }
+}
+
+// SAFETY: the port shares an `Rc` with its loans only, and every RawLoan borrows the RawPublisher: while one is alive the
+// RawPublisher cannot be moved. (A loan that was forgotten never touches the `Rc` again.) The rest is Send; the
+// RawPublisher is not Sync, through the port and the RefCell.
+unsafe impl Send for RawPublisher {}
+
+impl RawPublisher {
     pub(crate) fn create(
         shared: Arc<Shared>,
         topic: &str,
+        topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
-        let topic = Arc::new(Topic::open_for::<T>(&shared.node, topic, qos, limits, false)?);
+        let topic = Arc::new(Topic::open(&shared.node, topic, topic_type, qos, limits, false)?);
         let transient = qos.durability == Durability::TransientLocal;
         let slot = shared.doorbell.claim()?;
         let role = if transient { Role::TransientPublisher } else { Role::Publisher };
         if transient {
             slot.set_flags(slot_flags::TRANSIENT_LOCAL);
         }
-        let address = Address { role, arena: shared.doorbell.arena().id(), slot: slot.index() };
+        let address = Address { role, arena: shared.doorbell.arena().id(), slot: slot.index(), qos };
         let port = topic
-            .factory
-            .publisher_builder()
-            .name(&address.to_port_name())
-            .initial_max_slice_len(size_of::<T>().max(1))
-            .max_loaned_samples(limits.loans)
-            // A full queue overwrites its oldest sample; should that ever fail, nothing may spin in publish().
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .set_degradation_handler(topic.warn_of_degradation())
-            .create()
+            .publisher_port(&topic.factory, &address.to_port_name(), topic.limits)
             .map_err(|error| create_error(&topic, error))?;
         let gid = ports::gid(port.id().value());
         if transient {
@@ -86,16 +98,18 @@ impl<T: Message + Plain> Publisher<T> {
         shared.janitor.watch(watch);
         let peers = Peers::new(shared.domain, topic.limits.subscribers);
         let keep_all = qos.history == History::KeepAll;
-        let publisher = Publisher {
+        let publisher = RawPublisher {
             port,
             peers: RefCell::new(peers),
             keep_all,
             gid,
             qos,
+            capacity_bytes: Cell::new(padded(topic.limits.message_bytes)),
+            counters: Arc::default(),
             slot,
             topic,
+            _presence: Presence::new(&shared.graph),
             shared,
-            _message: PhantomData,
         };
         let mut peers = publisher.peers.borrow_mut();
         peers.refresh(&publisher.topic, &publisher.slot, gid);
@@ -120,9 +134,40 @@ impl<T: Message + Plain> Publisher<T> {
         self.gid
     }
 
-    /// The topic's limits, as its first opener set them.
+    /// The topic's limits, as its first opener set them, and this publisher's own `loans` and `message_bytes`, which are a fixed
+    /// size if the type has one.
     pub fn limits(&self) -> Limits {
         self.topic.limits
+    }
+
+    /// What is known of the topic's type.
+    pub fn topic_type(&self) -> &TopicType {
+        &self.topic.topic_type
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<PublisherCounters> {
+        self.counters.clone()
+    }
+
+    /// The next loan is of `payload_bytes`, more than this publisher's samples hold. False if they may not grow. iceoryx2
+    /// makes the segment in that loan.
+    #[cold]
+    fn grow(&self, payload_bytes: usize) -> bool {
+        if !self.topic.limits.may_grow || payload_bytes > padded(Limits::MAX_MESSAGE_BYTES) {
+            return false;
+        }
+        let (before, after) = (self.capacity_bytes.get(), memory::grown_payload(payload_bytes));
+        self.capacity_bytes.set(after);
+        if self.counters.growths.fetch_add(1, Ordering::Relaxed) == 0 {
+            tracing::warn!(
+                "topic '{}': a message of {payload_bytes} bytes does not fit into this publisher's samples of {before}, which \
+                 take {after} from now on: that took a new segment, which is not real-time; set `Limits::message_bytes` to \
+                 the largest message (said once; `PublisherCounters::growths` counts)",
+                self.topic.name
+            );
+        }
+        true
     }
 
     /// Number of subscriptions that the next sample goes to.
@@ -136,16 +181,16 @@ impl<T: Message + Plain> Publisher<T> {
     }
 }
 
-impl<T> std::fmt::Debug for Publisher<T> {
+impl std::fmt::Debug for RawPublisher {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Publisher")
+        f.debug_struct("RawPublisher")
             .field("topic", &self.topic.name)
             .field("gid", &self.gid)
             .finish_non_exhaustive()
     }
 }
 
-impl<T> Drop for Publisher<T> {
+impl Drop for RawPublisher {
     fn drop(&mut self) {
         self.shared.janitor.forget(self.slot.index());
         self.peers.borrow().end(self.gid);

@@ -3,16 +3,15 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::{Counters, State, Subscription};
+use super::{Counters, RawSubscription, State};
 use crate::doorbell::{ArenaId, Doorbell, Link};
 use crate::error::TakeError;
-use crate::header::{END_OF_HISTORY, MessageInfo};
+use crate::header::{END_OF_HISTORY, Gid, MessageInfo};
 use crate::lending::{Lent, Shelf, Sole};
 use crate::ports::Reached;
 use crate::qos::History;
 use crate::sync::{Ordering, fence};
-use crate::topic::{IoxSample, IoxSubscriber};
-use core::ops::Deref;
+use crate::topic::{IoxSample, IoxSubscriber, bytes};
 use core::pin::Pin;
 use core::ptr::NonNull;
 use core::sync::atomic::AtomicU64;
@@ -20,22 +19,41 @@ use core::task::{Context, Poll};
 use futures::Stream;
 use iceoryx2::port::ReceiveError;
 use std::sync::Arc;
-use tautline_msgs::{Message, Plain};
+use tautline_msgs::Invalid;
 
-/// A message in shared memory: derefs to `T`. At most `Limits::held` of one subscription are alive at once; they may be
-/// dropped in any thread.
-pub struct Sample<T> {
-    body: NonNull<T>,
+/// A body in shared memory. At most `Limits::held` of one subscription are alive at once; they may be dropped in any
+/// thread.
+pub struct RawSample {
+    payload: NonNull<[u8]>,
+    /// At most the payload's length.
+    body_bytes: usize,
     info: MessageInfo,
+    port_gid: Gid,
     _lent: Lent<IoxSample>,
 }
 
-// SAFETY: a Sample reads its body through `&T`, and `_lent` may be dropped anywhere.
-unsafe impl<T: Sync> Send for Sample<T> {}
+// SAFETY: a RawSample reads its payload through `&[u8]`, and `_lent` may be dropped anywhere.
+unsafe impl Send for RawSample {}
 // SAFETY: as above.
-unsafe impl<T: Sync> Sync for Sample<T> {}
+unsafe impl Sync for RawSample {}
 
-impl<T> Sample<T> {
+impl RawSample {
+    /// The message's CDR, without the 4 encapsulation bytes, at an address that is a multiple of 8. Nobody has looked
+    /// whether it is a message of the topic's type.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn body(&self) -> &[u8] {
+        self.payload().get(..self.body_bytes).unwrap_or_default()
+    }
+
+    /// The body and what follows it, up to a multiple of 8.
+    pub(crate) fn payload(&self) -> &[u8] {
+        // SAFETY: `payload` are the bytes of a sample that `_lent` keeps on its shelf, mapped. A publisher does not write
+        // to a sample that a subscription holds.
+        unsafe { self.payload.as_ref() }
+    }
+
     /// Sequence number, time stamps, publisher.
     ///
     /// # Real-time
@@ -43,21 +61,17 @@ impl<T> Sample<T> {
     pub fn info(&self) -> MessageInfo {
         self.info
     }
-}
 
-impl<T> Deref for Sample<T> {
-    type Target = T;
-
-    fn deref(&self) -> &T {
-        // SAFETY: `body` was made from the bytes of a sample, checked to be a valid T, and `_lent` keeps that sample on
-        // its shelf, mapped. A publisher does not write to a sample that a subscription holds.
-        unsafe { self.body.as_ref() }
+    /// The publisher on this host that the message came through: [`MessageInfo::publisher_gid`], unless that one is on
+    /// another host.
+    pub fn port_gid(&self) -> Gid {
+        self.port_gid
     }
 }
 
-impl<T: core::fmt::Debug> core::fmt::Debug for Sample<T> {
+impl core::fmt::Debug for RawSample {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        (**self).fmt(f)
+        f.debug_struct("RawSample").field("body_bytes", &self.body_bytes).field("info", &self.info).finish()
     }
 }
 
@@ -99,17 +113,17 @@ impl Waiters {
     }
 }
 
-impl<T: Message + Plain> Subscription<T> {
+impl RawSubscription {
     /// Takes the oldest sample of a publisher, if there is one.
     ///
     /// # Real-time
     /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
-    /// and its sampler sleeps. For types with bool, char or enum fields, O(number of these). When publishers have
-    /// appeared or gone since the last call: allocates and maps memory.
+    /// and its sampler sleeps. When publishers have appeared or gone since the last call, or one of them took a larger
+    /// segment: allocates and maps memory.
     ///
     /// # Errors
-    /// [`TakeError`]. An invalid sample is consumed.
-    pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
+    /// [`TakeError`]. A sample whose header is invalid is consumed.
+    pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
         let mut state = self.state.borrow_mut();
         if let Some(sample) = self.take_history(&mut state)? {
             return Ok(Some(sample));
@@ -149,7 +163,7 @@ impl<T: Message + Plain> Subscription<T> {
     }
 
     /// The next sample of the history, while that lasts.
-    fn take_history(&self, state: &mut State) -> Result<Option<Sample<T>>, TakeError> {
+    fn take_history(&self, state: &mut State) -> Result<Option<RawSample>, TakeError> {
         let slot = &self.departure.slot;
         let links = slot.doorbell().arena().links(slot.index());
         while let Some(catch) = &mut state.catch {
@@ -175,15 +189,24 @@ impl<T: Message + Plain> Subscription<T> {
         Ok(None)
     }
 
-    fn lend(&self, sample: IoxSample, shelf: &Shelf<IoxSample>) -> Result<Sample<T>, TakeError> {
-        let info = sample.user_header().info();
-        let body =
-            tautline_msgs::from_bytes::<T>(sample.payload()).map(NonNull::from).map_err(|invalid| {
-                add(&self.counters.invalid, 1);
-                TakeError::Invalid(invalid)
-            })?;
+    fn lend(&self, sample: IoxSample, shelf: &Shelf<IoxSample>) -> Result<RawSample, TakeError> {
+        let header = *sample.user_header();
+        let payload = bytes(sample.payload());
+        // The length is another process's claim.
+        let body_bytes = usize::try_from(header.body_bytes).unwrap_or(usize::MAX);
+        if body_bytes > payload.len() {
+            self.note_invalid();
+            let (needed, len) = (body_bytes, payload.len());
+            return Err(TakeError::Invalid(Invalid::Length { type_name: "sample", needed, len }));
+        }
+        let payload = NonNull::from(payload);
         let lent = shelf.lend(sample).ok_or(TakeError::TooManyHeld)?;
-        Ok(Sample { body, info, _lent: lent })
+        Ok(RawSample { payload, body_bytes, info: header.info(), port_gid: header.gid, _lent: lent })
+    }
+
+    /// Counts a sample that is not a message of the type that its reader expects.
+    pub(crate) fn note_invalid(&self) {
+        add(&self.counters.invalid, 1);
     }
 
     /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted.
@@ -193,7 +216,7 @@ impl<T: Message + Plain> Subscription<T> {
     ///
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
-    pub fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
+    pub fn try_take_valid(&self) -> Result<Option<RawSample>, TakeError> {
         loop {
             match self.try_take() {
                 Err(TakeError::Invalid(_)) => {}
@@ -210,7 +233,7 @@ impl<T: Message + Plain> Subscription<T> {
     ///
     /// # Real-time
     /// As [`try_take_valid`](Self::try_take_valid).
-    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
         self.departure.slot.waker().register(context.waker());
         loop {
             match self.try_take_valid() {
@@ -228,17 +251,15 @@ impl<T: Message + Plain> Subscription<T> {
     }
 }
 
-impl<T: Message + Plain> Stream for Subscription<T> {
-    type Item = Sample<T>;
+impl Stream for RawSubscription {
+    type Item = RawSample;
 
     /// # Real-time
-    /// As [`Subscription::try_take`]. Never ends.
-    fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
+    /// As [`RawSubscription::try_take`]. Never ends.
+    fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<RawSample>> {
         self.poll_take(context).map(Some)
     }
 }
-
-impl<T> Unpin for Subscription<T> {}
 
 /// Receives only what has a place on the shelf.
 fn receive(port: &Sole<IoxSubscriber>, shelf: &Shelf<IoxSample>) -> Result<Option<IoxSample>, TakeError> {

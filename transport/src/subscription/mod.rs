@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Subscriptions: take a sample and read it in place, or poll for one from a task.
+//! Subscriptions to bytes: take a sample and read it in place, or poll for one from a task. What is above knows the type.
 
 mod hot;
 mod tracker;
 
-pub use hot::Sample;
+pub use hot::RawSample;
 
 use crate::address::{Address, Role};
 use crate::doorbell::{Slot, slot_flags};
 use crate::error::TransportError;
+use crate::graph::Presence;
 use crate::history::Catch;
 use crate::janitor::Watch;
 use crate::lending::{Shelf, Sole};
@@ -16,26 +17,26 @@ use crate::participant::Shared;
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
 use crate::topic::{IoxSample, IoxSubscriber, Topic};
+use crate::topic_type::TopicType;
 use std::cell::RefCell;
-use std::marker::PhantomData;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use tautline_msgs::{Message, Plain};
 use tracker::Tracker;
 
-/// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`try_take`](Subscription::try_take).
+/// Receives bodies of CDR from one topic, of whatever type. A stream of [`RawSample`]s, or
+/// [`try_take`](RawSubscription::try_take).
 ///
 /// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
 /// back to the publisher when this subscription next takes.
-pub struct Subscription<T> {
+pub struct RawSubscription {
     // Dropped in this order.
     port: Sole<IoxSubscriber>,
     shelf: Shelf<IoxSample>,
     state: RefCell<State>,
     departure: Departure,
+    _presence: Presence,
     counters: Arc<Counters>,
     qos: Qos,
-    _message: PhantomData<T>,
 }
 
 struct State {
@@ -86,14 +87,15 @@ impl Counters {
     }
 }
 
-impl<T: Message + Plain> Subscription<T> {
+impl RawSubscription {
     pub(crate) fn create(
         shared: Arc<Shared>,
         topic: &str,
+        topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
-        let topic = Arc::new(Topic::open_for::<T>(&shared.node, topic, qos, limits, true)?);
+        let topic = Arc::new(Topic::open(&shared.node, topic, topic_type, qos, limits, true)?);
         let transient = qos.durability == Durability::TransientLocal;
         let limit = topic.limits.subscribers;
         let existing = ports::subscriptions(&topic.factory).len();
@@ -104,8 +106,8 @@ impl<T: Message + Plain> Subscription<T> {
         if qos.history == History::KeepAll {
             slot.set_flags(slot_flags::KEEP_ALL);
         }
-        let address =
-            Address { role: Role::Subscription, arena: shared.doorbell.arena().id(), slot: slot.index() };
+        let (role, arena) = (Role::Subscription, shared.doorbell.arena().id());
+        let address = Address { role, arena, slot: slot.index(), qos };
         let port = topic
             .factory
             .subscriber_builder()
@@ -131,14 +133,15 @@ impl<T: Message + Plain> Subscription<T> {
         };
         shared.janitor.watch(watch);
         let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);
-        Ok(Subscription {
+        let presence = Presence::new(&shared.graph);
+        Ok(RawSubscription {
             port: Sole::new(port),
             shelf: Shelf::new(topic.limits.held),
             state: RefCell::new(State { epoch, tracker: Tracker::new(), catch, waiters }),
             departure: Departure { slot, topic, shared },
+            _presence: presence,
             counters: Arc::default(),
             qos,
-            _message: PhantomData,
         })
     }
 
@@ -155,6 +158,11 @@ impl<T: Message + Plain> Subscription<T> {
     /// The topic's limits, as its first opener set them.
     pub fn limits(&self) -> Limits {
         self.departure.topic.limits
+    }
+
+    /// What is known of the topic's type.
+    pub fn topic_type(&self) -> &TopicType {
+        &self.departure.topic.topic_type
     }
 
     /// The counters, to be read from any thread.

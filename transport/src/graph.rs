@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A domain's epoch: one word in shared memory that moves when a publisher or subscription appears or goes.
+//!
+//! Who wants to know of changes compares it with what it read before it looked, or sleeps on it. A port that ends with its
+//! killed process moves it when a janitor cleans up. The file stays when nobody is left, as iceoryx2's own per domain does.
+
+use crate::error::TransportError;
+use crate::sync::{FutexWord, Ordering};
+use rustix::fs::{Mode, OFlags};
+use rustix::mm::{MapFlags, ProtFlags};
+use std::io;
+use std::path::Path;
+use std::ptr::NonNull;
+use std::sync::Arc;
+use std::time::Duration;
+use tautline_rt::clock::monotonic_ns;
+
+/// What lies in the file: an atomic whose every value is valid.
+#[repr(C)]
+struct Layout {
+    epoch: FutexWord,
+}
+
+const FILE_BYTES: usize = 4096;
+
+/// The mapped word. Unmapped when dropped.
+pub(crate) struct Graph {
+    map: NonNull<Layout>,
+}
+
+// SAFETY: the mapping holds an atomic only and stays until the last owner drops the Graph.
+unsafe impl Send for Graph {}
+// SAFETY: as above: shared access is through the atomic.
+unsafe impl Sync for Graph {}
+
+impl Graph {
+    /// Maps the word of `domain`; the first one makes its file.
+    pub(crate) fn open(domain: u32) -> Result<Arc<Self>, TransportError> {
+        let path = Path::new("/dev/shm").join(format!("{}graph1", crate::participant::file_prefix(domain)));
+        let make = || -> io::Result<NonNull<Layout>> {
+            let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+            // Whoever comes later does the same, which changes nothing.
+            rustix::fs::ftruncate(&file, FILE_BYTES as u64)?;
+            let (access, shared) = (ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED);
+            // SAFETY: a new shared mapping at an address of the kernel's choice; the length is not zero.
+            let address =
+                unsafe { rustix::mm::mmap(std::ptr::null_mut(), FILE_BYTES, access, shared, &file, 0) }?;
+            NonNull::new(address.cast()).ok_or_else(|| io::Error::other("mapped at address zero"))
+        };
+        let map = make().map_err(|source| TransportError::Arena { path: path.clone(), source })?;
+        Ok(Arc::new(Graph { map }))
+    }
+
+    fn word(&self) -> &FutexWord {
+        // SAFETY: `map` is a live, page-aligned mapping that is longer than a Layout, of which every bit pattern is valid.
+        unsafe { &self.map.as_ref().epoch }
+    }
+
+    pub(crate) fn epoch(&self) -> u32 {
+        // Acquire: pairs with the Release in `advance`; what is listed after this shows that change.
+        self.word().0.load(Ordering::Acquire)
+    }
+
+    pub(crate) fn advance(&self) {
+        self.word().0.fetch_add(1, Ordering::Release);
+        self.word().wake();
+    }
+
+    /// Sleeps until the epoch is not `since`, at most for `timeout`. Returns the epoch.
+    pub(crate) fn wait(&self, since: u32, timeout: Duration) -> u32 {
+        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
+        let end_ns = monotonic_ns().saturating_add(timeout_ns).min(i64::MAX as u64);
+        while self.epoch() == since && monotonic_ns() < end_ns {
+            self.word().wait(since, Some(end_ns));
+        }
+        self.epoch()
+    }
+}
+
+impl Drop for Graph {
+    fn drop(&mut self) {
+        // SAFETY: `map` came from mmap with this length and nothing borrows from a dropped Graph.
+        let _ = unsafe { rustix::mm::munmap(self.map.as_ptr().cast(), FILE_BYTES) };
+    }
+}
+
+/// A port that is there: moves the epoch now, and when it is dropped, which is after the port.
+pub(crate) struct Presence {
+    graph: Arc<Graph>,
+}
+
+impl Presence {
+    pub(crate) fn new(graph: &Arc<Graph>) -> Self {
+        graph.advance();
+        Presence { graph: graph.clone() }
+    }
+}
+
+impl Drop for Presence {
+    fn drop(&mut self) {
+        self.graph.advance();
+    }
+}

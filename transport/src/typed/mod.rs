@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Publishers and subscriptions of a type: a thin layer over those of bytes.
+
+mod hot;
+
+pub use hot::{Loan, Sample};
+
+use crate::error::TransportError;
+use crate::header::Gid;
+use crate::participant::Participant;
+use crate::publisher::{PublisherCounters, RawPublisher};
+use crate::qos::{Limits, Qos};
+use crate::subscription::{Counters, RawSubscription};
+use crate::topic_type::TopicType;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use tautline_msgs::{Message, Plain};
+
+/// Publishes messages of type `T` on one topic.
+///
+/// May be moved to another thread, and is used by one at a time.
+pub struct Publisher<T> {
+    raw: RawPublisher,
+    _message: PhantomData<fn(T)>,
+}
+
+impl<T: Message + Plain> Publisher<T> {
+    pub(crate) fn create(
+        participant: &Participant,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
+        let raw = participant.create_raw_publisher(topic, &TopicType::of::<T>(), qos, limits)?;
+        Ok(Publisher { raw, _message: PhantomData })
+    }
+
+    /// The publisher of bytes below.
+    pub fn raw(&self) -> &RawPublisher {
+        &self.raw
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.raw.topic()
+    }
+
+    /// The quality of service that was asked for.
+    pub fn qos(&self) -> Qos {
+        self.raw.qos()
+    }
+
+    /// This publisher's identifier.
+    pub fn gid(&self) -> Gid {
+        self.raw.gid()
+    }
+
+    /// The topic's limits, as its first opener set them, and this publisher's own `loans` and `message_bytes`.
+    pub fn limits(&self) -> Limits {
+        self.raw.limits()
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<PublisherCounters> {
+        self.raw.counters()
+    }
+
+    /// Number of subscriptions that the next sample goes to.
+    ///
+    /// # Real-time
+    /// Wait-free if the topic's ports have not changed; else allocates and maps memory.
+    pub fn subscription_count(&self) -> usize {
+        self.raw.subscription_count()
+    }
+}
+
+impl<T> std::fmt::Debug for Publisher<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Publisher")
+            .field("topic", &self.raw.topic())
+            .field("gid", &self.raw.gid())
+            .finish_non_exhaustive()
+    }
+}
+
+/// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`try_take`](Subscription::try_take).
+///
+/// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
+/// back to the publisher when this subscription next takes.
+pub struct Subscription<T> {
+    raw: RawSubscription,
+    _message: PhantomData<fn() -> T>,
+}
+
+impl<T: Message + Plain> Subscription<T> {
+    pub(crate) fn create(
+        participant: &Participant,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
+        let raw = participant.create_raw_subscription(topic, &TopicType::of::<T>(), qos, limits)?;
+        Ok(Subscription { raw, _message: PhantomData })
+    }
+
+    /// The subscription to bytes below.
+    pub fn raw(&self) -> &RawSubscription {
+        &self.raw
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.raw.topic()
+    }
+
+    /// The quality of service that was asked for.
+    pub fn qos(&self) -> Qos {
+        self.raw.qos()
+    }
+
+    /// The topic's limits, as its first opener set them.
+    pub fn limits(&self) -> Limits {
+        self.raw.limits()
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.raw.counters()
+    }
+
+    /// Number of publishers of the topic.
+    pub fn publisher_count(&self) -> usize {
+        self.raw.publisher_count()
+    }
+
+    /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback).
+    pub fn set_quiet(&self, quiet: bool) {
+        self.raw.set_quiet(quiet);
+    }
+}
