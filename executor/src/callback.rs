@@ -114,11 +114,14 @@ impl End {
 /// Held by the thread while its future lives; its drop reports the end, whatever the reason.
 pub(crate) struct Presence {
     pub end: Arc<End>,
+    /// Of all callbacks of the thread.
+    pub stats: Vec<Arc<CallbackStats>>,
     pub _registration: ThreadRegistration,
 }
 
 impl Drop for Presence {
     fn drop(&mut self) {
+        self.stats.iter().for_each(|stats| stats.end());
         self.end.0.store(true, Ordering::Release);
     }
 }

@@ -17,6 +17,23 @@ pub enum ExecutorError {
         /// What was refused.
         source: RtError,
     },
+    /// No memory that other processes can read.
+    #[error("callback `{name}` cannot start: no place for its statistics: {source}")]
+    Statistics {
+        /// The callback.
+        name: String,
+        /// What was refused.
+        source: std::io::Error,
+    },
+    /// A handler that nothing would ever call.
+    #[error(
+        "callback `{name}` has a handler for overruns, but its execution times are not measured: drop \
+         `.execution_time(false)`, or the handler"
+    )]
+    UnmeasuredBudget {
+        /// The callback.
+        name: String,
+    },
     /// Busy polling without a core of its own.
     #[error(
         "callback `{name}` cannot busy-poll on cores {cores}: give it exactly one, with CallbackOptions::core"

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Starting callback threads and ending them.
 
+use std::cell::Cell;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use futures::executor::LocalPool;
 use futures::future::LocalFutureObj;
@@ -17,13 +19,16 @@ use crate::callback::{Callback, End, Presence, Thread};
 use crate::group::CallbackGroup;
 use crate::hot::{self, CallbackThread, Control, Controlled, GroupFuture, Measured, Stopwatch};
 use crate::registry::{Registry, Seat};
-use crate::{CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, ThreadRegistration};
+use crate::{
+    CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, StatisticsFile, ThreadRegistration,
+};
 
 /// Owns the callback threads of a process; dropping it ends them.
 #[derive(Debug)]
 pub struct Executor {
     realtime: Realtime,
     registry: Registry,
+    statistics: Option<StatisticsFile>,
     spawned: AtomicUsize,
     callbacks: Mutex<Vec<Arc<Callback>>>,
 }
@@ -32,7 +37,14 @@ impl Executor {
     /// An executor without threads. With [`Realtime::Off`] policies are not applied, everything else is.
     pub fn new(realtime: Realtime) -> Executor {
         let (registry, spawned, callbacks) = Default::default();
-        Executor { realtime, registry, spawned, callbacks }
+        Executor { realtime, registry, statistics: None, spawned, callbacks }
+    }
+
+    /// Keeps the statistics of all callbacks where other processes can read them.
+    #[must_use]
+    pub fn with_statistics(mut self, file: StatisticsFile) -> Executor {
+        self.statistics = Some(file);
+        self
     }
 
     /// Gives a future a thread of its own. On return the kernel has confirmed the thread's policy and cores.
@@ -63,25 +75,21 @@ impl Executor {
         M: FnOnce() -> F + Send + 'static,
         F: Future<Output = ()> + 'static,
     {
-        let (execution_time, busy) = (options.execution_time, options.busy_poll);
-        self.start(options, move |stats| {
-            let measured = Measured { stats, stopwatch: execution_time.then(|| Stopwatch::new(busy)) };
-            (Some(measured), Box::pin(make()))
-        })
+        self.start(options, Vec::new(), move |measured| (Some(measured), Box::pin(make())))
     }
 
-    /// Gives a group of callbacks one thread. The handle's statistics cover all members.
+    /// Gives a group of callbacks one thread. The handle's statistics cover all members; a deadline, a budget and handlers
+    /// in `options` hold for the jobs of all of them, besides their own.
     ///
     /// # Errors
     /// As [`Executor::spawn_callback`].
     pub fn spawn_group(
         &self,
         options: CallbackOptions,
-        group: CallbackGroup,
+        mut group: CallbackGroup,
     ) -> Result<CallbackHandle, ExecutorError> {
-        let (execution_time, busy) = (options.execution_time, options.busy_poll);
-        self.start(options, move |stats| {
-            let total = Measured { stats, stopwatch: execution_time.then(|| Stopwatch::new(busy)) };
+        let members = group.take_members();
+        self.start(options, members, move |total| {
             // No jobs of the thread itself: the group measures its members.
             (None, Box::pin(GroupFuture { members: group.into_members(), running: None, total }))
         })
@@ -128,33 +136,52 @@ impl Executor {
         }
     }
 
-    fn start<M>(&self, mut options: CallbackOptions, make: M) -> Result<CallbackHandle, ExecutorError>
+    /// `members`: those of a group, with their periods.
+    fn start<M>(
+        &self,
+        mut options: CallbackOptions,
+        members: Vec<(Arc<CallbackStats>, Option<Duration>)>,
+        make: M,
+    ) -> Result<CallbackHandle, ExecutorError>
     where
-        M: FnOnce(Arc<CallbackStats>) -> (Option<Measured>, Pin<Box<dyn Future<Output = ()>>>)
-            + Send
-            + 'static,
+        M: FnOnce(Measured) -> (Option<Measured>, Pin<Box<dyn Future<Output = ()>>>) + Send + 'static,
     {
         let number = self.spawned.fetch_add(1, Ordering::Relaxed);
         if options.name.is_empty() {
             options.name = format!("#{number}");
         }
+        if options.watch.on_overrun.is_some() && !options.execution_time {
+            return Err(ExecutorError::UnmeasuredBudget { name: options.name });
+        }
         let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
         let (seat, online) = self.seat(&options).map_err(refused)?;
         let registration = self.registry.claim(seat, online)?;
 
-        let stats = Arc::new(CallbackStats::new(options.name.as_str(), options.effective_deadline()));
+        let stats = Arc::new(CallbackStats::new(options.name.as_str()));
+        stats.set_deadline(options.effective_deadline());
+        stats.set_budget(options.budget);
+        let no_statistics = |source| ExecutorError::Statistics { name: options.name.clone(), source };
+        stats.place(self.statistics.as_ref(), !members.is_empty()).map_err(no_statistics)?;
+        for (member, _) in &members {
+            member.place(self.statistics.as_ref(), false).map_err(no_statistics)?;
+        }
         let (control, end) = (Arc::<Control>::default(), Arc::<End>::default());
-        let presence = Presence { end: Arc::clone(&end), _registration: registration };
-        let (busy, thread_stats, thread_control) =
-            (options.busy_poll, Arc::clone(&stats), Arc::clone(&control));
-        let mut builder = ThreadBuilder::new(format!("cb:{}", options.name))
-            .policy(options.policy)
-            .stack_bytes(options.stack_bytes)
-            .realtime(self.realtime);
+        let all_stats = members.iter().map(|(member, _)| member).chain([&stats]).cloned().collect();
+        let presence = Presence { end: Arc::clone(&end), stats: all_stats, _registration: registration };
+        let (busy, execution_time, thread_control) =
+            (options.busy_poll, options.execution_time, Arc::clone(&control));
+        let (thread_stats, watch) = (Arc::clone(&stats), options.watch.clone());
+        let mut builder =
+            ThreadBuilder::new(format!("cb:{}", options.thread_name.as_ref().unwrap_or(&options.name)))
+                .policy(options.policy)
+                .stack_bytes(options.stack_bytes)
+                .realtime(self.realtime);
         builder.cores = options.cores;
         let thread = builder.spawn(move || {
-            let (measured, future) = make(thread_stats);
-            hot::enter(CallbackThread { measured, control: Arc::clone(&thread_control), busy });
+            let stopwatch = execution_time.then(|| Stopwatch::new(busy));
+            let (measured, future) = make(Measured { stats: thread_stats, watch, stopwatch });
+            let (control, queue) = (Arc::clone(&thread_control), Cell::default());
+            hot::enter(CallbackThread { measured, control, busy, queue });
             let mut pool = LocalPool::new();
             let future = Controlled { future, control: Arc::clone(&thread_control), busy };
             let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
@@ -171,6 +198,8 @@ impl Executor {
         let thread = thread.map_err(refused)?;
 
         let info = thread.info().clone();
+        stats.describe(&info, options.period, execution_time);
+        members.iter().for_each(|(member, period)| member.describe(&info, *period, execution_time));
         let thread = Mutex::new(Thread { running: Some(thread), panic: None });
         let callback = Arc::new(Callback { stats, control, end, info, thread });
         self.keep(Arc::clone(&callback));

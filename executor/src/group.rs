@@ -3,11 +3,12 @@
 
 use std::future::Future;
 use std::sync::Arc;
+use std::time::Duration;
 
 use futures::Stream;
 
-use crate::CallbackStats;
 use crate::hot::{Member, StreamMember};
+use crate::{CallbackOptions, CallbackStats};
 
 /// Several callbacks on one thread, of which one runs at a time, to completion, in order of release (ROS 2's mutually
 /// exclusive callback group). Give it a thread with [`Executor::spawn_group`](crate::Executor::spawn_group).
@@ -56,6 +57,7 @@ use crate::hot::{Member, StreamMember};
 pub struct CallbackGroup {
     /// Members are made in their thread, since a callback's future need not be `Send`.
     recipes: Vec<Box<dyn FnOnce() -> Box<dyn Member> + Send>>,
+    members: Vec<(Arc<CallbackStats>, Option<Duration>)>,
 }
 
 impl CallbackGroup {
@@ -67,10 +69,13 @@ impl CallbackGroup {
     /// Adds a callback for the items of a stream. `release` gives an item's release in ns of `CLOCK_MONOTONIC`; a
     /// stream's items must come in order of release. Neither items nor the callback's futures need be `Send`.
     ///
-    /// Returns the member's statistics; give them a deadline with [`CallbackStats::set_deadline`].
+    /// `member` is a name, or [`CallbackOptions`], of which a member has the name, the period, the deadline, the budget
+    /// and the handlers: its thread is the group's.
+    ///
+    /// Returns the member's statistics, which count from the moment the group is spawned.
     pub fn add<S, F, Fut>(
         &mut self,
-        name: impl Into<String>,
+        member: impl Into<MemberOptions>,
         stream: S,
         release: fn(&S::Item) -> u64,
         callback: F,
@@ -80,8 +85,12 @@ impl CallbackGroup {
         F: FnMut(S::Item) -> Fut + Send + 'static,
         Fut: Future<Output = ()> + 'static,
     {
-        let stats = Arc::new(CallbackStats::new(name, None));
-        let member_stats = Arc::clone(&stats);
+        let MemberOptions(options) = member.into();
+        let stats = Arc::new(CallbackStats::new(options.name.as_str()));
+        stats.set_deadline(options.effective_deadline());
+        stats.set_budget(options.budget);
+        let (member_stats, watch) = (Arc::clone(&stats), options.watch);
+        self.members.push((Arc::clone(&stats), options.period));
         self.recipes.push(Box::new(move || {
             Box::new(StreamMember {
                 stream: Box::pin(stream),
@@ -92,9 +101,15 @@ impl CallbackGroup {
                 future: Box::pin(None),
                 begun: None,
                 stats: member_stats,
+                watch,
             })
         }));
         stats
+    }
+
+    /// The members' statistics and periods.
+    pub(crate) fn take_members(&mut self) -> Vec<(Arc<CallbackStats>, Option<Duration>)> {
+        std::mem::take(&mut self.members)
     }
 
     /// Makes the members, in the thread that will run them.
@@ -106,5 +121,27 @@ impl CallbackGroup {
 impl std::fmt::Debug for CallbackGroup {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("CallbackGroup").field("members", &self.recipes.len()).finish()
+    }
+}
+
+/// What a group's member is called, and what is watched: a name, or [`CallbackOptions`].
+#[derive(Debug, Clone)]
+pub struct MemberOptions(CallbackOptions);
+
+impl From<CallbackOptions> for MemberOptions {
+    fn from(options: CallbackOptions) -> MemberOptions {
+        MemberOptions(options)
+    }
+}
+
+impl From<&str> for MemberOptions {
+    fn from(name: &str) -> MemberOptions {
+        MemberOptions(CallbackOptions::other().name(name))
+    }
+}
+
+impl From<String> for MemberOptions {
+    fn from(name: String) -> MemberOptions {
+        MemberOptions(CallbackOptions::other().name(name))
     }
 }

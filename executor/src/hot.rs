@@ -7,14 +7,15 @@ use std::cell::{Cell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll, ready};
 
 use futures::Stream;
 use futures::task::AtomicWaker;
 use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
 
-use crate::stats::{CallbackStats, Histogram, bucket_of};
+use crate::options::Watch;
+use crate::stats::{self, CallbackStats, QueueState};
 
 thread_local! {
     static CURRENT: RefCell<Option<CallbackThread>> = const { RefCell::new(None) };
@@ -26,10 +27,13 @@ pub(crate) struct CallbackThread {
     pub measured: Option<Measured>,
     pub control: Arc<Control>,
     pub busy: bool,
+    /// What a group's member found in its queue, until the group notes it.
+    pub queue: Cell<QueueState>,
 }
 
 pub(crate) struct Measured {
     pub stats: Arc<CallbackStats>,
+    pub watch: Watch,
     /// `None` where execution times are off.
     pub stopwatch: Option<Stopwatch>,
 }
@@ -68,17 +72,25 @@ impl Stopwatch {
 
 impl Measured {
     fn begin(&self, release_ns: u64) -> Begun {
-        self.stats.release();
+        self.stats.release(release_ns);
         if let Some(stopwatch) = &self.stopwatch {
             stopwatch.begin();
         }
         Begun { release_ns }
     }
 
-    /// Response and execution time of a job, up to now.
-    fn times(&self, begun: Begun) -> (u64, Option<u64>) {
-        let response_ns = monotonic_ns().saturating_sub(begun.release_ns);
-        (response_ns, self.stopwatch.as_ref().map(Stopwatch::lap))
+    /// A job that ends now.
+    fn end(&self, begun: Begun) -> stats::Job {
+        let Begun { release_ns } = begun;
+        let response_ns = monotonic_ns().saturating_sub(release_ns);
+        stats::Job { release_ns, response_ns, execution_ns: self.stopwatch.as_ref().map(Stopwatch::lap) }
+    }
+
+    /// What handlers used up is no job's.
+    fn pass_over(&self, told: bool) {
+        if let (true, Some(stopwatch)) = (told, &self.stopwatch) {
+            stopwatch.lap();
+        }
     }
 }
 
@@ -200,57 +212,31 @@ impl Job {
     ///
     /// # Real-time
     /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the thread
-    /// polls busily.
+    /// polls busily. Besides, what the handlers of [`CallbackOptions`](crate::CallbackOptions) do, if one is called.
     pub fn finish(self) {
         if let Some(begun) = self.begun {
             current(|thread| {
                 if let Some(to) = &thread.measured {
-                    let (response_ns, execution_ns) = to.times(begun);
-                    to.stats.complete(response_ns, execution_ns);
+                    let job = to.end(begun);
+                    to.pass_over(to.watch.tell(to.stats.complete(&job), &job));
                 }
             });
         }
     }
 }
 
-impl Histogram {
-    /// Counts one value. Only one thread may record, or values are lost.
-    ///
-    /// # Real-time
-    /// Wait-free; no allocation; no syscall.
-    pub fn record(&self, ns: u64) {
-        if ns > self.max_ns.load(Ordering::Relaxed) {
-            self.max_ns.store(ns, Ordering::Relaxed);
+/// Adds what a stream found in its queue to the statistics of the current thread's callback.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall.
+pub fn note_queue(queue: QueueState) {
+    current(|thread| match &thread.measured {
+        Some(measured) => measured.stats.note_queue(queue),
+        None => {
+            let before = thread.queue.get();
+            thread.queue.set(QueueState { lost: before.lost.wrapping_add(queue.lost), ..queue });
         }
-        add(&self.sum_ns, ns);
-        if let Some(bucket) = self.buckets.get(bucket_of(ns)) {
-            // Release: whoever sees the count sees the maximum, too.
-            bucket.store(bucket.load(Ordering::Relaxed) + 1, Ordering::Release);
-        }
-    }
-}
-
-impl CallbackStats {
-    pub(crate) fn release(&self) {
-        add(&self.releases, 1);
-    }
-
-    pub(crate) fn complete(&self, response_ns: u64, execution_ns: Option<u64>) {
-        let deadline_ns = self.deadline_ns.load(Ordering::Relaxed);
-        if deadline_ns != 0 && response_ns > deadline_ns {
-            add(&self.overruns, 1);
-        }
-        self.response().record(response_ns);
-        if let Some(ns) = execution_ns {
-            self.execution().record(ns);
-        }
-        add(&self.completions, 1);
-    }
-}
-
-/// For counters with one writer: cheaper than a read-modify-write.
-fn add(counter: &AtomicU64, by: u64) {
-    counter.store(counter.load(Ordering::Relaxed).wrapping_add(by), Ordering::Relaxed);
+    });
 }
 
 // ---- Callback groups ----
@@ -326,6 +312,7 @@ pub(crate) struct StreamMember<S: Stream, F, Fut> {
     pub future: Pin<Box<Option<Fut>>>,
     pub begun: Option<Begun>,
     pub stats: Arc<CallbackStats>,
+    pub watch: Watch,
 }
 
 impl<S, F, Fut> Member for StreamMember<S, F, Fut>
@@ -336,7 +323,11 @@ where
 {
     fn look_ahead(&mut self, cx: &mut Context<'_>) -> Poll<Option<u64>> {
         if self.next.is_none() && !self.ended {
-            self.next = ready!(self.stream.as_mut().poll_next(cx));
+            let next = self.stream.as_mut().poll_next(cx);
+            if let Some(queue) = current(|thread| thread.queue.take()) {
+                self.stats.note_queue(queue);
+            }
+            self.next = ready!(next);
             self.ended = self.next.is_none();
         }
         Poll::Ready(self.next.as_ref().map(self.release))
@@ -344,8 +335,9 @@ where
 
     fn run(&mut self, total: &Measured, cx: &mut Context<'_>) -> Poll<()> {
         if let Some(item) = self.next.take() {
-            self.stats.release();
-            self.begun = Some(total.begin((self.release)(&item)));
+            let release_ns = (self.release)(&item);
+            self.stats.release(release_ns);
+            self.begun = Some(total.begin(release_ns));
             self.future.set(Some((self.callback)(item)));
         }
         if let Some(future) = self.future.as_mut().as_pin_mut() {
@@ -354,9 +346,10 @@ where
         // Dropped before the clock is read: an item's end is part of its job.
         self.future.set(None);
         if let Some(begun) = self.begun.take() {
-            let (response_ns, execution_ns) = total.times(begun);
-            self.stats.complete(response_ns, execution_ns);
-            total.stats.complete(response_ns, execution_ns);
+            let job = total.end(begun);
+            let of_member = self.watch.tell(self.stats.complete(&job), &job);
+            let of_group = total.watch.tell(total.stats.complete(&job), &job);
+            total.pass_over(of_member || of_group);
         }
         Poll::Ready(())
     }

@@ -6,8 +6,10 @@
 //!   runs a [`futures::executor::LocalPool`], which parks when nothing is ready.
 //! - A [`CallbackGroup`] is several callbacks on one thread that never overlap, served in order of release.
 //! - [`CallbackOptions::busy_poll`] trades a core for the wake-up: the thread polls and never parks.
-//! - Each callback has [`CallbackStats`]: releases, completions, overruns, execution and response times. Streams record
-//!   into them through [`job`], without any code in the callback.
+//! - Each callback has [`CallbackStats`]: releases, completions, overruns, missed deadlines, execution and response times.
+//!   Streams record into them through [`job`], without any code in the callback. With a [`StatisticsFile`] other
+//!   processes can read them.
+//! - [`CallbackOptions::budget`] and its handlers tell when a job breaks what the analysis assumed.
 //! - [`assign`] turns periods or deadlines into priorities.
 //!
 //! Everything that claims memory happens before a thread turns real-time. What runs after that is in `hot.rs`, and
@@ -42,9 +44,12 @@ pub mod job;
 pub use callback::CallbackHandle;
 pub use error::{ExecutorError, Panic};
 pub use executor::Executor;
-pub use group::CallbackGroup;
+pub use group::{CallbackGroup, MemberOptions};
 pub use hot::{busy_polling, stop_requested};
-pub use options::CallbackOptions;
+pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, Watch};
 pub use registry::ThreadRegistration;
-pub use stats::{Bucket, CallbackStats, Histogram, HistogramSnapshot};
+pub use stats::{
+    Bucket, CallbackSnapshot, CallbackStats, ForeignStatistics, Histogram, HistogramSnapshot, ProcessInfo,
+    ProcessSnapshot, StatisticsFile,
+};
 pub use tautline_rt::{CoreSet, Policy, Realtime};

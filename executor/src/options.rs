@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a callback thread is asked to be.
 
+use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 
 use tautline_rt::{CoreSet, Policy, ThreadBuilder};
@@ -19,6 +21,8 @@ use tautline_rt::{CoreSet, Policy, ThreadBuilder};
 pub struct CallbackOptions {
     /// Usually the topic. The thread is named `cb:<name>`, shortened to 15 bytes. Empty: the callback's number.
     pub name: String,
+    /// What the thread is named for instead, such as the callback's group.
+    pub thread_name: Option<String>,
     /// How the thread is scheduled.
     pub policy: Policy,
     /// Where it may run; `None`: where the thread that spawns it may.
@@ -27,8 +31,12 @@ pub struct CallbackOptions {
     pub stack_bytes: usize,
     /// The least time between two releases; only the deadline's default depends on it.
     pub period: Option<Duration>,
-    /// A response longer than this is an overrun. `None`: the period.
+    /// A job whose response takes longer than this misses its deadline. `None`: the period.
     pub deadline: Option<Duration>,
+    /// The CPU time that a job may use: see [`CallbackOptions::budget`].
+    pub budget: Option<Duration>,
+    /// What happens after a job that used more than its budget, and after one that missed its deadline.
+    pub watch: Watch,
     /// Poll all the time instead of parking: see [`CallbackOptions::busy_poll`].
     pub busy_poll: bool,
     /// Measure execution times, at one syscall per job (none if the thread polls busily). On by default.
@@ -50,11 +58,14 @@ impl CallbackOptions {
     pub const fn new(policy: Policy) -> CallbackOptions {
         CallbackOptions {
             name: String::new(),
+            thread_name: None,
             policy,
             cores: None,
             stack_bytes: ThreadBuilder::STACK_BYTES,
             period: None,
             deadline: None,
+            budget: None,
+            watch: Watch { on_overrun: None, on_deadline_miss: None },
             busy_poll: false,
             execution_time: true,
         }
@@ -63,6 +74,12 @@ impl CallbackOptions {
     /// Sets the name.
     pub fn name(mut self, name: impl Into<String>) -> CallbackOptions {
         self.name = name.into();
+        self
+    }
+
+    /// Names the thread `cb:<name>`, whatever the callback is called.
+    pub fn thread_name(mut self, name: impl Into<String>) -> CallbackOptions {
+        self.thread_name = Some(name.into());
         self
     }
 
@@ -95,6 +112,41 @@ impl CallbackOptions {
         self
     }
 
+    /// Sets the CPU time that a job may use: its wcet, as response-time analysis was told.
+    ///
+    /// Checked once, when a job ends, with the CPU clock that measures execution times: a job that used more is an
+    /// overrun, which is counted and told to [`on_overrun`](Self::on_overrun). The job is not stopped: nobody but
+    /// itself could leave its data whole. What it took too long delays lower priorities, whose bounds no longer hold.
+    /// Not noticed where [`execution_time`](Self::execution_time) is off.
+    pub const fn budget(mut self, budget: Duration) -> CallbackOptions {
+        self.budget = Some(budget);
+        self
+    }
+
+    /// Sets what happens after a job that used more CPU time than its budget.
+    ///
+    /// # Real-time
+    /// The handler runs on the callback's thread, at its priority, right after the job and before the next one: what it
+    /// does must be as bounded as the callback itself, such as setting a flag that makes the next job do less. Calling
+    /// it allocates nothing. Its time is charged to no job, and costs one syscall more; the next job's response does
+    /// contain it.
+    pub fn on_overrun(mut self, handler: impl Fn(&Overrun) + Send + Sync + 'static) -> CallbackOptions {
+        self.watch.on_overrun = Some(Handler(Arc::new(handler)));
+        self
+    }
+
+    /// Sets what happens after a job that ended later than its deadline; after the overrun's handler, if both are called.
+    ///
+    /// # Real-time
+    /// As [`on_overrun`](Self::on_overrun).
+    pub fn on_deadline_miss(
+        mut self,
+        handler: impl Fn(&DeadlineMiss) + Send + Sync + 'static,
+    ) -> CallbackOptions {
+        self.watch.on_deadline_miss = Some(Handler(Arc::new(handler)));
+        self
+    }
+
     /// Polls the callback in a loop on a core of its own: no wake-up, no parking, one core at 100 %.
     ///
     /// Needs exactly one core, and is refused where it would starve a thread that the executor knows of. Others it
@@ -117,5 +169,69 @@ impl CallbackOptions {
             Some(deadline) => Some(deadline),
             None => self.period,
         }
+    }
+}
+
+/// A job used more CPU time than its budget.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Overrun {
+    /// Which of the callback's jobs it was, from 1.
+    pub job: u64,
+    /// When it was released, in ns of `CLOCK_MONOTONIC`.
+    pub release_ns: u64,
+    /// The CPU time it used.
+    pub execution_ns: u64,
+    /// What it might have used.
+    pub budget_ns: u64,
+}
+
+/// A job ended later than its deadline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DeadlineMiss {
+    /// Which of the callback's jobs it was, from 1.
+    pub job: u64,
+    /// When it was released, in ns of `CLOCK_MONOTONIC`.
+    pub release_ns: u64,
+    /// The time from there to its end.
+    pub response_ns: u64,
+    /// What that should have been at most.
+    pub deadline_ns: u64,
+}
+
+/// What is called when a job violates what was assumed of it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Watch {
+    /// See [`CallbackOptions::on_overrun`].
+    pub on_overrun: Option<Handler<Overrun>>,
+    /// See [`CallbackOptions::on_deadline_miss`].
+    pub on_deadline_miss: Option<Handler<DeadlineMiss>>,
+}
+
+/// A function of the user's. A clone is the same function.
+pub struct Handler<E>(Arc<dyn Fn(&E) + Send + Sync>);
+
+impl<E> Handler<E> {
+    pub(crate) fn call(&self, event: &E) {
+        (self.0)(event);
+    }
+}
+
+impl<E> Clone for Handler<E> {
+    fn clone(&self) -> Handler<E> {
+        Handler(Arc::clone(&self.0))
+    }
+}
+
+impl<E> PartialEq for Handler<E> {
+    fn eq(&self, other: &Handler<E>) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+}
+
+impl<E> Eq for Handler<E> {}
+
+impl<E> fmt::Debug for Handler<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Handler")
     }
 }

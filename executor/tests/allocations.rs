@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::thread::{Thread, current, park};
+use std::time::Duration;
 
 use futures::stream;
 use futures::task::AtomicWaker;
@@ -104,9 +105,26 @@ fn cycle(bells: &[&Bell]) -> Vec<u64> {
     calls().iter().zip(&warm).map(|(now, warm)| now - warm).collect()
 }
 
+/// Every job violates both limits, and tells so.
+fn watched(told: &Arc<AtomicU64>) -> CallbackOptions {
+    let (overruns, misses) = (told.clone(), told.clone());
+    CallbackOptions::other()
+        .budget(Duration::from_nanos(1))
+        .deadline(Duration::from_nanos(1))
+        .on_overrun(move |overrun| {
+            overruns.fetch_add(overrun.job.min(1), Ordering::Relaxed);
+        })
+        .on_deadline_miss(move |miss| {
+            misses.fetch_add(miss.job.min(1), Ordering::Relaxed);
+        })
+}
+
 #[test]
 fn waking_and_polling_a_callback() {
-    for options in [CallbackOptions::other(), CallbackOptions::other().execution_time(false)] {
+    let told = Arc::new(AtomicU64::new(0));
+    let watched = watched(&told);
+    for options in [CallbackOptions::other(), CallbackOptions::other().execution_time(false), watched] {
+        let limits = u64::from(options.budget.is_some()) + u64::from(options.deadline.is_some());
         let bell = Bell::new();
         let (callback_bell, mut heard, mut job) = (bell.clone(), 0, None);
         // As a stream does it: a job ends when the next one is asked for.
@@ -117,6 +135,7 @@ fn waking_and_polling_a_callback() {
                 }
                 heard = std::task::ready!(callback_bell.poll(heard, cx));
                 job = Some(job::begin(0));
+                job::note_queue(job::QueueState { lost: 1, max_queue: heard, depth: 10 });
                 callback_bell.answer();
             }
         });
@@ -124,6 +143,7 @@ fn waking_and_polling_a_callback() {
         let callback = executor.spawn_callback(options, future).unwrap();
         assert_eq!(cycle(&[&bell]), [0, 0]);
         assert!(callback.stats().completions() >= CYCLES);
+        assert!(told.load(Ordering::Relaxed) >= limits * CYCLES);
         executor.shutdown().unwrap();
     }
 }
@@ -133,6 +153,7 @@ fn turns_of_a_group() {
     let bells = [Bell::new(), Bell::new(), Bell::new()];
     let mut group = CallbackGroup::new();
     let mut stats = Vec::new();
+    let told = Arc::new(AtomicU64::new(0));
     for bell in &bells {
         let (stream_bell, callback_bell, mut heard) = (bell.clone(), bell.clone(), 0);
         let rings = stream::poll_fn(move |cx| {
@@ -141,7 +162,7 @@ fn turns_of_a_group() {
             Poll::Ready(Some(ring))
         });
         stats.push(group.add(
-            "bell",
+            watched(&told).name("bell"),
             rings,
             |ring| *ring,
             move |_| {
@@ -155,4 +176,5 @@ fn turns_of_a_group() {
     assert_eq!(cycle(&[&bells[0], &bells[1], &bells[2]]), [0, 0, 0, 0]);
     executor.shutdown().unwrap();
     assert!(stats.iter().all(|member| member.completions() >= CYCLES));
+    assert!(told.load(Ordering::Relaxed) >= 2 * 3 * CYCLES);
 }

@@ -126,8 +126,8 @@ fn members_and_the_whole_group_are_measured() {
     let callback = executor.spawn_group(CallbackOptions::other().name("group"), group).unwrap();
     let total = callback.stats().clone();
     callback.join().unwrap();
-    assert_eq!((a.name(), a.releases(), a.completions(), a.overruns()), ("a", 2, 2, 2));
-    assert_eq!((b.name(), b.releases(), b.completions(), b.overruns()), ("b", 1, 1, 0));
+    assert_eq!((a.name(), a.releases(), a.completions(), a.deadline_misses()), ("a", 2, 2, 2));
+    assert_eq!((b.name(), b.releases(), b.completions(), b.deadline_misses()), ("b", 1, 1, 0));
     assert_eq!((total.name(), total.completions(), total.response().snapshot().n()), ("group", 3, 3));
     assert_eq!(a.execution().snapshot().n(), 2);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A plain `for_each` is measured: releases, completions, execution and response times, overruns.
+//! A plain `for_each` is measured: releases, completions, execution and response times, missed deadlines.
 
 mod common;
 
@@ -21,7 +21,7 @@ fn each_message_is_a_job() {
     let publisher = node.create_publisher::<Number>("/m", QosProfile::default()).unwrap();
     let _spinning = spin(&context);
     // (deadline, jobs that miss it)
-    for (deadline, overruns) in [(WORK / 2, 10), (DAY, 0)] {
+    for (deadline, misses) in [(WORK / 2, 10), (DAY, 0)] {
         let numbers = node.subscribe_loaned::<Number>("/m", QosProfile::default()).unwrap();
         let options = CallbackOptions::other().name("/m").deadline(deadline);
         let work = |sample: tautline::Sample<Number>| async move {
@@ -42,7 +42,7 @@ fn each_message_is_a_job() {
         let stats = callback.stats().clone();
         callback.join().unwrap();
         assert_eq!((stats.name(), stats.deadline()), ("/m", Some(deadline)));
-        assert_eq!((stats.releases(), stats.completions(), stats.overruns()), (10, 10, overruns));
+        assert_eq!((stats.releases(), stats.completions(), stats.deadline_misses()), (10, 10, misses));
         let (execution, response) = (stats.execution().snapshot(), stats.response().snapshot());
         assert_eq!((execution.n(), response.n()), (10, 10));
         assert!(execution.p(0.0) >= WORK && response.p(0.0) >= WORK, "{execution:?} {response:?}");
@@ -72,7 +72,7 @@ fn responses_count_from_the_release() {
     callback.stop();
     let stats = callback.stats().clone();
     callback.join().unwrap();
-    assert_eq!((stats.completions(), stats.overruns(), stats.execution().snapshot().n()), (1, 1, 0));
+    assert_eq!((stats.completions(), stats.deadline_misses(), stats.execution().snapshot().n()), (1, 1, 0));
     assert!(stats.response().snapshot().p(0.0) >= LATE);
 }
 

@@ -6,9 +6,10 @@
 //! - [`set_policy`], [`set_affinity`] do the same for a thread that exists; [`threads`] reads every thread back.
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
+//! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
 //!
-//! Everything except [`clock`] is set-up: it allocates, reads files and makes syscalls. No other crate of the
+//! Everything except [`clock`] and the use of [`Words`] is set-up: it allocates, reads files and makes syscalls. No other crate of the
 //! workspace calls `sched_*` or `mlock*`.
 //!
 //! ```
@@ -32,6 +33,7 @@ mod memory;
 mod noise;
 mod policy;
 mod thread;
+mod words;
 
 pub mod clock;
 pub mod host;
@@ -44,3 +46,4 @@ pub use memory::{MemoryLock, PageFaults, lock_memory, page_faults, prefault_stac
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads};
+pub use words::{ForeignWords, Words, WordsFile, page_words};

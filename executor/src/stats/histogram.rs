@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a callback did, readable while it goes on. Recording is in `hot.rs`.
+//! Histograms of durations, readable while they grow. Recording is in `hot.rs`.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
+
+use tautline_rt::Words;
 
 /// Values below this are counted exactly, and each power of two above is cut into this many buckets: a bucket is at
 /// most 1/128 of its values wide.
@@ -11,13 +14,17 @@ pub(crate) const SUB_BITS: u32 = 7;
 /// Up to 2^38 ns, 274 s.
 pub(crate) const BUCKETS: usize = (38 - SUB_BITS as usize + 1) * SUB_BUCKETS;
 
+/// Words of a histogram: the buckets, then the sum and the maximum. Whoever reads in this order sees a maximum that covers
+/// every value counted.
+pub(crate) const HISTOGRAM_WORDS: usize = 2 + BUCKETS;
+
 /// A histogram of durations in ns: fixed size (32 KiB), at most 1 % off, from 1 ns to 274 s (longer ones count as 274 s
 /// but keep their maximum). One thread writes, any thread may read meanwhile.
 #[derive(Debug)]
 pub struct Histogram {
-    pub(crate) buckets: Box<[AtomicU64]>,
-    pub(crate) sum_ns: AtomicU64,
-    pub(crate) max_ns: AtomicU64,
+    words: Arc<Words>,
+    /// Where in `words` it begins.
+    at: usize,
 }
 
 impl Histogram {
@@ -26,8 +33,16 @@ impl Histogram {
     /// # Real-time
     /// Setup only: allocates, and touches what it allocates.
     pub fn new() -> Histogram {
-        let buckets = (0..BUCKETS).map(|_| AtomicU64::new(0)).collect();
-        Histogram { buckets, sum_ns: AtomicU64::new(0), max_ns: AtomicU64::new(0) }
+        Histogram { words: Arc::new(Words::private(HISTOGRAM_WORDS)), at: 0 }
+    }
+
+    /// The histogram that lies `at` words into a block.
+    pub(crate) fn within(words: Arc<Words>, at: usize) -> Histogram {
+        Histogram { words, at }
+    }
+
+    pub(crate) fn words(&self) -> &[AtomicU64] {
+        self.words.get(self.at..self.at + HISTOGRAM_WORDS).unwrap_or(&[])
     }
 
     /// A copy to evaluate. Values recorded meanwhile may be missing from it, or from its mean.
@@ -35,14 +50,8 @@ impl Histogram {
     /// # Real-time
     /// For other threads than the one that records: allocates 32 KiB.
     pub fn snapshot(&self) -> HistogramSnapshot {
-        // Acquire: pairs with the Release in `record`, so the maximum read below covers every value counted here.
-        let counts: Box<[u64]> = self.buckets.iter().map(|bucket| bucket.load(Ordering::Acquire)).collect();
-        HistogramSnapshot {
-            n: counts.iter().sum(),
-            counts,
-            sum_ns: self.sum_ns.load(Ordering::Relaxed),
-            max_ns: self.max_ns.load(Ordering::Relaxed),
-        }
+        let words: Vec<u64> = self.words().iter().map(|word| word.load(Ordering::Acquire)).collect();
+        HistogramSnapshot::of_words(&words)
     }
 }
 
@@ -95,6 +104,36 @@ pub struct Bucket {
 }
 
 impl HistogramSnapshot {
+    /// Of a histogram's words, which another process may have written: whatever they hold.
+    pub(crate) fn of_words(words: &[u64]) -> HistogramSnapshot {
+        let (counts, sum_ns, max_ns) = match words {
+            [counts @ .., sum, max] => (counts, *sum, *max),
+            _ => (&[][..], 0, 0),
+        };
+        let n = counts.iter().fold(0u64, |sum, count| sum.saturating_add(*count));
+        HistogramSnapshot { n, counts: counts.into(), sum_ns, max_ns }
+    }
+
+    /// One that was taken apart into [`buckets`](Self::buckets), [`sum_ns`](Self::sum_ns) and [`max`](Self::max).
+    pub fn of_buckets(
+        buckets: impl IntoIterator<Item = Bucket>,
+        sum_ns: u64,
+        max_ns: u64,
+    ) -> HistogramSnapshot {
+        let (mut counts, mut n) = (vec![0u64; BUCKETS].into_boxed_slice(), 0u64);
+        for Bucket { low_ns, count, .. } in buckets {
+            let place = &mut counts[bucket_of(low_ns)];
+            *place = place.saturating_add(count);
+            n = n.saturating_add(count);
+        }
+        HistogramSnapshot { counts, n, sum_ns, max_ns }
+    }
+
+    /// The sum of all values.
+    pub fn sum_ns(&self) -> u64 {
+        self.sum_ns
+    }
+
     /// The number of values.
     pub fn n(&self) -> u64 {
         self.n
@@ -106,7 +145,7 @@ impl HistogramSnapshot {
         let rank = ((q.clamp(0.0, 1.0) * self.n as f64).ceil() as u64).max(1);
         let mut seen = 0;
         for bucket in self.buckets() {
-            seen += bucket.count;
+            seen = bucket.count.saturating_add(seen);
             if seen >= rank {
                 return Duration::from_nanos(bucket.high_ns);
             }
@@ -130,81 +169,6 @@ impl HistogramSnapshot {
             let (low_ns, high_ns) = bounds(index);
             Bucket { low_ns, high_ns: high_ns.min(self.max_ns), count: *count }
         })
-    }
-}
-
-/// What is known of a callback: written by its thread, readable from any other while it runs.
-#[derive(Debug)]
-pub struct CallbackStats {
-    name: String,
-    pub(crate) releases: AtomicU64,
-    pub(crate) completions: AtomicU64,
-    pub(crate) overruns: AtomicU64,
-    /// 0: none.
-    pub(crate) deadline_ns: AtomicU64,
-    execution: Histogram,
-    response: Histogram,
-}
-
-impl CallbackStats {
-    /// Statistics of nothing yet.
-    pub(crate) fn new(name: impl Into<String>, deadline: Option<Duration>) -> CallbackStats {
-        let stats = CallbackStats {
-            name: name.into(),
-            releases: AtomicU64::new(0),
-            completions: AtomicU64::new(0),
-            overruns: AtomicU64::new(0),
-            deadline_ns: AtomicU64::new(0),
-            execution: Histogram::new(),
-            response: Histogram::new(),
-        };
-        stats.set_deadline(deadline);
-        stats
-    }
-
-    /// The callback's name.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Jobs begun.
-    pub fn releases(&self) -> u64 {
-        self.releases.load(Ordering::Relaxed)
-    }
-
-    /// Jobs finished: at most one less than begun, except after a job that was stopped half-way.
-    pub fn completions(&self) -> u64 {
-        self.completions.load(Ordering::Relaxed)
-    }
-
-    /// Jobs whose response took longer than the deadline.
-    pub fn overruns(&self) -> u64 {
-        self.overruns.load(Ordering::Relaxed)
-    }
-
-    /// CPU time per job, with what the executor used to get to it (on a busy-polling thread: time from its begin to its
-    /// end); empty where [`CallbackOptions::execution_time`](crate::CallbackOptions) is off.
-    pub fn execution(&self) -> &Histogram {
-        &self.execution
-    }
-
-    /// Time from a job's release to its end.
-    pub fn response(&self) -> &Histogram {
-        &self.response
-    }
-
-    /// The deadline that overruns are counted against.
-    pub fn deadline(&self) -> Option<Duration> {
-        match self.deadline_ns.load(Ordering::Relaxed) {
-            0 => None,
-            ns => Some(Duration::from_nanos(ns)),
-        }
-    }
-
-    /// Changes the deadline, for jobs that end from now on. A deadline of zero is none.
-    pub fn set_deadline(&self, deadline: Option<Duration>) {
-        let ns = deadline.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX));
-        self.deadline_ns.store(ns, Ordering::Relaxed);
     }
 }
 
@@ -240,14 +204,11 @@ mod tests {
     }
 
     #[test]
-    fn responses_beyond_the_deadline_are_overruns() {
-        let stats = CallbackStats::new("a", Some(Duration::from_nanos(100)));
-        for response_ns in [99, 100, 101] {
-            stats.complete(response_ns, Some(7));
-        }
-        stats.set_deadline(None);
-        stats.complete(1_000_000, None);
-        assert_eq!((stats.completions(), stats.overruns()), (4, 1));
-        assert_eq!((stats.response().snapshot().n(), stats.execution().snapshot().n()), (4, 3));
+    fn taken_apart_and_put_together() {
+        let histogram = Histogram::new();
+        (0..100_000).step_by(77).for_each(|ns| histogram.record(ns));
+        let snapshot = histogram.snapshot();
+        let again = HistogramSnapshot::of_buckets(snapshot.buckets(), snapshot.sum_ns(), snapshot.max_ns);
+        assert_eq!(again, snapshot);
     }
 }

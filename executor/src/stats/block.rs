@@ -1,0 +1,256 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Where the statistics of one callback lie: in words of this process, or of a file that others read.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use tautline_rt::{ThreadInfo, Words};
+
+use super::file::Place;
+use super::histogram::{HISTOGRAM_WORDS, Histogram, HistogramSnapshot};
+
+/// Counters and settings, then the name; then two histograms.
+pub(crate) const HEAD_WORDS: usize = 64;
+pub(crate) const BLOCK_WORDS: usize = HEAD_WORDS + 2 * HISTOGRAM_WORDS;
+const NAME_WORDS: usize = 32;
+
+/// What each word of the head is. Zeros are a callback that has done nothing.
+pub(crate) mod word {
+    pub const STATE: usize = 0;
+    pub const IS_GROUP: usize = 1;
+    pub const TID: usize = 2;
+    /// 0: time sharing.
+    pub const PRIORITY: usize = 3;
+    /// Plus one; 0: more than one core.
+    pub const CORE: usize = 4;
+    pub const MEASURES_EXECUTION: usize = 5;
+    pub const PERIOD: usize = 6;
+    pub const DEADLINE: usize = 7;
+    pub const BUDGET: usize = 8;
+    // Written by the callback's thread from here on.
+    pub const RELEASES: usize = 16;
+    pub const COMPLETIONS: usize = 17;
+    pub const OVERRUNS: usize = 18;
+    pub const DEADLINE_MISSES: usize = 19;
+    pub const FIRST_RELEASE: usize = 20;
+    pub const LAST_RELEASE: usize = 21;
+    /// Plus one; 0: fewer than two releases.
+    pub const LEAST_DISTANCE: usize = 22;
+    pub const LOST: usize = 23;
+    pub const MAX_QUEUE: usize = 24;
+    pub const DEPTH: usize = 25;
+    pub const NAME: usize = 32;
+}
+
+/// Values of [`word::STATE`].
+pub(crate) mod state {
+    pub const FREE: u64 = 0;
+    pub const RUNNING: u64 = 1;
+    pub const ENDED: u64 = 2;
+}
+
+pub(crate) const fn encode_distance(ns: u64) -> u64 {
+    ns.saturating_add(1)
+}
+
+/// The words of one callback.
+#[derive(Debug)]
+pub(crate) struct Block {
+    words: Arc<Words>,
+    pub response: Histogram,
+    pub execution: Histogram,
+    /// Its place in a file, if it has one.
+    place: Option<Place>,
+}
+
+impl Drop for Block {
+    fn drop(&mut self) {
+        if let Some(place) = &self.place {
+            place.give_back(&self.words);
+        }
+    }
+}
+
+impl Block {
+    pub fn private() -> Block {
+        Block::new(Words::private(BLOCK_WORDS), None)
+    }
+
+    pub fn new(words: Words, place: Option<Place>) -> Block {
+        let words = Arc::new(words);
+        let response = Histogram::within(Arc::clone(&words), HEAD_WORDS);
+        let execution = Histogram::within(Arc::clone(&words), HEAD_WORDS + HISTOGRAM_WORDS);
+        Block { words, response, execution, place }
+    }
+
+    pub fn head(&self) -> Option<&[AtomicU64; HEAD_WORDS]> {
+        self.words.first_chunk()
+    }
+
+    pub fn set(&self, index: usize, value: u64) {
+        if let Some(word) = self.words.get(index) {
+            word.store(value, Ordering::Relaxed);
+        }
+    }
+
+    pub fn get(&self, index: usize) -> u64 {
+        self.words.get(index).map_or(0, |word| word.load(Ordering::Relaxed))
+    }
+
+    pub fn set_name(&self, name: &str) {
+        put_text(&self.words[word::NAME..word::NAME + NAME_WORDS], name);
+    }
+
+    pub fn set_thread(&self, thread: &ThreadInfo) {
+        self.set(word::TID, u64::from(thread.tid));
+        self.set(word::PRIORITY, thread.policy.realtime_priority().map_or(0, u64::from));
+        let mut cores = thread.cores.iter();
+        let core = cores.next().filter(|_| cores.next().is_none());
+        self.set(word::CORE, core.map_or(0, |core| core as u64 + 1));
+    }
+
+    /// Says that the words mean something: after all else was set.
+    pub fn set_state(&self, state: u64) {
+        // Release: pairs with the Acquire of whoever reads the file.
+        self.words[word::STATE].store(state, Ordering::Release);
+    }
+
+    pub fn snapshot(&self) -> CallbackSnapshot {
+        let words: Vec<u64> = self.words.iter().map(|word| word.load(Ordering::Acquire)).collect();
+        CallbackSnapshot::of_words(&words)
+    }
+}
+
+/// A callback's statistics at one moment.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CallbackSnapshot {
+    /// Its name; of one longer than 248 bytes the beginning.
+    pub name: String,
+    /// Whether it is a whole group: the jobs of all its members together.
+    pub is_group: bool,
+    /// Whether its future has ended.
+    pub ended: bool,
+    /// Its thread's number in the kernel.
+    pub tid: u32,
+    /// The real-time priority that the kernel confirmed; `None` for time sharing.
+    pub priority: Option<u8>,
+    /// The one core it may run on; `None` if there are several.
+    pub core: Option<usize>,
+    /// Whether execution times are measured.
+    pub measures_execution: bool,
+    /// The period it was given.
+    pub period_ns: Option<u64>,
+    /// The deadline that misses are counted against.
+    pub deadline_ns: Option<u64>,
+    /// The budget that overruns are counted against.
+    pub budget_ns: Option<u64>,
+    /// Jobs begun.
+    pub releases: u64,
+    /// Jobs finished.
+    pub completions: u64,
+    /// Jobs that used more processor time than the budget.
+    pub overruns: u64,
+    /// Jobs that ended later than the deadline.
+    pub deadline_misses: u64,
+    /// When the first job was released, in ns of `CLOCK_MONOTONIC`.
+    pub first_release_ns: u64,
+    /// The latest release.
+    pub last_release_ns: u64,
+    /// The shortest time between two consecutive releases; `None` for fewer than two.
+    pub least_distance_ns: Option<u64>,
+    /// Messages overwritten before they were taken, releases of a timer that nobody took.
+    pub lost: u64,
+    /// Most messages that waited at once.
+    pub max_queue: u64,
+    /// The depth of its deepest queue; 0 if it has none.
+    pub depth: u64,
+    /// Times from a job's release to its end.
+    pub response: HistogramSnapshot,
+    /// CPU times of jobs.
+    pub execution: HistogramSnapshot,
+}
+
+impl CallbackSnapshot {
+    /// Of words that another process may have written: whatever they hold.
+    pub(crate) fn of_words(words: &[u64]) -> CallbackSnapshot {
+        let word = |index: usize| words.get(index).copied().unwrap_or(0);
+        let some = |value: u64| (value != 0).then_some(value);
+        let histogram =
+            |at: usize| HistogramSnapshot::of_words(words.get(at..at + HISTOGRAM_WORDS).unwrap_or(&[]));
+        CallbackSnapshot {
+            name: get_text(words.get(word::NAME..word::NAME + NAME_WORDS).unwrap_or(&[])),
+            is_group: word(word::IS_GROUP) != 0,
+            ended: word(word::STATE) == state::ENDED,
+            tid: u32::try_from(word(word::TID)).unwrap_or(0),
+            priority: u8::try_from(word(word::PRIORITY)).ok().filter(|priority| *priority != 0),
+            core: some(word(word::CORE)).and_then(|core| usize::try_from(core - 1).ok()),
+            measures_execution: word(word::MEASURES_EXECUTION) != 0,
+            period_ns: some(word(word::PERIOD)),
+            deadline_ns: some(word(word::DEADLINE)),
+            budget_ns: some(word(word::BUDGET)),
+            releases: word(word::RELEASES),
+            completions: word(word::COMPLETIONS),
+            overruns: word(word::OVERRUNS),
+            deadline_misses: word(word::DEADLINE_MISSES),
+            first_release_ns: word(word::FIRST_RELEASE),
+            last_release_ns: word(word::LAST_RELEASE),
+            least_distance_ns: some(word(word::LEAST_DISTANCE)).map(|distance| distance - 1),
+            lost: word(word::LOST),
+            max_queue: word(word::MAX_QUEUE),
+            depth: word(word::DEPTH),
+            response: histogram(HEAD_WORDS),
+            execution: histogram(HEAD_WORDS + HISTOGRAM_WORDS),
+        }
+    }
+}
+
+/// Writes a text, or as much of it as fits: its length in bytes, then the bytes.
+pub(crate) fn put_text(words: &[AtomicU64], text: &str) {
+    let Some((length, rest)) = words.split_first() else { return };
+    let mut end = text.len().min(rest.len() * 8);
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    let text = &text[..end];
+    for (word, bytes) in rest.iter().zip(text.as_bytes().chunks(8)) {
+        let mut whole = [0; 8];
+        whole[..bytes.len()].copy_from_slice(bytes);
+        word.store(u64::from_le_bytes(whole), Ordering::Relaxed);
+    }
+    length.store(text.len() as u64, Ordering::Relaxed);
+}
+
+/// Reads a text as [`put_text`] wrote it; what is no text comes out as something else.
+pub(crate) fn get_text(words: &[u64]) -> String {
+    let Some((length, rest)) = words.split_first() else { return String::new() };
+    let mut bytes: Vec<u8> = rest.iter().flat_map(|word| word.to_le_bytes()).collect();
+    bytes.truncate(usize::try_from(*length).unwrap_or(0));
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_are_cut_between_characters() {
+        for (text, read) in [("", ""), ("cb", "cb"), ("1234567ä", "1234567"), ("123456ä9", "123456ä")] {
+            let words = Words::private(2);
+            put_text(&words, text);
+            let words: Vec<u64> = words.iter().map(|word| word.load(Ordering::Relaxed)).collect();
+            assert_eq!(get_text(&words), read);
+        }
+        assert_eq!(get_text(&[u64::MAX, u64::MAX]), "\u{fffd}".repeat(8));
+        assert_eq!(get_text(&[]), "");
+    }
+
+    #[test]
+    fn any_words_are_a_snapshot() {
+        for words in [vec![], vec![u64::MAX; HEAD_WORDS + 5], vec![u64::MAX; BLOCK_WORDS]] {
+            let snapshot = CallbackSnapshot::of_words(&words);
+            let _ =
+                (snapshot.response.p(0.5), snapshot.execution.mean(), snapshot.response.buckets().count());
+        }
+    }
+}

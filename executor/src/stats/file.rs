@@ -1,0 +1,303 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A process's statistics in a file that other processes read, without the writers noticing.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tautline_rt::{ForeignWords, Words, WordsFile, page_words};
+
+use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, state, word};
+
+const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
+/// Of the layout here and in `block.rs`.
+const VERSION: u64 = 1;
+const HEADER_WORDS: usize = 640;
+
+/// What each word of the header is.
+mod header {
+    use std::ops::Range;
+
+    pub const MAGIC: usize = 0;
+    pub const VERSION: usize = 1;
+    pub const PLACES: usize = 3;
+    pub const PID: usize = 4;
+    pub const REALTIME: usize = 5;
+    /// 0: none.
+    pub const SAMPLER_PRIORITY: usize = 6;
+    pub const SYSTEM_HASH: usize = 7;
+    pub const PROGRAM: Range<usize> = 16..48;
+    pub const HOST: Range<usize> = 48..80;
+    pub const SYSTEM_PATH: Range<usize> = 80..640;
+}
+
+/// What a process tells of itself.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ProcessInfo {
+    /// Its number in the kernel.
+    pub pid: u32,
+    /// The name of its program.
+    pub program: String,
+    /// Which of the system file's hosts it is.
+    pub host: String,
+    /// Whether its threads have their real-time policies.
+    pub realtime: bool,
+    /// Priority of its sampler.
+    pub sampler_priority: Option<u8>,
+    /// The system file that its settings come from.
+    pub system_path: PathBuf,
+    /// A hash of that file's content.
+    pub system_hash: u64,
+}
+
+/// A file in /dev/shm in which an executor keeps the statistics of its callbacks: see
+/// [`Executor::with_statistics`](crate::Executor::with_statistics). It is locked as long as this lives, and then removed.
+///
+/// Callbacks write into it as they would into any memory; readers map it read-only and wake nobody.
+#[derive(Debug)]
+pub struct StatisticsFile {
+    places: Arc<Places>,
+}
+
+#[derive(Debug)]
+struct Places {
+    file: WordsFile,
+    header: Words,
+    /// Places given back.
+    free: Mutex<Vec<usize>>,
+}
+
+/// Where a callback's statistics lie in the file; dropping it gives them back.
+#[derive(Debug)]
+pub(crate) struct Place {
+    index: usize,
+    places: Arc<Places>,
+}
+
+impl StatisticsFile {
+    /// Makes a file whose name begins with `prefix`, and removes those of processes that were killed.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// What the system said, with the path.
+    pub fn create(prefix: &str, about: &ProcessInfo) -> io::Result<StatisticsFile> {
+        for left in ForeignStatistics::list(prefix)? {
+            left.remove_if_orphaned();
+        }
+        let file = WordsFile::create(prefix)?;
+        let header = file.map(0, HEADER_WORDS)?;
+        let number = |index: usize, value: u64| header[index].store(value, Ordering::Relaxed);
+        number(header::VERSION, VERSION);
+        number(header::PID, about.pid.into());
+        number(header::REALTIME, about.realtime.into());
+        number(header::SAMPLER_PRIORITY, about.sampler_priority.map_or(0, u64::from));
+        number(header::SYSTEM_HASH, about.system_hash);
+        put_text(&header[header::PROGRAM], &about.program);
+        put_text(&header[header::HOST], &about.host);
+        put_text(&header[header::SYSTEM_PATH], &about.system_path.to_string_lossy());
+        // Release: pairs with the Acquire in `ForeignWords::read`; all else is there when the magic is.
+        header[header::MAGIC].store(MAGIC, Ordering::Release);
+        Ok(StatisticsFile { places: Arc::new(Places { file, header, free: Mutex::default() }) })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        self.places.file.path()
+    }
+
+    /// A place for the statistics of one more callback: all zeros.
+    pub(super) fn claim(&self) -> io::Result<Block> {
+        let places = &self.places;
+        let mut free = places.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = &places.header[header::PLACES];
+        let next = count.load(Ordering::Relaxed);
+        let index = free.last().copied().unwrap_or(next as usize);
+        let words = places.file.map(place(index, page_words()), BLOCK_WORDS)?;
+        match free.pop() {
+            // Whoever had it before may have left something.
+            Some(_) => words.iter().for_each(|word| word.store(0, Ordering::Relaxed)),
+            // Release: pairs with the Acquire in `ForeignWords::read`; the file has grown by then.
+            None => count.store(next + 1, Ordering::Release),
+        }
+        Ok(Block::new(words, Some(Place { index, places: Arc::clone(places) })))
+    }
+}
+
+impl Drop for StatisticsFile {
+    /// Statistics that somebody still holds stay readable to them.
+    fn drop(&mut self) {
+        self.places.file.retire();
+    }
+}
+
+/// Where place `index` begins, in words.
+fn place(index: usize, page_words: usize) -> usize {
+    HEADER_WORDS.next_multiple_of(page_words) + index * BLOCK_WORDS.next_multiple_of(page_words)
+}
+
+impl Place {
+    /// Before its words are unmapped.
+    pub fn give_back(&self, words: &Words) {
+        words[word::STATE].store(state::FREE, Ordering::Release);
+        self.places.free.lock().unwrap_or_else(PoisonError::into_inner).push(self.index);
+    }
+}
+
+/// The statistics of a process, this or another one.
+#[derive(Debug)]
+pub struct ForeignStatistics {
+    file: ForeignWords,
+}
+
+/// What a process's callbacks have done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ProcessSnapshot {
+    /// The process.
+    pub process: ProcessInfo,
+    /// Its callbacks, in no particular order.
+    pub callbacks: Vec<CallbackSnapshot>,
+}
+
+impl ForeignStatistics {
+    /// The files of all processes whose names begin with `prefix`.
+    ///
+    /// # Errors
+    /// If /dev/shm cannot be read.
+    pub fn list(prefix: &str) -> io::Result<Vec<ForeignStatistics>> {
+        Ok(ForeignWords::list(prefix)?.into_iter().map(|file| ForeignStatistics { file }).collect())
+    }
+
+    /// Where the file is, or was.
+    pub fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// Whether the process lives.
+    pub fn is_running(&self) -> bool {
+        self.file.is_owned()
+    }
+
+    /// Removes the file of a process that was killed; says whether it did.
+    pub fn remove_if_orphaned(&self) -> bool {
+        self.file.remove_if_orphaned()
+    }
+
+    /// What the process's callbacks have done so far; if it has ended, all that they did. `None`: it is just starting.
+    ///
+    /// # Errors
+    /// What the system said, with the path; an error for a file of another version of Tautline.
+    pub fn read(&self) -> io::Result<Option<ProcessSnapshot>> {
+        if self.file.size_words()? < HEADER_WORDS {
+            return Ok(None);
+        }
+        let words = self.file.read(0, HEADER_WORDS)?;
+        if words[header::MAGIC] == 0 {
+            return Ok(None);
+        }
+        if words[header::MAGIC] != MAGIC || words[header::VERSION] != VERSION {
+            let error = format!("{}: not statistics of this version of Tautline", self.path().display());
+            return Err(io::Error::other(error));
+        }
+        let process = ProcessInfo {
+            pid: u32::try_from(words[header::PID]).unwrap_or(0),
+            program: get_text(&words[header::PROGRAM]),
+            host: get_text(&words[header::HOST]),
+            realtime: words[header::REALTIME] != 0,
+            sampler_priority: u8::try_from(words[header::SAMPLER_PRIORITY]).ok().filter(|p| *p != 0),
+            system_path: PathBuf::from(get_text(&words[header::SYSTEM_PATH])),
+            system_hash: words[header::SYSTEM_HASH],
+        };
+        // As many as fit into the file, whatever it says.
+        let size_words = self.file.size_words()?;
+        let page_words = page_words();
+        let there = (0..words[header::PLACES])
+            .map(|index| place(index as usize, page_words))
+            .take_while(|at| at.checked_add(BLOCK_WORDS).is_some_and(|end| end <= size_words));
+        let mut callbacks = Vec::new();
+        for at in there {
+            let words = self.file.read(at, BLOCK_WORDS)?;
+            if [state::RUNNING, state::ENDED].contains(&words[word::STATE]) {
+                callbacks.push(CallbackSnapshot::of_words(&words));
+            }
+        }
+        Ok(Some(ProcessSnapshot { process, callbacks }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CallbackStats;
+
+    fn prefix(name: &str) -> String {
+        format!("taut_executor_test_{}_{name}_", std::process::id())
+    }
+
+    fn about() -> ProcessInfo {
+        ProcessInfo {
+            pid: 7,
+            program: "robot".into(),
+            host: "left".into(),
+            realtime: true,
+            sampler_priority: Some(90),
+            system_path: "/etc/system.toml".into(),
+            system_hash: 42,
+        }
+    }
+
+    fn names(prefix: &str) -> Vec<String> {
+        let found = ForeignStatistics::list(prefix).unwrap();
+        let [file] = found.as_slice() else { panic!("{found:?}") };
+        let snapshot = file.read().unwrap().unwrap();
+        assert_eq!(snapshot.process, about());
+        snapshot.callbacks.into_iter().map(|callback| callback.name).collect()
+    }
+
+    #[test]
+    fn places_are_claimed_read_given_back_and_used_again() {
+        let prefix = prefix("places");
+        let file = StatisticsFile::create(&prefix, &about()).unwrap();
+        assert!(names(&prefix).is_empty());
+        let new = |name: &str| {
+            let stats = CallbackStats::new(name);
+            stats.place(Some(&file), false).unwrap();
+            stats
+        };
+        let (a, b) = (new("a"), new("b"));
+        a.release(1);
+        assert_eq!(names(&prefix), ["a", "b"]);
+        drop(a);
+        assert_eq!(names(&prefix), ["b"]);
+        let c = new("c");
+        assert_eq!(names(&prefix), ["c", "b"]);
+        assert_eq!((b.releases(), c.releases()), (0, 0), "nothing of `a` is left");
+
+        // The file goes before the last that writes to it.
+        let found = ForeignStatistics::list(&prefix).unwrap();
+        assert!(found[0].is_running() && !found[0].remove_if_orphaned());
+        drop(file);
+        b.release(1);
+        assert!(!found[0].is_running() && ForeignStatistics::list(&prefix).unwrap().is_empty());
+        assert_eq!(found[0].read().unwrap().unwrap().callbacks[1].releases, 1);
+    }
+
+    #[test]
+    fn files_that_are_no_statistics_are_refused() {
+        let prefix = prefix("bad");
+        let file = WordsFile::create(&prefix).unwrap();
+        let read = || ForeignStatistics::list(&prefix).unwrap()[0].read();
+        assert!(read().unwrap().is_none(), "not even a header yet");
+        let words = file.map(0, HEADER_WORDS).unwrap();
+        assert!(read().unwrap().is_none(), "not complete yet");
+        words[header::MAGIC].store(1, Ordering::Relaxed);
+        assert!(read().unwrap_err().to_string().contains("not statistics of this version"));
+        words[header::MAGIC].store(MAGIC, Ordering::Relaxed);
+        words[header::VERSION].store(VERSION, Ordering::Relaxed);
+        words[header::PLACES].store(u64::MAX, Ordering::Relaxed);
+        assert!(read().unwrap().unwrap().callbacks.is_empty(), "more places than the file holds");
+    }
+}

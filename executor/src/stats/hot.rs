@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The hot path: recording a job.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::block::{self, word};
+use super::histogram::{Histogram, bucket_of};
+use super::{CallbackStats, DeadlineMiss, Job, Overrun, QueueState, Watch};
+
+impl Histogram {
+    /// Counts one value. Only one thread may record, or values are lost.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn record(&self, ns: u64) {
+        let [buckets @ .., sum, max] = self.words() else { return };
+        if ns > max.load(Ordering::Relaxed) {
+            max.store(ns, Ordering::Relaxed);
+        }
+        add(sum, ns);
+        if let Some(bucket) = buckets.get(bucket_of(ns)) {
+            // Release: whoever sees the count sees the maximum, too.
+            bucket.store(bucket.load(Ordering::Relaxed) + 1, Ordering::Release);
+        }
+    }
+}
+
+impl CallbackStats {
+    /// A job begins.
+    pub(crate) fn release(&self, release_ns: u64) {
+        let Some(head) = self.head() else { return };
+        let last = &head[word::LAST_RELEASE];
+        let last_ns = last.load(Ordering::Relaxed);
+        if head[word::RELEASES].load(Ordering::Relaxed) == 0 {
+            head[word::FIRST_RELEASE].store(release_ns, Ordering::Relaxed);
+            last.store(release_ns, Ordering::Relaxed);
+        } else {
+            // Two streams of one callback may hand out their items in another order than that of their releases.
+            let distance = block::encode_distance(release_ns.abs_diff(last_ns));
+            let least = &head[word::LEAST_DISTANCE];
+            let least_so_far = least.load(Ordering::Relaxed);
+            if least_so_far == 0 || distance < least_so_far {
+                least.store(distance, Ordering::Relaxed);
+            }
+            if release_ns > last_ns {
+                last.store(release_ns, Ordering::Relaxed);
+            }
+        }
+        add(&head[word::RELEASES], 1);
+    }
+
+    /// A job has ended. Says what it violated.
+    pub(crate) fn complete(&self, job: &Job) -> Verdict {
+        let Some(block) = self.block.get() else { return Verdict::default() };
+        let Some(head) = block.head() else { return Verdict::default() };
+        let limit = |index: usize| match self.limits.get(index).map(|limit| limit.load(Ordering::Relaxed)) {
+            Some(0) | None => u64::MAX,
+            Some(ns) => ns,
+        };
+        let (deadline_ns, budget_ns) = (limit(CallbackStats::DEADLINE), limit(CallbackStats::BUDGET));
+        let mut verdict =
+            Verdict { job: head[word::COMPLETIONS].load(Ordering::Relaxed) + 1, ..Verdict::default() };
+        if job.response_ns > deadline_ns {
+            verdict.late_for_ns = Some(deadline_ns);
+            add(&head[word::DEADLINE_MISSES], 1);
+        }
+        block.response.record(job.response_ns);
+        if let Some(ns) = job.execution_ns {
+            block.execution.record(ns);
+            if ns > budget_ns {
+                verdict.over_ns = Some(budget_ns);
+                add(&head[word::OVERRUNS], 1);
+            }
+        }
+        add(&head[word::COMPLETIONS], 1);
+        verdict
+    }
+
+    /// What a subscription of this callback found.
+    pub(crate) fn note_queue(&self, queue: QueueState) {
+        let Some(head) = self.head() else { return };
+        if queue.lost != 0 {
+            add(&head[word::LOST], queue.lost);
+        }
+        for (index, value) in [(word::MAX_QUEUE, queue.max_queue), (word::DEPTH, queue.depth)] {
+            if let Some(most) = head.get(index)
+                && value > most.load(Ordering::Relaxed)
+            {
+                most.store(value, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+/// What a job violated.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Verdict {
+    job: u64,
+    /// The budget, if it used more.
+    over_ns: Option<u64>,
+    /// The deadline, if it ended later.
+    late_for_ns: Option<u64>,
+}
+
+impl Watch {
+    /// Calls the handlers of what was violated; says whether one was called.
+    pub(crate) fn tell(&self, verdict: Verdict, done: &Job) -> bool {
+        let Job { release_ns, response_ns, execution_ns } = *done;
+        let job = verdict.job;
+        let mut told = false;
+        if let (Some(handler), Some(budget_ns), Some(execution_ns)) =
+            (&self.on_overrun, verdict.over_ns, execution_ns)
+        {
+            handler.call(&Overrun { job, release_ns, execution_ns, budget_ns });
+            told = true;
+        }
+        if let (Some(handler), Some(deadline_ns)) = (&self.on_deadline_miss, verdict.late_for_ns) {
+            handler.call(&DeadlineMiss { job, release_ns, response_ns, deadline_ns });
+            told = true;
+        }
+        told
+    }
+}
+
+/// For counters with one writer: cheaper than a read-modify-write.
+fn add(counter: &AtomicU64, by: u64) {
+    counter.store(counter.load(Ordering::Relaxed).wrapping_add(by), Ordering::Relaxed);
+}

@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a callback did, readable while it goes on, by this process and by others.
+
+mod block;
+mod file;
+mod histogram;
+mod hot;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{LazyLock, OnceLock};
+use std::time::Duration;
+
+use tautline_rt::ThreadInfo;
+
+pub use block::CallbackSnapshot;
+pub use file::{ForeignStatistics, ProcessInfo, ProcessSnapshot, StatisticsFile};
+pub use histogram::{Bucket, Histogram, HistogramSnapshot};
+
+use crate::options::{DeadlineMiss, Overrun, Watch};
+use block::{Block, HEAD_WORDS, state, word};
+
+/// A job that has ended.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Job {
+    pub release_ns: u64,
+    pub response_ns: u64,
+    /// `None` where execution times are off.
+    pub execution_ns: Option<u64>,
+}
+
+/// What a stream found in its queue when it took from it: see [`job::note_queue`](crate::job::note_queue).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct QueueState {
+    /// Messages lost since the last note.
+    pub lost: u64,
+    /// Most messages that waited at once, so far.
+    pub max_queue: u64,
+    /// How many may wait.
+    pub depth: u64,
+}
+
+/// What is known of a callback: written by its thread, readable from any other while it runs. Where the executor has a
+/// [`StatisticsFile`], other processes can read it too.
+#[derive(Debug)]
+pub struct CallbackStats {
+    name: String,
+    /// In ns, 0 for none.
+    limits: [AtomicU64; 2],
+    /// From the moment the callback is spawned.
+    block: OnceLock<Block>,
+}
+
+/// What [`CallbackStats::response`] is before there is anything.
+static NOTHING: LazyLock<Histogram> = LazyLock::new(Histogram::new);
+
+impl CallbackStats {
+    const DEADLINE: usize = 0;
+    const BUDGET: usize = 1;
+
+    /// Statistics of nothing yet.
+    pub(crate) fn new(name: impl Into<String>) -> CallbackStats {
+        CallbackStats { name: name.into(), limits: Default::default(), block: OnceLock::new() }
+    }
+
+    /// Gives the statistics their memory: all is counted from here on.
+    pub(crate) fn place(&self, file: Option<&StatisticsFile>, is_group: bool) -> std::io::Result<()> {
+        let block = match file {
+            Some(file) => file.claim()?,
+            None => Block::private(),
+        };
+        block.set_name(&self.name);
+        block.set(word::IS_GROUP, u64::from(is_group));
+        for (index, place) in [(Self::DEADLINE, word::DEADLINE), (Self::BUDGET, word::BUDGET)] {
+            block.set(place, self.limits[index].load(Ordering::Relaxed));
+        }
+        block.set_state(state::RUNNING);
+        // A callback is spawned once.
+        let _ = self.block.set(block);
+        Ok(())
+    }
+
+    /// What the kernel confirmed, and what the callback was given.
+    pub(crate) fn describe(&self, thread: &ThreadInfo, period: Option<Duration>, measures_execution: bool) {
+        if let Some(block) = self.block.get() {
+            block.set(word::PERIOD, nanoseconds(period));
+            block.set(word::MEASURES_EXECUTION, u64::from(measures_execution));
+            block.set_thread(thread);
+        }
+    }
+
+    /// The callback's future has ended.
+    pub(crate) fn end(&self) {
+        if let Some(block) = self.block.get() {
+            block.set_state(state::ENDED);
+        }
+    }
+
+    fn head(&self) -> Option<&[AtomicU64; HEAD_WORDS]> {
+        self.block.get().and_then(Block::head)
+    }
+
+    fn word(&self, index: usize) -> u64 {
+        self.block.get().map_or(0, |block| block.get(index))
+    }
+
+    /// The callback's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Jobs begun.
+    pub fn releases(&self) -> u64 {
+        self.word(word::RELEASES)
+    }
+
+    /// Jobs finished: at most one less than begun, except after a job that was stopped half-way.
+    pub fn completions(&self) -> u64 {
+        self.word(word::COMPLETIONS)
+    }
+
+    /// Jobs that used more CPU time than the budget.
+    pub fn overruns(&self) -> u64 {
+        self.word(word::OVERRUNS)
+    }
+
+    /// Jobs whose response took longer than the deadline.
+    pub fn deadline_misses(&self) -> u64 {
+        self.word(word::DEADLINE_MISSES)
+    }
+
+    /// CPU time per job, with what the executor used to get to it (on a busy-polling thread: time from its begin to its
+    /// end); empty where [`CallbackOptions::execution_time`](crate::CallbackOptions) is off.
+    pub fn execution(&self) -> &Histogram {
+        self.block.get().map_or(&NOTHING, |block| &block.execution)
+    }
+
+    /// Time from a job's release to its end.
+    pub fn response(&self) -> &Histogram {
+        self.block.get().map_or(&NOTHING, |block| &block.response)
+    }
+
+    /// All of it, to evaluate or to keep. `None` before the callback is spawned.
+    ///
+    /// # Real-time
+    /// For other threads than the callback's: allocates.
+    pub fn snapshot(&self) -> Option<CallbackSnapshot> {
+        self.block.get().map(Block::snapshot)
+    }
+
+    /// The deadline that misses are counted against.
+    pub fn deadline(&self) -> Option<Duration> {
+        self.limit(Self::DEADLINE)
+    }
+
+    /// The CPU time that overruns are counted against.
+    pub fn budget(&self) -> Option<Duration> {
+        self.limit(Self::BUDGET)
+    }
+
+    /// Changes the deadline, for jobs that end from now on. A deadline of zero is none.
+    pub fn set_deadline(&self, deadline: Option<Duration>) {
+        self.set_limit(Self::DEADLINE, word::DEADLINE, deadline);
+    }
+
+    /// Changes the budget, for jobs that end from now on. A budget of zero is none.
+    pub fn set_budget(&self, budget: Option<Duration>) {
+        self.set_limit(Self::BUDGET, word::BUDGET, budget);
+    }
+
+    fn limit(&self, index: usize) -> Option<Duration> {
+        match self.limits[index].load(Ordering::Relaxed) {
+            0 => None,
+            ns => Some(Duration::from_nanos(ns)),
+        }
+    }
+
+    fn set_limit(&self, index: usize, place: usize, limit: Option<Duration>) {
+        let ns = nanoseconds(limit);
+        self.limits[index].store(ns, Ordering::Relaxed);
+        if let Some(block) = self.block.get() {
+            block.set(place, ns);
+        }
+    }
+}
+
+fn nanoseconds(time: Option<Duration>) -> u64 {
+    time.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(response_ns: u64, execution_ns: Option<u64>) -> Job {
+        Job { release_ns: 0, response_ns, execution_ns }
+    }
+
+    #[test]
+    fn late_jobs_miss_and_long_ones_overrun() {
+        let stats = CallbackStats::new("a");
+        stats.set_deadline(Some(Duration::from_nanos(100)));
+        stats.complete(&job(1, None));
+        assert_eq!((stats.completions(), stats.response().snapshot().n()), (0, 0), "not spawned");
+        stats.place(None, false).unwrap();
+        for response_ns in [99, 100, 101] {
+            stats.complete(&job(response_ns, Some(response_ns - 50)));
+        }
+        stats.set_deadline(None);
+        stats.set_budget(Some(Duration::from_nanos(50)));
+        stats.complete(&job(1_000_000, None));
+        stats.complete(&job(1_000_000, Some(51)));
+        assert_eq!((stats.completions(), stats.deadline_misses(), stats.overruns()), (5, 1, 1));
+        assert_eq!((stats.response().snapshot().n(), stats.execution().snapshot().n()), (5, 4));
+    }
+
+    #[test]
+    fn distances_between_releases() {
+        let stats = CallbackStats::new("a");
+        stats.place(None, false).unwrap();
+        let seen = |stats: &CallbackStats| {
+            let now = stats.snapshot().unwrap();
+            (now.releases, now.first_release_ns, now.last_release_ns, now.least_distance_ns)
+        };
+        stats.release(1_000);
+        assert_eq!(seen(&stats), (1, 1_000, 1_000, None));
+        [1_100, 1_190, 1_300].into_iter().for_each(|release_ns| stats.release(release_ns));
+        assert_eq!(seen(&stats), (4, 1_000, 1_300, Some(90)));
+        // Of another stream: released before, handed out after.
+        stats.release(1_295);
+        stats.release(1_300);
+        assert_eq!(seen(&stats), (6, 1_000, 1_300, Some(0)));
+    }
+
+    #[test]
+    fn losses_add_up_and_the_fullest_queue_counts() {
+        let stats = CallbackStats::new("a");
+        stats.place(None, false).unwrap();
+        for (lost, max_queue, depth) in [(2, 1, 4), (0, 3, 4), (1, 2, 8)] {
+            stats.note_queue(QueueState { lost, max_queue, depth });
+        }
+        let now = stats.snapshot().unwrap();
+        assert_eq!((now.lost, now.max_queue, now.depth), (3, 3, 8));
+    }
+}
