@@ -3,11 +3,12 @@
 
 use crate::error::{Error, Result};
 use crate::qos::QosProfile;
+use crate::statistics::statistics_prefix;
 use crate::system::LoadedSystem;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, Realtime};
+use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, Realtime, StatisticsFile};
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Wait};
 use tautline_transport::Participant;
@@ -69,6 +70,7 @@ pub struct ContextBuilder {
     hold_idle: bool,
     system: Option<PathBuf>,
     host: Option<String>,
+    share_statistics: bool,
 }
 
 impl ContextBuilder {
@@ -132,11 +134,18 @@ impl ContextBuilder {
         self
     }
 
+    /// Whether the statistics of callbacks lie in a file of `/dev/shm`, where `taut report` reads them. On by default if
+    /// there is a system file; without one there is nothing to compare them with.
+    pub fn share_statistics(mut self, share: bool) -> Self {
+        self.share_statistics = share;
+        self
+    }
+
     /// Joins the domain.
     ///
     /// # Errors
     /// [`Error::Environment`] for a variable that is not understood; [`Error::System`] and [`Error::Host`] for a system
-    /// file that cannot be used; [`Error::Transport`] if shared memory cannot be had.
+    /// file that cannot be used; [`Error::Transport`] and [`Error::Statistics`] if shared memory cannot be had.
     pub fn build(self) -> Result<Context> {
         let host = self.host.clone().or_else(|| environment("TAUT_HOST"));
         let system =
@@ -145,7 +154,7 @@ impl ContextBuilder {
         let sampler_priority = self.sampler_priority.or(of_file).unwrap_or(Self::SAMPLER_PRIORITY);
         let domain = match self.domain {
             Some(domain) => domain,
-            None => domain_of_environment()?,
+            None => Context::domain_of_environment()?,
         };
         let realtime = match self.realtime {
             Some(realtime) => realtime,
@@ -153,8 +162,15 @@ impl ContextBuilder {
         };
         let participant = Participant::new(domain)?;
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
+        let mut executor = Executor::new(realtime);
+        if let Some(system) = system.as_ref().filter(|_| self.share_statistics) {
+            let about = system.process_info(realtime, sampler_priority);
+            let file =
+                StatisticsFile::create(&statistics_prefix(domain), &about).map_err(Error::Statistics)?;
+            executor = executor.with_statistics(file);
+        }
         let shared = Shared {
-            executor: Executor::new(realtime),
+            executor,
             events: sampler.events().clone(),
             sampler: Mutex::new(Some(sampler)),
             participant,
@@ -179,19 +195,9 @@ impl Default for ContextBuilder {
             hold_idle: true,
             system: None,
             host: None,
+            share_statistics: true,
         }
     }
-}
-
-fn domain_of_environment() -> Result<u32> {
-    let expected = "a domain is a number from 0 to 232";
-    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
-        if let Some(value) = environment(variable) {
-            let domain = value.parse().ok().filter(|&domain| domain <= tautline_transport::MAX_DOMAIN);
-            return domain.ok_or(Error::Environment { variable, value, expected });
-        }
-    }
-    Ok(0)
 }
 
 fn realtime_of_environment() -> Result<Realtime> {
@@ -224,6 +230,21 @@ impl Context {
         ContextBuilder::default()
     }
 
+    /// The domain that a context joins unless its builder names one: `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
+    ///
+    /// # Errors
+    /// [`Error::Environment`] for a variable that is not understood.
+    pub fn domain_of_environment() -> Result<u32> {
+        let expected = "a domain is a number from 0 to 232";
+        for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
+            if let Some(value) = environment(variable) {
+                let domain = value.parse().ok().filter(|&domain| domain <= tautline_transport::MAX_DOMAIN);
+                return domain.ok_or(Error::Environment { variable, value, expected });
+            }
+        }
+        Ok(0)
+    }
+
     /// The domain.
     pub fn domain(&self) -> u32 {
         self.shared.participant.domain()
@@ -234,13 +255,24 @@ impl Context {
         self.shared.realtime
     }
 
-    /// The thread that the system file gives the callback `name`: its priority, core, period and deadline, for
-    /// [`Node::spawn_callback`](crate::Node::spawn_callback).
+    /// What the system file says of the callback `name`: its thread's priority and core, its period, its deadline, and as
+    /// its budget what the analysis charges for a job: the wcet, and the overheads of one job that the file states. For
+    /// [`Node::spawn_callback`](crate::Node::spawn_callback), or for [`CallbackGroup::add`](crate::CallbackGroup::add) if
+    /// the callback shares its thread.
     ///
     /// # Errors
     /// [`Error::NoSystem`] without a system file; [`Error::UnknownCallback`] if it lacks the callback on this host.
     pub fn callback(&self, name: &str) -> Result<CallbackOptions> {
         self.system_for(name)?.options(name)
+    }
+
+    /// The thread that the system file gives the group `name`: its priority and core, for
+    /// [`Node::spawn_group`](crate::Node::spawn_group).
+    ///
+    /// # Errors
+    /// [`Error::NoSystem`] without a system file; [`Error::UnknownGroup`] if it lacks the group on this host.
+    pub fn group(&self, name: &str) -> Result<CallbackOptions> {
+        self.system_for(name)?.group(name)
     }
 
     /// The queue of the callback `name`: keep-last with the depth that the system file states, else with the capacity at

@@ -65,6 +65,23 @@ pub enum Error {
         /// The callbacks there are.
         known: String,
     },
+    /// The system file has no such group on this host.
+    #[error("group '{name}' is not in {} on host '{host}'; there are: {known}", path.display())]
+    UnknownGroup {
+        /// The group.
+        name: String,
+        /// The file.
+        path: PathBuf,
+        /// This host.
+        host: String,
+        /// The groups there are.
+        known: String,
+    },
+    /// The statistics could not be made readable for others.
+    #[error(
+        "the callbacks' statistics cannot be shared: {0}; `ContextBuilder::share_statistics(false)` does without"
+    )]
+    Statistics(std::io::Error),
     /// The analysis gives the callback no bound, so no queue is deep enough.
     #[error("callback '{name}' of {} has no bound, so no queue depth is enough for it: see `taut check`, or state its topic's depth", path.display())]
     NoCapacity {

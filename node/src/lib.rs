@@ -34,6 +34,7 @@ mod context;
 mod error;
 mod names;
 mod node;
+mod statistics;
 mod subscription;
 mod system;
 mod timer;
@@ -44,12 +45,14 @@ pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use node::Node;
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;
 
 pub use tautline_executor::{
-    CallbackGroup, CallbackHandle, CallbackOptions, CallbackStats, CoreSet, ExecutorError, Histogram,
-    HistogramSnapshot, Policy, Realtime, assign,
+    Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats, CoreSet,
+    DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions, Overrun,
+    Policy, ProcessInfo, ProcessSnapshot, Realtime, assign,
 };
 pub use tautline_msgs as msgs;
 pub use tautline_msgs::{Message, Plain};

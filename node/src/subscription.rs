@@ -6,6 +6,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
+use tautline_executor::job::QueueState;
 use tautline_executor::{busy_polling, job, stop_requested};
 use tautline_msgs::{Message, Plain};
 use tautline_transport::{Counters, Sample, TakeError};
@@ -19,11 +20,15 @@ pub struct Subscription<T> {
     inner: tautline_transport::Subscription<T>,
     job: Option<job::Job>,
     quiet: bool,
+    counters: Arc<Counters>,
+    /// How many lost messages the callback's statistics know of.
+    noted_lost: u64,
 }
 
 impl<T: Message + Plain> Subscription<T> {
     pub(crate) fn new(inner: tautline_transport::Subscription<T>) -> Self {
-        Subscription { inner, job: None, quiet: false }
+        let counters = inner.counters();
+        Subscription { inner, job: None, quiet: false, counters, noted_lost: 0 }
     }
 
     /// Takes the oldest sample, if there is one, without waiting. (Not called `take`: that is a method of every stream.)
@@ -39,7 +44,7 @@ impl<T: Message + Plain> Subscription<T> {
 
     /// Received, lost, invalid, highest queue fill: to be read from any thread.
     pub fn counters(&self) -> Arc<Counters> {
-        self.inner.counters()
+        self.counters.clone()
     }
 
     /// The topic's fully qualified name.
@@ -76,6 +81,7 @@ impl<T: Message + Plain> Stream for Subscription<T> {
         self.set_quiet(busy);
         let poll = if busy { self.poll_busily(context) } else { self.inner.poll_take(context) };
         if let Poll::Ready(sample) = &poll {
+            self.note_queue();
             self.job = Some(job::begin(sample.info().released_ns));
         }
         poll.map(Some)
@@ -91,6 +97,17 @@ impl<T: Message + Plain> Subscription<T> {
         // For combinators that only poll what was woken.
         context.waker().wake_by_ref();
         Poll::Pending
+    }
+
+    /// Tells the callback's statistics what became of its messages.
+    fn note_queue(&mut self) {
+        let lost = self.counters.lost();
+        job::note_queue(QueueState {
+            lost: lost.wrapping_sub(self.noted_lost),
+            max_queue: self.counters.max_queue(),
+            depth: self.inner.qos().depth as u64,
+        });
+        self.noted_lost = lost;
     }
 
     /// Publishers need not ring as long as a busy-polling thread polls, and no longer.

@@ -6,7 +6,7 @@ use crate::qos::QosProfile;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
-use tautline_executor::CallbackOptions;
+use tautline_executor::{CallbackOptions, ProcessInfo, Realtime};
 
 /// A system file, checked, as one host sees it.
 #[derive(Debug)]
@@ -14,6 +14,7 @@ pub(crate) struct LoadedSystem {
     path: PathBuf,
     host: String,
     checked: CheckedSystem,
+    fingerprint: u64,
     pub(crate) sampler_priority: u8,
 }
 
@@ -44,7 +45,8 @@ impl LoadedSystem {
         if !checked.schedulable {
             tracing::warn!("{}: not schedulable; see `taut check {0}`", path.display());
         }
-        Ok(LoadedSystem { path: path.into(), host, checked, sampler_priority: sampler.unwrap_or(90) })
+        let (path, fingerprint) = (path.into(), file.fingerprint());
+        Ok(LoadedSystem { path, host, checked, fingerprint, sampler_priority: sampler.unwrap_or(90) })
     }
 
     fn find(&self, name: &str) -> Result<&CheckedCallback> {
@@ -66,13 +68,43 @@ impl LoadedSystem {
     /// The thread of the callback `name`.
     pub(crate) fn options(&self, name: &str) -> Result<CallbackOptions> {
         let callback = self.find(name)?;
-        // The executor puts its own `cb:` before the name.
-        let thread = callback.entry.thread.strip_prefix("cb:").unwrap_or(&callback.entry.thread);
-        Ok(CallbackOptions::fifo(callback.entry.priority)
-            .name(thread)
-            .core(callback.core)
+        Ok(thread_of(callback)
+            .name(name)
             .period(Duration::from_nanos(callback.period_ns))
-            .deadline(Duration::from_nanos(callback.entry.deadline_ns)))
+            .deadline(Duration::from_nanos(callback.entry.deadline_ns))
+            .budget(Duration::from_nanos(callback.charged_ns)))
+    }
+
+    /// The thread of the group `name`.
+    pub(crate) fn group(&self, name: &str) -> Result<CallbackOptions> {
+        let here = self.checked.callbacks.iter().filter(|callback| callback.host == self.host);
+        let group = |callback: &&CheckedCallback| callback.entry.group.as_deref() == Some(name);
+        match here.clone().find(group) {
+            Some(member) => Ok(thread_of(member).name(name)),
+            None => {
+                let mut known: Vec<&str> =
+                    here.filter_map(|callback| callback.entry.group.as_deref()).collect();
+                known.sort_unstable();
+                known.dedup();
+                let (path, host, known) = (self.path.clone(), self.host.clone(), known.join(", "));
+                Err(Error::UnknownGroup { name: name.into(), path, host, known })
+            }
+        }
+    }
+
+    /// What other processes are told of this one.
+    pub(crate) fn process_info(&self, realtime: Realtime, sampler_priority: u8) -> ProcessInfo {
+        let program = std::env::current_exe().ok();
+        let program = program.as_deref().and_then(Path::file_name).unwrap_or_default();
+        ProcessInfo {
+            pid: std::process::id(),
+            program: program.to_string_lossy().into_owned(),
+            host: self.host.clone(),
+            realtime: realtime == Realtime::Required,
+            sampler_priority: Some(sampler_priority),
+            system_path: std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone()),
+            system_hash: self.fingerprint,
+        }
     }
 
     /// The queue of the callback `name`: as deep as the file says, else as the analysis computed.
@@ -87,4 +119,11 @@ impl LoadedSystem {
             None => Err(Error::NoCapacity { name: name.into(), path: self.path.clone() }),
         }
     }
+}
+
+/// The thread of a callback, with the name that the file gives it.
+fn thread_of(callback: &CheckedCallback) -> CallbackOptions {
+    // The executor puts its own `cb:` before the name.
+    let thread = callback.entry.thread.strip_prefix("cb:").unwrap_or(&callback.entry.thread);
+    CallbackOptions::fifo(callback.entry.priority).thread_name(thread).core(callback.core)
 }

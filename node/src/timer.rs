@@ -65,6 +65,8 @@ impl Timer {
         let poll = self.inner.poll_tick(context);
         if let Poll::Ready(tick) = poll {
             self.last_release_ns = Some(tick.release_ns);
+            // A timer queues nothing: what is released while its callback is busy is missed, but for the latest.
+            job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
             self.job = Some(job::begin(tick.release_ns));
         }
         poll

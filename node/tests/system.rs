@@ -66,6 +66,7 @@ fn a_callback_gets_what_the_file_says() {
     assert_eq!((fast.name.as_str(), fast.period), ("fast", Some(Duration::from_millis(10))));
     let slow = ctx.callback("slow").unwrap();
     assert_eq!((slow.policy, slow.deadline), (Policy::Fifo(20), Some(Duration::from_millis(100))));
+    assert_eq!((fast.budget, slow.budget), (Some(Duration::from_millis(4)), Some(Duration::from_millis(5))));
     // By name it can be spawned.
     let node = Node::create(ctx, "driver", "").unwrap();
     node.spawn_callback(fast, async {}).unwrap().join().unwrap();
@@ -92,6 +93,8 @@ fn what_the_file_lacks_is_an_error_that_names_it() {
         text.contains("'lidar'") && text.contains("fast, slow, stated") && text.contains("host 'robot'"),
         "{text}"
     );
+    let text = ctx.group("pair").unwrap_err().to_string();
+    assert!(text.contains("'pair'") && text.contains("host 'robot'"), "{text}");
     let bare = Context::builder().domain(DOMAIN).realtime(Realtime::Off).build().unwrap();
     let text = bare.callback("fast").unwrap_err().to_string();
     assert!(text.contains("ContextBuilder::system"), "{text}");

@@ -57,7 +57,7 @@ pub use doorbell::{Doorbell, SLOTS, SamplerSeat, Slot};
 pub use error::{LoanError, PublishError, TakeError, TransportError};
 pub use header::{Gid, MessageInfo};
 pub use memory::{TopicMemory, topic_memory};
-pub use participant::{MAX_DOMAIN, Participant};
+pub use participant::{MAX_DOMAIN, Participant, file_prefix};
 pub use publisher::{PublisherCounters, RawLoan, RawPublisher, Unpublished};
 pub use qos::{Durability, History, Limits, Qos, Reliability};
 pub use subscription::{Counters, RawSample, RawSubscription};

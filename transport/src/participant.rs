@@ -156,7 +156,7 @@ impl Participant {
 }
 
 /// Starts the names of a domain's files in `/dev/shm`. They are private to their user, so each user has names of their own.
-pub(crate) fn file_prefix(domain: u32) -> String {
+pub fn file_prefix(domain: u32) -> String {
     format!("taut_{domain}_{}_", rustix::process::getuid().as_raw())
 }
 

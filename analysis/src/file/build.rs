@@ -111,6 +111,7 @@ impl Builder<'_> {
             (0..self.file.callbacks.len()).map(|i| self.entry(i, &first, &callbacks, owner[i])).collect();
         let system_cores = overheads.into_iter().map(|overheads| Core { overheads }).collect();
         Ok(SystemFile {
+            fingerprint: 0,
             callbacks: entries,
             chains,
             topics: self.topics(),
@@ -259,6 +260,7 @@ impl Builder<'_> {
             name: declared.name.clone(),
             node: self.file.nodes[self.places[index].node].name.clone(),
             thread: format!("cb:{}", self.threads[thread].name),
+            group: self.threads[thread].group.map(|group| self.file.groups[group].name.clone()),
             core: self.places[index].core,
             priority: self.threads[thread].priority.unwrap_or(1),
             topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::{CallbackEntry, SystemFile};
 use crate::system::{Core, SystemReport};
-use crate::{AnalysisError, Overheads, Task, Throttling, utilisation};
+use crate::{AnalysisError, Overheads, Release, Task, Throttling, utilisation};
 
 /// What the analysis of a [`SystemFile`] found.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +36,11 @@ pub struct CheckedCallback {
     pub period_ns: u64,
     /// Its execution time.
     pub wcet_ns: u64,
+    /// What the analysis charges for one job: the execution time, two context switches, and the work per message, part
+    /// of which is done in the callback's thread. A job that uses more breaks the bounds.
+    pub charged_ns: u64,
+    /// How each of its streams of messages, or its timer, is taken to be released.
+    pub releases: Vec<Release>,
     /// Response time on a machine that costs nothing; `None` without a bound.
     pub response_ns: Option<u64>,
     /// Response time with overheads, from the arrival of the message, or from the nominal release of a period.
@@ -131,11 +136,27 @@ fn checked_callback(
     let response_overhead_ns = response(file, entry, report);
     let capacity = |i: usize| report.callbacks[i].as_ref().ok()?.queue_capacity().ok();
     let tasks = &file.system.callbacks[entry.tasks.clone()];
+    let overheads = &file.system.cores[entry.core].overheads;
+    let charged = |task: &Task| {
+        // Not the gateway's work, which is done elsewhere.
+        let per_message = task.message_overhead_ns.unwrap_or(u64::MAX).min(overheads.per_message_ns);
+        let switches = overheads.context_switch_ns.saturating_mul(2);
+        task.wcet_ns.saturating_add(switches).saturating_add(per_message)
+    };
+    let release = |i: usize| {
+        let task = &file.system.callbacks[i].task;
+        match &report.callbacks[i] {
+            Ok(response) => task.release().jitter(response.jitter_ns),
+            Err(_) => task.release(),
+        }
+    };
     CheckedCallback {
         host: file.cores[entry.core].host.clone(),
         core: file.cores[entry.core].number,
         period_ns: tasks.iter().map(|callback| callback.task.period_ns).min().unwrap_or(0),
         wcet_ns: tasks.first().map_or(0, |callback| callback.task.wcet_ns),
+        charged_ns: tasks.first().map_or(0, |callback| charged(&callback.task)),
+        releases: entry.tasks.clone().map(release).collect(),
         response_ns: free.and_then(|free| response(file, entry, free)),
         response_overhead_ns,
         jitter_ns: tasks.iter().filter(|c| c.trigger.is_none()).map(|c| c.task.jitter_ns).max().unwrap_or(0),

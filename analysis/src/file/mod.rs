@@ -52,6 +52,7 @@ pub struct SystemFile {
     pub(super) cores: Vec<CoreEntry>,
     pub(super) warnings: Vec<String>,
     pub(super) system: System,
+    pub(super) fingerprint: u64,
 }
 
 /// A callback of a system file and where it runs.
@@ -64,6 +65,8 @@ pub struct CallbackEntry {
     pub node: String,
     /// Name of the thread that runs it.
     pub thread: String,
+    /// The group whose thread that is; `None` for a thread of its own.
+    pub group: Option<String>,
     /// Index of its core in [`SystemFile::cores`].
     pub core: usize,
     /// SCHED_FIFO priority of the thread, 1 to 99.
@@ -139,7 +142,11 @@ impl SystemFile {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn parse(text: &str) -> Result<Self, Problems> {
-        build::build(text)
+        let mut file = build::build(text)?;
+        // FNV-1a: the same in every program and version.
+        let step = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
+        file.fingerprint = text.bytes().fold(0xcbf2_9ce4_8422_2325, step);
+        Ok(file)
     }
 
     /// Reads a file.
@@ -169,6 +176,12 @@ impl SystemFile {
     #[must_use]
     pub fn cores(&self) -> &[CoreEntry] {
         &self.cores
+    }
+
+    /// A number that is another one for another text: to tell whether two programs read the same file.
+    #[must_use]
+    pub fn fingerprint(&self) -> u64 {
+        self.fingerprint
     }
 
     /// What the analysis sees.

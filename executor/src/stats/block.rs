@@ -44,7 +44,7 @@ pub(crate) mod word {
 
 /// Values of [`word::STATE`].
 pub(crate) mod state {
-    pub const FREE: u64 = 0;
+    // 0: never used.
     pub const RUNNING: u64 = 1;
     pub const ENDED: u64 = 2;
 }
@@ -59,15 +59,13 @@ pub(crate) struct Block {
     words: Arc<Words>,
     pub response: Histogram,
     pub execution: Histogram,
-    /// Its place in a file, if it has one.
-    place: Option<Place>,
+    /// Its place in a file, if it has one: dropped after the words have been left.
+    _place: Option<Place>,
 }
 
 impl Drop for Block {
     fn drop(&mut self) {
-        if let Some(place) = &self.place {
-            place.give_back(&self.words);
-        }
+        self.set_state(state::ENDED);
     }
 }
 
@@ -80,7 +78,7 @@ impl Block {
         let words = Arc::new(words);
         let response = Histogram::within(Arc::clone(&words), HEAD_WORDS);
         let execution = Histogram::within(Arc::clone(&words), HEAD_WORDS + HISTOGRAM_WORDS);
-        Block { words, response, execution, place }
+        Block { words, response, execution, _place: place }
     }
 
     pub fn head(&self) -> Option<&[AtomicU64; HEAD_WORDS]> {

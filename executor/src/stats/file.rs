@@ -138,10 +138,9 @@ fn place(index: usize, page_words: usize) -> usize {
     HEADER_WORDS.next_multiple_of(page_words) + index * BLOCK_WORDS.next_multiple_of(page_words)
 }
 
-impl Place {
-    /// Before its words are unmapped.
-    pub fn give_back(&self, words: &Words) {
-        words[word::STATE].store(state::FREE, Ordering::Release);
+impl Drop for Place {
+    /// What the callback did can be read until the place is another's.
+    fn drop(&mut self) {
         self.places.free.lock().unwrap_or_else(PoisonError::into_inner).push(self.index);
     }
 }
@@ -271,7 +270,7 @@ mod tests {
         a.release(1);
         assert_eq!(names(&prefix), ["a", "b"]);
         drop(a);
-        assert_eq!(names(&prefix), ["b"]);
+        assert_eq!(names(&prefix), ["a", "b"], "until the place is another's");
         let c = new("c");
         assert_eq!(names(&prefix), ["c", "b"]);
         assert_eq!((b.releases(), c.releases()), (0, 0), "nothing of `a` is left");

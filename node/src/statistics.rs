@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Where the statistics of a domain's processes lie.
+
+use crate::error::{Error, Result};
+use tautline_executor::ForeignStatistics;
+
+/// The statistics of all processes of `domain`, of this user and on this host, whose contexts have a system file: what
+/// `taut report` reads. Those of processes that were killed are removed, and their number is the second value.
+///
+/// ```
+/// let (processes, _killed) = tautline::shared_statistics(227)?;
+/// for process in processes {
+///     if let Some(snapshot) = process.read().map_err(tautline::Error::Statistics)? {
+///         println!("{} has {} callbacks", snapshot.process.program, snapshot.callbacks.len());
+///     }
+/// }
+/// # Ok::<(), tautline::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Statistics`] if /dev/shm cannot be read.
+pub fn shared_statistics(domain: u32) -> Result<(Vec<ForeignStatistics>, usize)> {
+    let found = ForeignStatistics::list(&statistics_prefix(domain)).map_err(Error::Statistics)?;
+    let before = found.len();
+    let running: Vec<_> = found.into_iter().filter(|process| !process.remove_if_orphaned()).collect();
+    let killed = before - running.len();
+    Ok((running, killed))
+}
+
+/// Starts the names of a domain's statistics files.
+pub(crate) fn statistics_prefix(domain: u32) -> String {
+    format!("{}stats_", tautline_transport::file_prefix(domain))
+}
