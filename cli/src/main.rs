@@ -6,6 +6,8 @@ mod check;
 mod demo;
 mod init;
 mod msg;
+mod report;
+mod table;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -23,6 +25,7 @@ enum Verb {
     Demo(demo::DemoArgs),
     Check(check::CheckArgs),
     Init(init::InitArgs),
+    Report(report::ReportArgs),
     Msg(msg::MsgArgs),
 }
 
@@ -37,6 +40,7 @@ fn main() -> ExitCode {
         Verb::Demo(args) => demo::run(args).map_err(|error| error.to_string()),
         Verb::Check(args) => Ok(check::run(&args)),
         Verb::Init(args) => Ok(init::run(&args)),
+        Verb::Report(args) => Ok(report::run(&args)),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {

@@ -96,7 +96,7 @@ fn print(args: &CheckArgs, file: &SystemFile, checked: &CheckedSystem) -> Result
 }
 
 /// In the form that editors jump to: file:line:column.
-fn print_file_error(error: &FileError) {
+pub(crate) fn print_file_error(error: &FileError) {
     if let FileError::Content { path, source } = error {
         let count = source.0.len();
         for problem in &source.0 {

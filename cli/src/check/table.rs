@@ -2,13 +2,9 @@
 //! The verdict for people: callbacks, chains, cores, warnings.
 use std::io::{self, Write};
 
-use anstyle::{AnsiColor, Style};
-use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
 
-const GOOD: Style = AnsiColor::Green.on_default();
-const BAD: Style = AnsiColor::Red.on_default();
-const WARNING: Style = AnsiColor::Yellow.on_default();
+use crate::table::{BAD, GOOD, WARNING, ms, write_table};
 
 /// Writes all there is to know; lines that fail are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
@@ -80,43 +76,6 @@ fn verdict(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let chains = checked.chains.iter().filter(|c| !c.met).map(|c| format!("chain {}", c.name));
     let late: Vec<_> = callbacks.chain(chains).collect();
     writeln!(out, "{BAD}Not schedulable: {} may miss the deadline.{BAD:#}", late.join(", "))
-}
-
-/// A table whose first `left` columns are text and whose failed rows are red.
-fn write_table(
-    head: &[&str],
-    left: usize,
-    rows: Vec<(bool, Vec<String>)>,
-    out: &mut impl Write,
-) -> io::Result<()> {
-    let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
-    let mut table = Table::new();
-    table.load_style(style).set_header(head.iter().copied());
-    for (_, row) in &rows {
-        table.add_row(row.clone());
-    }
-    for (i, column) in table.column_iter_mut().enumerate() {
-        column.set_padding((0, 2));
-        if i >= left {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    let lines: Vec<_> = table.lines().collect();
-    let heading = lines.len() - rows.len();
-    for (i, line) in lines.iter().enumerate() {
-        let line = line.trim_end();
-        let failed = i.checked_sub(heading).is_some_and(|row| !rows[row].0);
-        match failed {
-            true => writeln!(out, "{BAD}{line}{BAD:#}")?,
-            false => writeln!(out, "{line}")?,
-        }
-    }
-    Ok(())
-}
-
-/// Rounded up, as a bound must be; "-" without one.
-fn ms(ns: Option<u64>) -> String {
-    ns.map_or("-".into(), |ns| format!("{:.3}", ns.div_ceil(1_000) as f64 / 1e3))
 }
 
 /// Rounded down.

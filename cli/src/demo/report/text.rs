@@ -2,13 +2,11 @@
 //! The report for people: table, verdict, circumstances.
 use std::io::{self, Write};
 
-use anstyle::{AnsiColor, Style};
+use anstyle::Style;
 use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 
 use super::{DemoReport, TopicReport};
-
-/// Sentences are broken before this column; the table is about as wide.
-const WIDTH: usize = 100;
+use crate::table::{BAD, GOOD, wrap};
 
 /// Writes the report for people: a table, the verdict, the circumstances, and what explains anything odd.
 ///
@@ -17,7 +15,6 @@ const WIDTH: usize = 100;
 pub fn write_table(report: &DemoReport, out: &mut impl Write, colour: bool) -> io::Result<()> {
     let paint =
         |style: Style, text: &str| if colour { format!("{style}{text}{style:#}") } else { text.into() };
-    let (good, bad) = (AnsiColor::Green.on_default(), AnsiColor::Red.on_default());
 
     let table = table(&report.topics);
     let lines: Vec<_> = table.lines().collect();
@@ -25,11 +22,11 @@ pub fn write_table(report: &DemoReport, out: &mut impl Write, colour: bool) -> i
     for (i, line) in lines.iter().enumerate() {
         let failed = i.checked_sub(head).is_some_and(|row| report.topics[row].failed());
         let line = line.trim_end();
-        writeln!(out, "{}", if failed { paint(bad, line) } else { line.to_owned() })?;
+        writeln!(out, "{}", if failed { paint(BAD, line) } else { line.to_owned() })?;
     }
     writeln!(out)?;
     for (holds, text) in [deadline_verdict(report), prediction_verdict(report)].into_iter().flatten() {
-        writeln!(out, "{}", paint(if holds { good } else { bad }, &wrap(&text)))?;
+        writeln!(out, "{}", paint(if holds { GOOD } else { BAD }, &wrap(&text)))?;
     }
     writeln!(out, "{}", wrap(&circumstances(report)))?;
     explanations(report).iter().try_for_each(|text| writeln!(out, "{}", wrap(text)))
@@ -210,20 +207,4 @@ fn explanations(report: &DemoReport) -> Vec<String> {
 
 fn list(topics: &[TopicReport], text: impl Fn(&TopicReport) -> Option<String>) -> String {
     topics.iter().filter_map(text).collect::<Vec<_>>().join(", ")
-}
-
-/// Breaks a text between words.
-fn wrap(text: &str) -> String {
-    let (mut wrapped, mut column) = (String::new(), 0);
-    for word in text.split(' ') {
-        let length = word.chars().count();
-        if column > 0 {
-            let fits = column + 1 + length <= WIDTH;
-            wrapped.push(if fits { ' ' } else { '\n' });
-            column = if fits { column + 1 } else { 0 };
-        }
-        wrapped.push_str(word);
-        column += length;
-    }
-    wrapped
 }

@@ -1,0 +1,232 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Each violated assumption: its name, what was seen, what to change.
+use std::fmt;
+
+use tautline_analysis::file::CheckedCallback;
+
+use super::run::{Callback, Process, Run};
+use super::verdict::Mark;
+
+/// A time as the system file writes it, to the microsecond or closer.
+struct Time(u64);
+
+impl fmt::Display for Time {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (value, unit) = match self.0 {
+            ns @ 0..1_000 => (ns as f64, "ns"),
+            ns @ 1_000..1_000_000 => (ns as f64 / 1e3, "us"),
+            ns @ 1_000_000..10_000_000_000 => (ns as f64 / 1e6, "ms"),
+            ns => (ns as f64 / 1e9, "s"),
+        };
+        let text = format!("{value:.3}");
+        write!(f, "{} {unit}", text.trim_end_matches('0').trim_end_matches('.'))
+    }
+}
+
+/// As a value for the file: rounded up to a microsecond.
+fn quoted(ns: u64) -> String {
+    format!("\"{}\"", Time(ns.div_ceil(1_000).saturating_mul(1_000))).replace(' ', "")
+}
+
+fn times(n: u64) -> String {
+    if n == 1 { "once".into() } else { format!("{n} times") }
+}
+
+fn mark(name: &'static str, explanation: String) -> Mark {
+    Mark { name, explanation }
+}
+
+pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
+    let node = &predicted.entry.node;
+    let name = &predicted.entry.name;
+    let text = format!(
+        "no process of domain {} on host {} has a callback of this name: start node `{node}`, spawn it with \
+         `context.callback(\"{name}\")`, or take it out of the file",
+        run.domain, predicted.host
+    );
+    mark("not running", text)
+}
+
+pub fn ended(name: &str, process: &Process) -> Mark {
+    let text = format!(
+        "its future has ended in {}, which goes on without `{name}`: it ended by itself, was stopped, or panicked",
+        process.label()
+    );
+    mark("not running", text)
+}
+
+pub fn runs_twice(name: &str, first: &Process, second: &Process) -> Mark {
+    let text = format!(
+        "`{name}` runs in {} and in {}, and the analysis counts its load once: end one, or give it an entry of its own",
+        first.label(),
+        second.label()
+    );
+    mark("runs twice", text)
+}
+
+pub fn wrong_priority(predicted: &CheckedCallback, seen: &Callback) -> Mark {
+    let has = seen.priority.map_or("time sharing".into(), |priority| format!("priority {priority}"));
+    let text = format!(
+        "its thread has {has}, the file gives it priority {}: spawn it with `context.callback(\"{}\")`, or change \
+         `priority` in the file",
+        predicted.entry.priority, predicted.entry.name
+    );
+    mark("wrong priority", text)
+}
+
+pub fn wrong_core(predicted: &CheckedCallback, seen: &Callback) -> Mark {
+    let has = seen.core.map_or("may run on several cores".into(), |core| format!("runs on core {core}"));
+    let text = format!(
+        "its thread {has}, the file says core {}: spawn it with `context.callback(\"{}\")`, or change `core` in the file",
+        predicted.core, predicted.entry.name
+    );
+    mark("wrong core", text)
+}
+
+pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64, how_often: u64) -> Mark {
+    let CheckedCallback { wcet_ns, charged_ns, .. } = *predicted;
+    let overheads_ns = charged_ns - wcet_ns;
+    let allowed = match overheads_ns {
+        0 => format!("wcet {}", Time(wcet_ns)),
+        _ => format!("wcet {} and {} of overheads", Time(wcet_ns), Time(overheads_ns)),
+    };
+    let text = format!(
+        "a job used {} of processor time, the file allows {allowed} (exceeded {} in {} jobs): set `wcet = {}` or more and \
+         run `taut check`, or make the callback shorter",
+        Time(used_ns),
+        times(how_often),
+        seen.completions,
+        quoted(used_ns.saturating_sub(overheads_ns)),
+    );
+    mark("wcet exceeded", text)
+}
+
+pub fn period_not_kept(predicted: &CheckedCallback, distance_ns: u64, least_ns: u64) -> Mark {
+    let fix = match predicted.entry.topics.first() {
+        // The jitter there is by analysis, and what is missing of it.
+        Some(topic) => {
+            let jitter = quoted(predicted.period_ns.saturating_sub(distance_ns));
+            format!(
+                "make who publishes `{topic}` keep its period, or state `jitter = {jitter}` or more, or a shorter period, \
+                 of the topic or of what triggers its publisher"
+            )
+        }
+        None => "it is a timer of another period than the file's: create it with the file's".into(),
+    };
+    let text = format!(
+        "two releases were {} apart, the file allows no less than {}: {fix}, and run `taut check`",
+        Time(distance_ns),
+        Time(least_ns)
+    );
+    mark("period not kept", text)
+}
+
+pub fn rate_not_kept(predicted: &CheckedCallback, releases: u64, most: u64, window_ns: u64) -> Mark {
+    let text = format!(
+        "it was released {releases} times in {}, the file allows {most}: lower the rate of its {}, or state a shorter \
+         period, and run `taut check`",
+        Time(window_ns),
+        if predicted.entry.topics.is_empty() { "timer" } else { "topics" }
+    );
+    mark("period not kept", text)
+}
+
+pub fn bound_exceeded(
+    predicted: &CheckedCallback,
+    process: &Process,
+    longest_ns: u64,
+    bound_ns: u64,
+    explained: bool,
+) -> Mark {
+    let why = if !process.realtime {
+        "its process runs without real-time priorities, where no bound holds".into()
+    } else if explained {
+        "the marks before this one may be why: mend them first".into()
+    } else {
+        format!(
+            "if no callback of core {} has another mark, something ran there that the file lacks: interrupts, other \
+             threads of priority {} or more, a lock, throttling, a hypervisor (steal), or [overheads] that are too small; \
+             `taut demo` measures them",
+            predicted.core, predicted.entry.priority
+        )
+    };
+    let text = format!("a response took {}, the bound is {}: {why}", Time(longest_ns), Time(bound_ns));
+    mark("bound exceeded", text)
+}
+
+pub fn queue_over_capacity(predicted: &CheckedCallback, max_queue: u64, capacity: usize) -> Mark {
+    let text = format!(
+        "{max_queue} messages waited at once, by analysis at most {capacity} do: messages of {} came faster, or the \
+         callback ended later, than the file says",
+        predicted.entry.topics.join(", ")
+    );
+    mark("queue over capacity", text)
+}
+
+pub fn messages_lost(predicted: &CheckedCallback, seen: &Callback) -> Mark {
+    let lost = seen.lost;
+    if predicted.entry.topics.is_empty() {
+        let text = format!(
+            "{lost} releases of its timer passed while a job ran: the response must be shorter than the period; lower \
+             the load, or raise the period"
+        );
+        return mark("messages lost", text);
+    }
+    let depth = seen.depth;
+    let needs = match predicted.capacity {
+        Some(capacity) if capacity as u64 > depth => {
+            format!(
+                "by analysis it needs {capacity}: subscribe with `context.callback_qos(\"{}\")`",
+                predicted.entry.name
+            )
+        }
+        Some(_) => {
+            "by analysis that is enough, if the marks of this callback and of those above it are mended; \
+                    messages from before it was spawned count, too"
+                .into()
+        }
+        None => "and by analysis no depth is enough: see `taut check`".into(),
+    };
+    mark("messages lost", format!("{lost} messages were overwritten in a queue of {depth}; {needs}"))
+}
+
+pub fn deadline_missed(predicted: &CheckedCallback, misses: u64, longest_ns: u64) -> Mark {
+    let deadline_ns = predicted.entry.deadline_ns;
+    let predictable = predicted.response_overhead_ns.is_none_or(|bound| bound > deadline_ns);
+    let why = if predictable {
+        "as the analysis says it may: shorten what runs at this priority and above, raise the priority, or move it to \
+         another core"
+    } else {
+        "the bound is within the deadline: mend the marks before this one"
+    };
+    let text = format!(
+        "{} later than the deadline of {}, the latest {} after its release; {why}",
+        if misses == 1 { "a job ended".into() } else { format!("{misses} jobs ended") },
+        Time(deadline_ns),
+        Time(longest_ns)
+    );
+    mark("deadline missed", text)
+}
+
+pub fn not_in_the_file(process: &Process, callback: &Callback, priority: u8) -> Mark {
+    let core = callback.core.map_or("several cores".into(), |core| format!("core {core}"));
+    let text = format!(
+        "{} runs it on {core} at priority {priority}, where the analysis does not count its load: add it to the file, or \
+         spawn it without real-time priority",
+        process.label()
+    );
+    mark("not in the file", text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_short_and_fit_into_the_file() {
+        let shown =
+            [0, 999, 1_000, 1_500, 2_000_000, 2_003_456, 12_000_000_000].map(|ns| Time(ns).to_string());
+        assert_eq!(shown, ["0 ns", "999 ns", "1 us", "1.5 us", "2 ms", "2.003 ms", "12 s"]);
+        assert_eq!([quoted(1), quoted(2_000_001)], ["\"1us\"", "\"2.001ms\""]);
+    }
+}

@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The report for scripts: names, order and units are a contract.
+use std::io::{self, Write};
+
+use serde::Serialize;
+use tautline::HistogramSnapshot;
+
+use super::verdict::{Comparison, Mark, Measured, Row, Unknown, least_distance};
+
+#[derive(Serialize)]
+struct Report<'a> {
+    kept: bool,
+    realtime: bool,
+    callbacks: Vec<Callback<'a>>,
+    unknown: Vec<Stray<'a>>,
+    notes: &'a [String],
+}
+
+#[derive(Serialize)]
+struct Callback<'a> {
+    name: &'a str,
+    core: usize,
+    priority: u8,
+    predicted: Predicted,
+    measured: Option<Seen<'a>>,
+    violations: Vec<Violation<'a>>,
+}
+
+/// Times without a bound are null.
+#[derive(Serialize)]
+struct Predicted {
+    response_ms: Option<f64>,
+    deadline_ms: f64,
+    wcet_ms: f64,
+    /// With the overheads that the file charges to one job.
+    budget_ms: f64,
+    period_ms: f64,
+    least_distance_ms: f64,
+    capacity: Option<usize>,
+}
+
+/// Times of what did not happen are null.
+#[derive(Serialize)]
+struct Seen<'a> {
+    process: &'a str,
+    jobs: u64,
+    response_ms: Times,
+    deadline_misses: u64,
+    execution_ms: Times,
+    overruns: u64,
+    mean_distance_ms: Option<f64>,
+    least_distance_ms: Option<f64>,
+    max_queue: u64,
+    depth: u64,
+    lost: u64,
+    ended: bool,
+}
+
+#[derive(Serialize)]
+struct Times {
+    n: u64,
+    p50: Option<f64>,
+    p99: Option<f64>,
+    max: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct Violation<'a> {
+    name: &'a str,
+    explanation: &'a str,
+}
+
+#[derive(Serialize)]
+struct Stray<'a> {
+    name: &'a str,
+    process: &'a str,
+    core: Option<usize>,
+    priority: Option<u8>,
+    violations: Vec<Violation<'a>>,
+}
+
+/// Writes one JSON object and a newline.
+pub fn write(comparison: &Comparison, out: &mut impl Write) -> io::Result<()> {
+    let report = Report {
+        kept: comparison.kept,
+        realtime: comparison.realtime,
+        callbacks: comparison.rows.iter().map(callback).collect(),
+        unknown: comparison.unknown.iter().map(stray).collect(),
+        notes: &comparison.notes,
+    };
+    serde_json::to_writer(&mut *out, &report)?;
+    writeln!(out)
+}
+
+fn callback(row: &Row) -> Callback<'_> {
+    let Row { predicted, measured, marks } = row;
+    Callback {
+        name: &predicted.entry.name,
+        core: predicted.core,
+        priority: predicted.entry.priority,
+        predicted: Predicted {
+            response_ms: predicted.response_overhead_ns.map(ms),
+            deadline_ms: ms(predicted.entry.deadline_ns),
+            wcet_ms: ms(predicted.wcet_ns),
+            budget_ms: ms(predicted.charged_ns),
+            period_ms: ms(predicted.period_ns),
+            least_distance_ms: ms(least_distance(predicted)),
+            capacity: predicted.capacity,
+        },
+        measured: measured.as_ref().map(seen),
+        violations: violations(marks),
+    }
+}
+
+fn seen(measured: &Measured) -> Seen<'_> {
+    let callback = &measured.callback;
+    Seen {
+        process: &measured.process,
+        jobs: callback.completions,
+        response_ms: times(&measured.response),
+        deadline_misses: measured.misses,
+        execution_ms: times(&measured.execution),
+        overruns: callback.overruns,
+        mean_distance_ms: callback.mean_distance_ns().map(ms),
+        least_distance_ms: callback.least_distance_ns.map(ms),
+        max_queue: callback.max_queue,
+        depth: callback.depth,
+        lost: callback.lost,
+        ended: callback.ended,
+    }
+}
+
+fn stray(unknown: &Unknown) -> Stray<'_> {
+    Stray {
+        name: &unknown.name,
+        process: &unknown.process,
+        core: unknown.callback.core,
+        priority: unknown.callback.priority,
+        violations: violations(unknown.mark.as_slice()),
+    }
+}
+
+fn violations(marks: &[Mark]) -> Vec<Violation<'_>> {
+    marks.iter().map(|mark| Violation { name: mark.name, explanation: &mark.explanation }).collect()
+}
+
+fn times(histogram: &HistogramSnapshot) -> Times {
+    let n = histogram.n();
+    let some = |time: std::time::Duration| (n > 0).then_some(time.as_nanos() as f64 / 1e6);
+    Times { n, p50: some(histogram.p(0.5)), p99: some(histogram.p(0.99)), max: some(histogram.max()) }
+}
+
+fn ms(ns: u64) -> f64 {
+    ns as f64 / 1e6
+}

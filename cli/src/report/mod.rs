@@ -1,0 +1,225 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut report`: what `taut check` predicted beside what the callbacks did.
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use clap::Args;
+use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
+
+mod explain;
+mod json;
+mod run;
+mod table;
+mod verdict;
+mod watch;
+
+use run::Run;
+use verdict::Comparison;
+use watch::Watched;
+
+const REFRESH: Duration = Duration::from_secs(1);
+
+/// Compare what callbacks did with what was predicted
+///
+/// Reads the statistics of every process of the domain whose context has a system file, without disturbing it, and sets
+/// them beside the analysis of that file: response times and bounds, execution times and wcet, releases and periods,
+/// queues and capacities. Each violated assumption is named, with what to change. Exits with 0 if all were kept, 1 if
+/// one was violated, 2 if there is nothing to compare.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut report                                 the system that runs, against the file it was started with
+  taut report --watch                         again every second, until it ends or Ctrl-C
+  taut report --watch --save run.json         and keep what it did until its end
+  taut report run.json                        the report of a saved run
+  taut report run.json --system system.toml   against another version of the file
+  taut report --json | jq '.callbacks[] | select(.violations != [])'
+
+docs/report.md explains the columns and each violation.")]
+pub struct ReportArgs {
+    /// A system file, or a saved run; otherwise the file that the running processes were started with
+    #[arg(value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// The system file to compare with, if FILE is a saved run
+    #[arg(long, value_name = "FILE")]
+    system: Option<PathBuf>,
+    /// Look at this domain; otherwise TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
+    domain: Option<u32>,
+    /// Write what the report is made of to FILE
+    #[arg(long, value_name = "FILE")]
+    save: Option<PathBuf>,
+    /// Report again every second until all processes have ended
+    #[arg(long)]
+    watch: bool,
+    /// Print one JSON object instead of the table; with --watch one in each second
+    #[arg(long)]
+    json: bool,
+}
+
+/// Why there is no report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    #[error("`{}` cannot be read: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
+    #[error("`{}` is not a saved run: {reason}", path.display())]
+    Saved { path: PathBuf, reason: String },
+    #[error("`{}` is a saved run: it cannot be watched, and has no domain to choose", path.display())]
+    SavedLive { path: PathBuf },
+    #[error("--system goes with a saved run; for a running system, name the file alone: `taut report {}`", path.display())]
+    SystemTwice { path: PathBuf },
+    #[error(
+        "no process of domain {domain} shows statistics: start one whose context is built with `.system(\"system.toml\")`, \
+         or name another domain with --domain or TAUT_DOMAIN{}", killed_before(*killed)
+    )]
+    Nothing { domain: u32, killed: usize },
+    #[error(
+        "the processes of domain {domain} were started with several system files ({files}): name one, as in `taut report {first}`"
+    )]
+    SeveralFiles { domain: u32, files: String, first: String },
+    #[error(transparent)]
+    Domain(tautline::Error),
+    #[error("the statistics cannot be read: {0}")]
+    Statistics(io::Error),
+    #[error("`{}` cannot be written: {source}", path.display())]
+    Write { path: PathBuf, source: io::Error },
+    #[error("the report cannot be printed: {0}")]
+    Print(#[from] io::Error),
+}
+
+fn killed_before(killed: usize) -> String {
+    match killed {
+        0 => String::new(),
+        _ => format!(" ({})", killed_text(killed)),
+    }
+}
+
+fn killed_text(killed: usize) -> String {
+    let (count, it) = if killed == 1 { ("one".into(), "it") } else { (killed.to_string(), "them") };
+    format!("{count} was killed or left without ending its context; what was left of {it} is removed")
+}
+
+/// Runs the verb; the exit code is the verdict.
+pub fn run(args: &ReportArgs) -> ExitCode {
+    match report(args) {
+        Ok(kept) => ExitCode::from(u8::from(!kept)),
+        // Whoever reads no further (`taut report | head`) has seen enough.
+        Err(ReportError::Print(error)) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+        Err(ReportError::File(error)) => {
+            crate::check::print_file_error(&error);
+            ExitCode::from(2)
+        }
+        Err(error) => {
+            eprintln!("taut: {error}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn report(args: &ReportArgs) -> Result<bool, ReportError> {
+    if let Some(path) = &args.file {
+        let text = read(path)?;
+        // A system file is TOML, which no brace begins.
+        if text.trim_start().starts_with('{') {
+            return report_saved(args, path, &text);
+        }
+    }
+    if let Some(path) = &args.system {
+        return Err(ReportError::SystemTwice { path: path.clone() });
+    }
+    report_running(args)
+}
+
+fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, ReportError> {
+    if args.watch || args.domain.is_some() {
+        return Err(ReportError::SavedLive { path: path.into() });
+    }
+    let mut run = Run::parse(path, text)?;
+    if let Some(system) = &args.system {
+        (run.system, run.system_path) = (read(system)?, system.clone());
+    }
+    let system = System::parse(&run.system_path, &run.system)?;
+    if let Some(path) = &args.save {
+        run.save(path)?;
+    }
+    print(args, &system, &run, false)
+}
+
+fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
+    let domain = match args.domain {
+        Some(domain) => domain,
+        None => tautline::Context::domain_of_environment().map_err(ReportError::Domain)?,
+    };
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let mut watched = Watched::new(domain);
+    if args.watch {
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            // At worst the signal ends the program without a last report.
+            let _ = signal_hook::flag::register(signal, interrupted.clone());
+        }
+        watched.wait_for_one(&interrupted)?;
+    }
+    watched.look()?;
+    let path = match &args.file {
+        Some(path) => path.clone(),
+        None => watched.system_path()?,
+    };
+    let system = System::parse(&path, &read(&path)?)?;
+    loop {
+        let last = !args.watch || interrupted.load(Ordering::Relaxed) || watched.all_ended();
+        let run = watched.gather(&path, &system.text)?;
+        // To no terminal, a table that is soon out of date is noise.
+        let shown = last || args.json || io::stdout().is_terminal();
+        let kept = if shown { print(args, &system, &run, args.watch)? } else { true };
+        if last {
+            watched.tell_killed();
+            if let Some(path) = &args.save {
+                run.save(path)?;
+                eprintln!("Saved: {0}; `taut report {0}` shows it again.", path.display());
+            }
+            return Ok(kept);
+        }
+        watch::pause(REFRESH, &interrupted);
+        watched.look()?;
+    }
+}
+
+/// A system file and its analysis.
+struct System {
+    text: String,
+    file: SystemFile,
+    checked: CheckedSystem,
+}
+
+impl System {
+    fn parse(path: &Path, text: &str) -> Result<System, ReportError> {
+        let file =
+            SystemFile::parse(text).map_err(|source| FileError::Content { path: path.into(), source })?;
+        Ok(System { text: text.into(), checked: file.check(), file })
+    }
+}
+
+fn read(path: &Path) -> Result<String, ReportError> {
+    std::fs::read_to_string(path).map_err(|source| ReportError::Read { path: path.into(), source })
+}
+
+fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<bool, ReportError> {
+    let comparison = Comparison::new(&system.file, &system.checked, run);
+    let mut out = anstream::stdout().lock();
+    if args.json {
+        json::write(&comparison, &mut out)?;
+    } else {
+        if in_place && io::stdout().is_terminal() {
+            // To the upper left, and nothing below.
+            write!(out, "\x1b[H\x1b[J")?;
+        }
+        table::write(&comparison, run, &mut out)?;
+    }
+    out.flush()?;
+    Ok(comparison.kept)
+}

@@ -1,0 +1,203 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A run: the system file and what the processes' callbacks did, gathered from shared memory or from a saved file.
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use serde::{Deserialize, Serialize};
+use tautline::{Bucket, CallbackSnapshot, ForeignStatistics, HistogramSnapshot, ProcessSnapshot};
+
+use super::ReportError;
+
+/// First member of a saved run; the number grows when older programs would misread it.
+const FORMAT: &str = "tautline run 1";
+
+/// What `--save` writes: all that the report is made of.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Run {
+    format: String,
+    /// Seconds since 1970.
+    pub taken_at_s: u64,
+    pub domain: u32,
+    /// Where the system file was, and its text.
+    pub system_path: PathBuf,
+    pub system: String,
+    pub processes: Vec<Process>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Process {
+    pub pid: u32,
+    pub program: String,
+    pub host: String,
+    pub realtime: bool,
+    /// Whether it lived when this was taken.
+    pub running: bool,
+    pub sampler_priority: Option<u8>,
+    /// Of the system file that it was started with.
+    pub system_hash: u64,
+    pub callbacks: Vec<Callback>,
+}
+
+/// As `CallbackSnapshot`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Callback {
+    pub name: String,
+    pub is_group: bool,
+    pub ended: bool,
+    pub tid: u32,
+    pub priority: Option<u8>,
+    pub core: Option<usize>,
+    pub measures_execution: bool,
+    pub period_ns: Option<u64>,
+    pub deadline_ns: Option<u64>,
+    pub budget_ns: Option<u64>,
+    pub releases: u64,
+    pub completions: u64,
+    pub overruns: u64,
+    pub deadline_misses: u64,
+    pub first_release_ns: u64,
+    pub last_release_ns: u64,
+    pub least_distance_ns: Option<u64>,
+    pub lost: u64,
+    pub max_queue: u64,
+    pub depth: u64,
+    pub response: Times,
+    pub execution: Times,
+}
+
+/// A histogram: the least value and the count of each bucket that is not empty.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Times {
+    sum_ns: u64,
+    max_ns: u64,
+    buckets: Vec<(u64, u64)>,
+}
+
+impl Run {
+    /// A run with what these processes have done so far. Those that are just starting are left out.
+    pub fn gather(
+        domain: u32,
+        system_path: &Path,
+        system: &str,
+        processes: &[ForeignStatistics],
+    ) -> Result<Run, ReportError> {
+        let now = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
+        let mut gathered = Vec::new();
+        for process in processes {
+            // Asked first: what an ended process did is then complete.
+            let running = process.is_running();
+            if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
+                gathered.push(Process::new(&snapshot, running));
+            }
+        }
+        gathered.sort_by_key(|process| process.pid);
+        Ok(Run {
+            format: FORMAT.into(),
+            taken_at_s: now.as_secs(),
+            domain,
+            system_path: system_path.into(),
+            system: system.into(),
+            processes: gathered,
+        })
+    }
+
+    /// Reads a saved run from its text.
+    pub fn parse(path: &Path, text: &str) -> Result<Run, ReportError> {
+        let refuse = |reason: String| ReportError::Saved { path: path.into(), reason };
+        let run: Run = serde_json::from_str(text).map_err(|error| refuse(error.to_string()))?;
+        if run.format != FORMAT {
+            return Err(refuse(format!("its format is `{}`, not `{FORMAT}`", run.format)));
+        }
+        Ok(run)
+    }
+
+    /// Writes it to a file, which is complete or not there.
+    pub fn save(&self, path: &Path) -> Result<(), ReportError> {
+        let refuse = |source| ReportError::Write { path: path.into(), source };
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(".partial");
+        let text = serde_json::to_string(self).map_err(|error| refuse(error.into()))?;
+        std::fs::write(&partial, text + "\n").map_err(refuse)?;
+        std::fs::rename(&partial, path).map_err(refuse)
+    }
+}
+
+impl Process {
+    fn new(snapshot: &ProcessSnapshot, running: bool) -> Process {
+        let process = &snapshot.process;
+        Process {
+            pid: process.pid,
+            program: process.program.clone(),
+            host: process.host.clone(),
+            realtime: process.realtime,
+            running,
+            sampler_priority: process.sampler_priority,
+            system_hash: process.system_hash,
+            callbacks: snapshot.callbacks.iter().map(Callback::new).collect(),
+        }
+    }
+
+    /// As a person would name it.
+    pub fn label(&self) -> String {
+        format!("{} (process {})", self.program, self.pid)
+    }
+}
+
+impl Callback {
+    fn new(of: &CallbackSnapshot) -> Callback {
+        Callback {
+            name: of.name.clone(),
+            is_group: of.is_group,
+            ended: of.ended,
+            tid: of.tid,
+            priority: of.priority,
+            core: of.core,
+            measures_execution: of.measures_execution,
+            period_ns: of.period_ns,
+            deadline_ns: of.deadline_ns,
+            budget_ns: of.budget_ns,
+            releases: of.releases,
+            completions: of.completions,
+            overruns: of.overruns,
+            deadline_misses: of.deadline_misses,
+            first_release_ns: of.first_release_ns,
+            last_release_ns: of.last_release_ns,
+            least_distance_ns: of.least_distance_ns,
+            lost: of.lost,
+            max_queue: of.max_queue,
+            depth: of.depth,
+            response: Times::new(&of.response),
+            execution: Times::new(&of.execution),
+        }
+    }
+
+    /// The mean time between two releases.
+    pub fn mean_distance_ns(&self) -> Option<u64> {
+        let steps = self.releases.checked_sub(1).filter(|steps| *steps > 0)?;
+        Some(self.last_release_ns.saturating_sub(self.first_release_ns) / steps)
+    }
+}
+
+impl Times {
+    fn new(histogram: &HistogramSnapshot) -> Times {
+        let max_ns = u64::try_from(histogram.max().as_nanos()).unwrap_or(u64::MAX);
+        let buckets = histogram.buckets().map(|bucket| (bucket.low_ns, bucket.count)).collect();
+        Times { sum_ns: histogram.sum_ns(), max_ns, buckets }
+    }
+
+    /// To evaluate.
+    pub fn histogram(&self) -> HistogramSnapshot {
+        let bucket = |&(low_ns, count): &(u64, u64)| Bucket { low_ns, high_ns: low_ns, count };
+        HistogramSnapshot::of_buckets(self.buckets.iter().map(bucket), self.sum_ns, self.max_ns)
+    }
+
+    /// The longest time; `None` if there is none.
+    pub fn max_ns(&self) -> Option<u64> {
+        (!self.buckets.is_empty()).then_some(self.max_ns)
+    }
+
+    /// How many times were longer than this: those of a bucket that holds it are not counted.
+    pub fn longer_than(&self, limit_ns: u64) -> u64 {
+        self.buckets.iter().filter(|(low_ns, _)| *low_ns > limit_ns).map(|(_, count)| count).sum()
+    }
+}

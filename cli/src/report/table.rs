@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The report for people: predicted and measured side by side, then what was violated and what to change.
+use std::io::{self, Write};
+use std::time::Duration;
+
+use tautline::HistogramSnapshot;
+
+use super::run::Run;
+use super::verdict::{Comparison, Row};
+use crate::table::{BAD, GOOD, WARNING, ms, wrap, write_table};
+
+/// Writes all there is to know; callbacks with a mark are red.
+pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Result<()> {
+    let head = [
+        "callback",
+        "jobs",
+        "R p50\nms",
+        "R p99\nms",
+        "R max\nms",
+        "R+\npredicted",
+        "missed",
+        "used max\nms",
+        "wcet\nms",
+        "apart min\nms",
+        "period\nms",
+        "queue\nmax",
+        "queue\ncapacity",
+        "lost",
+    ];
+    let rows = comparison.rows.iter().map(|row| (row.marks.is_empty(), cells(row)));
+    write_table(&head, 1, rows.collect(), out)?;
+    writeln!(out)?;
+    for unknown in &comparison.unknown {
+        let where_it_runs = match (unknown.callback.priority, unknown.callback.core) {
+            (Some(priority), Some(core)) => format!("core {core}, priority {priority}"),
+            (Some(priority), None) => format!("priority {priority}"),
+            _ => "time sharing".into(),
+        };
+        let (name, process) = (&unknown.name, &unknown.process);
+        let text = format!("`{name}` runs in {process} ({where_it_runs}), but is not in the file.");
+        writeln!(out, "{}", wrap(&text))?;
+    }
+    for (name, mark) in comparison.marks() {
+        let text = wrap(&format!("{name}: {}: {}", mark.name, mark.explanation));
+        let (first, rest) = text.split_at(name.len() + 2 + mark.name.len());
+        writeln!(out, "{BAD}{first}{BAD:#}{rest}")?;
+    }
+    for note in &comparison.notes {
+        writeln!(out, "{WARNING}note:{WARNING:#} {}", wrap(note))?;
+    }
+    verdict(comparison, run, out)
+}
+
+fn cells(row: &Row) -> Vec<String> {
+    let Row { predicted, measured, .. } = row;
+    let none = || "-".to_owned();
+    let seen = measured.as_ref();
+    let time = |histogram: &HistogramSnapshot, value: fn(&HistogramSnapshot) -> Duration| match histogram.n()
+    {
+        0 => "-".into(),
+        _ => ms(u64::try_from(value(histogram).as_nanos()).ok()),
+    };
+    let response = |value: fn(&HistogramSnapshot) -> Duration| {
+        seen.map_or_else(none, |measured| time(&measured.response, value))
+    };
+    let count = |value: fn(&super::verdict::Measured) -> u64| {
+        seen.map_or_else(none, |measured| value(measured).to_string())
+    };
+    vec![
+        predicted.entry.name.clone(),
+        count(|measured| measured.callback.completions),
+        response(|histogram| histogram.p(0.5)),
+        response(|histogram| histogram.p(0.99)),
+        response(HistogramSnapshot::max),
+        ms(predicted.response_overhead_ns),
+        count(|measured| measured.misses),
+        seen.map_or_else(none, |measured| time(&measured.execution, HistogramSnapshot::max)),
+        ms(Some(predicted.wcet_ns)),
+        ms(seen.and_then(|measured| measured.callback.least_distance_ns)),
+        ms(Some(predicted.period_ns)),
+        count(|measured| measured.callback.max_queue),
+        predicted.capacity.map_or_else(none, |capacity| capacity.to_string()),
+        count(|measured| measured.callback.lost),
+    ]
+}
+
+fn verdict(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Result<()> {
+    let jobs: u64 =
+        comparison.rows.iter().filter_map(|row| Some(row.measured.as_ref()?.callback.completions)).sum();
+    let running = run.processes.iter().filter(|process| process.running).count();
+    let processes = match (run.processes.len(), running) {
+        (1, 1) => "one process".into(),
+        (1, _) => "one process, which has ended".into(),
+        (all, running) if all == running => format!("{all} processes"),
+        (all, running) => format!("{all} processes, {} of them ended", all - running),
+    };
+    if comparison.kept {
+        let text = format!("Kept: no assumption of the analysis was violated in {jobs} jobs ({processes}).");
+        return writeln!(out, "{GOOD}{text}{GOOD:#}");
+    }
+    let mut names: Vec<&str> = comparison.marks().map(|(name, _)| name).collect();
+    let count = names.len();
+    names.dedup();
+    let plural = if count == 1 { "" } else { "s" };
+    let text =
+        format!("Violated: {count} assumption{plural}, of {}; {jobs} jobs ({processes}).", names.join(", "));
+    writeln!(out, "{BAD}{}{BAD:#}", wrap(&text))
+}

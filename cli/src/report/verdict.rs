@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Prediction against measurement: which assumptions of the analysis were kept.
+use std::collections::BTreeSet;
+
+use tautline::HistogramSnapshot;
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
+
+use super::explain;
+use super::run::{Callback, Process, Run};
+
+/// What the report says.
+pub struct Comparison {
+    /// Whether the analysis's assumptions and bounds held, as far as was seen.
+    pub kept: bool,
+    /// Whether all processes have real-time policies; without them no bound applies.
+    pub realtime: bool,
+    /// The callbacks of the hosts that run, in the order of the file.
+    pub rows: Vec<Row>,
+    /// Callbacks that run, but are not in the file.
+    pub unknown: Vec<Unknown>,
+    /// What a person should know besides.
+    pub notes: Vec<String>,
+}
+
+/// A callback of the file.
+pub struct Row {
+    pub predicted: CheckedCallback,
+    /// `None` if it does not run.
+    pub measured: Option<Measured>,
+    pub marks: Vec<Mark>,
+}
+
+/// What it did.
+pub struct Measured {
+    pub process: String,
+    pub callback: Callback,
+    pub response: HistogramSnapshot,
+    pub execution: HistogramSnapshot,
+    /// Jobs later than the file's deadline.
+    pub misses: u64,
+}
+
+/// A callback that the file lacks.
+pub struct Unknown {
+    pub name: String,
+    pub process: String,
+    pub callback: Callback,
+    /// Its real-time priority is one that the analysis does not know of.
+    pub mark: Option<Mark>,
+}
+
+/// A violated assumption.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mark {
+    pub name: &'static str,
+    /// What was seen, and what to change.
+    pub explanation: String,
+}
+
+impl Comparison {
+    pub fn new(file: &SystemFile, checked: &CheckedSystem, run: &Run) -> Comparison {
+        let hosts: BTreeSet<&str> = run.processes.iter().map(|process| process.host.as_str()).collect();
+        let (here, elsewhere): (Vec<_>, Vec<_>) =
+            checked.callbacks.iter().partition(|callback| hosts.contains(callback.host.as_str()));
+        let rows: Vec<Row> = here.iter().map(|predicted| row(predicted, run)).collect();
+        let unknown = unknown(&here, run);
+        let mut notes = notes(file, checked, run, &rows);
+        let other_hosts: BTreeSet<&str> = elsewhere.iter().map(|callback| callback.host.as_str()).collect();
+        if !other_hosts.is_empty() {
+            let names = other_hosts.into_iter().collect::<Vec<_>>().join(", ");
+            notes
+                .push(format!("callbacks of {names} are not looked at: only this host's processes are seen"));
+        }
+        let marked = rows.iter().any(|row| !row.marks.is_empty());
+        let kept = !marked && unknown.iter().all(|unknown| unknown.mark.is_none());
+        let realtime = run.processes.iter().all(|process| process.realtime);
+        Comparison { kept, realtime, rows, unknown, notes }
+    }
+
+    /// All marks, with the callbacks they are for.
+    pub fn marks(&self) -> impl Iterator<Item = (&str, &Mark)> {
+        let rows =
+            self.rows.iter().flat_map(|row| row.marks.iter().map(|mark| (&*row.predicted.entry.name, mark)));
+        let unknown =
+            self.unknown.iter().filter_map(|unknown| Some((&*unknown.name, unknown.mark.as_ref()?)));
+        rows.chain(unknown)
+    }
+}
+
+/// All callbacks of a host's processes, but for the sums over groups.
+fn callbacks<'r>(run: &'r Run, host: &'r str) -> impl Iterator<Item = (&'r Process, &'r Callback)> {
+    run.processes
+        .iter()
+        .filter(move |process| process.host == host)
+        .flat_map(|process| process.callbacks.iter().map(move |callback| (process, callback)))
+        .filter(|(_, callback)| !callback.is_group)
+}
+
+fn row(predicted: &CheckedCallback, run: &Run) -> Row {
+    let name = &predicted.entry.name;
+    let mut found: Vec<_> =
+        callbacks(run, &predicted.host).filter(|(_, callback)| callback.name == *name).collect();
+    // The one that runs; of several that have ended the one that was released last.
+    found.sort_by_key(|(_, callback)| (callback.ended, std::cmp::Reverse(callback.last_release_ns)));
+    let mut marks = Vec::new();
+    let Some(&(process, callback)) = found.first() else {
+        marks.push(explain::not_running(predicted, run));
+        return Row { predicted: predicted.clone(), measured: None, marks };
+    };
+    let running: Vec<_> = found.iter().filter(|(_, callback)| !callback.ended).collect();
+    if let [(first, _), (second, _), ..] = running.as_slice() {
+        marks.push(explain::runs_twice(name, first, second));
+    } else if running.is_empty() && process.running {
+        marks.push(explain::ended(name, process));
+    }
+    let deadline_ns = predicted.entry.deadline_ns;
+    let misses = match callback.deadline_ns {
+        Some(counted) if counted == deadline_ns => callback.deadline_misses,
+        _ => callback.response.longer_than(deadline_ns),
+    };
+    marks.extend(violations(predicted, process, callback, misses));
+    let measured = Measured {
+        process: process.label(),
+        response: callback.response.histogram(),
+        execution: callback.execution.histogram(),
+        misses,
+        callback: callback.clone(),
+    };
+    Row { predicted: predicted.clone(), measured: Some(measured), marks }
+}
+
+/// Causes first: what follows from them is easier to understand then.
+fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, misses: u64) -> Vec<Mark> {
+    let mut marks = Vec::new();
+    if process.realtime {
+        if seen.priority != Some(predicted.entry.priority) {
+            marks.push(explain::wrong_priority(predicted, seen));
+        }
+        if seen.core != Some(predicted.core) {
+            marks.push(explain::wrong_core(predicted, seen));
+        }
+    }
+    if let Some(used_ns) = seen.execution.max_ns().filter(|used| *used > predicted.charged_ns) {
+        let times = match seen.budget_ns {
+            Some(budget_ns) if budget_ns == predicted.charged_ns => seen.overruns,
+            _ => seen.execution.longer_than(predicted.charged_ns),
+        };
+        marks.push(explain::wcet_exceeded(predicted, seen, used_ns, times.max(1)));
+    }
+    let least_ns = least_distance(predicted);
+    if let Some(distance_ns) = seen.least_distance_ns.filter(|distance| *distance < least_ns) {
+        marks.push(explain::period_not_kept(predicted, distance_ns, least_ns));
+    } else if let Some(window_ns) = seen.last_release_ns.checked_sub(seen.first_release_ns) {
+        let most = predicted
+            .releases
+            .iter()
+            .fold(0u64, |sum, release| sum.saturating_add(release.most_within(window_ns.saturating_add(1))));
+        if seen.releases > most {
+            marks.push(explain::rate_not_kept(predicted, seen.releases, most, window_ns));
+        }
+    }
+    let longest_ns = seen.response.max_ns();
+    if let (Some(longest_ns), Some(bound_ns)) = (longest_ns, predicted.response_overhead_ns)
+        && longest_ns > bound_ns
+    {
+        marks.push(explain::bound_exceeded(predicted, process, longest_ns, bound_ns, !marks.is_empty()));
+    }
+    if let Some(capacity) = predicted.capacity
+        && seen.max_queue > capacity as u64
+    {
+        marks.push(explain::queue_over_capacity(predicted, seen.max_queue, capacity));
+    }
+    if seen.lost > 0 {
+        marks.push(explain::messages_lost(predicted, seen));
+    }
+    if misses > 0 {
+        marks.push(explain::deadline_missed(predicted, misses, longest_ns.unwrap_or(0)));
+    }
+    marks
+}
+
+/// The shortest time that the analysis assumes between two releases; several streams may coincide.
+pub fn least_distance(predicted: &CheckedCallback) -> u64 {
+    match predicted.releases.as_slice() {
+        [only] => only.shortest_span(1),
+        _ => 0,
+    }
+}
+
+fn unknown(here: &[&CheckedCallback], run: &Run) -> Vec<Unknown> {
+    let mut unknown = Vec::new();
+    for process in &run.processes {
+        let known = |name: &str| {
+            here.iter().any(|callback| callback.entry.name == name && callback.host == process.host)
+        };
+        let stray = |callback: &&Callback| !callback.is_group && !callback.ended && !known(&callback.name);
+        for callback in process.callbacks.iter().filter(stray) {
+            unknown.push(Unknown {
+                name: callback.name.clone(),
+                process: process.label(),
+                mark: callback.priority.map(|priority| explain::not_in_the_file(process, callback, priority)),
+                callback: callback.clone(),
+            });
+        }
+    }
+    unknown
+}
+
+fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let list = |names: Vec<String>| names.join(", ");
+    let off: Vec<_> = run.processes.iter().filter(|process| !process.realtime).map(Process::label).collect();
+    if !off.is_empty() {
+        notes.push(format!(
+            "{} runs without real-time priorities: no bound applies to it; start it with the right to them",
+            list(off)
+        ));
+    }
+    let other = run.processes.iter().filter(|process| process.system_hash != file.fingerprint());
+    let other: Vec<_> = other.map(Process::label).collect();
+    if !other.is_empty() {
+        notes.push(format!(
+            "{} was started with another text of the system file: its priorities and depths may be others; restart it",
+            list(other)
+        ));
+    }
+    if !checked.schedulable {
+        notes.push(
+            "by analysis this system may miss deadlines, whatever was measured: see `taut check`".into(),
+        );
+    }
+    let names = |which: &dyn Fn(&Row) -> bool| -> Vec<String> {
+        rows.iter().filter(|row| which(row)).map(|row| row.predicted.entry.name.clone()).collect()
+    };
+    let idle = names(&|row| row.measured.as_ref().is_some_and(|seen| seen.callback.completions == 0));
+    if !idle.is_empty() {
+        notes.push(format!("no job has ended yet of {}: nothing is known of it", list(idle)));
+    }
+    let unmeasured =
+        names(&|row| row.measured.as_ref().is_some_and(|seen| !seen.callback.measures_execution));
+    if !unmeasured.is_empty() {
+        notes.push(format!(
+            "execution times are not measured of {}: its wcet is not verified; drop `.execution_time(false)`",
+            list(unmeasured)
+        ));
+    }
+    notes
+}

@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The processes that a report is about, as they come and go.
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use tautline::ForeignStatistics;
+
+use super::run::Run;
+use super::{ReportError, killed_text};
+
+/// Files stay open, so what a process did can be read after its end.
+pub struct Watched {
+    domain: u32,
+    processes: Vec<ForeignStatistics>,
+    killed: usize,
+}
+
+impl Watched {
+    pub fn new(domain: u32) -> Watched {
+        Watched { domain, processes: Vec::new(), killed: 0 }
+    }
+
+    /// Looks for processes that are new.
+    pub fn look(&mut self) -> Result<(), ReportError> {
+        let (found, killed) = tautline::shared_statistics(self.domain).map_err(ReportError::Domain)?;
+        self.killed += killed;
+        for process in found {
+            if !self.processes.iter().any(|known| known.path() == process.path()) {
+                self.processes.push(process);
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until there is a process.
+    pub fn wait_for_one(&mut self, interrupted: &AtomicBool) -> Result<(), ReportError> {
+        self.look()?;
+        if self.processes.is_empty() {
+            eprintln!("Waiting for a process with a system file in domain {} ...", self.domain);
+        }
+        while self.processes.is_empty() && !interrupted.load(Ordering::Relaxed) {
+            pause(Duration::from_millis(200), interrupted);
+            self.look()?;
+        }
+        Ok(())
+    }
+
+    pub fn all_ended(&self) -> bool {
+        self.processes.iter().all(|process| !process.is_running())
+    }
+
+    /// The file that all processes were started with.
+    pub fn system_path(&self) -> Result<PathBuf, ReportError> {
+        let mut paths = BTreeSet::new();
+        for process in &self.processes {
+            if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
+                paths.insert(snapshot.process.system_path);
+            }
+        }
+        let mut rest = paths.iter();
+        match (rest.next(), rest.next()) {
+            (Some(only), None) => Ok(only.clone()),
+            (Some(first), Some(_)) => {
+                let files =
+                    paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
+                let first = first.display().to_string();
+                Err(ReportError::SeveralFiles { domain: self.domain, files, first })
+            }
+            _ => Err(self.nothing()),
+        }
+    }
+
+    /// What they have done so far.
+    pub fn gather(&self, path: &Path, system: &str) -> Result<Run, ReportError> {
+        let run = Run::gather(self.domain, path, system, &self.processes)?;
+        if run.processes.is_empty() { Err(self.nothing()) } else { Ok(run) }
+    }
+
+    /// Says what was removed.
+    pub fn tell_killed(&self) {
+        if self.killed > 0 {
+            eprintln!("Of the processes, {}.", killed_text(self.killed));
+        }
+    }
+
+    fn nothing(&self) -> ReportError {
+        ReportError::Nothing { domain: self.domain, killed: self.killed }
+    }
+}
+
+/// Sleeps, but not past an interruption.
+pub fn pause(time: Duration, interrupted: &AtomicBool) {
+    let end = Instant::now() + time;
+    while !interrupted.load(Ordering::Relaxed) && Instant::now() < end {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}

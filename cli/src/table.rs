@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Tables and colours of what people read.
+use std::io::{self, Write};
+
+use anstyle::{AnsiColor, Style};
+use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
+
+pub const GOOD: Style = AnsiColor::Green.on_default();
+pub const BAD: Style = AnsiColor::Red.on_default();
+pub const WARNING: Style = AnsiColor::Yellow.on_default();
+
+/// Sentences are broken before this column.
+const WIDTH: usize = 100;
+
+/// A table whose first `left` columns are text and whose failed rows are red.
+pub fn write_table(
+    head: &[&str],
+    left: usize,
+    rows: Vec<(bool, Vec<String>)>,
+    out: &mut impl Write,
+) -> io::Result<()> {
+    let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
+    let mut table = Table::new();
+    table.load_style(style).set_header(head.iter().copied());
+    for (_, row) in &rows {
+        table.add_row(row.clone());
+    }
+    for (i, column) in table.column_iter_mut().enumerate() {
+        column.set_padding((0, 2));
+        if i >= left {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    let lines: Vec<_> = table.lines().collect();
+    let heading = lines.len() - rows.len();
+    for (i, line) in lines.iter().enumerate() {
+        let line = line.trim_end();
+        let failed = i.checked_sub(heading).is_some_and(|row| !rows[row].0);
+        match failed {
+            true => writeln!(out, "{BAD}{line}{BAD:#}")?,
+            false => writeln!(out, "{line}")?,
+        }
+    }
+    Ok(())
+}
+
+/// Rounded up, as a bound must be; "-" without one.
+pub fn ms(ns: Option<u64>) -> String {
+    ns.map_or("-".into(), |ns| format!("{:.3}", ns.div_ceil(1_000) as f64 / 1e3))
+}
+
+/// Breaks a text between words.
+pub fn wrap(text: &str) -> String {
+    let (mut wrapped, mut column) = (String::new(), 0);
+    for word in text.split(' ') {
+        let length = word.chars().count();
+        if column > 0 {
+            let fits = column + 1 + length <= WIDTH;
+            wrapped.push(if fits { ' ' } else { '\n' });
+            column = if fits { column + 1 } else { 0 };
+        }
+        wrapped.push_str(word);
+        column += length;
+    }
+    wrapped
+}

@@ -1,0 +1,376 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut report` as people and scripts use it, on a system that runs in this process.
+
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Command, Output, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use futures::StreamExt;
+use serde_json::Value;
+use tautline::rt::clock;
+use tautline::{CallbackOptions, Context, Message, Node, Publisher, QosProfile, Realtime, Sample};
+
+#[derive(Message, Clone, Copy)]
+#[repr(C)]
+#[message(name = "test_msgs/msg/Work")]
+struct Work {
+    burn_ns: u64,
+}
+
+const PERIOD: Duration = Duration::from_secs(1);
+const LITTLE: Duration = Duration::from_millis(1);
+const MUCH: Duration = Duration::from_millis(30);
+
+/// Its bounds are so long that other work of the machine does not matter.
+const SYSTEM: &str = r#"
+[hosts.robot]
+cores = 1
+sampler_priority = 60
+[nodes.driver]
+[topics]
+fine = { period = "1000s" }
+other = { period = "1000s" }
+[callbacks.fine]
+topic = "fine"
+wcet = "20s"
+priority = 50
+[callbacks.other]
+topic = "other"
+wcet = "20s"
+priority = 40
+"#;
+
+/// A directory of this test, removed at its end.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str) -> Scratch {
+        let path = std::env::temp_dir().join(format!("taut-report-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Scratch(path)
+    }
+
+    fn write(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.0.join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+    command.arg("report").args(arguments);
+    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID", "TAUT_REALTIME", "TAUT_HOST"] {
+        command.env_remove(variable);
+    }
+    command
+}
+
+fn taut(arguments: &[&str]) -> Output {
+    command(arguments).output().unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// The names of what `callback` violated.
+fn violations(report: &Value, callback: &str) -> Vec<String> {
+    let callbacks =
+        report["callbacks"].as_array().unwrap().iter().chain(report["unknown"].as_array().unwrap());
+    let found = callbacks.into_iter().find(|entry| entry["name"] == callback).unwrap();
+    let names = found["violations"].as_array().unwrap().iter();
+    names.map(|violation| violation["name"].as_str().unwrap().to_owned()).collect()
+}
+
+/// A system that runs in this process until it is dropped.
+struct Running {
+    context: Context,
+    node: Node,
+    sampler: Option<JoinHandle<()>>,
+    done: (Sender<()>, Receiver<()>),
+}
+
+impl Running {
+    fn start(domain: u32, realtime: Realtime, system: &PathBuf) -> Running {
+        let context = Context::builder()
+            .domain(domain)
+            .realtime(realtime)
+            .lock_memory(false)
+            .hold_idle(false)
+            .system(system)
+            .build()
+            .unwrap();
+        let node = Node::create(context.clone(), "driver", "").unwrap();
+        let sampler = context.clone();
+        let sampler = Some(std::thread::spawn(move || sampler.spin().unwrap()));
+        Running { context, node, sampler, done: channel() }
+    }
+
+    fn publisher(&mut self, topic: &str) -> Publisher<Work> {
+        self.node.create_publisher(topic, QosProfile::default()).unwrap()
+    }
+
+    /// A callback that burns what its messages say. They are there already: it takes them in one go.
+    fn handle(&mut self, name: &str, depth: usize, messages: &[(Duration, u64)]) {
+        let options = self.context.callback(name).unwrap();
+        self.handle_with(options, name, depth, messages);
+    }
+
+    fn handle_with(
+        &mut self,
+        options: CallbackOptions,
+        topic: &str,
+        depth: usize,
+        messages: &[(Duration, u64)],
+    ) {
+        let subscription =
+            self.node.subscribe_loaned::<Work>(topic, QosProfile::default().keep_last(depth)).unwrap();
+        let publisher = self.publisher(topic);
+        for (burn, release_ns) in messages {
+            publish(&publisher, *burn, *release_ns);
+        }
+        let done = self.done.0.clone();
+        let work = move |work: Sample<Work>| {
+            clock::burn_cpu(Duration::from_nanos(work.burn_ns));
+            done.send(()).unwrap();
+            async {}
+        };
+        let (handle, taken) = (
+            self.node.spawn_callback(options, subscription.for_each(work)).unwrap(),
+            depth.min(messages.len()),
+        );
+        for _ in 0..taken {
+            self.done.1.recv_timeout(Duration::from_secs(60)).unwrap();
+        }
+        // A job ends when the next message is asked for.
+        while handle.stats().completions() < taken as u64 {
+            std::thread::yield_now();
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.context.shutdown();
+        if let Some(sampler) = self.sampler.take() {
+            sampler.join().unwrap();
+        }
+    }
+}
+
+fn publish(publisher: &Publisher<Work>, burn: Duration, release_ns: u64) {
+    let mut loan = publisher.loan().unwrap();
+    loan.burn_ns = burn.as_nanos() as u64;
+    loan.publish_released_at(release_ns).unwrap();
+}
+
+/// `n` releases, the last one now.
+fn releases(n: u64, apart: Duration, burn: Duration) -> Vec<(Duration, u64)> {
+    let now_ns = clock::monotonic_ns();
+    (0..n).rev().map(|before| (burn, now_ns - before * apart.as_nanos() as u64)).collect()
+}
+
+#[test]
+fn what_was_kept_is_kept_and_a_saved_run_says_the_same() {
+    let scratch = Scratch::new("kept");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(168, Realtime::Off, &system);
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
+    let run = scratch.0.join("run.json");
+    let run = run.to_str().unwrap();
+
+    // The file is the one that the process was started with.
+    let live = taut(&["--domain", "168", "--json", "--save", run]);
+    assert_eq!(live.status.code(), Some(0), "{live:?}");
+    let report = json(&live);
+    assert_eq!((&report["kept"], &report["realtime"]), (&Value::Bool(true), &Value::Bool(false)));
+    let fine = &report["callbacks"][0];
+    assert_eq!((&fine["name"], &fine["predicted"]["response_ms"]), (&"fine".into(), &20_000.0.into()));
+    assert_eq!((&fine["measured"]["jobs"], &fine["measured"]["lost"]), (&1.into(), &0.into()));
+    assert!(fine["measured"]["execution_ms"]["max"].as_f64().unwrap() >= 1.0);
+    assert_eq!(violations(&report, "fine"), [""; 0]);
+
+    // A person gets a table, by the domain of the environment.
+    let table = command(&[]).env("TAUT_DOMAIN", "168").output().unwrap();
+    let shown = text(&table.stdout);
+    assert!(shown.contains("Kept: no assumption") && shown.contains("2 jobs (one process)"), "{shown}");
+    assert!(shown.contains("runs without real-time priorities"), "{shown}");
+
+    drop(running);
+    let gone = taut(&["--domain", "168"]);
+    assert_eq!(gone.status.code(), Some(2));
+    assert!(text(&gone.stderr).contains("no process of domain 168 shows statistics"), "{gone:?}");
+
+    let saved = taut(&[run, "--json"]);
+    assert_eq!((saved.status.code(), &saved.stdout), (Some(0), &live.stdout));
+
+    // Against a file that allows less.
+    let strict = SYSTEM.replacen("20s", "0.5ms", 1);
+    let strict = scratch.write("strict.toml", &strict);
+    let output = taut(&[run, "--system", strict.to_str().unwrap(), "--json"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(violations(&json(&output), "fine").contains(&"wcet exceeded".to_owned()), "{output:?}");
+    assert!(text(&output.stdout).contains("another text of the system file"));
+}
+
+#[test]
+fn what_was_violated_is_named_with_what_to_change() {
+    const MORE: &str = r#"
+[callbacks]
+hungry = { topic = "hungry", wcet = "2ms", priority = 30, deadline = "300s" }
+rushed = { topic = "rushed", wcet = "20ms", priority = 29, deadline = "300s" }
+late = { topic = "late", wcet = "20ms", priority = 28, deadline = "2s" }
+lossy = { topic = "lossy", wcet = "20ms", priority = 27, deadline = "400s" }
+full = { topic = "full", wcet = "20ms", priority = 26, deadline = "400s" }
+absent = { topic = "other", wcet = "1ms", priority = 25 }
+ticks = { period = "1s", wcet = "1ms", priority = 24 }
+"#;
+    let topics =
+        ["hungry", "rushed", "late", "lossy", "full"].map(|name| format!("{name} = {{ period = \"1s\" }}\n"));
+    let system = SYSTEM.split("[callbacks.fine]").next().unwrap().to_owned() + &topics.concat() + MORE;
+    let scratch = Scratch::new("violated");
+    let path = scratch.write("system.toml", &system);
+    let mut running = Running::start(169, Realtime::Off, &path);
+    running.handle("hungry", 1, &releases(1, PERIOD, MUCH));
+    running.handle("rushed", 3, &releases(3, PERIOD / 4, Duration::ZERO));
+    running.handle("late", 1, &[(LITTLE, 1)]);
+    running.handle("lossy", 1, &releases(3, Duration::ZERO, LITTLE));
+    running.handle("full", 3, &releases(3, PERIOD, LITTLE));
+    running.handle_with(CallbackOptions::other().name("stray"), "stray", 1, &releases(1, PERIOD, LITTLE));
+    let ticks = running.context.callback("ticks").unwrap();
+    running.node.spawn_callback(ticks, async {}).unwrap().join().unwrap();
+
+    let output = taut(&[path.to_str().unwrap(), "--domain", "169", "--json"]);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let report = json(&output);
+    let has = |callback: &str, expected: &[&str]| {
+        let found = violations(&report, callback);
+        assert!(expected.iter().all(|name| found.iter().any(|one| one == name)), "{callback}: {found:?}");
+        found
+    };
+    assert_eq!(has("hungry", &["wcet exceeded"])[0], "wcet exceeded");
+    assert_eq!(has("rushed", &["period not kept"])[0], "period not kept");
+    assert_eq!(has("late", &["bound exceeded", "deadline missed"]).len(), 2);
+    has("lossy", &["messages lost"]);
+    has("full", &["queue over capacity"]);
+    assert_eq!(has("absent", &["not running"]).len(), 1);
+    assert_eq!(has("ticks", &["not running"]).len(), 1, "it has ended");
+    // Without real-time priority it takes nothing from anybody: named, not marked.
+    assert_eq!(violations(&report, "stray"), [""; 0]);
+
+    let shown = text(&taut(&["--domain", "169"]).stdout);
+    for said in [
+        "hungry: wcet exceeded: a job used 3",
+        "set `wcet = \"3",
+        "rushed: period not kept: two releases were 250 ms apart, the file allows no less than 1000 ms",
+        "jitter = \"750ms\"",
+        "lossy: messages lost: 2 messages were overwritten in a queue of 1",
+        "absent: not running: no process of domain 169",
+        "ticks: not running: its future has ended in report-",
+        "`stray` runs in report-",
+        "Violated: ",
+    ] {
+        assert!(shown.replace('\n', " ").contains(said), "{said}\n{shown}");
+    }
+}
+
+#[test]
+fn a_watcher_sees_a_run_to_its_end_and_keeps_it() {
+    let scratch = Scratch::new("watch");
+    let system = scratch.write("system.toml", &SYSTEM.replace("[callbacks.other]", "[callbacks.o]"));
+    let run = scratch.0.join("run.json");
+    let mut watcher = command(&["--watch", "--json", "--domain", "170", "--save", run.to_str().unwrap()])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut running = Running::start(170, Realtime::Off, &system);
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    let mut lines = BufReader::new(watcher.stdout.take().unwrap()).lines();
+    // It has found the process.
+    lines.next().unwrap().unwrap();
+    running.handle("o", 1, &[]);
+    running.handle_with(running.context.callback("o").unwrap(), "other", 2, &releases(2, PERIOD, LITTLE));
+    drop(running);
+    let last: Value = serde_json::from_str(&lines.map_while(Result::ok).last().unwrap()).unwrap();
+    assert_eq!(watcher.wait().unwrap().code(), Some(1), "{last}");
+    let o = &last["callbacks"][1]["measured"];
+    assert_eq!((&o["jobs"], &o["ended"]), (&2.into(), &true.into()), "{last}");
+    let saved = json(&taut(&[run.to_str().unwrap(), "--json"]));
+    assert_eq!(saved, last);
+}
+
+#[test]
+fn priorities_and_cores_are_compared_where_they_are_real() {
+    if let Err(error) = tautline::rt::permission::realtime_permitted(60) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        println!("skipped: {error}");
+        return;
+    }
+    let scratch = Scratch::new("realtime");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(171, Realtime::Required, &system);
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    let other = running.context.callback("other").unwrap();
+    let lower = CallbackOptions { policy: tautline::Policy::Fifo(7), cores: None, ..other };
+    running.handle_with(lower, "other", 1, &releases(1, PERIOD, LITTLE));
+    running.handle_with(CallbackOptions::fifo(5).name("stray"), "stray", 1, &releases(1, PERIOD, LITTLE));
+    let output = taut(&["--domain", "171", "--json"]);
+    let report = json(&output);
+    assert_eq!((output.status.code(), &report["realtime"]), (Some(1), &Value::Bool(true)));
+    assert!(!violations(&report, "fine").iter().any(|name| name.starts_with("wrong")), "{report}");
+    let one_core = tautline::CoreSet::allowed().unwrap().len() == 1;
+    let expected = if one_core { vec!["wrong priority"] } else { vec!["wrong priority", "wrong core"] };
+    assert_eq!(violations(&report, "other"), expected);
+    assert_eq!(violations(&report, "stray"), ["not in the file"]);
+}
+
+#[test]
+fn bad_input_is_refused_and_names_the_fix() {
+    let scratch = Scratch::new("bad");
+    let bad = scratch.write("bad.toml", "[hosts.robot]\ncoers = 1");
+    let broken = scratch.write("broken.json", "{\"format\": 1}");
+    let other = scratch.write("other.json", "{}");
+    let (bad, broken, other) = (bad.to_str().unwrap(), broken.to_str().unwrap(), other.to_str().unwrap());
+    let run = SYSTEM; // not a saved run
+    let toml = scratch.write("system.toml", run);
+    let toml = toml.to_str().unwrap();
+    let cases: [(&[&str], &str); 8] = [
+        (&["/nowhere.toml"], "`/nowhere.toml` cannot be read"),
+        (&["--domain", "172"], "no process of domain 172 shows statistics"),
+        (&[toml, "--domain", "172"], "`.system(\"system.toml\")`"),
+        (&[broken], "is not a saved run"),
+        (&[other], "missing field"),
+        (&[other, "--watch"], "cannot be watched"),
+        (&[toml, "--system", toml, "--domain", "172"], "--system goes with a saved run"),
+        (&["--domain", "233"], "233"),
+    ];
+    for (arguments, said) in cases {
+        let output = taut(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {output:?}");
+        assert!(text(&output.stderr).contains(said), "{arguments:?}: {output:?}");
+    }
+    let system = scratch.write("good.toml", SYSTEM);
+    let _running = Running::start(172, Realtime::Off, &system);
+    let output = taut(&[bad, "--domain", "172"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("bad.toml:2:1: unknown key `coers`"), "{output:?}");
+    let output = taut(&["--domain", "172", "--save", "/nowhere/run.json"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("/nowhere/run.json` cannot be written"), "{output:?}");
+}
