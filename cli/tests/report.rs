@@ -306,11 +306,16 @@ fn a_watcher_sees_a_run_to_its_end_and_keeps_it() {
     lines.next().unwrap().unwrap();
     running.handle("o", 1, &[]);
     running.handle_with(running.context.callback("o").unwrap(), "other", 2, &releases(2, PERIOD, LITTLE));
+    running.handle_with(CallbackOptions::other().name("stray"), "stray", 1, &releases(1, PERIOD, LITTLE));
     drop(running);
     let last: Value = serde_json::from_str(&lines.map_while(Result::ok).last().unwrap()).unwrap();
     assert_eq!(watcher.wait().unwrap().code(), Some(1), "{last}");
     let o = &last["callbacks"][1]["measured"];
     assert_eq!((&o["jobs"], &o["ended"]), (&2.into(), &true.into()), "{last}");
+    assert_eq!(
+        (&last["processes"][0]["running"], &last["unknown"][0]["name"]),
+        (&false.into(), &"stray".into())
+    );
     let saved = json(&taut(&[run.to_str().unwrap(), "--json"]));
     assert_eq!(saved, last);
 }
@@ -338,6 +343,15 @@ fn priorities_and_cores_are_compared_where_they_are_real() {
     let expected = if one_core { vec!["wrong priority"] } else { vec!["wrong priority", "wrong core"] };
     assert_eq!(violations(&report, "other"), expected);
     assert_eq!(violations(&report, "stray"), ["not in the file"]);
+    assert_eq!(report["processes"][0]["violations"], Value::Array(vec![]));
+
+    // A sampler that callbacks keep from running.
+    drop(running);
+    let low = SYSTEM.replace("sampler_priority = 60", "sampler_priority = 45");
+    let mut running = Running::start(171, Realtime::Required, &scratch.write("low.toml", &low));
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    let report = json(&taut(&["--domain", "171", "--json"]));
+    assert_eq!(report["processes"][0]["violations"][0]["name"], "sampler too low", "{report}");
 }
 
 #[test]

@@ -26,13 +26,21 @@ pub const SKIPPED: u8 = 77;
 /// # Errors
 /// As [`ContextBuilder::build`].
 pub fn context() -> tautline::Result<Context> {
+    context_of(Context::builder())
+}
+
+/// As [`context`], with settings.
+///
+/// # Errors
+/// As [`ContextBuilder::build`].
+pub fn context_of(settings: ContextBuilder) -> tautline::Result<Context> {
     if std::env::var_os("TAUT_REALTIME").is_none()
         && let Err(missing) = realtime_permitted(ContextBuilder::SAMPLER_PRIORITY)
     {
         eprintln!("running without real-time priorities: {missing}");
-        return Context::builder().realtime(Realtime::Off).build();
+        return settings.realtime(Realtime::Off).build();
     }
-    Context::create()
+    settings.build()
 }
 
 /// What `main` returns: an error is printed as a sentence, and if a privilege was missing, how to go on without it.

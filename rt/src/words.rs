@@ -11,7 +11,7 @@ use std::ptr::{NonNull, null_mut};
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use rustix::fs::{FlockOperation, Mode, OFlags};
+use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags};
 use rustix::mm::{MapFlags, ProtFlags};
 use rustix::param::page_size;
 
@@ -106,10 +106,9 @@ impl WordsFile {
     /// What the system said, with the path.
     pub fn map(&self, at: usize, len: usize) -> io::Result<Words> {
         let map = || -> io::Result<Words> {
-            let end_bytes = ((at + len) * WORD_BYTES) as u64;
-            if size_bytes(&self.file)? < end_bytes {
-                rustix::fs::ftruncate(&self.file, end_bytes)?;
-            }
+            // Claims the memory: a full /dev/shm is an error here, not a SIGBUS later.
+            let (start_bytes, len_bytes) = ((at * WORD_BYTES) as u64, (len * WORD_BYTES) as u64);
+            rustix::fs::fallocate(&self.file, FallocateFlags::empty(), start_bytes, len_bytes)?;
             let map = Mapping::new(&self.file, at, len, ProtFlags::READ | ProtFlags::WRITE)?;
             Ok(Words { memory: Memory::Shared(map) })
         };

@@ -208,6 +208,14 @@ pub fn deadline_missed(predicted: &CheckedCallback, misses: u64, longest_ns: u64
     mark("deadline missed", text)
 }
 
+pub fn sampler_too_low(sampler: u8, callback: &str, priority: u8) -> Mark {
+    let text = format!(
+        "its sampler has priority {sampler}, not above `{callback}` with {priority}: while that runs, nobody is told of \
+         messages; leave `sampler_priority` to the file, or lower the callback's priority there"
+    );
+    mark("sampler too low", text)
+}
+
 pub fn not_in_the_file(process: &Process, callback: &Callback, priority: u8) -> Mark {
     let core = callback.core.map_or("several cores".into(), |core| format!("core {core}"));
     let text = format!(

@@ -5,13 +5,14 @@ use std::io::{self, Write};
 use serde::Serialize;
 use tautline::HistogramSnapshot;
 
-use super::verdict::{Comparison, Mark, Measured, Row, Unknown, least_distance};
+use super::verdict::{Comparison, Mark, Measured, Row, Running, Unknown, least_distance};
 
 #[derive(Serialize)]
 struct Report<'a> {
     kept: bool,
     realtime: bool,
     callbacks: Vec<Callback<'a>>,
+    processes: Vec<Process<'a>>,
     unknown: Vec<Stray<'a>>,
     notes: &'a [String],
 }
@@ -71,6 +72,14 @@ struct Violation<'a> {
 }
 
 #[derive(Serialize)]
+struct Process<'a> {
+    process: &'a str,
+    host: &'a str,
+    running: bool,
+    violations: Vec<Violation<'a>>,
+}
+
+#[derive(Serialize)]
 struct Stray<'a> {
     name: &'a str,
     process: &'a str,
@@ -85,6 +94,7 @@ pub fn write(comparison: &Comparison, out: &mut impl Write) -> io::Result<()> {
         kept: comparison.kept,
         realtime: comparison.realtime,
         callbacks: comparison.rows.iter().map(callback).collect(),
+        processes: comparison.processes.iter().map(process).collect(),
         unknown: comparison.unknown.iter().map(stray).collect(),
         notes: &comparison.notes,
     };
@@ -127,6 +137,15 @@ fn seen(measured: &Measured) -> Seen<'_> {
         depth: callback.depth,
         lost: callback.lost,
         ended: callback.ended,
+    }
+}
+
+fn process(running: &Running) -> Process<'_> {
+    Process {
+        process: &running.label,
+        host: &running.host,
+        running: running.running,
+        violations: violations(running.mark.as_slice()),
     }
 }
 

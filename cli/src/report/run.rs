@@ -133,7 +133,7 @@ impl Process {
             running,
             sampler_priority: process.sampler_priority,
             system_hash: process.system_hash,
-            callbacks: snapshot.callbacks.iter().map(Callback::new).collect(),
+            callbacks: snapshot.callbacks.iter().map(|of| Callback::new(of, running)).collect(),
         }
     }
 
@@ -144,11 +144,12 @@ impl Process {
 }
 
 impl Callback {
-    fn new(of: &CallbackSnapshot) -> Callback {
+    fn new(of: &CallbackSnapshot, running: bool) -> Callback {
         Callback {
             name: of.name.clone(),
             is_group: of.is_group,
-            ended: of.ended,
+            // A killed process does not say so itself.
+            ended: of.ended || !running,
             tid: of.tid,
             priority: of.priority,
             core: of.core,

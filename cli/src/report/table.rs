@@ -23,8 +23,7 @@ pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Re
         "wcet\nms",
         "apart min\nms",
         "period\nms",
-        "queue\nmax",
-        "queue\ncapacity",
+        "queue max\nof capacity",
         "lost",
     ];
     let rows = comparison.rows.iter().map(|row| (row.marks.is_empty(), cells(row)));
@@ -66,6 +65,7 @@ fn cells(row: &Row) -> Vec<String> {
     let count = |value: fn(&super::verdict::Measured) -> u64| {
         seen.map_or_else(none, |measured| value(measured).to_string())
     };
+    let capacity = predicted.capacity.map_or_else(none, |capacity| capacity.to_string());
     vec![
         predicted.entry.name.clone(),
         count(|measured| measured.callback.completions),
@@ -78,8 +78,7 @@ fn cells(row: &Row) -> Vec<String> {
         ms(Some(predicted.wcet_ns)),
         ms(seen.and_then(|measured| measured.callback.least_distance_ns)),
         ms(Some(predicted.period_ns)),
-        count(|measured| measured.callback.max_queue),
-        predicted.capacity.map_or_else(none, |capacity| capacity.to_string()),
+        format!("{} of {capacity}", count(|measured| measured.callback.max_queue)),
         count(|measured| measured.callback.lost),
     ]
 }

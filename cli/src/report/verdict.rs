@@ -16,6 +16,8 @@ pub struct Comparison {
     pub realtime: bool,
     /// The callbacks of the hosts that run, in the order of the file.
     pub rows: Vec<Row>,
+    /// The processes they run in.
+    pub processes: Vec<Running>,
     /// Callbacks that run, but are not in the file.
     pub unknown: Vec<Unknown>,
     /// What a person should know besides.
@@ -38,6 +40,14 @@ pub struct Measured {
     pub execution: HistogramSnapshot,
     /// Jobs later than the file's deadline.
     pub misses: u64,
+}
+
+/// A process.
+pub struct Running {
+    pub label: String,
+    pub host: String,
+    pub running: bool,
+    pub mark: Option<Mark>,
 }
 
 /// A callback that the file lacks.
@@ -71,20 +81,37 @@ impl Comparison {
             notes
                 .push(format!("callbacks of {names} are not looked at: only this host's processes are seen"));
         }
-        let marked = rows.iter().any(|row| !row.marks.is_empty());
-        let kept = !marked && unknown.iter().all(|unknown| unknown.mark.is_none());
+        let processes = run.processes.iter().map(|process| Running {
+            label: process.label(),
+            host: process.host.clone(),
+            running: process.running,
+            mark: sampler_too_low(process),
+        });
         let realtime = run.processes.iter().all(|process| process.realtime);
-        Comparison { kept, realtime, rows, unknown, notes }
+        let mut comparison =
+            Comparison { kept: false, realtime, rows, processes: processes.collect(), unknown, notes };
+        let marks = comparison.marks().count();
+        comparison.kept = marks == 0;
+        comparison
     }
 
-    /// All marks, with the callbacks they are for.
+    /// All marks, with the callbacks and processes they are for.
     pub fn marks(&self) -> impl Iterator<Item = (&str, &Mark)> {
+        let processes =
+            self.processes.iter().filter_map(|process| Some((&*process.label, process.mark.as_ref()?)));
         let rows =
             self.rows.iter().flat_map(|row| row.marks.iter().map(|mark| (&*row.predicted.entry.name, mark)));
         let unknown =
             self.unknown.iter().filter_map(|unknown| Some((&*unknown.name, unknown.mark.as_ref()?)));
-        rows.chain(unknown)
+        processes.chain(rows).chain(unknown)
     }
+}
+
+fn sampler_too_low(process: &Process) -> Option<Mark> {
+    let highest = process.callbacks.iter().max_by_key(|callback| callback.priority)?;
+    let (sampler, callback) = (process.sampler_priority?, highest.priority?);
+    (process.realtime && sampler <= callback)
+        .then(|| explain::sampler_too_low(sampler, &highest.name, callback))
 }
 
 /// All callbacks of a host's processes, but for the sums over groups.
@@ -193,7 +220,9 @@ fn unknown(here: &[&CheckedCallback], run: &Run) -> Vec<Unknown> {
         let known = |name: &str| {
             here.iter().any(|callback| callback.entry.name == name && callback.host == process.host)
         };
-        let stray = |callback: &&Callback| !callback.is_group && !callback.ended && !known(&callback.name);
+        // All callbacks of a process end with it; of one that goes on, only those that run matter.
+        let gone = |callback: &Callback| callback.ended && process.running;
+        let stray = |callback: &&Callback| !callback.is_group && !gone(callback) && !known(&callback.name);
         for callback in process.callbacks.iter().filter(stray) {
             unknown.push(Unknown {
                 name: callback.name.clone(),

@@ -40,7 +40,9 @@ impl Watched {
         if self.processes.is_empty() {
             eprintln!("Waiting for a process with a system file in domain {} ...", self.domain);
         }
-        while self.processes.is_empty() && !interrupted.load(Ordering::Relaxed) {
+        // One that is just starting has nothing to show yet.
+        let shows = |process: &ForeignStatistics| matches!(process.read(), Ok(Some(_)) | Err(_));
+        while !self.processes.iter().any(shows) && !interrupted.load(Ordering::Relaxed) {
             pause(Duration::from_millis(200), interrupted);
             self.look()?;
         }

@@ -1,0 +1,54 @@
+//! Budget: a callback that used more processor time than the system file allows does less in its next job.
+//!
+//! `budget 1000` runs for minutes; meanwhile `taut report` shows it beside what `taut check` predicts. It will say that
+//! the first job broke its promise.
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::time::Duration;
+use tautline::rt::clock::burn_cpu;
+use tautline::{Context, Node, Result};
+use tautline_examples::{context_of, exit_code};
+
+fn main() -> ExitCode {
+    let jobs = std::env::args().nth(1).and_then(|jobs| jobs.parse().ok());
+    exit_code(detect(jobs.unwrap_or(3)))
+}
+
+fn detect(jobs: u64) -> Result<()> {
+    let system = Path::new(env!("CARGO_MANIFEST_DIR")).join("systems/budget.toml");
+    let context = context_of(Context::builder().system(system))?;
+    let mut node = Node::create(context.clone(), "vision", "")?;
+    let mut timer = node.create_wall_timer(Duration::from_millis(200))?;
+
+    let detail = Arc::new(AtomicU32::new(4));
+    let too_much = Arc::new(AtomicU64::new(0));
+    let (lower, tell) = (detail.clone(), too_much.clone());
+    // Its budget is the file's wcet: 50 ms. The handler runs on the callback's thread, so it only takes notes.
+    let options = context.callback("detect")?.on_overrun(move |overrun| {
+        lower.store(2, Ordering::Relaxed);
+        tell.store(overrun.job, Ordering::Relaxed);
+    });
+    let ended = context.clone();
+    let callback = node.spawn_callback(options, async move {
+        for job in 1..=jobs {
+            timer.next_tick().await;
+            if let before @ 1.. = too_much.swap(0, Ordering::Relaxed) {
+                println!("job {before} used more than its budget");
+            }
+            let detail = detail.load(Ordering::Relaxed);
+            if job <= 3 {
+                println!("job {job} looks at {detail} images");
+            }
+            burn_cpu(Duration::from_millis(15) * detail);
+        }
+        timer.next_tick().await; // ends the last job
+        ended.shutdown();
+    })?;
+    node.spin()?;
+    println!("overruns: {}", callback.stats().overruns());
+    Ok(())
+}
