@@ -237,12 +237,15 @@ rushed = { topic = "rushed", wcet = "20ms", priority = 29, deadline = "300s" }
 late = { topic = "late", wcet = "20ms", priority = 28, deadline = "2s" }
 lossy = { topic = "lossy", wcet = "20ms", priority = 27, deadline = "400s" }
 full = { topic = "full", wcet = "20ms", priority = 26, deadline = "400s" }
+often = { topic = "often", wcet = "1ms", priority = 23, deadline = "300s" }
 absent = { topic = "other", wcet = "1ms", priority = 25 }
 ticks = { period = "1s", wcet = "1ms", priority = 24 }
 "#;
     let topics =
         ["hungry", "rushed", "late", "lossy", "full"].map(|name| format!("{name} = {{ period = \"1s\" }}\n"));
-    let system = SYSTEM.split("[callbacks.fine]").next().unwrap().to_owned() + &topics.concat() + MORE;
+    let often = "often = { period = \"1s\", jitter = \"2s\" }\n";
+    let system =
+        SYSTEM.split("[callbacks.fine]").next().unwrap().to_owned() + &topics.concat() + often + MORE;
     let scratch = Scratch::new("violated");
     let path = scratch.write("system.toml", &system);
     let mut running = Running::start(169, Realtime::Off, &path);
@@ -252,6 +255,8 @@ ticks = { period = "1s", wcet = "1ms", priority = 24 }
     running.handle("lossy", 1, &releases(3, Duration::ZERO, LITTLE));
     running.handle("full", 3, &releases(3, PERIOD, LITTLE));
     running.handle_with(CallbackOptions::other().name("stray"), "stray", 1, &releases(1, PERIOD, LITTLE));
+    // Any two may be that close, but not all of them.
+    running.handle("often", 9, &releases(9, PERIOD / 10, Duration::ZERO));
     let ticks = running.context.callback("ticks").unwrap();
     running.node.spawn_callback(ticks, async {}).unwrap().join().unwrap();
 
@@ -266,6 +271,7 @@ ticks = { period = "1s", wcet = "1ms", priority = 24 }
     assert_eq!(has("hungry", &["wcet exceeded"])[0], "wcet exceeded");
     assert_eq!(has("rushed", &["period not kept"])[0], "period not kept");
     assert_eq!(has("late", &["bound exceeded", "deadline missed"]).len(), 2);
+    assert_eq!(has("often", &["period not kept"])[0], "period not kept");
     has("lossy", &["messages lost"]);
     has("full", &["queue over capacity"]);
     assert_eq!(has("absent", &["not running"]).len(), 1);
@@ -279,6 +285,7 @@ ticks = { period = "1s", wcet = "1ms", priority = 24 }
         "set `wcet = \"3",
         "rushed: period not kept: two releases were 250 ms apart, the file allows no less than 1000 ms",
         "jitter = \"750ms\"",
+        "often: period not kept: it was released 9 times in 800 ms, the file allows 3",
         "lossy: messages lost: 2 messages were overwritten in a queue of 1",
         "absent: not running: no process of domain 169",
         "ticks: not running: its future has ended in report-",
@@ -307,9 +314,12 @@ fn a_watcher_sees_a_run_to_its_end_and_keeps_it() {
     running.handle("o", 1, &[]);
     running.handle_with(running.context.callback("o").unwrap(), "other", 2, &releases(2, PERIOD, LITTLE));
     running.handle_with(CallbackOptions::other().name("stray"), "stray", 1, &releases(1, PERIOD, LITTLE));
+    let both = json(&taut(&["--domain", "170", "--json"]));
+    assert_eq!(violations(&both, "o")[0], "runs twice", "{both}");
     drop(running);
     let last: Value = serde_json::from_str(&lines.map_while(Result::ok).last().unwrap()).unwrap();
     assert_eq!(watcher.wait().unwrap().code(), Some(1), "{last}");
+    assert!(!violations(&last, "o").contains(&"runs twice".to_owned()), "they have ended: {last}");
     let o = &last["callbacks"][1]["measured"];
     assert_eq!((&o["jobs"], &o["ended"]), (&2.into(), &true.into()), "{last}");
     assert_eq!(

@@ -80,8 +80,10 @@ impl<T: Message + Plain> Stream for Subscription<T> {
         let busy = busy_polling();
         self.set_quiet(busy);
         let poll = if busy { self.poll_busily(context) } else { self.inner.poll_take(context) };
-        if let Poll::Ready(sample) = &poll {
+        if poll.is_ready() || self.counters.lost() != self.noted_lost {
             self.note_queue();
+        }
+        if let Poll::Ready(sample) = &poll {
             self.job = Some(job::begin(sample.info().released_ns));
         }
         poll.map(Some)
