@@ -104,6 +104,7 @@ impl LoadedSystem {
             sampler_priority: Some(sampler_priority),
             system_path: std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone()),
             system_hash: self.fingerprint,
+            steal_ticks: tautline_rt::host::steal_ticks(None),
         }
     }
 

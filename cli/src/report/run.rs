@@ -35,6 +35,8 @@ pub struct Process {
     pub sampler_priority: Option<u8>,
     /// Of the system file that it was started with.
     pub system_hash: u64,
+    /// Processor time that the hypervisor gave to others since it started, in ticks of 10 ms.
+    pub steal_ticks: u64,
     pub callbacks: Vec<Callback>,
 }
 
@@ -133,6 +135,7 @@ impl Process {
             running,
             sampler_priority: process.sampler_priority,
             system_hash: process.system_hash,
+            steal_ticks: tautline::rt::host::steal_ticks(None).saturating_sub(process.steal_ticks),
             callbacks: snapshot.callbacks.iter().map(|of| Callback::new(of, running)).collect(),
         }
     }

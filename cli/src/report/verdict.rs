@@ -253,6 +253,14 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row]) ->
             list(other)
         ));
     }
+    let steal_ticks = run.processes.iter().map(|process| process.steal_ticks).max().unwrap_or(0);
+    if steal_ticks > 0 {
+        notes.push(format!(
+            "steal: the hypervisor gave {} ms of processor time to others since the first process started; outliers of \
+             about 10 ms go with that, and no analysis knows of them",
+            steal_ticks.saturating_mul(10)
+        ));
+    }
     if !checked.schedulable {
         notes.push(
             "by analysis this system may miss deadlines, whatever was measured: see `taut check`".into(),

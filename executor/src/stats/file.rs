@@ -27,6 +27,7 @@ mod header {
     /// 0: none.
     pub const SAMPLER_PRIORITY: usize = 6;
     pub const SYSTEM_HASH: usize = 7;
+    pub const STEAL_TICKS: usize = 8;
     pub const PROGRAM: Range<usize> = 16..48;
     pub const HOST: Range<usize> = 48..80;
     pub const SYSTEM_PATH: Range<usize> = 80..640;
@@ -49,6 +50,8 @@ pub struct ProcessInfo {
     pub system_path: PathBuf,
     /// A hash of that file's content.
     pub system_hash: u64,
+    /// `steal` of /proc/stat when it started: processor time that the hypervisor gave to others, in ticks of 10 ms.
+    pub steal_ticks: u64,
 }
 
 /// A file in /dev/shm in which an executor keeps the statistics of its callbacks: see
@@ -95,6 +98,7 @@ impl StatisticsFile {
         number(header::REALTIME, about.realtime.into());
         number(header::SAMPLER_PRIORITY, about.sampler_priority.map_or(0, u64::from));
         number(header::SYSTEM_HASH, about.system_hash);
+        number(header::STEAL_TICKS, about.steal_ticks);
         put_text(&header[header::PROGRAM], &about.program);
         put_text(&header[header::HOST], &about.host);
         put_text(&header[header::SYSTEM_PATH], &about.system_path.to_string_lossy());
@@ -209,6 +213,7 @@ impl ForeignStatistics {
             sampler_priority: u8::try_from(words[header::SAMPLER_PRIORITY]).ok().filter(|p| *p != 0),
             system_path: PathBuf::from(get_text(&words[header::SYSTEM_PATH])),
             system_hash: words[header::SYSTEM_HASH],
+            steal_ticks: words[header::STEAL_TICKS],
         };
         // As many as fit into the file, whatever it says.
         let size_words = self.file.size_words()?;
@@ -245,6 +250,7 @@ mod tests {
             sampler_priority: Some(90),
             system_path: "/etc/system.toml".into(),
             system_hash: 42,
+            steal_ticks: 3,
         }
     }
 
