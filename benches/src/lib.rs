@@ -3,6 +3,7 @@
 //!
 //! | binary | question |
 //! |---|---|
+//! | `messages` | what writing, publishing and reading a message costs, beside a plain buffer and other encoders |
 //! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and

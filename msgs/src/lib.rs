@@ -63,9 +63,9 @@ pub use definition::Definition;
 pub use definition::definition_of;
 pub use invalid::Invalid;
 pub use message::{HEADER, Message, split_header};
-#[doc(hidden)]
-pub use plain::view_plain;
 pub use plain::{Plain, from_bytes, write_cdr};
+#[doc(hidden)]
+pub use plain::{dense_end, read_dense, read_dense_vec, view_plain, write_dense};
 /// For generated code.
 #[doc(hidden)]
 pub use serde;

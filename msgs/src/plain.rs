@@ -2,7 +2,7 @@
 
 use core::any::type_name;
 
-use crate::cdr::{DecodeError, DecodeFault, Endian, FieldPath, Form, SLACK};
+use crate::cdr::{DecodeError, DecodeFault, EncodeError, Endian, FieldPath, Form, Reader, SLACK, Writer};
 use crate::{Body, Invalid, Message};
 
 /// A type of fixed size whose C layout is its XCDR1 little-endian layout: a reference to the bytes is a reference to
@@ -134,6 +134,57 @@ pub fn write_cdr<T: Plain>(value: &T, out: &mut [u8]) -> Result<usize, Invalid> 
     body.fill(0);
     value.write_fields(body);
     Ok(T::CDR_SIZE)
+}
+
+/// Writes values without padding as they lie in memory. `None` for other types, which are written field by field.
+#[doc(hidden)]
+#[inline]
+pub fn write_dense<T: Plain>(values: &[T], writer: &mut Writer<'_>) -> Option<Result<(), EncodeError>> {
+    if !T::DENSE {
+        return None;
+    }
+    if values.is_empty() {
+        return Some(Ok(()));
+    }
+    // SAFETY: the bytes of initialised values without padding, for as long as they are borrowed.
+    let bytes = unsafe { core::slice::from_raw_parts(values.as_ptr().cast::<u8>(), size_of_val(values)) };
+    Some(writer.put(T::FIRST_ALIGN, bytes))
+}
+
+/// Reads a value without padding that any bytes are, as it lies in memory. `None` for other types, which are read field by
+/// field, and if the bytes end too early: the fields then say where.
+#[doc(hidden)]
+#[inline]
+pub fn read_dense<T: Plain>(reader: &mut Reader<'_>) -> Option<T> {
+    if !T::DENSE || !T::ALWAYS_VALID || reader.endian() != Endian::Little {
+        return None;
+    }
+    let bytes = reader.take(T::FIRST_ALIGN, size_of::<T>()).ok()?;
+    // SAFETY: `bytes` are as long as a `T`, any initialised bytes are one, and `T: Copy`.
+    Some(unsafe { bytes.as_ptr().cast::<T>().read_unaligned() })
+}
+
+/// As [`read_dense`], for `len` values.
+#[doc(hidden)]
+pub fn read_dense_vec<T: Plain>(reader: &mut Reader<'_>, len: usize) -> Option<Vec<T>> {
+    if !T::DENSE || !T::ALWAYS_VALID || reader.endian() != Endian::Little || len == 0 {
+        return None;
+    }
+    let bytes = reader.take(T::FIRST_ALIGN, len.checked_mul(size_of::<T>())?).ok()?;
+    let mut values = Vec::<T>::with_capacity(len);
+    // SAFETY: `bytes` are as long as `len` values, so many fit into the new vector, and any initialised bytes are a `T`.
+    unsafe {
+        core::ptr::copy_nonoverlapping(bytes.as_ptr(), values.as_mut_ptr().cast(), bytes.len());
+        values.set_len(len);
+    }
+    Some(values)
+}
+
+/// Where a value that starts at `at` ends; `None` for types with padding.
+#[doc(hidden)]
+#[inline]
+pub const fn dense_end<T: Plain>(at: usize) -> Option<usize> {
+    if T::DENSE { Some(at.next_multiple_of(T::FIRST_ALIGN) + size_of::<T>()) } else { None }
 }
 
 /// Checks a whole body of a plain type. A fault is looked for again field by field, to say where it is.

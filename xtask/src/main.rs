@@ -76,6 +76,18 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// Writing, publishing and reading messages, beside a plain buffer and other encoders
+    Messages {
+        /// Fewer rounds: some seconds
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Passed on: see `cargo xtask bench messages -- --help`
+        #[arg(last = true)]
+        arguments: Vec<String>,
+    },
 }
 
 #[derive(Subcommand)]
@@ -100,7 +112,10 @@ fn main() -> ExitCode {
         }
         Verb::Ros => ros::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
-            steps::run(bench_wake(quick, json.as_deref()).args(arguments))
+            steps::run(bench("wake", quick, json.as_deref()).args(arguments))
+        }
+        Verb::Bench(Bench::Messages { quick, json, arguments }) => {
+            steps::run(bench("messages", quick, json.as_deref()).args(arguments))
         }
         Verb::Readme { quick } => update_readme(quick),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
@@ -112,7 +127,7 @@ fn update_readme(quick: bool) -> ExitCode {
     let (demo, wake) = (PathBuf::from("target/readme-demo.json"), PathBuf::from("target/readme-wake.json"));
     let mut run_demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
     run_demo.arg(readme::PICTURE).arg("--json").arg(&demo);
-    for mut command in [run_demo, bench_wake(quick, Some(&wake))] {
+    for mut command in [run_demo, bench("wake", quick, Some(&wake))] {
         if !command.status().is_ok_and(|status| status.success()) {
             eprintln!("the README stays as it is: the run failed");
             return ExitCode::FAILURE;
@@ -133,8 +148,8 @@ fn stress_doorbell(rings: u64) -> Command {
     command
 }
 
-fn bench_wake(quick: bool, json: Option<&std::path::Path>) -> Command {
-    let mut command = steps::cargo("run --release -p tautline-benches --bin wake --");
+fn bench(name: &str, quick: bool, json: Option<&std::path::Path>) -> Command {
+    let mut command = steps::cargo(&format!("run --release -p tautline-benches --bin {name} --"));
     if quick {
         command.arg("--quick");
     }

@@ -143,6 +143,9 @@ fn form(
 
             #[inline]
             fn end(value: &Self, at: usize) -> usize {
+                if let ::core::option::Option::Some(end) = #krate::dense_end::<Self>(at) {
+                    return end;
+                }
                 #(let at = <#types as #krate::cdr::Form>::end(&value.#idents, at);)*
                 at
             }
@@ -152,6 +155,11 @@ fn form(
                 value: &Self,
                 writer: &mut #krate::cdr::Writer<'_>,
             ) -> ::core::result::Result<(), #krate::cdr::EncodeError> {
+                if let ::core::option::Option::Some(written) =
+                    #krate::write_dense(::core::slice::from_ref(value), writer)
+                {
+                    return written;
+                }
                 #(<#types as #krate::cdr::Form>::write(&value.#idents, writer)?;)*
                 ::core::result::Result::Ok(())
             }
@@ -160,6 +168,9 @@ fn form(
             fn read(
                 reader: &mut #krate::cdr::Reader<'_>,
             ) -> ::core::result::Result<Self, #krate::cdr::Fault> {
+                if let ::core::option::Option::Some(value) = #krate::read_dense::<Self>(reader) {
+                    return ::core::result::Result::Ok(value);
+                }
                 ::core::result::Result::Ok(Self {
                     #(#idents: match <#types as #krate::cdr::Form>::read(reader) {
                         ::core::result::Result::Ok(value) => value,

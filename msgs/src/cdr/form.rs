@@ -56,19 +56,14 @@ pub trait Form: Sized {
         values.iter().try_for_each(|value| Self::write(value, writer))
     }
 
-    /// As [`read`](Self::read), for `len` values one after the other. What it allocates at once is no larger than what
-    /// is left of the body.
+    /// As [`read`](Self::read), for `len` values one after the other. What it allocates at once is no larger than what is
+    /// left of the body, or 4 KiB.
     ///
     /// # Errors
     ///
     /// As there.
     fn read_vec(reader: &mut Reader<'_>, len: usize) -> Result<Vec<Self::Value>, Fault> {
-        reader.expect(len, Self::MIN_SIZE)?;
-        let mut values = Vec::with_capacity(len.min(reader.left() / size_of::<Self::Value>().max(1)));
-        for index in 0..len {
-            values.push(Self::read(reader).map_err(|fault| reader.at_index(fault, index))?);
-        }
-        Ok(values)
+        read_one_by_one::<Self>(reader, len)
     }
 
     /// As [`read_vec`](Self::read_vec), for a number of values known beforehand.
@@ -80,6 +75,20 @@ pub trait Form: Sized {
         let end = DecodeFault::End { needed: N, left: reader.left() };
         Self::read_vec(reader, N)?.try_into().map_err(|_| reader.fault(end))
     }
+}
+
+/// Up to this many bytes are allocated for a length that may be a lie.
+const TRUSTED: usize = 4096;
+
+#[doc(hidden)]
+pub fn read_one_by_one<F: Form>(reader: &mut Reader<'_>, len: usize) -> Result<Vec<F::Value>, Fault> {
+    reader.expect(len, F::MIN_SIZE)?;
+    let size = size_of::<F::Value>().max(1);
+    let mut values = Vec::with_capacity(len.min(reader.left().max(TRUSTED) / size));
+    for index in 0..len {
+        values.push(F::read(reader).map_err(|fault| reader.at_index(fault, index))?);
+    }
+    Ok(values)
 }
 
 /// A form whose values have a length that can be bounded.

@@ -32,13 +32,14 @@ macro_rules! cdr_form {
             }
         }
     };
-    ($name:literal; $type:ident { $($field:ident: $form:ty),+ $(,)? }) => {
+    ($name:literal; $type:ident { $($field:ident: $form:ty),+ $(,)? } $($plain:ident)?) => {
         impl $crate::cdr::Form for $type {
             type Value = Self;
             const MIN_SIZE: usize = 0usize $(.saturating_add(<$form as $crate::cdr::Form>::MIN_SIZE))+;
 
             #[inline]
             fn end(value: &Self, at: usize) -> usize {
+                $crate::cdr_form!(@end $($plain)?, at);
                 $(let at = <$form as $crate::cdr::Form>::end(&value.$field, at);)+
                 at
             }
@@ -48,6 +49,7 @@ macro_rules! cdr_form {
                 value: &Self,
                 writer: &mut $crate::cdr::Writer<'_>,
             ) -> ::core::result::Result<(), $crate::cdr::EncodeError> {
+                $crate::cdr_form!(@write $($plain)?, $name, ::core::slice::from_ref(value), writer);
                 $(
                     if let ::core::result::Result::Err(error) =
                         <$form as $crate::cdr::Form>::write(&value.$field, writer)
@@ -62,6 +64,7 @@ macro_rules! cdr_form {
             fn read(
                 reader: &mut $crate::cdr::Reader<'_>,
             ) -> ::core::result::Result<Self, $crate::cdr::Fault> {
+                $crate::cdr_form!(@read $($plain)?, reader);
                 ::core::result::Result::Ok(Self {
                     $($field: match <$form as $crate::cdr::Form>::read(reader) {
                         ::core::result::Result::Ok(value) => value,
@@ -70,6 +73,47 @@ macro_rules! cdr_form {
                         }
                     },)+
                 })
+            }
+
+            $crate::cdr_form!(@bulk $($plain)?, $name);
+        }
+    };
+    (@end , $at:ident) => {};
+    (@end plain, $at:ident) => {
+        if let ::core::option::Option::Some(end) = $crate::dense_end::<Self>($at) {
+            return end;
+        }
+    };
+    (@write , $name:literal, $values:expr, $writer:ident) => {};
+    (@write plain, $name:literal, $values:expr, $writer:ident) => {
+        if let ::core::option::Option::Some(written) = $crate::write_dense($values, $writer) {
+            return written.map_err(|error| error.within($name, ""));
+        }
+    };
+    (@read , $reader:ident) => {};
+    (@read plain, $reader:ident) => {
+        if let ::core::option::Option::Some(value) = $crate::read_dense::<Self>($reader) {
+            return ::core::result::Result::Ok(value);
+        }
+    };
+    (@bulk , $name:literal) => {};
+    (@bulk plain, $name:literal) => {
+        #[inline]
+        fn write_all(
+            values: &[Self],
+            writer: &mut $crate::cdr::Writer<'_>,
+        ) -> ::core::result::Result<(), $crate::cdr::EncodeError> {
+            $crate::cdr_form!(@write plain, $name, values, writer);
+            values.iter().try_for_each(|value| <Self as $crate::cdr::Form>::write(value, writer))
+        }
+
+        fn read_vec(
+            reader: &mut $crate::cdr::Reader<'_>,
+            len: usize,
+        ) -> ::core::result::Result<::std::vec::Vec<Self>, $crate::cdr::Fault> {
+            match $crate::read_dense_vec(reader, len) {
+                ::core::option::Option::Some(values) => ::core::result::Result::Ok(values),
+                ::core::option::Option::None => $crate::cdr::read_one_by_one::<Self>(reader, len),
             }
         }
     };

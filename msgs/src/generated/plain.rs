@@ -6,7 +6,7 @@
 #[macro_export]
 macro_rules! plain_struct {
     ($name:literal; $type:ident { $($field:ident: $ty:ty),+ $(,)? }) => {
-        $crate::cdr_form! { $name; $type { $($field: $ty),+ } }
+        $crate::cdr_form! { $name; $type { $($field: $ty),+ } plain }
 
         // SAFETY: `repr(C)`, all fields are `Plain`, zeros are a valid value of each, and evaluating `CDR_SIZE` proves that
         // C places each field where CDR does.

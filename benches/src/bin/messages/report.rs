@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The table, the JSON, and what must hold.
+
+use std::fs;
+use std::path::Path;
+
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{Cell, CellAlignment, Table};
+use serde::Serialize;
+use tautline_benches::{machine, version_of};
+
+use crate::Result;
+use crate::cases::{FLOOR, IN_PLACE, OWNED, PUBLISHED_ONLY};
+use crate::rounds::median_ratio;
+
+/// One way to handle one message.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    pub case: &'static str,
+    pub implementation: &'static str,
+    /// Length of the body.
+    pub bytes: usize,
+    pub n: u64,
+    pub p50_us: f64,
+    pub p99_us: f64,
+    pub ratio_to_plain_buffer: f64,
+    /// The median of each round in ns, for comparison with rivals of that round.
+    #[serde(skip)]
+    pub rounds_ns: Vec<f64>,
+}
+
+/// Prints the machine, the table and what must hold.
+pub fn print(rows: &[Row], core: usize, disturbance: &str) {
+    let version = |package| version_of(package).unwrap_or("?");
+    println!("{}", machine());
+    println!(
+        "tautline {}, cdr-encoding {}, hiroz-cdr {}; core {core}; {disturbance}",
+        version("tautline"),
+        version("cdr-encoding"),
+        version("hiroz-cdr")
+    );
+    println!("one process; µs per message; ratio to filling and reading a plain buffer of the same size");
+    println!("{}", table(rows));
+    for line in verdicts(rows) {
+        println!("{line}");
+    }
+}
+
+/// Writes the rows to `path`.
+pub fn write_json(path: &Path, rows: &[Row]) -> Result<()> {
+    let text = serde_json::to_string_pretty(rows)?;
+    fs::write(path, text + "\n").map_err(|error| format!("cannot write {}: {error}", path.display()).into())
+}
+
+fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED);
+    table.set_header(["message", "bytes", "implementation", "n", "p50", "p99", "ratio"]);
+    let mut previous = "";
+    for row in rows {
+        let first = row.case != previous;
+        previous = row.case;
+        let shown = |text: String| if first { text } else { String::new() };
+        let number = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
+        table.add_row([
+            Cell::new(shown(row.case.to_owned())),
+            number(shown(row.bytes.to_string())),
+            Cell::new(row.implementation),
+            number(row.n.to_string()),
+            number(format!("{:.3}", row.p50_us)),
+            number(format!("{:.3}", row.p99_us)),
+            number(format!("{:.2}", row.ratio_to_plain_buffer)),
+        ]);
+    }
+    table
+}
+
+/// What must hold between the rows of a run. A miss is printed, never an error: the machine has its part in it.
+fn verdicts(rows: &[Row]) -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut cases: Vec<_> = rows.iter().map(|row| row.case).collect();
+    cases.dedup();
+    for case in cases {
+        let find =
+            |implementation| rows.iter().find(|row| (row.case, row.implementation) == (case, implementation));
+        let rivals = || rows.iter().filter(|row| row.case == case && row.implementation.contains("cdr"));
+        let large = find(PUBLISHED_ONLY).is_some();
+        let mut judge = |claim: String, measured: f64, most: f64| {
+            let word = if measured <= most { "holds" } else { "MISSED" };
+            lines.push(format!("{word:7} {case}: {claim}: {measured:.3}, at most {most:.3}"));
+        };
+        if large && let Some(row) = find(IN_PLACE) {
+            judge(format!("{IN_PLACE} / {FLOOR}"), row.ratio_to_plain_buffer, 1.1);
+        }
+        let (ours, most) = if large { (PUBLISHED_ONLY, 0.2) } else { (OWNED, 1.0) };
+        let Some(row) = find(ours) else { continue };
+        for rival in rivals() {
+            let ratio = median_ratio(&row.rounds_ns, &rival.rounds_ns);
+            judge(format!("{ours} / {}", rival.implementation), ratio, most);
+        }
+    }
+    lines
+}
