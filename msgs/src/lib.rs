@@ -82,5 +82,13 @@ pub use service::{Action, Service};
 /// its CDR does not compile; the error names the field and the padding to insert.
 pub use tautline_msgs_derive::Message;
 
+/// Includes the modules of the packages that `tautline-build` generated in `build.rs`.
+#[macro_export]
+macro_rules! include_packages {
+    () => {
+        ::core::include!(::core::concat!(::core::env!("OUT_DIR"), "/tautline_packages.rs"));
+    };
+}
+
 #[cfg(target_endian = "big")]
 compile_error!("plain messages are little-endian CDR read in place: big-endian targets are not supported");

@@ -55,6 +55,16 @@ const WAKE_ROW: &[(&str, Kind)] = &[
     ("lost", Count),
 ];
 
+const MESSAGES_ROW: &[(&str, Kind)] = &[
+    ("case", Text),
+    ("implementation", Text),
+    ("bytes", Count),
+    ("n", Count),
+    ("p50_us", Number),
+    ("p99_us", Number),
+    ("ratio_to_plain_buffer", Number),
+];
+
 /// The demo's report: five topics, each with messages; in real time if `realtime`.
 pub fn check_demo(path: &Path, realtime: bool) -> Outcome {
     judge(path, |report| {
@@ -88,12 +98,21 @@ pub fn check_ablation(path: &Path) -> Outcome {
 
 /// The wake bench's report: a list of rows, each with measurements.
 pub fn check_wake(path: &Path) -> Outcome {
+    check_rows(path, WAKE_ROW)
+}
+
+/// The messages bench's rows.
+pub fn check_messages(path: &Path) -> Outcome {
+    check_rows(path, MESSAGES_ROW)
+}
+
+fn check_rows(path: &Path, fields: &[(&str, Kind)]) -> Outcome {
     judge(path, |report| {
         let rows = report.as_array().ok_or("it is not a list")?;
         if rows.is_empty() {
             return Err("it has no rows".to_owned());
         }
-        rows.iter().try_for_each(|row| check_row(row, WAKE_ROW))
+        rows.iter().try_for_each(|row| check_row(row, fields))
     })
 }
 

@@ -2,9 +2,9 @@
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
 use crate::machine::{self, Domain};
-use crate::reports::{check_ablation, check_demo, check_wake};
+use crate::reports::{check_ablation, check_demo, check_messages, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench_wake, examples, ros, stress_doorbell};
+use crate::{bench, examples, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -23,8 +23,13 @@ pub fn run(quick: bool) -> ExitCode {
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 4] =
-        [("stress: doorbell", stress), ("bench: wake", wake), ("loom", loom), ("miri", miri)];
+    let slow: [(&str, Step); 5] = [
+        ("stress: doorbell", stress),
+        ("bench: wake", wake),
+        ("bench: messages", messages),
+        ("loom", loom),
+        ("miri", miri),
+    ];
     for (name, run) in slow {
         if quick {
             steps.skip(name, "--quick");
@@ -106,7 +111,7 @@ fn wake(steps: &mut Steps) {
     let json = machine::target_dir().join("wake.json");
     let _ = std::fs::remove_file(&json);
     steps.step("bench: wake", || {
-        let mut command = bench_wake(true, Some(&json));
+        let mut command = bench("wake", true, Some(&json));
         if !machine::is_ci() && !machine::realtime_permitted() {
             command.arg("--no-rt");
         }
@@ -114,6 +119,16 @@ fn wake(steps: &mut Steps) {
             Outcome::Ok => check_wake(&json),
             other => other,
         }
+    });
+}
+
+/// A quick run of the messages bench: every encoder writes the same bytes, and the rows keep their promises.
+fn messages(steps: &mut Steps) {
+    let json = machine::target_dir().join("messages.json");
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: messages", || match execute(&mut bench("messages", true, Some(&json))) {
+        Outcome::Ok => check_messages(&json),
+        other => other,
     });
 }
 

@@ -17,7 +17,8 @@
 //! Request, Response, Event}`, `example_interfaces::action::Fibonacci::{Action, Goal, Result, Feedback, FeedbackMessage,
 //! SendGoal, GetResult}`. A message is a struct with public fields, constants, ROS's defaults, serde, and `Message` of
 //! `tautline-msgs`. It is `Plain` if its memory can be its CDR; if not, `ImageRef`, `ImageWriter` and `ImageSizes` read
-//! and write it in place. The text is formatted as rustfmt does, without needing it.
+//! and write it in place. Fields of ROS 2's own messages are documented with their units. The text is formatted as
+//! rustfmt does, without needing it.
 //!
 //! | module | holds |
 //! |---|---|
@@ -27,6 +28,7 @@
 //! | `in_place` | getters and sizes |
 //! | `types` | Rust types, CDR forms and literals of fields |
 //! | `names` | paths, and names that are keywords |
+//! | `units` | what fields are measured in |
 //! | `text` | lines and their indentation |
 #![forbid(unsafe_code)]
 
@@ -38,6 +40,7 @@ mod names;
 mod package;
 mod text;
 mod types;
+mod units;
 
 pub use error::GenerateError;
 pub use names::Options;

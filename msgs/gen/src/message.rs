@@ -9,6 +9,7 @@ use crate::in_place::Types;
 use crate::memory::Memory;
 use crate::text::Text;
 use crate::types::{constant, default_of, form, has_default, is_zero, literal, owned, rust, serde};
+use crate::units::unit;
 use crate::{Options, names};
 
 /// Writes the struct `name`, in the module `module`, with all that is implemented for it.
@@ -48,7 +49,7 @@ pub fn write(
     } else {
         text.line(&format!("pub struct {name} {{"));
         for field in fields {
-            write_field(text, field, module, options);
+            write_field(text, definition, field, module, options);
         }
         text.line("}");
     }
@@ -124,7 +125,7 @@ fn in_place(
     text.line(&format!("{name} {name}Ref {name}Writer {};", sizes.ty));
     text.line("{");
     for field in fields {
-        field_docs(text, field);
+        field_docs(text, definition, field);
         let field_name = names::field(&field.name);
         let sized = sizes.fields.iter().any(|(sized, _)| *sized == field.name);
         let sized = if sized { &field_name[..] } else { "" };
@@ -176,9 +177,9 @@ fn docs(text: &mut Text, definition: &Definition, fields: &[Field]) {
     text.doc("```");
 }
 
-fn write_field(text: &mut Text, field: &Field, module: &str, options: &Options) {
+fn write_field(text: &mut Text, definition: &Definition, field: &Field, module: &str, options: &Options) {
     let name = names::field(&field.name);
-    field_docs(text, field);
+    field_docs(text, definition, field);
     let renamed =
         (name.trim_start_matches("r#") != field.name).then(|| format!("rename = \"{}\"", field.name));
     let attributes: Vec<_> = renamed.into_iter().chain(serde(&field.ty, options)).collect();
@@ -188,8 +189,10 @@ fn write_field(text: &mut Text, field: &Field, module: &str, options: &Options) 
     text.pair(&format!("pub {name}:"), &format!("{},", rust(&field.ty, module, options)));
 }
 
-fn field_docs(text: &mut Text, field: &Field) {
-    text.doc(&format!("`{}`", field.ty));
+fn field_docs(text: &mut Text, definition: &Definition, field: &Field) {
+    let unit =
+        unit(definition.name.as_str(), &field.name).map_or(String::new(), |unit| format!(", in {unit}"));
+    text.doc(&format!("`{}`{unit}", field.ty));
     for line in field.docs.lines() {
         text.doc(line);
     }

@@ -53,6 +53,25 @@ fn a_message_becomes_a_struct() {
 }
 
 #[test]
+fn fields_say_what_they_are_measured_in() {
+    let code =
+        generate(&mut bundled(), &["builtin_interfaces", "std_msgs", "geometry_msgs"], &Options::default());
+    let code = code.unwrap();
+    let (_, twist) = code.split_once("pub struct Twist {").unwrap();
+    let fields: Vec<_> = twist.lines().map(str::trim).take(5).collect();
+    assert_eq!(
+        fields,
+        [
+            "",
+            "/// `geometry_msgs/Vector3`, in m/s",
+            "pub linear: Vector3,",
+            "/// `geometry_msgs/Vector3`, in rad/s",
+            "pub angular: Vector3,"
+        ]
+    );
+}
+
+#[test]
 fn paths_are_those_of_r2r() {
     let mut packages = bundled();
     let paths: Vec<_> = messages(&mut packages, &["test_msgs", "std_srvs"])

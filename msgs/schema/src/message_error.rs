@@ -14,7 +14,7 @@ pub enum MessageError {
         found: String,
     },
     /// The bytes are no value of the type.
-    #[error("`{type_name}`: at byte {offset} of the body, field `{path}`: {fault}")]
+    #[error("`{type_name}`: at byte {offset} of the body{field}: {fault}", field = in_field(", field", path))]
     Decode {
         /// The type.
         type_name: String,
@@ -36,7 +36,7 @@ pub enum MessageError {
         reason: String,
     },
     /// A value cannot be that of a field.
-    #[error("`{type_name}`: field `{path}` {reason}")]
+    #[error("`{type_name}`{field} {reason}", field = in_field(": field", path))]
     Value {
         /// The type.
         type_name: String,
@@ -53,6 +53,11 @@ pub enum MessageError {
         /// What the parser says, with the place.
         reason: String,
     },
+}
+
+/// Nothing if it is the message itself.
+fn in_field(before: &str, path: &str) -> String {
+    if path.is_empty() { String::new() } else { format!("{before} `{path}`") }
 }
 
 /// Why bytes are not a value.

@@ -16,6 +16,8 @@ use crate::{Definition, Kind, Schema, SchemaError, TypeName, derived, parse, wel
 #[derive(Debug, Default)]
 pub struct Packages {
     folders: Vec<PathBuf>,
+    /// Packages whose folders may be named otherwise.
+    named: Vec<(String, PathBuf)>,
     known: BTreeMap<TypeName, Arc<Definition>>,
 }
 
@@ -31,12 +33,17 @@ impl Packages {
     pub fn from_env() -> Self {
         let paths = env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
         let folders = env::split_paths(&paths).filter(|path| !path.as_os_str().is_empty()).collect();
-        Self { folders, known: BTreeMap::new() }
+        Self { folders, ..Self::default() }
     }
 
     /// Searches this folder too, after those that are there.
     pub fn add_folder(&mut self, folder: impl Into<PathBuf>) {
         self.folders.push(folder.into());
+    }
+
+    /// Searches this folder for this package, before all others: `<folder>/msg/Name.msg`.
+    pub fn add_package(&mut self, package: impl Into<String>, folder: impl Into<PathBuf>) {
+        self.named.push((package.into(), folder.into()));
     }
 
     /// The folders, in the order in which they are searched.
@@ -95,11 +102,17 @@ impl Packages {
     #[must_use]
     pub fn list(&self) -> BTreeSet<TypeName> {
         let mut names = BTreeSet::new();
+        for (package, folder) in &self.named {
+            for kind in [Kind::Action, Kind::Msg, Kind::Srv] {
+                names.extend(types_in(folder, package, kind));
+            }
+        }
         for folder in &self.folders {
             let inside = folders_in(&folder.join("share")).into_iter().chain(folders_in(folder));
             for package in inside.chain([folder.clone()]) {
+                let Some(name) = package.file_name().and_then(|name| name.to_str()) else { continue };
                 for kind in [Kind::Action, Kind::Msg, Kind::Srv] {
-                    names.extend(types_in(&package, kind));
+                    names.extend(types_in(&package, name, kind));
                 }
             }
         }
@@ -115,7 +128,8 @@ impl Packages {
             let itself = folder.file_name().is_some_and(|last| last == package).then(|| folder.clone());
             [folder.join("share").join(package), folder.join(package)].into_iter().chain(itself)
         });
-        for path in paths.map(|package| package.join(&file)).collect::<Vec<_>>() {
+        let named = self.named.iter().filter(|(named, _)| named == package).map(|(_, folder)| folder.clone());
+        for path in named.chain(paths).map(|package| package.join(&file)).collect::<Vec<_>>() {
             match fs::read_to_string(&path) {
                 Ok(text) => return self.add_text(name, &path.to_string_lossy(), &text),
                 Err(error)
@@ -128,7 +142,8 @@ impl Packages {
 
     /// The folders, for error messages.
     fn searched(&self) -> String {
-        match &self.folders[..] {
+        let folders: Vec<_> = self.named.iter().map(|(_, folder)| folder).chain(&self.folders).collect();
+        match &folders[..] {
             [] => "any folder, since none is searched".to_owned(),
             folders => {
                 folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
@@ -143,10 +158,9 @@ fn folders_in(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// The types that a package's folder of this kind has files of.
-fn types_in(package: &Path, kind: Kind) -> Vec<TypeName> {
-    let Some(package_name) = package.file_name().and_then(|name| name.to_str()) else { return vec![] };
-    let entries = fs::read_dir(package.join(kind.as_str())).into_iter().flatten().flatten();
+fn types_in(folder: &Path, package: &str, kind: Kind) -> Vec<TypeName> {
+    let entries = fs::read_dir(folder.join(kind.as_str())).into_iter().flatten().flatten();
     let files = entries.map(|entry| entry.path());
     let files = files.filter(|path| path.extension().is_some_and(|extension| extension == kind.as_str()));
-    files.filter_map(|path| TypeName::new(package_name, kind, path.file_stem()?.to_str()?).ok()).collect()
+    files.filter_map(|path| TypeName::new(package, kind, path.file_stem()?.to_str()?).ok()).collect()
 }

@@ -183,9 +183,8 @@ impl<F: Form> Bound for Vec<F> {
     }
 
     fn read_bounded(reader: &mut Reader<'_>, bound: usize) -> Result<Self::Value, Fault> {
-        let start = reader.position();
         match reader.length()? {
-            len if len > bound => Err(Fault::new(start, DecodeFault::Bound { len, bound })),
+            len if len > bound => Err(reader.over_bound(len, bound)),
             len => F::read_vec(reader, len),
         }
     }

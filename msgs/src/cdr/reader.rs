@@ -130,6 +130,12 @@ impl<'a> Reader<'a> {
         Fault::new(self.at, fault)
     }
 
+    /// The length that was read last is over its bound.
+    #[cold]
+    pub(crate) fn over_bound(&self, len: usize, bound: usize) -> Fault {
+        Fault::new(self.at.saturating_sub(4), DecodeFault::Bound { len, bound })
+    }
+
     /// The number of `size` bytes that was read last is no value of its type.
     #[cold]
     #[doc(hidden)]

@@ -223,9 +223,8 @@ impl<F: View> View for Vec<F> {
 impl<F: View> BoundView for Vec<F> {
     #[inline]
     fn view_bounded<'a>(reader: &mut Reader<'a>, bound: usize) -> Result<F::List<'a>, Fault> {
-        let start = reader.position();
         match reader.length()? {
-            len if len > bound => Err(Fault::new(start, DecodeFault::Bound { len, bound })),
+            len if len > bound => Err(reader.over_bound(len, bound)),
             len => F::view_list(reader, len),
         }
     }

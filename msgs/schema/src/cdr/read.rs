@@ -81,10 +81,9 @@ impl<'a> Reader<'a> {
             Shape::Array(len) => len as usize,
             Shape::Unbounded => self.length()?,
             Shape::Bounded(bound) => {
-                let start = self.at;
                 let len = self.length()?;
                 if len > bound as usize {
-                    self.at = start;
+                    self.at -= 4;
                     return Err(self.failure(DecodeFault::Bound { len, bound }));
                 }
                 len
