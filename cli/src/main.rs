@@ -8,6 +8,7 @@ mod init;
 mod msg;
 mod report;
 mod table;
+mod trace;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -27,6 +28,7 @@ enum Verb {
     Init(init::InitArgs),
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
+    Trace(trace::TraceArgs),
 }
 
 fn main() -> ExitCode {
@@ -41,6 +43,7 @@ fn main() -> ExitCode {
         Verb::Check(args) => Ok(check::run(&args)),
         Verb::Init(args) => Ok(init::run(&args)),
         Verb::Report(args) => Ok(report::run(&args)),
+        Verb::Trace(args) => trace::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {

@@ -178,10 +178,12 @@ impl Executor {
                 .realtime(self.realtime);
         builder.cores = options.cores;
         let thread = builder.spawn(move || {
+            tautline_trace::register_thread();
+            let trace = tautline_trace::callback_init(thread_stats.name());
             let stopwatch = execution_time.then(|| Stopwatch::new(busy));
             let (measured, future) = make(Measured { stats: thread_stats, watch, stopwatch });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
-            hot::enter(CallbackThread { measured, control, busy, queue });
+            hot::enter(CallbackThread { measured, control, busy, queue, trace, announced: Cell::default() });
             let mut pool = LocalPool::new();
             let future = Controlled { future, control: Arc::clone(&thread_control), busy };
             let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));

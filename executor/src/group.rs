@@ -92,6 +92,7 @@ impl CallbackGroup {
         let (member_stats, watch) = (Arc::clone(&stats), options.watch);
         self.members.push((Arc::clone(&stats), options.period));
         self.recipes.push(Box::new(move || {
+            let trace = tautline_trace::callback_init(member_stats.name());
             Box::new(StreamMember {
                 stream: Box::pin(stream),
                 ended: false,
@@ -102,6 +103,8 @@ impl CallbackGroup {
                 begun: None,
                 stats: member_stats,
                 watch,
+                traced: trace.id(),
+                trace,
             })
         }));
         stats

@@ -13,6 +13,7 @@ use std::task::{Context, Poll, ready};
 use futures::Stream;
 use futures::task::AtomicWaker;
 use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
+use tautline_trace::{Object, ObjectId};
 
 use crate::options::Watch;
 use crate::stats::{self, CallbackStats, QueueState};
@@ -29,6 +30,9 @@ pub(crate) struct CallbackThread {
     pub busy: bool,
     /// What a group's member found in its queue, until the group notes it.
     pub queue: Cell<QueueState>,
+    pub trace: Object,
+    /// In a group: what trace events call the callback of the item that a stream has just handed out.
+    pub announced: Cell<ObjectId>,
 }
 
 pub(crate) struct Measured {
@@ -108,6 +112,11 @@ pub(crate) fn enter(thread: CallbackThread) {
 /// `None` on any other thread, and on one that is going down.
 fn current<R>(ask: impl FnOnce(&CallbackThread) -> R) -> Option<R> {
     CURRENT.try_with(|thread| thread.try_borrow().ok()?.as_ref().map(ask)).ok()?
+}
+
+/// The callback that a stream has announced since the last call.
+fn announced() -> Option<ObjectId> {
+    current(|thread| thread.announced.take()).filter(|callback| *callback != ObjectId::NONE)
 }
 
 /// Says whether the current thread polls its callback in a loop. A stream need then not arrange for a wake; if it is
@@ -196,6 +205,7 @@ impl Future for Controlled {
 #[must_use = "call finish() when the item has been dealt with"]
 pub struct Job {
     begun: Option<Begun>,
+    callback: ObjectId,
 }
 
 /// Begins a job of the current thread's callback that was released at `release_ns` of `CLOCK_MONOTONIC`.
@@ -203,8 +213,25 @@ pub struct Job {
 /// # Real-time
 /// Wait-free; no allocation; no syscall, except one in a thread's first job.
 pub fn begin(release_ns: u64) -> Job {
-    let begun = current(|thread| Some(thread.measured.as_ref()?.begin(release_ns)));
-    Job { begun: begun.flatten() }
+    begin_for(current(|thread| thread.trace.id()).unwrap_or_default(), release_ns)
+}
+
+/// As [`begin`], under the name that trace events have for the stream's callback.
+///
+/// # Real-time
+/// As [`begin`].
+pub fn begin_for(callback: ObjectId, release_ns: u64) -> Job {
+    let begun = current(|thread| {
+        let begun = thread.measured.as_ref().map(|measured| measured.begin(release_ns));
+        if begun.is_none() {
+            thread.announced.set(callback);
+        }
+        begun
+    });
+    // A group begins a member's job at its turn.
+    let callback = if matches!(begun, Some(None)) { ObjectId::NONE } else { callback };
+    tautline_trace::callback_start(callback, release_ns);
+    Job { begun: begun.flatten(), callback }
 }
 
 impl Job {
@@ -214,6 +241,7 @@ impl Job {
     /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the thread
     /// polls busily. Besides, what the handlers of [`CallbackOptions`](crate::CallbackOptions) do, if one is called.
     pub fn finish(self) {
+        tautline_trace::callback_end(self.callback);
         if let Some(begun) = self.begun {
             current(|thread| {
                 if let Some(to) = &thread.measured {
@@ -313,6 +341,10 @@ pub(crate) struct StreamMember<S: Stream, F, Fut> {
     pub begun: Option<Begun>,
     pub stats: Arc<CallbackStats>,
     pub watch: Watch,
+    /// What trace events call the callback if the stream does not say.
+    pub trace: Object,
+    /// What they call the callback of the item kept.
+    pub traced: ObjectId,
 }
 
 impl<S, F, Fut> Member for StreamMember<S, F, Fut>
@@ -329,6 +361,7 @@ where
             }
             self.next = ready!(next);
             self.ended = self.next.is_none();
+            self.traced = announced().unwrap_or(self.trace.id());
         }
         Poll::Ready(self.next.as_ref().map(self.release))
     }
@@ -338,6 +371,7 @@ where
             let release_ns = (self.release)(&item);
             self.stats.release(release_ns);
             self.begun = Some(total.begin(release_ns));
+            tautline_trace::callback_start(self.traced, release_ns);
             self.future.set(Some((self.callback)(item)));
         }
         if let Some(future) = self.future.as_mut().as_pin_mut() {
@@ -346,6 +380,7 @@ where
         // Dropped before the clock is read: an item's end is part of its job.
         self.future.set(None);
         if let Some(begun) = self.begun.take() {
+            tautline_trace::callback_end(self.traced);
             let job = total.end(begun);
             let of_member = self.watch.tell(self.stats.complete(&job), &job);
             let of_group = total.watch.tell(total.stats.complete(&job), &job);

@@ -11,6 +11,7 @@ use std::time::Duration;
 use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, Realtime, StatisticsFile};
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Wait};
+use tautline_trace::TraceSettings;
 use tautline_transport::Participant;
 
 /// Membership of a domain, with the sampler and the callback threads of its nodes. A clone is the same context.
@@ -71,6 +72,7 @@ pub struct ContextBuilder {
     system: Option<PathBuf>,
     host: Option<String>,
     share_statistics: bool,
+    trace: Option<TraceSettings>,
 }
 
 impl ContextBuilder {
@@ -141,6 +143,13 @@ impl ContextBuilder {
         self
     }
 
+    /// Whether this process can be traced, and how much each thread keeps. Otherwise `TAUT_TRACE` and `TAUT_TRACE_EVENTS`,
+    /// else [`TraceMode::Ready`](crate::TraceMode::Ready). It is the process's: the first context's counts.
+    pub fn trace(mut self, settings: impl Into<TraceSettings>) -> Self {
+        self.trace = Some(settings.into());
+        self
+    }
+
     /// Joins the domain.
     ///
     /// # Errors
@@ -160,6 +169,9 @@ impl ContextBuilder {
             Some(realtime) => realtime,
             None => realtime_of_environment()?,
         };
+        if let Some(settings) = self.trace {
+            tautline_trace::configure(settings);
+        }
         let participant = Participant::new(domain)?;
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
         let mut executor = Executor::new(realtime);
@@ -196,6 +208,7 @@ impl Default for ContextBuilder {
             system: None,
             host: None,
             share_statistics: true,
+            trace: None,
         }
     }
 }

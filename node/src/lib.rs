@@ -49,6 +49,8 @@ pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;
 
+pub use tautline_trace::{TraceMode, TraceSettings};
+
 pub use tautline_executor::{
     Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats, CoreSet,
     DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions, Overrun,

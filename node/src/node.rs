@@ -53,6 +53,7 @@ pub struct Node {
     name: String,
     namespace: String,
     limits: HashMap<String, Limits>,
+    trace: tautline_trace::Object,
 }
 
 impl Node {
@@ -63,7 +64,8 @@ impl Node {
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
         names::check_node(name)?;
         let namespace = names::absolute_namespace(namespace)?;
-        Ok(Node { context: ctx, name: name.into(), namespace, limits: HashMap::new() })
+        let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), name, &namespace);
+        Ok(Node { context: ctx, name: name.into(), namespace, limits: HashMap::new(), trace })
     }
 
     /// The node's name.
@@ -123,6 +125,7 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<Publisher<T>> {
         let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let _node = tautline_trace::in_node(self.trace.id());
         Ok(self.context.shared.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
@@ -149,6 +152,7 @@ impl Node {
     ) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic, qos_profile)?;
         let participant = &self.context.shared.participant;
+        let _node = tautline_trace::in_node(self.trace.id());
         let subscription = participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
         Ok(Subscription::new(subscription))
     }
@@ -168,6 +172,7 @@ impl Node {
     /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left.
     pub fn create_wall_timer(&mut self, period: Duration) -> Result<Timer> {
         check_period(period)?;
+        let _node = tautline_trace::in_node(self.trace.id());
         Ok(Timer::new(self.context.events().timer(period)?))
     }
 
@@ -177,6 +182,7 @@ impl Node {
     /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left.
     pub fn create_wall_timer_at(&mut self, first_release_ns: u64, period: Duration) -> Result<Timer> {
         check_period(period)?;
+        let _node = tautline_trace::in_node(self.trace.id());
         Ok(Timer::new(self.context.events().timer_at(first_release_ns, period)?))
     }
 

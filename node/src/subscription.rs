@@ -19,6 +19,7 @@ use tautline_transport::{Counters, Sample, TakeError};
 pub struct Subscription<T> {
     inner: tautline_transport::Subscription<T>,
     job: Option<job::Job>,
+    trace: tautline_trace::Object,
     quiet: bool,
     counters: Arc<Counters>,
     /// How many lost messages the callback's statistics know of.
@@ -28,7 +29,8 @@ pub struct Subscription<T> {
 impl<T: Message + Plain> Subscription<T> {
     pub(crate) fn new(inner: tautline_transport::Subscription<T>) -> Self {
         let counters = inner.counters();
-        Subscription { inner, job: None, quiet: false, counters, noted_lost: 0 }
+        let trace = tautline_trace::subscription_callback_init(inner.trace_id(), inner.topic());
+        Subscription { inner, job: None, trace, quiet: false, counters, noted_lost: 0 }
     }
 
     /// Takes the oldest sample, if there is one, without waiting. (Not called `take`: that is a method of every stream.)
@@ -84,7 +86,7 @@ impl<T: Message + Plain> Stream for Subscription<T> {
             self.note_queue();
         }
         if let Poll::Ready(sample) = &poll {
-            self.job = Some(job::begin(sample.info().released_ns));
+            self.job = Some(job::begin_for(self.trace.id(), sample.info().released_ns));
         }
         poll.map(Some)
     }

@@ -17,12 +17,17 @@ use tautline_sampler::Tick;
 pub struct Timer {
     inner: tautline_sampler::Timer,
     job: Option<job::Job>,
+    trace: tautline_trace::Object,
+    _timer: tautline_trace::Object,
     last_release_ns: Option<u64>,
 }
 
 impl Timer {
     pub(crate) fn new(inner: tautline_sampler::Timer) -> Self {
-        Timer { inner, job: None, last_release_ns: None }
+        let timer = tautline_trace::timer_init(inner.period_ns());
+        let name = format!("timer {:?}", Duration::from_nanos(inner.period_ns()));
+        let trace = tautline_trace::timer_callback_init(timer.id(), &name);
+        Timer { inner, job: None, trace, _timer: timer, last_release_ns: None }
     }
 
     /// Waits for the next release and returns the time since the one before, as r2r does: one period, or several if
@@ -67,7 +72,7 @@ impl Timer {
             self.last_release_ns = Some(tick.release_ns);
             // A timer queues nothing: what is released while its callback is busy is missed, but for the latest.
             job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
-            self.job = Some(job::begin(tick.release_ns));
+            self.job = Some(job::begin_for(self.trace.id(), tick.release_ns));
         }
         poll
     }

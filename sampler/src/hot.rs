@@ -97,6 +97,7 @@ impl Sampler {
     /// # Real-time
     /// Per wake as [`spin_once`](Self::spin_once).
     pub fn spin(&mut self) {
+        tautline_trace::register_thread_as("sampler");
         while !self.events.is_stopped() {
             if self.serve() == 0 {
                 self.wait_until(None);
@@ -108,14 +109,32 @@ impl Sampler {
     fn serve(&mut self) -> usize {
         let (shared, agenda) = (&*self.events.shared, &mut self.agenda);
         let rung = self.seat.drain(|slot| agenda.update(shared, slot));
-        rung + agenda.release(shared)
+        let served = rung + agenda.release(shared);
+        if std::mem::take(&mut self.awake) {
+            tautline_trace::spin_end(self.trace.id());
+        }
+        served
     }
 
-    fn wait_until(&self, deadline_ns: Option<u64>) {
+    fn wait_until(&mut self, deadline_ns: Option<u64>) {
         let until = match (deadline_ns, self.agenda.next_release()) {
             (Some(deadline), Some(release)) => Some(deadline.min(release)),
             (deadline, release) => deadline.or(release),
         };
+        tautline_trace::spin_start(self.trace.id(), until);
+        self.sleep_until(until);
+        if tautline_trace::is_on() {
+            let due = || self.agenda.next_release().is_some_and(|release_ns| monotonic_ns() >= release_ns);
+            self.awake = self.events.shared.doorbell.is_pending() || due();
+            if self.awake {
+                tautline_trace::spin_wake(self.trace.id());
+            } else {
+                tautline_trace::spin_timeout(self.trace.id());
+            }
+        }
+    }
+
+    fn sleep_until(&self, until: Option<u64>) {
         let doorbell = &self.events.shared.doorbell;
         if let Wait::Adaptive(spin) = self.wait {
             let give_up_ns = monotonic_ns().saturating_add(nanoseconds(spin));

@@ -26,6 +26,9 @@ pub struct Sampler {
     pub(crate) agenda: Agenda,
     pub(crate) wait: Wait,
     pub(crate) seat: SamplerSeat,
+    pub(crate) trace: tautline_trace::Object,
+    /// It woke and has not told that it served.
+    pub(crate) awake: bool,
 }
 
 impl Sampler {
@@ -39,7 +42,15 @@ impl Sampler {
     /// left.
     pub fn new(participant: &Participant) -> Result<Self, TransportError> {
         let seat = participant.doorbell().claim_sampler()?;
-        Ok(Sampler { events: Events::new(participant)?, agenda: Agenda::new(), wait: Wait::Block, seat })
+        let trace = tautline_trace::sampler_init(participant.trace_id());
+        Ok(Sampler {
+            events: Events::new(participant)?,
+            agenda: Agenda::new(),
+            wait: Wait::Block,
+            seat,
+            trace,
+            awake: false,
+        })
     }
 
     /// The same, waiting another way.

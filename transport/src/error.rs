@@ -16,6 +16,9 @@ pub enum TransportError {
         /// Why.
         source: io::Error,
     },
+    /// What the environment says about tracing is not understood, or there is no memory for it.
+    #[error(transparent)]
+    Trace(#[from] tautline_trace::TraceError),
     /// A context has no slot left.
     #[error(
         "this context already has {limit} subscriptions, publishers, timers and guard conditions, its limit; make a second Context for more"

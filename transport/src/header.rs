@@ -65,6 +65,16 @@ pub(crate) struct SampleHeader {
 pub(crate) const END_OF_HISTORY: u64 = 1;
 
 impl SampleHeader {
+    /// What identifies the message in a trace; `address` is its body's.
+    pub(crate) fn trace_id(&self, address: usize) -> tautline_trace::MessageId {
+        tautline_trace::MessageId {
+            sequence_number: self.sequence_number,
+            source_timestamp_ns: self.source_timestamp_ns,
+            gid: self.gid.words(),
+            address,
+        }
+    }
+
     pub(crate) fn info(&self) -> MessageInfo {
         MessageInfo {
             sequence_number: self.source_sequence_number,

@@ -4,6 +4,7 @@
 //! - Removes what dead processes left: iceoryx2 nodes, arenas, links.
 //! - Tells this process's publishers and subscriptions when a topic's ports changed without a word, as they do when a
 //!   process is killed; finishes a ring that a killed process began.
+//! - Looks whether this process is to be traced.
 //! - Serves late joiners of transient-local publishers (see [`history`](crate::history)).
 //!
 //! Its lock is taken by creating and dropping ports, never by publish or take.
@@ -123,11 +124,13 @@ fn run(shared: &Shared) {
             return;
         }
         look_around(shared);
+        tautline_trace::attend();
         if Instant::now() >= next_cleanup {
             if shared.node.try_cleanup_dead_nodes().cleanups > 0 {
                 shared.graph.advance();
             }
             remove_stale_arenas(shared.domain);
+            tautline_trace::remove_dead_files(shared.domain);
             next_cleanup = Instant::now() + CLEANUP_PERIOD;
         }
         word.wait(calls, Some(monotonic_ns() + PERIOD.as_nanos() as u64));

@@ -31,6 +31,9 @@ pub(crate) struct Shared {
     pub(crate) janitor: Janitor,
     pub(crate) graph: Arc<Graph>,
     pub(crate) node: Arc<IoxNode>,
+    trace: tautline_trace::Object,
+    // Last: what is told to it must not outlive it.
+    _tracing: tautline_trace::Membership,
 }
 
 impl Participant {
@@ -58,6 +61,7 @@ impl Participant {
         // Publishers that ended with samples still queued, per subscription: of more, the samples are lost and counted.
         // iceoryx2's 128 cost each subscription 460 KiB of heap.
         config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4;
+        let tracing = tautline_trace::join(domain)?;
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -67,12 +71,19 @@ impl Participant {
         let doorbell = Doorbell::create(domain)?;
         let graph = Graph::open(domain)?;
         let janitor = Janitor::start(domain, doorbell.clone(), graph.clone(), node.clone())?;
-        Ok(Participant { shared: Arc::new(Shared { domain, doorbell, janitor, graph, node }) })
+        let trace = tautline_trace::context_init(domain);
+        let shared = Shared { domain, doorbell, janitor, graph, node, trace, _tracing: tracing };
+        Ok(Participant { shared: Arc::new(shared) })
     }
 
     /// The domain.
     pub fn domain(&self) -> u32 {
         self.shared.domain
+    }
+
+    /// What trace events call this participant.
+    pub fn trace_id(&self) -> tautline_trace::ObjectId {
+        self.shared.trace.id()
     }
 
     /// The doorbell that announces samples to this participant's sampler.

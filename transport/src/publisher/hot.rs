@@ -152,6 +152,8 @@ impl RawPublisher {
             source_sequence_number: source.sequence_number,
             source_gid: source.publisher_gid,
         };
+        let address = loan.sample.payload().as_ptr().addr();
+        tautline_trace::publish(self.trace.id(), &loan.sample.user_header().trace_id(address));
         for link in peers.matched.iter().filter_map(|matched| matched.link()) {
             link.out.sent.store(sequence_number, Ordering::Relaxed);
         }

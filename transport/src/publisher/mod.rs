@@ -32,6 +32,7 @@ pub struct RawPublisher {
     peers: RefCell<Peers>,
     keep_all: bool,
     gid: Gid,
+    trace: tautline_trace::Object,
     qos: Qos,
     /// The longest payload that fits without a larger segment.
     capacity_bytes: Cell<usize>,
@@ -103,6 +104,7 @@ impl RawPublisher {
             peers: RefCell::new(peers),
             keep_all,
             gid,
+            trace: tautline_trace::publisher_init(&topic.name, qos.depth, gid.words()),
             qos,
             capacity_bytes: Cell::new(padded(topic.limits.message_bytes)),
             counters: Arc::default(),

@@ -201,6 +201,7 @@ impl RawSubscription {
         }
         let payload = NonNull::from(payload);
         let lent = shelf.lend(sample).ok_or(TakeError::TooManyHeld)?;
+        tautline_trace::take(self.trace.id(), &header.trace_id(payload.addr().get()));
         Ok(RawSample { payload, body_bytes, info: header.info(), port_gid: header.gid, _lent: lent })
     }
 

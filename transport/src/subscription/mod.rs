@@ -36,6 +36,7 @@ pub struct RawSubscription {
     departure: Departure,
     _presence: Presence,
     counters: Arc<Counters>,
+    trace: tautline_trace::Object,
     qos: Qos,
 }
 
@@ -138,6 +139,7 @@ impl RawSubscription {
             port: Sole::new(port),
             shelf: Shelf::new(topic.limits.held),
             state: RefCell::new(State { epoch, tracker: Tracker::new(), catch, waiters }),
+            trace: tautline_trace::subscription_init(&topic.name, qos.depth),
             departure: Departure { slot, topic, shared },
             _presence: presence,
             counters: Arc::default(),
@@ -168,6 +170,11 @@ impl RawSubscription {
     /// The counters, to be read from any thread.
     pub fn counters(&self) -> Arc<Counters> {
         self.counters.clone()
+    }
+
+    /// What trace events call this subscription.
+    pub fn trace_id(&self) -> tautline_trace::ObjectId {
+        self.trace.id()
     }
 
     /// Number of publishers of the topic.

@@ -128,6 +128,11 @@ impl<T: Message + Plain> Subscription<T> {
         self.raw.counters()
     }
 
+    /// What trace events call this subscription.
+    pub fn trace_id(&self) -> tautline_trace::ObjectId {
+        self.raw.trace_id()
+    }
+
     /// Number of publishers of the topic.
     pub fn publisher_count(&self) -> usize {
         self.raw.publisher_count()

@@ -1,0 +1,199 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut trace latency`: from publication to callback, per callback.
+
+use super::messages::{messages_lost, publications, runs};
+use super::recording::Recording;
+use super::{TraceError, file, write_to};
+use clap::Args;
+use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
+use hdrhistogram::Histogram;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use tautline_trace::{ObjectId, ObjectKind};
+
+/// Prints the latencies of a recording: from publication to callback start and end, and how long callbacks took
+///
+/// For a timer's callback the latency counts from the instant at which it was due. Times are in microseconds.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut trace latency run.trace
+  taut trace latency run.trace --json | jq '.callbacks[] | {callback, p99: .publish_to_start.p99_us}'")]
+pub struct LatencyArgs {
+    /// The recording
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// The latencies of one callback.
+struct Row {
+    pid: u32,
+    process: String,
+    thread: String,
+    callback: String,
+    /// `None`: a timer, or a stream of the program's own.
+    topic: Option<String>,
+    to_start: Histogram<u64>,
+    to_end: Histogram<u64>,
+    duration: Histogram<u64>,
+    /// Runs whose message was published by nobody in the recording.
+    unmatched: u64,
+    messages_lost: Option<u64>,
+}
+
+/// Runs the verb.
+pub fn run(args: &LatencyArgs) -> Result<ExitCode, TraceError> {
+    let recording = file::read(&args.file)?;
+    let rows = rows(&recording);
+    write_to(Path::new("-"), |to| {
+        if args.json { writeln!(to, "{}", to_json(&recording, &rows)) } else { table(&rows, to) }
+    })?;
+    if !args.json {
+        recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn histogram() -> Histogram<u64> {
+    // Grows as needed; three significant digits are a valid number of them.
+    Histogram::new(3).expect("3 is between 0 and 5")
+}
+
+/// A duration without an end is none.
+fn record(to: &mut Histogram<u64>, since_ns: u64, until_ns: Option<u64>) {
+    if let Some(until_ns) = until_ns {
+        // An error would mean that the histogram cannot grow to 64 bits, and it can.
+        let _ = to.record(until_ns.saturating_sub(since_ns));
+    }
+}
+
+fn rows(recording: &Recording) -> Vec<Row> {
+    let (published, lost) = (publications(recording), messages_lost(recording));
+    let mut rows: BTreeMap<(u32, ObjectId), Row> = BTreeMap::new();
+    for run in runs(recording) {
+        let row = rows.entry((run.process, run.callback)).or_insert_with(|| {
+            let callback = recording.object(run.process, run.callback);
+            let source = callback.and_then(|callback| recording.object(run.process, callback.parent));
+            let subscription = source.filter(|source| source.kind == ObjectKind::Subscription);
+            let lost_of = |id| lost.get(&(run.process, id)).copied().unwrap_or(0);
+            let of = recording.processes.get(&run.process);
+            Row {
+                pid: of.map_or(0, |of| of.pid),
+                process: of.map(|of| of.name.clone()).unwrap_or_default(),
+                thread: recording.thread_name(run.process, run.tid),
+                callback: callback
+                    .map_or_else(|| format!("#{}", run.callback.0), |callback| callback.name.clone()),
+                topic: subscription.map(|subscription| subscription.name.clone()),
+                to_start: histogram(),
+                to_end: histogram(),
+                duration: histogram(),
+                unmatched: 0,
+                messages_lost: subscription.map(|subscription| lost_of(subscription.id)),
+            }
+        });
+        let since = match (row.topic.is_some(), run.message.and_then(|message| published.get(&message))) {
+            (true, Some(publication)) => Some(publication.time_ns),
+            (true, None) => None,
+            (false, _) => Some(run.release_ns),
+        };
+        match since {
+            Some(since_ns) => {
+                record(&mut row.to_start, since_ns, Some(run.start_ns));
+                record(&mut row.to_end, since_ns, run.end_ns);
+            }
+            None => row.unmatched += 1,
+        }
+        record(&mut row.duration, run.start_ns, run.end_ns);
+    }
+    rows.into_values().collect()
+}
+
+fn us(ns: u64) -> f64 {
+    ns as f64 / 1000.0
+}
+
+fn distribution(of: &Histogram<u64>) -> Value {
+    let at = |quantile: f64| us(of.value_at_quantile(quantile));
+    json!({"n": of.len(), "p50_us": at(0.5), "p99_us": at(0.99), "p99_9_us": at(0.999), "max_us": us(of.max())})
+}
+
+fn to_json(recording: &Recording, rows: &[Row]) -> Value {
+    let callbacks = rows.iter().map(|row| {
+        json!({
+            "process": row.process, "pid": row.pid, "thread": row.thread, "callback": row.callback, "topic": row.topic,
+            "n": row.duration.len(),
+            "publish_to_start": distribution(&row.to_start),
+            "publish_to_end": distribution(&row.to_end),
+            "duration": distribution(&row.duration),
+            "unmatched": row.unmatched, "messages_lost": row.messages_lost,
+        })
+    });
+    json!({
+        "session": recording.session,
+        "callbacks": callbacks.collect::<Vec<_>>(),
+        "events_lost": recording.events_lost(),
+        "warnings": recording.warnings,
+    })
+}
+
+fn table(rows: &[Row], to: &mut dyn Write) -> io::Result<()> {
+    let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
+    let mut table = Table::new();
+    table.load_style(style).set_header([
+        "callback",
+        "thread",
+        "what",
+        "n",
+        "p50 µs",
+        "p99 µs",
+        "p99.9 µs",
+        "max µs",
+        "lost",
+    ]);
+    for row in rows {
+        let since = if row.topic.is_some() { "publish" } else { "release" };
+        let lines = [
+            (format!("{since} to start"), &row.to_start),
+            (format!("{since} to end"), &row.to_end),
+            ("duration".to_owned(), &row.duration),
+        ];
+        for (index, (what, of)) in lines.into_iter().enumerate() {
+            let first = |text: &str| if index == 0 { text.to_owned() } else { String::new() };
+            let at = |quantile: f64| format!("{:.1}", us(of.value_at_quantile(quantile)));
+            let lost = row.messages_lost.map_or_else(|| "-".to_owned(), |lost| lost.to_string());
+            table.add_row([
+                first(&row.callback),
+                first(&format!("{} ({})", row.thread, row.pid)),
+                what,
+                of.len().to_string(),
+                at(0.5),
+                at(0.99),
+                at(0.999),
+                format!("{:.1}", us(of.max())),
+                first(&lost),
+            ]);
+        }
+    }
+    for (index, column) in table.column_iter_mut().enumerate() {
+        column.set_padding((0, 2));
+        if index >= 3 {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    for line in table.lines() {
+        writeln!(to, "{}", line.trim_end())?;
+    }
+    for row in rows.iter().filter(|row| row.unmatched != 0) {
+        writeln!(
+            to,
+            "{}: of {} of its messages the publication is not in the recording",
+            row.callback, row.unmatched
+        )?;
+    }
+    Ok(())
+}

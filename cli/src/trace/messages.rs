@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Puts events together: which callback ran when, for which message.
+
+use super::recording::Recording;
+use std::collections::HashMap;
+use tautline_trace::{Kind, ObjectId};
+
+/// Where a message was published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Publication {
+    pub process: u32,
+    pub tid: u32,
+    pub time_ns: u64,
+}
+
+/// A message, the same in all processes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct MessageKey {
+    pub publisher: u64,
+    pub sequence_number: u64,
+}
+
+/// One run of a callback.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Run {
+    pub process: u32,
+    pub tid: u32,
+    pub callback: ObjectId,
+    pub start_ns: u64,
+    /// `None` if the recording ended before.
+    pub end_ns: Option<u64>,
+    /// Of its message or tick.
+    pub release_ns: u64,
+    /// `None` for a timer, and where the take is not in the recording.
+    pub message: Option<MessageKey>,
+}
+
+/// Where each message was published.
+pub fn publications(recording: &Recording) -> HashMap<MessageKey, Publication> {
+    let published = recording.events.iter().filter(|timed| timed.event.kind == Kind::Publish);
+    let place = |timed: &super::recording::TimedEvent| Publication {
+        process: timed.process,
+        tid: timed.tid,
+        time_ns: timed.event.time_ns,
+    };
+    published.map(|timed| (key(timed.event.arguments), place(timed))).collect()
+}
+
+/// The message that a `publish` or `take` event speaks of.
+pub fn key([sequence_number, _, publisher]: [u64; 3]) -> MessageKey {
+    MessageKey { publisher, sequence_number }
+}
+
+/// Every run of every callback, in order of their starts.
+///
+/// A callback's message is the one that its subscription took last in the same thread, before the start: a stream takes one
+/// message at a time, and a group keeps one per member.
+pub fn runs(recording: &Recording) -> Vec<Run> {
+    let mut taken: HashMap<(u32, u32, ObjectId), MessageKey> = HashMap::new();
+    let mut open: HashMap<(u32, u32, ObjectId), usize> = HashMap::new();
+    let mut runs: Vec<Run> = Vec::new();
+    for timed in &recording.events {
+        let (process, tid, event) = (timed.process, timed.tid, timed.event);
+        match event.kind {
+            Kind::Take => {
+                taken.insert((process, tid, event.object), key(event.arguments));
+            }
+            Kind::CallbackStart => {
+                let source = recording.object(process, event.object).map(|callback| callback.parent);
+                let message = source.and_then(|source| taken.remove(&(process, tid, source)));
+                open.insert((process, tid, event.object), runs.len());
+                runs.push(Run {
+                    process,
+                    tid,
+                    callback: event.object,
+                    start_ns: event.time_ns,
+                    end_ns: None,
+                    release_ns: event.arguments[0],
+                    message,
+                });
+            }
+            Kind::CallbackEnd => {
+                if let Some(run) =
+                    open.remove(&(process, tid, event.object)).and_then(|index| runs.get_mut(index))
+                {
+                    run.end_ns = Some(event.time_ns);
+                }
+            }
+            _ => {}
+        }
+    }
+    runs
+}
+
+/// For each subscription: messages missing in the sequence numbers of what it took from each publisher. Before the first
+/// one it took, those that were published since it was made.
+pub fn messages_lost(recording: &Recording) -> HashMap<(u32, ObjectId), u64> {
+    let mut published: HashMap<u64, Vec<(u64, u64)>> = HashMap::new();
+    let mut last: HashMap<(u32, ObjectId, u64), u64> = HashMap::new();
+    let mut lost: HashMap<(u32, ObjectId), u64> = HashMap::new();
+    for timed in &recording.events {
+        let MessageKey { publisher, sequence_number } = key(timed.event.arguments);
+        if timed.event.kind == Kind::Publish {
+            published.entry(publisher).or_default().push((sequence_number, timed.event.time_ns));
+        }
+        if timed.event.kind != Kind::Take {
+            continue;
+        }
+        let (process, subscription) = (timed.process, timed.event.object);
+        let missing = match last.insert((process, subscription, publisher), sequence_number) {
+            Some(before) => sequence_number.saturating_sub(before.saturating_add(1)),
+            None => {
+                let made_ns =
+                    recording.object(process, subscription).map_or(u64::MAX, |object| object.created_ns);
+                let earlier =
+                    |(number, time_ns): &&(u64, u64)| *number < sequence_number && *time_ns >= made_ns;
+                published.get(&publisher).map_or(0, |of| of.iter().filter(earlier).count() as u64)
+            }
+        };
+        *lost.entry((process, subscription)).or_default() += missing;
+    }
+    lost
+}

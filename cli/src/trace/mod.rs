@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut trace`: records what running processes do, and shows it.
+
+mod chrome;
+mod csv;
+mod file;
+mod latency;
+mod messages;
+mod record;
+mod recording;
+
+use clap::{Args, Subcommand};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Records publications, takes, callbacks and the sampler of running processes; exports them; computes latencies.
+///
+/// Programs need no preparation: while nobody records, an event costs about a nanosecond. docs/tracing.md says more.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut trace record --seconds 10 -o run.trace       every process of the domain, for ten seconds
+  taut trace latency run.trace                      from publication to callback, per topic
+  taut trace export run.trace --format perfetto     run.trace.json, for https://ui.perfetto.dev
+  taut trace export run.trace --format csv -o -     every event as a line
+
+TAUT_TRACE=on lets a program record from its first event, before a recorder is there.")]
+pub struct TraceArgs {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    Record(record::RecordArgs),
+    Export(ExportArgs),
+    Latency(latency::LatencyArgs),
+}
+
+/// Writes a recording in another format
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut trace export run.trace --format perfetto            run.trace.json, for https://ui.perfetto.dev
+  taut trace export run.trace --format chrome -o run.json  the same, for chrome://tracing
+  taut trace export run.trace --format csv -o - | head")]
+struct ExportArgs {
+    /// The recording
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// What to write: perfetto and chrome are the same JSON
+    #[arg(long, value_enum, default_value_t = Format::Perfetto)]
+    format: Format,
+    /// Where to; - is standard output [default: FILE with .json or .csv appended]
+    #[arg(short, long, value_name = "OUT")]
+    out: Option<PathBuf>,
+}
+
+#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    /// JSON for ui.perfetto.dev: threads, callbacks as slices, arrows from publication to callback
+    Perfetto,
+    /// The same JSON, for chrome://tracing
+    Chrome,
+    /// A line per event
+    Csv,
+}
+
+/// Why there is no recording, or nothing made of one.
+#[derive(Debug, thiserror::Error)]
+pub enum TraceError {
+    #[error("{0}")]
+    Record(#[from] tautline_trace::TraceError),
+    #[error("TAUT_DOMAIN or ROS_DOMAIN_ID: `{value}` is no domain; a domain is a number from 0 to 232")]
+    Domain { value: String },
+    #[error("`{}` cannot be read: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
+    #[error("`{}` is no recording: {reason}; `taut trace record` makes them", path.display())]
+    NoRecording { path: PathBuf, reason: String },
+    #[error("`{}` cannot be written: {source}; choose another place with -o", path.display())]
+    Write { path: PathBuf, source: io::Error },
+    #[error("the result cannot be printed: {0}")]
+    Print(io::Error),
+    #[error("no handler for Ctrl-C: {0}")]
+    Signal(io::Error),
+    #[error("the recorder cannot lower its priority: {0}")]
+    Priority(tautline::rt::RtError),
+}
+
+/// Runs the verb.
+pub fn run(args: TraceArgs) -> Result<ExitCode, TraceError> {
+    match args.verb {
+        Verb::Record(args) => record::run(&args),
+        Verb::Export(args) => export(&args),
+        Verb::Latency(args) => latency::run(&args),
+    }
+}
+
+fn export(args: &ExportArgs) -> Result<ExitCode, TraceError> {
+    let recording = file::read(&args.file)?;
+    recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
+    let out = args.out.clone().unwrap_or_else(|| {
+        let mut name = args.file.clone().into_os_string();
+        name.push(if args.format == Format::Csv { ".csv" } else { ".json" });
+        name.into()
+    });
+    write_to(&out, |to| match args.format {
+        Format::Perfetto | Format::Chrome => chrome::write(&recording, to),
+        Format::Csv => csv::write(&recording, to),
+    })?;
+    if out != Path::new("-") {
+        eprintln!("{}: {} events", out.display(), recording.events.len());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes to a file, which appears when it is complete, or to standard output.
+fn write_to(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), TraceError> {
+    if path == Path::new("-") {
+        let mut to = io::BufWriter::new(io::stdout().lock());
+        return match write(&mut to).and_then(|()| to.flush()) {
+            // Whoever reads has seen enough.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+            result => result.map_err(TraceError::Print),
+        };
+    }
+    let refuse = |source| TraceError::Write { path: path.to_owned(), source };
+    let mut unfinished = path.to_owned().into_os_string();
+    unfinished.push(".unfinished");
+    let unfinished = PathBuf::from(unfinished);
+    let file = std::fs::File::create(&unfinished).map_err(refuse)?;
+    let mut to = io::BufWriter::new(file);
+    let written = write(&mut to).and_then(|()| to.flush()).and_then(|()| std::fs::rename(&unfinished, path));
+    written.map_err(|source| {
+        let _ = std::fs::remove_file(&unfinished);
+        refuse(source)
+    })
+}

@@ -1,0 +1,182 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut trace record`.
+
+use super::TraceError;
+use super::file::{Entry, Writer};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use tautline::rt::{self, Policy};
+use tautline_trace::{Record, Recorder};
+
+/// How often the rings are emptied: the ring of a thread lasts for 400,000 events per second.
+const PERIOD: Duration = Duration::from_millis(10);
+
+/// Records every process of a domain into a file, until Ctrl-C or for a time
+///
+/// Running processes begin to record within about a quarter of a second, new ones at once. What ended processes left in
+/// their rings (TAUT_TRACE=on) is fetched too. Runs at low priority; events that it fetches too late are counted.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut trace record                              until Ctrl-C, into taut.trace
+  taut trace record --seconds 10 -o run.trace
+  taut trace record --seconds 0                  only what ended processes left: the last events before a crash
+  taut trace record --domain 42 --json | jq .events_lost")]
+pub struct RecordArgs {
+    /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
+    domain: Option<u32>,
+    /// End after this many seconds [default: at Ctrl-C]
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    seconds: Option<Duration>,
+    /// The recording
+    #[arg(short, long, value_name = "FILE", default_value = "taut.trace")]
+    out: PathBuf,
+    /// Print what was recorded as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.0..=86_400.0).contains(seconds));
+    seconds.map(Duration::from_secs_f64).ok_or_else(|| "seconds go from 0 to 86400".to_owned())
+}
+
+/// What has come so far.
+#[derive(Default)]
+struct Sum {
+    processes: u64,
+    events: u64,
+    lost: u64,
+    failed: Option<io::Error>,
+}
+
+/// Runs the verb.
+pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
+    let domain = match args.domain {
+        Some(domain) => domain,
+        None => domain_of_environment()?,
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone()).map_err(TraceError::Signal)?;
+    }
+    lower_priority()?;
+    let mut recorder = Recorder::start(domain)?;
+    let refuse = |source| TraceError::Write { path: args.out.clone(), source };
+    let file = File::create(&args.out).map_err(refuse)?;
+    let mut writer = Writer::new(BufWriter::new(file)).map_err(refuse)?;
+    writer.entry(&session(domain)).map_err(refuse)?;
+
+    let (mut sum, start) = (Sum::default(), Instant::now());
+    let until = args.seconds.map(|seconds| start + seconds);
+    let progress = progress(args);
+    eprintln!(
+        "recording domain {domain} into {}{}",
+        args.out.display(),
+        if until.is_none() { ", until Ctrl-C" } else { "" }
+    );
+    let mut next_flush = start + Duration::from_secs(1);
+    while !stop.load(Ordering::Relaxed) && until.is_none_or(|until| Instant::now() < until) {
+        recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
+        recorder
+            .complaints()
+            .iter()
+            .for_each(|complaint| progress.println(format!("taut: warning: {complaint}")));
+        progress.set_message(format!(
+            "{} processes recording, {} events, {} lost",
+            recorder.recording(),
+            sum.events,
+            sum.lost
+        ));
+        if Instant::now() >= next_flush {
+            writer.flush().map_err(refuse)?;
+            next_flush += Duration::from_secs(1);
+        }
+        if let Some(error) = sum.failed.take() {
+            return Err(refuse(error));
+        }
+        let left = until.map_or(PERIOD, |until| until.saturating_duration_since(Instant::now()));
+        std::thread::sleep(PERIOD.min(left));
+    }
+    recorder.finish(&mut |record| note(&mut writer, &mut sum, &record));
+    writer.entry(&Entry::Finished { monotonic_ns: rt::clock::monotonic_ns() }).map_err(refuse)?;
+    writer.flush().map_err(refuse)?;
+    if let Some(error) = sum.failed {
+        return Err(refuse(error));
+    }
+    progress.finish_and_clear();
+    print(args, domain, &sum, start.elapsed());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn note(writer: &mut Writer<BufWriter<File>>, sum: &mut Sum, record: &Record<'_>) {
+    match record {
+        Record::Process { .. } => sum.processes += 1,
+        Record::Events { events, .. } => sum.events += events.len() as u64,
+        Record::Lost { events, .. } | Record::Unrecorded { events, .. } => sum.lost += events,
+        _ => {}
+    }
+    if let Err(error) = writer.record(record) {
+        sum.failed.get_or_insert(error);
+    }
+}
+
+fn print(args: &RecordArgs, domain: u32, sum: &Sum, time: Duration) {
+    if args.json {
+        let report = json!({
+            "file": args.out, "domain": domain, "seconds": time.as_secs_f64(),
+            "processes": sum.processes, "events": sum.events, "events_lost": sum.lost,
+        });
+        println!("{report}");
+    } else {
+        let Sum { processes, events, lost, .. } = sum;
+        println!("{}: {events} events of {processes} processes, {lost} lost", args.out.display());
+    }
+}
+
+/// On a terminal only, and never beside JSON.
+fn progress(args: &RecordArgs) -> ProgressBar {
+    if args.json {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}");
+    ProgressBar::new_spinner().with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()))
+}
+
+/// One that is nicer already, or batch or idle, stays so.
+fn lower_priority() -> Result<(), TraceError> {
+    match rt::current_policy().map_err(TraceError::Priority)? {
+        Policy::Other { nice: 10.. } | Policy::Unmanaged(_) => Ok(()),
+        _ => rt::set_policy(Policy::Other { nice: 10 }).map_err(TraceError::Priority),
+    }
+}
+
+fn session(domain: u32) -> Entry {
+    let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    Entry::Session {
+        domain,
+        taut: env!("CARGO_PKG_VERSION").to_owned(),
+        kernel: kernel.trim_end().to_owned(),
+        started_monotonic_ns: rt::clock::monotonic_ns(),
+        started_unix_ns: rt::clock::wall_ns(),
+    }
+}
+
+fn domain_of_environment() -> Result<u32, TraceError> {
+    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
+        let value = std::env::var_os(variable).unwrap_or_default().to_string_lossy().into_owned();
+        if !value.is_empty() {
+            let domain = value.parse().ok().filter(|domain| *domain <= 232);
+            return domain.ok_or(TraceError::Domain { value });
+        }
+    }
+    Ok(0)
+}

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A recording in memory.
+
+use super::file::Entry;
+use std::collections::{BTreeMap, HashMap};
+use tautline_trace::{Description, Event, ObjectId};
+
+/// All that was recorded, its events in order of time.
+#[derive(Debug, Default)]
+pub struct Recording {
+    pub session: Option<Entry>,
+    pub processes: BTreeMap<u32, Process>,
+    pub events: Vec<TimedEvent>,
+    pub warnings: Vec<String>,
+}
+
+/// One process of a recording.
+#[derive(Debug, Default)]
+pub struct Process {
+    pub pid: u32,
+    pub name: String,
+    pub threads: BTreeMap<u32, String>,
+    pub objects: BTreeMap<ObjectId, Description>,
+    /// Overwritten events of each thread.
+    pub lost: HashMap<u32, u64>,
+    pub unrecorded: u64,
+    pub undescribed: u64,
+}
+
+/// An event and where it happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimedEvent {
+    pub process: u32,
+    pub tid: u32,
+    pub event: Event,
+}
+
+impl Recording {
+    /// A process's entry, made if it is not there: a damaged file need not name it first.
+    pub fn process(&mut self, process: u32) -> &mut Process {
+        self.processes.entry(process).or_default()
+    }
+
+    /// Puts the events in order of time. Those of one thread are in order already and stay so.
+    pub fn finish(&mut self) {
+        self.events.sort_by_key(|timed| timed.event.time_ns);
+        let mut warn = |count: u64, what: &str| {
+            if count != 0 {
+                self.warnings.push(format!("{count} {what}"));
+            }
+        };
+        let sum = |of: fn(&Process) -> u64| self.processes.values().map(of).sum();
+        warn(
+            sum(|process| process.lost.values().sum()),
+            "events were overwritten before they were fetched: give threads larger rings with TAUT_TRACE_EVENTS",
+        );
+        warn(
+            sum(|process| process.unrecorded),
+            "events are missing of threads for which no ring was free (64 per process)",
+        );
+        warn(
+            sum(|process| process.undescribed),
+            "objects have no name: a process had more than 1024 at once",
+        );
+    }
+
+    /// Events that are known to be missing.
+    pub fn events_lost(&self) -> u64 {
+        self.processes.values().map(|process| process.lost.values().sum::<u64>() + process.unrecorded).sum()
+    }
+
+    /// What is known of an event's object.
+    pub fn object(&self, process: u32, id: ObjectId) -> Option<&Description> {
+        self.processes.get(&process)?.objects.get(&id)
+    }
+
+    /// The name of a thread; its number if it has none.
+    pub fn thread_name(&self, process: u32, tid: u32) -> String {
+        let name = self.processes.get(&process).and_then(|process| process.threads.get(&tid));
+        name.filter(|name| !name.is_empty()).cloned().unwrap_or_else(|| tid.to_string())
+    }
+}

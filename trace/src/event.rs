@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What an event is, and how it lies in a ring: five words.
+
+/// Words of one event in a ring.
+pub(crate) const WORDS: usize = 5;
+/// An object's id has 56 bits; above it lies the kind.
+const OBJECT_BITS: u32 = 56;
+
+/// Names something that events speak of, unique in its process: a node, a publisher, a subscription, a callback, a timer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
+pub struct ObjectId(pub u64);
+
+impl ObjectId {
+    /// Nothing: no event is recorded of it.
+    pub const NONE: ObjectId = ObjectId(0);
+}
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Kind {
+    /// A publisher sends a message: stamped before any subscription can take it.
+    Publish = 1,
+    /// A subscription has taken a message.
+    Take = 2,
+    /// A callback begins.
+    CallbackStart = 3,
+    /// A callback has ended.
+    CallbackEnd = 4,
+    /// The sampler begins to wait.
+    SpinStart = 5,
+    /// The sampler has something to serve.
+    SpinWake = 6,
+    /// The sampler waited in vain.
+    SpinTimeout = 7,
+    /// The sampler has served what it woke for.
+    SpinEnd = 8,
+}
+
+impl Kind {
+    /// Every kind, in order of its number.
+    pub const ALL: [Kind; 8] = [
+        Kind::Publish,
+        Kind::Take,
+        Kind::CallbackStart,
+        Kind::CallbackEnd,
+        Kind::SpinStart,
+        Kind::SpinWake,
+        Kind::SpinTimeout,
+        Kind::SpinEnd,
+    ];
+
+    /// The name that exports print.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Kind::Publish => "publish",
+            Kind::Take => "take",
+            Kind::CallbackStart => "callback_start",
+            Kind::CallbackEnd => "callback_end",
+            Kind::SpinStart => "spin_start",
+            Kind::SpinWake => "spin_wake",
+            Kind::SpinTimeout => "spin_timeout",
+            Kind::SpinEnd => "spin_end",
+        }
+    }
+
+    fn from_number(number: u64) -> Option<Kind> {
+        Kind::ALL.into_iter().find(|kind| *kind as u64 == number)
+    }
+}
+
+/// One event of one thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Event {
+    /// `CLOCK_MONOTONIC` in nanoseconds.
+    pub time_ns: u64,
+    /// What happened.
+    pub kind: Kind,
+    /// To what.
+    pub object: ObjectId,
+    /// `publish` and `take`: sequence number, source time stamp (nanoseconds since 1970), [`gid_key`] of the publisher.
+    /// `callback_start`: the release of its message or tick on `CLOCK_MONOTONIC`. `spin_start`: the longest wait in
+    /// nanoseconds, `u64::MAX` for as long as it takes. Otherwise zeros.
+    pub arguments: [u64; 3],
+}
+
+impl Event {
+    pub(crate) fn to_words(self) -> [u64; WORDS] {
+        let [a, b, c] = self.arguments;
+        [self.time_ns, (self.kind as u64) << OBJECT_BITS | self.object.0 & ((1 << OBJECT_BITS) - 1), a, b, c]
+    }
+
+    /// `None` if the words, which come from another process's memory or from a file, are no event.
+    pub fn from_words([time_ns, what, a, b, c]: [u64; WORDS]) -> Option<Event> {
+        let kind = Kind::from_number(what >> OBJECT_BITS)?;
+        let object = ObjectId(what & ((1 << OBJECT_BITS) - 1));
+        Some(Event { time_ns, kind, object, arguments: [a, b, c] })
+    }
+
+    /// The words that [`from_words`](Self::from_words) reads, for a file.
+    pub fn words(self) -> [u64; WORDS] {
+        self.to_words()
+    }
+}
+
+/// Folds a publisher's gid, as two words, into the one that events carry.
+pub const fn gid_key([low, high]: [u64; 2]) -> u64 {
+    low ^ high.rotate_left(32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_comes_back_and_nothing_else_does() {
+        for kind in Kind::ALL {
+            let event =
+                Event { time_ns: 7, kind, object: ObjectId(u64::MAX >> 8), arguments: [1, 2, u64::MAX] };
+            assert_eq!(Event::from_words(event.words()), Some(event));
+        }
+        for number in (0..=255u64).filter(|n| !(1..=8).contains(n)) {
+            assert_eq!(Event::from_words([0, number << OBJECT_BITS | 1, 0, 0, 0]), None);
+        }
+    }
+}

@@ -1,0 +1,170 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The events. Off, each costs one relaxed load and a branch that is not taken.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use crate::event::{Event, Kind, ObjectId, gid_key};
+#[cfg(feature = "lttng")]
+use crate::lttng;
+use crate::process::{self, Place};
+use core::sync::atomic::{AtomicBool, Ordering};
+use tautline_rt::clock::monotonic_ns;
+
+/// Whether this process's rings record. Relaxed: an event more or less around the switch is no matter.
+static ON: AtomicBool = AtomicBool::new(false);
+
+pub(crate) fn switch(on: bool) {
+    ON.store(on, Ordering::Relaxed);
+}
+
+/// Whether events go anywhere: to this process's rings, or to LTTng where that is compiled in.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall.
+#[inline(always)]
+pub fn is_on() -> bool {
+    cfg!(feature = "lttng") || ON.load(Ordering::Relaxed)
+}
+
+/// Records in the current thread's ring.
+#[cold]
+#[inline(never)]
+fn record(kind: Kind, object: ObjectId, arguments: [u64; 3]) {
+    if object == ObjectId::NONE {
+        return;
+    }
+    match process::place() {
+        Place::Ring(ring) => ring.push(Event { time_ns: monotonic_ns(), kind, object, arguments }.to_words()),
+        Place::Counted(unrecorded) => {
+            unrecorded.fetch_add(1, crate::sync::Ordering::Relaxed);
+        }
+        Place::Nowhere => {}
+    }
+}
+
+/// What identifies a message.
+#[derive(Clone, Copy, Debug)]
+pub struct MessageId {
+    /// Counts the publisher's messages.
+    pub sequence_number: u64,
+    /// When it was published: nanoseconds since 1970.
+    pub source_timestamp_ns: i64,
+    /// Its publisher.
+    pub gid: [u64; 2],
+    /// Where its body lies in this process.
+    pub address: usize,
+}
+
+impl MessageId {
+    fn arguments(&self) -> [u64; 3] {
+        [self.sequence_number, self.source_timestamp_ns.cast_unsigned(), gid_key(self.gid)]
+    }
+}
+
+/// `publisher` is about to send a message.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall, except in the first event of a thread that has not been
+/// [registered](crate::register_thread).
+#[inline(always)]
+pub fn publish(publisher: ObjectId, message: &MessageId) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::Publish, publisher, message.arguments());
+    }
+    #[cfg(feature = "lttng")]
+    lttng::publish(publisher, message);
+}
+
+/// `subscription` has taken a message.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn take(subscription: ObjectId, message: &MessageId) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::Take, subscription, message.arguments());
+    }
+    #[cfg(feature = "lttng")]
+    lttng::take(subscription, message);
+}
+
+/// `callback` begins with a message or tick that was released at `release_ns` on `CLOCK_MONOTONIC`.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn callback_start(callback: ObjectId, release_ns: u64) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::CallbackStart, callback, [release_ns, 0, 0]);
+    }
+    #[cfg(feature = "lttng")]
+    lttng::callback_start(callback);
+}
+
+/// `callback` has ended.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn callback_end(callback: ObjectId) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::CallbackEnd, callback, [0; 3]);
+    }
+    #[cfg(feature = "lttng")]
+    lttng::callback_end(callback);
+}
+
+/// `sampler` begins to wait, until the absolute time `until_ns` on `CLOCK_MONOTONIC` at most.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn spin_start(sampler: ObjectId, until_ns: Option<u64>) {
+    if is_on() {
+        let timeout_ns = until_ns.map_or(u64::MAX, |until| until.saturating_sub(monotonic_ns()));
+        if ON.load(Ordering::Relaxed) {
+            record(Kind::SpinStart, sampler, [timeout_ns, 0, 0]);
+        }
+        #[cfg(feature = "lttng")]
+        lttng::spin_start(sampler, timeout_ns);
+    }
+}
+
+/// `sampler` has something to serve.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn spin_wake(sampler: ObjectId) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::SpinWake, sampler, [0; 3]);
+    }
+    #[cfg(feature = "lttng")]
+    lttng::spin_wake(sampler);
+}
+
+/// `sampler` waited in vain.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn spin_timeout(sampler: ObjectId) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::SpinTimeout, sampler, [0; 3]);
+    }
+    #[cfg(feature = "lttng")]
+    lttng::spin_timeout(sampler);
+}
+
+/// `sampler` has served what it woke for.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn spin_end(sampler: ObjectId) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::SpinEnd, sampler, [0; 3]);
+    }
+    #[cfg(feature = "lttng")]
+    lttng::spin_end(sampler);
+}

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is told once, when something is made. Setup only: these take a lock and allocate.
+
+use crate::event::ObjectId;
+#[cfg(feature = "lttng")]
+use crate::lttng;
+use crate::object::{Object, ObjectKind};
+use crate::process::register_thread;
+use std::cell::Cell;
+
+thread_local!(static NODE: Cell<ObjectId> = const { Cell::new(ObjectId::NONE) });
+
+/// What the current thread makes as long as this lives belongs to a node.
+#[derive(Debug)]
+#[must_use = "it says to which node belongs what is made while it lives"]
+pub struct NodeScope {
+    before: ObjectId,
+}
+
+/// Says that `node` makes what the current thread makes next.
+pub fn in_node(node: ObjectId) -> NodeScope {
+    NodeScope { before: NODE.replace(node) }
+}
+
+impl Drop for NodeScope {
+    fn drop(&mut self) {
+        NODE.set(self.before);
+    }
+}
+
+/// A membership of `domain` was made.
+pub fn context_init(domain: u32) -> Object {
+    let name = format!("domain {domain}");
+    let context = Object::describe(ObjectKind::Context, ObjectId::NONE, domain.into(), [0; 2], &name);
+    #[cfg(feature = "lttng")]
+    lttng::context_init(context.id());
+    context
+}
+
+/// A node was made.
+pub fn node_init(context: ObjectId, name: &str, namespace: &str) -> Object {
+    let full = format!("{}/{name}", namespace.trim_end_matches('/'));
+    let node = Object::describe(ObjectKind::Node, context, 0, [0; 2], &full);
+    #[cfg(feature = "lttng")]
+    lttng::node_init(node.id(), name, namespace);
+    node
+}
+
+/// A sampler was made. LTTng sees it as a node of that name, for the spin events of r2r are a node's.
+pub fn sampler_init(context: ObjectId) -> Object {
+    let sampler = Object::describe(ObjectKind::Sampler, context, 0, [0; 2], "sampler");
+    #[cfg(feature = "lttng")]
+    lttng::node_init(sampler.id(), "sampler", "/");
+    sampler
+}
+
+/// A publisher was made, by the node of the current [`NodeScope`].
+pub fn publisher_init(topic: &str, depth: usize, gid: [u64; 2]) -> Object {
+    register_thread();
+    let publisher = Object::describe(ObjectKind::Publisher, NODE.get(), depth as u64, gid, topic);
+    #[cfg(feature = "lttng")]
+    lttng::publisher_init(publisher.id(), NODE.get(), topic, depth, gid);
+    publisher
+}
+
+/// A subscription was made, by the node of the current [`NodeScope`].
+pub fn subscription_init(topic: &str, depth: usize) -> Object {
+    register_thread();
+    let subscription = Object::describe(ObjectKind::Subscription, NODE.get(), depth as u64, [0; 2], topic);
+    #[cfg(feature = "lttng")]
+    lttng::subscription_init(subscription.id(), NODE.get(), topic, depth);
+    subscription
+}
+
+/// A timer was made, by the node of the current [`NodeScope`].
+pub fn timer_init(period_ns: u64) -> Object {
+    let timer = Object::describe(ObjectKind::Timer, NODE.get(), period_ns, [0; 2], "");
+    #[cfg(feature = "lttng")]
+    lttng::timer_init(timer.id(), NODE.get(), period_ns);
+    timer
+}
+
+/// A callback of a subscription was made.
+pub fn subscription_callback_init(subscription: ObjectId, name: &str) -> Object {
+    let callback = Object::describe(ObjectKind::Callback, subscription, 0, [0; 2], name);
+    #[cfg(feature = "lttng")]
+    lttng::subscription_callback_init(subscription, callback.id(), name);
+    callback
+}
+
+/// A callback of a timer was made.
+pub fn timer_callback_init(timer: ObjectId, name: &str) -> Object {
+    let callback = Object::describe(ObjectKind::Callback, timer, 0, [0; 2], name);
+    #[cfg(feature = "lttng")]
+    lttng::timer_callback_init(timer, callback.id(), name);
+    callback
+}
+
+/// A callback of something else was made, or a thread for callbacks.
+pub fn callback_init(name: &str) -> Object {
+    let callback = Object::describe(ObjectKind::Callback, ObjectId::NONE, 0, [0; 2], name);
+    #[cfg(feature = "lttng")]
+    lttng::callback_init(callback.id(), name);
+    callback
+}

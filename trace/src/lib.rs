@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Trace events of the hot path: when a message was published and taken, when its callback began and ended, when the sampler
+//! woke.
+//!
+//! - The events are functions, called where they happen: [`publish`], [`take`], [`callback_start`] ... While nobody records,
+//!   each is one relaxed load and a branch.
+//! - Each thread records into a ring of its own in shared memory, which it claims before it turns real-time
+//!   ([`register_thread`]). The writer never waits; what a recorder fetches too late is overwritten, and counted.
+//! - A [`Recorder`], in any process of the same user, switches a domain's recording on and fetches the events. It is told by
+//!   the lock of a file that it is there, so that a killed one leaves nothing switched on.
+//! - A killed process loses no event: its rings stay until a recorder has fetched them.
+//! - What events speak of (nodes, topics, callbacks) is described in a table beside the rings, so that a recorder may come late.
+//! - With the feature `lttng` the same functions are LTTng-UST tracepoints with the names and fields of ros2_tracing and r2r.
+//!
+//! ```
+//! use tautline_trace::{Kind, MessageId, Record, Recorder, TraceMode};
+//!
+//! tautline_trace::configure(TraceMode::On.into());
+//! let membership = tautline_trace::join(1204)?; // what a Context does
+//! let publisher = tautline_trace::publisher_init("/imu", 10, [1, 2]);
+//! let message = MessageId { sequence_number: 1, source_timestamp_ns: 0, gid: [1, 2], address: 0 };
+//! tautline_trace::publish(publisher.id(), &message);
+//!
+//! let mut kinds = Vec::new();
+//! let recorder = Recorder::start(1204)?; // what `taut trace record` does
+//! recorder.finish(&mut |record: Record<'_>| {
+//!     if let Record::Events { events, .. } = record {
+//!         kinds.extend(events.iter().map(|event| event.kind));
+//!     }
+//! });
+//! assert_eq!(kinds, [Kind::Publish]);
+//! drop(membership);
+//! # Ok::<(), tautline_trace::TraceError>(())
+//! ```
+
+mod control;
+mod error;
+mod event;
+mod hot;
+mod init;
+mod layout;
+#[cfg(feature = "lttng")]
+mod lttng;
+mod object;
+mod process;
+mod recorder;
+mod ring;
+mod settings;
+mod sync;
+
+pub use error::TraceError;
+pub use event::{Event, Kind, ObjectId, gid_key};
+pub use hot::{
+    MessageId, callback_end, callback_start, is_on, publish, spin_end, spin_start, spin_timeout, spin_wake,
+    take,
+};
+pub use init::{
+    NodeScope, callback_init, context_init, in_node, node_init, publisher_init, sampler_init,
+    subscription_callback_init, subscription_init, timer_callback_init, timer_init,
+};
+pub use object::{Description, Object, ObjectKind};
+pub use process::{Membership, attend, configure, join, register_thread, register_thread_as};
+pub use recorder::{Record, Recorder, remove_dead_files};
+pub use settings::{TraceMode, TraceSettings};

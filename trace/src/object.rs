@@ -1,0 +1,252 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What events speak of: entries of a table in the process's file, so that a recorder that comes late knows their names.
+
+use crate::event::ObjectId;
+use crate::layout::{Map, NAME_BYTES, OBJECTS, ObjectWords};
+use crate::process;
+use crate::sync::{AtomicU64, Ordering, fence};
+use std::collections::VecDeque;
+use tautline_rt::clock::monotonic_ns;
+
+/// What an object is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum ObjectKind {
+    /// A membership of a domain; the detail is the domain.
+    Context = 1,
+    /// A node; its parent is the context.
+    Node = 2,
+    /// A publisher; its parent is the node, the detail its depth.
+    Publisher = 3,
+    /// A subscription; its parent is the node, the detail its depth.
+    Subscription = 4,
+    /// A timer; its parent is the node, the detail its period in nanoseconds.
+    Timer = 5,
+    /// A callback; its parent is the subscription or the timer that it serves, if that is known.
+    Callback = 6,
+    /// A sampler; its parent is the context.
+    Sampler = 7,
+}
+
+impl ObjectKind {
+    const ALL: [ObjectKind; 7] = [
+        ObjectKind::Context,
+        ObjectKind::Node,
+        ObjectKind::Publisher,
+        ObjectKind::Subscription,
+        ObjectKind::Timer,
+        ObjectKind::Callback,
+        ObjectKind::Sampler,
+    ];
+
+    /// The name that exports print.
+    pub const fn name(self) -> &'static str {
+        match self {
+            ObjectKind::Context => "context",
+            ObjectKind::Node => "node",
+            ObjectKind::Publisher => "publisher",
+            ObjectKind::Subscription => "subscription",
+            ObjectKind::Timer => "timer",
+            ObjectKind::Callback => "callback",
+            ObjectKind::Sampler => "sampler",
+        }
+    }
+
+    /// The kind with this name.
+    pub fn from_name(name: &str) -> Option<ObjectKind> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    fn from_number(number: u32) -> Option<ObjectKind> {
+        Self::ALL.into_iter().find(|kind| *kind as u32 == number)
+    }
+}
+
+/// What is known of an object.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Description {
+    /// Unique in its process.
+    pub id: ObjectId,
+    /// What it is.
+    pub kind: ObjectKind,
+    /// To what it belongs, or [`ObjectId::NONE`].
+    pub parent: ObjectId,
+    /// A number that depends on the kind.
+    pub detail: u64,
+    /// A publisher's gid, as two words.
+    pub gid: [u64; 2],
+    /// When it was made, on `CLOCK_MONOTONIC`.
+    pub created_ns: u64,
+    /// A topic's or a node's fully qualified name, a callback's name; of a long one the first 192 bytes.
+    pub name: String,
+}
+
+/// Something that events speak of, described as long as this lives.
+#[derive(Debug)]
+#[must_use = "it is described as long as this lives"]
+pub struct Object {
+    id: ObjectId,
+    entry: Option<process::Entry>,
+}
+
+impl Object {
+    pub(crate) fn describe(
+        kind: ObjectKind,
+        parent: ObjectId,
+        detail: u64,
+        gid: [u64; 2],
+        name: &str,
+    ) -> Object {
+        // Only ever compared: any order will do. Not loom's, which has no statics.
+        static NEXT: core::sync::atomic::AtomicU64 = core::sync::atomic::AtomicU64::new(1);
+        let id = ObjectId(NEXT.fetch_add(1, core::sync::atomic::Ordering::Relaxed));
+        let name = shortened(name);
+        let description =
+            Description { id, kind, parent, detail, gid, created_ns: monotonic_ns(), name: name.to_owned() };
+        Object { id, entry: process::describe(&description) }
+    }
+
+    /// Its id.
+    pub fn id(&self) -> ObjectId {
+        self.id
+    }
+}
+
+impl Drop for Object {
+    fn drop(&mut self) {
+        if let Some(entry) = self.entry.take() {
+            process::forget(entry);
+        }
+    }
+}
+
+fn shortened(name: &str) -> &str {
+    let end = (0..=NAME_BYTES.min(name.len())).rev().find(|at| name.is_char_boundary(*at)).unwrap_or(0);
+    &name[..end]
+}
+
+/// The entries nobody uses, the longest unused first: what ended stays readable as long as possible.
+pub(crate) struct FreeEntries(VecDeque<usize>);
+
+impl FreeEntries {
+    pub(crate) const fn none() -> FreeEntries {
+        FreeEntries(VecDeque::new())
+    }
+
+    pub(crate) fn all() -> FreeEntries {
+        FreeEntries((0..OBJECTS).collect())
+    }
+
+    pub(crate) fn take(&mut self) -> Option<usize> {
+        self.0.pop_front()
+    }
+
+    pub(crate) fn give_back(&mut self, index: usize) {
+        self.0.push_back(index);
+    }
+}
+
+impl ObjectWords {
+    /// Only one thread of the owner at a time may.
+    pub(crate) fn write(&self, object: &Description) {
+        let turn = self.turn.load(Ordering::Relaxed) | 1;
+        self.turn.store(turn, Ordering::Relaxed);
+        // Pairs with the fence in `read`: whoever reads a word below sees that it is being written.
+        fence(Ordering::Release);
+        self.kind.store(object.kind as u32, Ordering::Relaxed);
+        self.name_bytes.store(object.name.len() as u32, Ordering::Relaxed);
+        let words: [(&AtomicU64, u64); 6] = [
+            (&self.id, object.id.0),
+            (&self.parent, object.parent.0),
+            (&self.detail, object.detail),
+            (&self.gid[0], object.gid[0]),
+            (&self.gid[1], object.gid[1]),
+            (&self.created_ns, object.created_ns),
+        ];
+        for (to, from) in words {
+            to.store(from, Ordering::Relaxed);
+        }
+        for (to, chunk) in self.name.iter().zip(object.name.as_bytes().chunks(8)) {
+            let mut bytes = [0; 8];
+            bytes[..chunk.len()].copy_from_slice(chunk);
+            to.store(u64::from_le_bytes(bytes), Ordering::Relaxed);
+        }
+        // Release: pairs with the Acquire in `read`.
+        self.turn.store(turn + 1, Ordering::Release);
+    }
+
+    /// The entry and its turn, which tells whether it is another one than at the last look; `None` while it is being
+    /// written, was never used, or holds what is no description.
+    pub(crate) fn read(&self) -> Option<(u64, Description)> {
+        let turn = self.turn.load(Ordering::Acquire);
+        if turn == 0 || turn & 1 == 1 {
+            return None;
+        }
+        let word = |word: &AtomicU64| word.load(Ordering::Relaxed);
+        let kind = ObjectKind::from_number(self.kind.load(Ordering::Relaxed));
+        let name_bytes = (self.name_bytes.load(Ordering::Relaxed) as usize).min(NAME_BYTES);
+        let mut name: Vec<u8> = self.name.iter().flat_map(|chunk| word(chunk).to_le_bytes()).collect();
+        name.truncate(name_bytes);
+        let description = Description {
+            id: ObjectId(word(&self.id)),
+            kind: kind?,
+            parent: ObjectId(word(&self.parent)),
+            detail: word(&self.detail),
+            gid: [word(&self.gid[0]), word(&self.gid[1])],
+            created_ns: word(&self.created_ns),
+            name: String::from_utf8_lossy(&name).into_owned(),
+        };
+        fence(Ordering::Acquire);
+        (self.turn.load(Ordering::Relaxed) == turn).then_some((turn, description))
+    }
+}
+
+/// Every entry of a process's table that can be read.
+pub(crate) fn entries(map: Map) -> impl Iterator<Item = (usize, u64, Description)> {
+    let entries = map.layout().objects.iter().enumerate();
+    entries.filter_map(|(index, words)| words.read().map(|(turn, object)| (index, turn, object)))
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    fn blank() -> ObjectWords {
+        // SAFETY: atomics, of which zero is valid.
+        unsafe { core::mem::zeroed() }
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let entry = blank();
+        assert_eq!(entry.read(), None);
+        let mut object = Description {
+            id: ObjectId(7),
+            kind: ObjectKind::Publisher,
+            parent: ObjectId(3),
+            detail: 10,
+            gid: [1, 2],
+            created_ns: 99,
+            name: "/robot/imu".to_owned(),
+        };
+        entry.write(&object);
+        assert_eq!(entry.read(), Some((2, object.clone())));
+        object.name = shortened(&"ä".repeat(200)).to_owned();
+        assert_eq!(object.name.len(), 192);
+        entry.write(&object);
+        assert_eq!(entry.read(), Some((4, object)));
+    }
+
+    #[test]
+    fn lies_are_no_description() {
+        let entry = blank();
+        entry.turn.store(2, Ordering::Relaxed);
+        entry.kind.store(200, Ordering::Relaxed);
+        assert_eq!(entry.read(), None, "no such kind");
+        entry.kind.store(1, Ordering::Relaxed);
+        entry.name_bytes.store(u32::MAX, Ordering::Relaxed);
+        assert_eq!(entry.read().unwrap().1.name.len(), NAME_BYTES);
+        entry.turn.store(3, Ordering::Relaxed);
+        assert_eq!(entry.read(), None, "being written");
+    }
+}

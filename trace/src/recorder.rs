@@ -1,0 +1,337 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The recorder's side: finds the processes of a domain, switches their recording on, fetches their events.
+
+use crate::control::{self, Asked, Control};
+use crate::error::TraceError;
+use crate::event::Event;
+use crate::layout::{Map, RINGS, state, words_to_name};
+use crate::object::{self, Description};
+use crate::sync::Ordering;
+use rustix::fs::{FlockOperation, Mode, OFlags};
+use std::collections::{HashMap, HashSet};
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// What a recorder found. Of a process everything comes after its [`Process`](Record::Process), the events of a thread after
+/// its [`Thread`](Record::Thread).
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Record<'r> {
+    /// A process; `process` numbers it from here on.
+    Process {
+        /// Its number in this recording.
+        process: u32,
+        /// The kernel's number of it.
+        pid: u32,
+        /// The name that `ps` shows.
+        name: &'r str,
+    },
+    /// Something that events of this process speak of.
+    Object {
+        /// Of which process.
+        process: u32,
+        /// What it is.
+        object: &'r Description,
+    },
+    /// A thread.
+    Thread {
+        /// Of which process.
+        process: u32,
+        /// The kernel's number of it.
+        tid: u32,
+        /// Its name.
+        name: &'r str,
+    },
+    /// Events of one thread in their order.
+    Events {
+        /// Of which process.
+        process: u32,
+        /// Of which thread.
+        tid: u32,
+        /// In their order.
+        events: &'r [Event],
+    },
+    /// Events of one thread that were overwritten before they were fetched, or that were none.
+    Lost {
+        /// Of which process.
+        process: u32,
+        /// Of which thread.
+        tid: u32,
+        /// How many.
+        events: u64,
+    },
+    /// Events of threads that had no ring, because all were taken.
+    Unrecorded {
+        /// Of which process.
+        process: u32,
+        /// How many.
+        events: u64,
+    },
+    /// Objects that found no place in the table of their process: events may speak of something without a name.
+    Undescribed {
+        /// Of which process.
+        process: u32,
+        /// How many.
+        objects: u64,
+    },
+    /// A process has ended, and everything of it has been fetched.
+    Ended {
+        /// Which.
+        process: u32,
+    },
+}
+
+/// Records a domain: processes record as long as it lives.
+///
+/// ```
+/// use tautline_trace::{Record, Recorder};
+/// let mut recorder = Recorder::start(1203)?;
+/// let mut events = 0;
+/// let mut count = |record: Record<'_>| if let Record::Events { events: new, .. } = record { events += new.len() };
+/// recorder.poll(&mut count); // every few milliseconds
+/// recorder.finish(&mut count);
+/// assert_eq!(events, 0, "nobody is there");
+/// # Ok::<(), tautline_trace::TraceError>(())
+/// ```
+#[derive(Debug)]
+pub struct Recorder {
+    domain: u32,
+    control: Control,
+    processes: HashMap<PathBuf, Peer>,
+    /// Files that are no trace file; each is complained about once.
+    refused: HashSet<PathBuf>,
+    complaints: Vec<String>,
+    next_number: u32,
+    next_scan: Instant,
+}
+
+impl Recorder {
+    /// How often it looks for new processes.
+    const SCAN_PERIOD: Duration = Duration::from_millis(100);
+
+    /// Tells the processes of `domain` to record. They see it within about a quarter of a second; those that start from now
+    /// on record at once.
+    ///
+    /// # Errors
+    /// [`TraceError::SecondRecorder`] if there is one already.
+    pub fn start(domain: u32) -> Result<Recorder, TraceError> {
+        let control = Control::claim(domain)?;
+        Ok(Recorder {
+            domain,
+            control,
+            processes: HashMap::new(),
+            refused: HashSet::new(),
+            complaints: Vec::new(),
+            next_number: 0,
+            next_scan: Instant::now(),
+        })
+    }
+
+    /// Fetches what has come since the last call. A thread loses events if it fills its ring between two calls.
+    pub fn poll(&mut self, sink: &mut impl FnMut(Record<'_>)) {
+        if Instant::now() >= self.next_scan {
+            self.scan(sink);
+            self.next_scan = Instant::now() + Self::SCAN_PERIOD;
+        }
+        for peer in self.processes.values_mut() {
+            peer.fetch(sink);
+        }
+        self.bury(sink);
+    }
+
+    /// Tells every process to stop recording, waits until they have, at most two seconds, and fetches the rest.
+    pub fn finish(mut self, sink: &mut impl FnMut(Record<'_>)) {
+        const PATIENCE: Duration = Duration::from_secs(2);
+        self.control.finish();
+        let start = Instant::now();
+        self.scan(sink);
+        while self.processes.values().any(Peer::is_recording) && start.elapsed() < PATIENCE {
+            std::thread::sleep(Duration::from_millis(5));
+            for peer in self.processes.values_mut() {
+                peer.fetch(sink);
+            }
+            self.bury(sink);
+        }
+        for peer in self.processes.values_mut() {
+            peer.fetch(sink);
+        }
+        self.bury(sink);
+    }
+
+    /// How many processes are being recorded now.
+    pub fn recording(&self) -> usize {
+        self.processes.values().filter(|peer| peer.map.state().load(Ordering::Relaxed) != state::OFF).count()
+    }
+
+    /// Files of this domain that could not be read, and why; each once.
+    pub fn complaints(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.complaints)
+    }
+
+    fn scan(&mut self, sink: &mut impl FnMut(Record<'_>)) {
+        for path in control::process_files(self.domain) {
+            if self.processes.contains_key(&path) || self.refused.contains(&path) {
+                continue;
+            }
+            match Peer::open(&path, self.next_number) {
+                Ok(Some(peer)) => {
+                    let (process, pid) = (self.next_number, peer.map.pid());
+                    self.next_number += 1;
+                    sink(Record::Process { process, pid, name: &peer.map.name() });
+                    self.processes.insert(path, peer);
+                }
+                Ok(None) => {}
+                Err(reason) => {
+                    self.complaints.push(format!("{} is left out: {reason}", path.display()));
+                    self.refused.insert(path);
+                }
+            }
+        }
+    }
+
+    /// Removes the files of processes that have ended.
+    fn bury(&mut self, sink: &mut impl FnMut(Record<'_>)) {
+        self.processes.retain(|path, peer| {
+            // Not locked: its owner died, or needs it no more.
+            if rustix::fs::flock(&peer.file, FlockOperation::NonBlockingLockExclusive).is_err() {
+                return true;
+            }
+            peer.fetch(sink);
+            let _ = rustix::fs::unlink(path);
+            sink(Record::Ended { process: peer.number });
+            false
+        });
+    }
+}
+
+/// The trace file of a process: what it holds are claims.
+#[derive(Debug)]
+struct Peer {
+    number: u32,
+    map: Map,
+    file: OwnedFd,
+    /// The turn of each entry of the table that was reported.
+    turns: HashMap<usize, u64>,
+    /// Who owned each ring, and under which name, when it was last reported.
+    owners: HashMap<usize, (u32, String)>,
+    described: u64,
+    unrecorded: u64,
+    undescribed: u64,
+}
+
+impl Peer {
+    /// `None` if the file is not complete yet, or gone.
+    fn open(path: &Path, number: u32) -> Result<Option<Peer>, String> {
+        let flags = OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+        let Ok(file) = rustix::fs::open(path, flags, Mode::empty()) else { return Ok(None) };
+        let mut first = [0; 64];
+        let read = rustix::io::pread(&file, &mut first, 0).map_err(|errno| errno.to_string())?;
+        if first.iter().take(8).all(|byte| *byte == 0) {
+            // Its owner is about to write the header, or died before.
+            if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
+                let _ = rustix::fs::unlink(path);
+            }
+            return Ok(None);
+        }
+        let size = rustix::fs::fstat(&file).map_err(|errno| errno.to_string())?.st_size;
+        let events = Map::check_header(first.get(..read).unwrap_or_default(), size.cast_unsigned())?;
+        let map = Map::of_file(&file, events, None).map_err(|error| error.to_string())?;
+        let (turns, owners) = (HashMap::new(), HashMap::new());
+        Ok(Some(Peer { number, map, file, turns, owners, described: 0, unrecorded: 0, undescribed: 0 }))
+    }
+
+    fn is_recording(&self) -> bool {
+        // Acquire: pairs with the Release of the owner: its last events are seen.
+        self.map.state().load(Ordering::Acquire) == state::ASKED
+    }
+
+    fn fetch(&mut self, sink: &mut impl FnMut(Record<'_>)) {
+        let process = self.number;
+        let mut batches = Vec::new();
+        for index in 0..RINGS {
+            let ring = self.map.ring(index);
+            if ring.is_drained() {
+                continue;
+            }
+            let from = ring.head.drained.load(Ordering::Relaxed);
+            let mut words = Vec::new();
+            let drained = ring.drain(from, &mut words);
+            // Read after the events: a ring is given back when it is drained, so that what was just read is of this thread.
+            let tid = ring.head.tid.load(Ordering::Acquire);
+            batches.push((index, tid, words_to_name(&ring.head.name), words, drained));
+        }
+        // Objects after the copies and before they are reported: what an event speaks of was there before it.
+        self.report_objects(sink);
+        for (index, tid, name, words, drained) in batches {
+            let events: Vec<Event> = words.iter().filter_map(|words| Event::from_words(*words)).collect();
+            let lost = drained.lost.saturating_add((words.len() - events.len()) as u64);
+            if self.owners.get(&index).is_none_or(|known| (known.0, &known.1) != (tid, &name)) {
+                sink(Record::Thread { process, tid, name: &name });
+                self.owners.insert(index, (tid, name));
+            }
+            if lost != 0 {
+                sink(Record::Lost { process, tid, events: lost });
+            }
+            if !events.is_empty() {
+                sink(Record::Events { process, tid, events: &events });
+            }
+            self.map.ring(index).head.drained.store(drained.next, Ordering::Relaxed);
+        }
+        let unrecorded = self.map.unrecorded().load(Ordering::Relaxed);
+        if unrecorded > self.unrecorded {
+            sink(Record::Unrecorded { process, events: unrecorded - self.unrecorded });
+            self.unrecorded = unrecorded;
+        }
+        let undescribed = self.map.undescribed().load(Ordering::Relaxed);
+        if undescribed > self.undescribed {
+            sink(Record::Undescribed { process, objects: undescribed - self.undescribed });
+            self.undescribed = undescribed;
+        }
+    }
+}
+
+impl Peer {
+    fn report_objects(&mut self, sink: &mut impl FnMut(Record<'_>)) {
+        // Acquire: pairs with the Release of the owner, who counts after writing.
+        let described = self.map.described().load(Ordering::Acquire);
+        if described == self.described {
+            return;
+        }
+        self.described = described;
+        for (index, turn, object) in object::entries(self.map) {
+            if self.turns.insert(index, turn) != Some(turn) {
+                sink(Record::Object { process: self.number, object: &object });
+            }
+        }
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        // SAFETY: rings and objects are borrowed from the map within calls of `fetch` only.
+        unsafe { self.map.unmap() };
+    }
+}
+
+/// Removes the files of a domain's dead processes that hold nothing a recorder would want. While there is a recorder it does
+/// that itself.
+pub fn remove_dead_files(domain: u32) {
+    let mut files = control::process_files(domain);
+    files.retain(|path| {
+        let file = rustix::fs::open(path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty());
+        file.is_ok_and(|file| rustix::fs::flock(file, FlockOperation::NonBlockingLockExclusive).is_ok())
+    });
+    if files.is_empty() || control::asked(domain) != Asked::Nothing {
+        return;
+    }
+    for path in files {
+        // Opening it removes a file whose owner died before it wrote a header.
+        if let Ok(Some(peer)) = Peer::open(&path, 0)
+            && rustix::fs::flock(&peer.file, FlockOperation::NonBlockingLockExclusive).is_ok()
+            && peer.map.is_drained()
+        {
+            let _ = rustix::fs::unlink(&path);
+        }
+    }
+}

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a process lets be traced.
+
+use crate::error::TraceError;
+use crate::layout::{MAX_EVENTS, MIN_EVENTS};
+
+/// Whether this process records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum TraceMode {
+    /// Never. No ring is claimed.
+    Off,
+    /// While a recorder is there. Rings are claimed.
+    #[default]
+    Ready,
+    /// From the start. What no recorder fetches in time is overwritten; the newest events of each thread stay, also after
+    /// the process's end, until a recorder fetches them.
+    On,
+}
+
+/// What a process lets be traced: how, and how much a thread keeps.
+///
+/// ```
+/// use tautline_trace::{TraceMode, TraceSettings};
+/// let settings = TraceSettings::from(TraceMode::On).ring_events(1000);
+/// assert_eq!(settings.ring_events, 1024);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct TraceSettings {
+    /// Whether events are recorded.
+    pub mode: TraceMode,
+    /// Events that the ring of each thread holds, 40 bytes each: a power of two.
+    pub ring_events: usize,
+}
+
+impl Default for TraceSettings {
+    fn default() -> Self {
+        TraceMode::default().into()
+    }
+}
+
+impl From<TraceMode> for TraceSettings {
+    fn from(mode: TraceMode) -> Self {
+        TraceSettings { mode, ring_events: Self::RING_EVENTS }
+    }
+}
+
+impl TraceSettings {
+    /// What a ring holds unless told otherwise: 4096 events, 160 KiB.
+    pub const RING_EVENTS: usize = 4096;
+
+    /// Sets the events per ring, rounded up to a power of two from 16 to 1048576.
+    #[must_use]
+    pub const fn ring_events(mut self, events: usize) -> Self {
+        let events = if events < MIN_EVENTS { MIN_EVENTS } else { events };
+        self.ring_events = if events > MAX_EVENTS { MAX_EVENTS } else { events.next_power_of_two() };
+        self
+    }
+
+    /// `TAUT_TRACE` (`off`, `ready`, `on`) and `TAUT_TRACE_EVENTS` (events per ring).
+    ///
+    /// # Errors
+    /// [`TraceError::Environment`] for a value that is not understood.
+    pub fn of_environment() -> Result<TraceSettings, TraceError> {
+        let mut settings = TraceSettings::default();
+        if let Some(value) = variable("TAUT_TRACE") {
+            settings.mode = match value.as_str() {
+                "off" => TraceMode::Off,
+                "ready" => TraceMode::Ready,
+                "on" => TraceMode::On,
+                _ => {
+                    let (variable, expected) = ("TAUT_TRACE", "it may be 'off', 'ready' or 'on'");
+                    return Err(TraceError::Environment { variable, value, expected });
+                }
+            };
+        }
+        if let Some(value) = variable("TAUT_TRACE_EVENTS") {
+            let events = value.parse().ok().filter(|events| (MIN_EVENTS..=MAX_EVENTS).contains(events));
+            let expected = "it is the number of events that each thread keeps, from 16 to 1048576";
+            let refuse = || TraceError::Environment { variable: "TAUT_TRACE_EVENTS", value, expected };
+            settings = settings.ring_events(events.ok_or_else(refuse)?);
+        }
+        Ok(settings)
+    }
+}
+
+/// A variable that is set to something.
+fn variable(name: &str) -> Option<String> {
+    let value = std::env::var_os(name)?.to_string_lossy().into_owned();
+    (!value.is_empty()).then_some(value)
+}
