@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `messages` | what writing, publishing and reading a message costs, beside a plain buffer and other encoders |
 //! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
+//! | `trace` | what a trace event costs, recorded and not |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
 //! the machine. Absolute times belong to the machine; ratios within a run are what is compared.

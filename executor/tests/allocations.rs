@@ -4,8 +4,8 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::future::poll_fn;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::thread::{Thread, current, park};
 use std::time::Duration;
@@ -119,8 +119,36 @@ fn watched(told: &Arc<AtomicU64>) -> CallbackOptions {
         })
 }
 
+/// Both tests are traced; what is traced is the process's, so one after the other.
+struct Traced {
+    _turn: MutexGuard<'static, ()>,
+    membership: Option<tautline_trace::Membership>,
+}
+
+fn traced() -> Traced {
+    static TURN: Mutex<()> = Mutex::new(());
+    let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    tautline_trace::configure(tautline_trace::TraceMode::On.into());
+    // No domain of ROS 2's: no topic is opened.
+    Traced { _turn: turn, membership: Some(tautline_trace::join(1206).unwrap()) }
+}
+
+impl Drop for Traced {
+    fn drop(&mut self) {
+        drop(self.membership.take());
+        let mut lost = 0;
+        tautline_trace::Recorder::start(1206).unwrap().finish(&mut |record| {
+            if let tautline_trace::Record::Lost { events, .. } = record {
+                lost += events;
+            }
+        });
+        assert!(lost > CYCLES || std::thread::panicking(), "a ring went round");
+    }
+}
+
 #[test]
 fn waking_and_polling_a_callback() {
+    let _traced = traced();
     let told = Arc::new(AtomicU64::new(0));
     let watched = watched(&told);
     for options in [CallbackOptions::other(), CallbackOptions::other().execution_time(false), watched] {
@@ -150,6 +178,7 @@ fn waking_and_polling_a_callback() {
 
 #[test]
 fn turns_of_a_group() {
+    let _traced = traced();
     let bells = [Bell::new(), Bell::new(), Bell::new()];
     let mut group = CallbackGroup::new();
     let mut stats = Vec::new();

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! From publish to callback: one allocation, iceoryx2's in `loan`; none on the sampler's and the callback's thread.
+//! From publish to callback: one allocation, iceoryx2's in `loan`; none on the sampler's and the callback's thread. All of it is
+//! being traced.
 
 mod common;
 
@@ -9,9 +10,10 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::{Thread, current, park};
 
-use common::{Number, context};
+use common::Number;
 use futures::StreamExt;
-use tautline::{CallbackOptions, Node, Publisher, QosProfile, Sample};
+use tautline::{CallbackOptions, Context, Node, Publisher, QosProfile, Realtime, Sample, TraceMode};
+use tautline_trace::{Record, Recorder};
 
 /// Heap calls of one thread.
 struct Calls {
@@ -100,7 +102,8 @@ fn round(publisher: &Publisher<Number>, values: &mut impl Iterator<Item = u64>) 
 
 #[test]
 fn ten_thousand_messages_allocate_only_their_loans() {
-    let context = context(227);
+    let context =
+        Context::builder().domain(227).realtime(Realtime::Off).trace(TraceMode::On).build().unwrap();
     let mut node = Node::create(context.clone(), "frugal", "").unwrap();
     let publisher = node.create_publisher::<Number>("/frugal", QosProfile::default()).unwrap();
     let numbers = node.subscribe_loaned::<Number>("/frugal", QosProfile::default()).unwrap();
@@ -126,4 +129,12 @@ fn ten_thousand_messages_allocate_only_their_loans() {
     context.shutdown();
     sampler.join().unwrap();
     assert_eq!(callback.stats().releases(), 100 + 2 * MESSAGES);
+
+    let mut events = 0;
+    Recorder::start(227).unwrap().finish(&mut |record| match record {
+        Record::Events { events: some, .. } => events += some.len() as u64,
+        Record::Lost { events: some, .. } => events += some,
+        _ => {}
+    });
+    assert!(events > 4 * 2 * MESSAGES, "{events}: publish, take, callback start and end of each");
 }

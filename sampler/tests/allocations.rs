@@ -40,6 +40,7 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn wake_and_poll() {
+    tautline_trace::configure(tautline_trace::TraceMode::On.into());
     let participant = Participant::new(domain(188)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let limits = Limits::default();
@@ -88,4 +89,13 @@ fn wake_and_poll() {
     }
     assert!(events as u64 >= 2 * CYCLES && ticks > 100, "{events} events, {ticks} ticks");
     assert_eq!(calls, 0);
+
+    // It was all traced. Fetched, so that no file of it stays.
+    let mut fetched = 0;
+    tautline_trace::Recorder::start(188).unwrap().finish(&mut |record| {
+        if let tautline_trace::Record::Events { events, .. } = record {
+            fetched += events.len();
+        }
+    });
+    assert!(fetched > 1000, "{fetched} events");
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The hot path's heap allocations: iceoryx2's one per loan, and none of ours. A file of its own: it replaces the
+//! The hot path's heap allocations, being traced: iceoryx2's one per loan, and none of ours. A file of its own: it replaces the
 //! allocator.
 
 mod support;
@@ -62,6 +62,7 @@ fn settle(mut cycle: impl FnMut()) {
 
 #[test]
 fn publish_and_take() {
+    tautline_trace::configure(tautline_trace::TraceMode::On.into());
     let participant = Participant::new(domain(164)).unwrap();
     let limits = Limits::default();
     let publisher = participant.create_publisher::<Count>("/heap", Qos::default(), limits).unwrap();
@@ -101,6 +102,7 @@ fn publish_and_take() {
 
     // A sample that is dropped without being published.
     assert_eq!(count(|| drop(publisher.loan().unwrap())), (1, 1));
+    assert!(support::traced(164) > 3 * CYCLES, "publish and takes");
 }
 
 #[test]

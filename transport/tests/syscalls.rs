@@ -15,6 +15,9 @@ const MESSAGES: u64 = 10_000;
 #[test]
 fn child_main() {
     let Some((part, domain)) = support::part() else { return };
+    if part == "traced" {
+        tautline_trace::configure(tautline_trace::TraceMode::On.into());
+    }
     let participant = Participant::new(domain).unwrap();
     let limits = Limits::default();
     let publisher = participant.create_publisher::<Count>("/quiet", Qos::default(), limits).unwrap();
@@ -39,6 +42,7 @@ fn child_main() {
                 std::thread::yield_now();
             }
         };
+        tautline_trace::register_thread();
         // Whatever is set up once is set up now.
         cycle(0);
         forbid_system_calls();
@@ -88,6 +92,13 @@ fn forbid_system_calls() {
 fn publish_and_take_make_no_system_call() {
     assert_eq!(Part::start("publisher", 165).hear(), "no system call");
     clean(165);
+}
+
+#[test]
+fn tracing_adds_none() {
+    assert_eq!(Part::start("traced", 189).hear(), "no system call");
+    assert_eq!(support::traced(189), 2 * (MESSAGES as usize + 1));
+    clean(189);
 }
 
 #[test]

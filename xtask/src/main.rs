@@ -64,6 +64,15 @@ enum Verb {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// What a trace event costs, recorded and not
+    Trace {
+        /// Fewer rounds: a second
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// The wake-up from one process to another, beside a bare futex and iceoryx2
     Wake {
         /// Fewer payloads and rounds: under a minute
@@ -117,6 +126,7 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Messages { quick, json, arguments }) => {
             steps::run(bench("messages", quick, json.as_deref()).args(arguments))
         }
+        Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Readme { quick } => update_readme(quick),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
     }

@@ -72,6 +72,11 @@ impl Program {
         Program { command, name, domain }
     }
 
+    /// Whether this process is the traced program.
+    pub fn is_this() -> bool {
+        std::env::var_os(CHILD).is_some()
+    }
+
     pub fn variable(mut self, name: &str, value: &str) -> Program {
         self.command.env(name, value);
         self
@@ -79,7 +84,7 @@ impl Program {
 
     /// Runs it to its end and records what it left. In the program itself: does its work and returns `None`.
     pub fn run(mut self) -> Option<Run> {
-        if std::env::var_os(CHILD).is_some() {
+        if Self::is_this() {
             talk_and_listen();
             return None;
         }

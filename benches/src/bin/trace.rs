@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What does a trace event cost where it happens: while nobody records, while a recorder is there?
+//!
+//! The cases run in alternating rounds on one core; a loop without an event is measured beside them. Built with
+//! `--features lttng`, every event is a tracepoint as well: run it inside and outside of an LTTng session.
+
+use clap::Parser;
+use serde::Serialize;
+use std::hint::black_box;
+use std::process::ExitCode;
+use std::time::Instant;
+use tautline_benches::{Disturbance, machine};
+use tautline_rt::clock::monotonic_ns;
+use tautline_trace::{MessageId, ObjectId, Recorder, TraceMode};
+
+/// None of ROS 2's: no topic is opened.
+const DOMAIN: u32 = 1300;
+
+/// Measures what a trace event costs.
+#[derive(Parser)]
+struct Options {
+    /// Fewer rounds: a second
+    #[arg(long)]
+    quick: bool,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    json: Option<std::path::PathBuf>,
+}
+
+/// One case: nanoseconds per call, of each round.
+#[derive(Serialize)]
+struct Case {
+    name: &'static str,
+    recording: bool,
+    lttng: bool,
+    calls: u64,
+    rounds: usize,
+    min_ns: f64,
+    p50_ns: f64,
+    max_ns: f64,
+}
+
+type Work = fn(ObjectId, u64);
+
+const CASES: [(&str, Work); 4] = [
+    ("loop without an event", |object, n| {
+        black_box((object, n));
+    }),
+    ("callback_start", |object, n| tautline_trace::callback_start(black_box(object), n)),
+    ("publish", |object, n| {
+        let message = MessageId { sequence_number: n, source_timestamp_ns: 1, gid: [2, 3], address: 4 };
+        tautline_trace::publish(black_box(object), &message);
+    }),
+    ("reading the clock", |_, _| {
+        black_box(monotonic_ns());
+    }),
+];
+
+fn main() -> ExitCode {
+    match measure(&Options::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("trace: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
+    let (rounds, calls) = if options.quick { (5, 200_000) } else { (21, 5_000_000) };
+    let disturbance = Disturbance::start();
+    if let Some(core) = tautline_rt::CoreSet::allowed()?.iter().last() {
+        tautline_rt::set_affinity(tautline_rt::CoreSet::one(core))?;
+    }
+    tautline_trace::configure(TraceMode::Ready.into());
+    let _membership = tautline_trace::join(DOMAIN)?;
+    let object = tautline_trace::publisher_init("/bench", 1, [2, 3]);
+    let mut times: Vec<(bool, usize, f64)> = Vec::new();
+    for _ in 0..rounds {
+        for recording in [false, true] {
+            let recorder = if recording { Some(Recorder::start(DOMAIN)?) } else { None };
+            tautline_trace::attend();
+            for (case, (_, work)) in CASES.iter().enumerate() {
+                let start = Instant::now();
+                (0..calls).for_each(|n| work(object.id(), n));
+                times.push((recording, case, start.elapsed().as_nanos() as f64 / calls as f64));
+            }
+            drop(recorder);
+            tautline_trace::attend();
+        }
+    }
+    let mut cases = Vec::new();
+    for recording in [false, true] {
+        for (case, (name, _)) in CASES.into_iter().enumerate() {
+            let of = times.iter().filter(|(on, of, _)| (*on, *of) == (recording, case));
+            let mut ns: Vec<f64> = of.map(|(.., ns)| *ns).collect();
+            ns.sort_by(f64::total_cmp);
+            let (min_ns, p50_ns, max_ns) = (ns[0], ns[ns.len() / 2], ns[ns.len() - 1]);
+            let lttng = cfg!(feature = "lttng");
+            cases.push(Case { name, recording, lttng, calls, rounds, min_ns, p50_ns, max_ns });
+        }
+    }
+    print(&cases, &disturbance);
+    if let Some(path) = &options.json {
+        std::fs::write(path, serde_json::to_string_pretty(&cases)?)?;
+    }
+    Ok(())
+}
+
+fn print(cases: &[Case], disturbance: &Disturbance) {
+    let lttng = if cfg!(feature = "lttng") { ", each event is an LTTng tracepoint, too" } else { "" };
+    println!(
+        "ns per call (least, median and greatest of {} rounds of {} calls{lttng})\n",
+        cases[0].rounds, cases[0].calls
+    );
+    println!("{:<24}  {:<10}  {:>7}  {:>7}  {:>7}", "what", "recording", "min", "p50", "max");
+    for case in cases {
+        let recording = if case.recording { "yes" } else { "no" };
+        println!(
+            "{:<24}  {recording:<10}  {:7.2}  {:7.2}  {:7.2}",
+            case.name, case.min_ns, case.p50_ns, case.max_ns
+        );
+    }
+    println!("\n{}\n{}", machine(), disturbance.report());
+}
