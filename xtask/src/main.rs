@@ -6,12 +6,14 @@
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
+//! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | checks that the JSON of the demo and of the wake bench keeps its promises |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
 mod examples;
+mod lttng;
 mod machine;
 mod readme;
 mod reports;

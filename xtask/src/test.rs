@@ -4,7 +4,7 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, ros, stress_doorbell};
+use crate::{bench, examples, lttng, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -16,6 +16,7 @@ pub fn run(quick: bool) -> ExitCode {
     lints(&mut steps);
     ros(&mut steps);
     tests(&mut steps);
+    lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
     let binaries = "build --release -p taut -p tautline-examples -p tautline-benches --bins --examples";
@@ -23,8 +24,9 @@ pub fn run(quick: bool) -> ExitCode {
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 5] = [
+    let slow: [(&str, Step); 6] = [
         ("stress: doorbell", stress),
+        ("bench: trace", trace),
         ("bench: wake", wake),
         ("bench: messages", messages),
         ("loom", loom),
@@ -132,13 +134,18 @@ fn messages(steps: &mut Steps) {
     });
 }
 
+/// It runs; what it says belongs to the machine.
+fn trace(steps: &mut Steps) {
+    steps.command("bench: trace", &mut bench("trace", true, None));
+}
+
 fn stress(steps: &mut Steps) {
     steps.command("stress: doorbell", &mut stress_doorbell(RINGS));
 }
 
 /// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
 fn loom(steps: &mut Steps) {
-    let mut command = cargo("test --release -p tautline-transport --lib loom");
+    let mut command = cargo("test --release -p tautline-transport -p tautline-trace --lib loom");
     command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
     steps.command("loom", &mut command);
 }
@@ -154,4 +161,6 @@ fn miri(steps: &mut Steps) {
     );
     let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker";
     steps.command("miri: samples", &mut cargo(samples));
+    let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
+    steps.command("miri: rings", &mut cargo(rings));
 }
