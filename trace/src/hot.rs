@@ -6,7 +6,7 @@
 use crate::event::{Event, Kind, ObjectId, gid_key};
 #[cfg(feature = "lttng")]
 use crate::lttng;
-use crate::process::{self, Place};
+use crate::thread::{self, Place};
 use core::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::clock::monotonic_ns;
 
@@ -33,7 +33,7 @@ fn record(kind: Kind, object: ObjectId, arguments: [u64; 3]) {
     if object == ObjectId::NONE {
         return;
     }
-    match process::place() {
+    match thread::place() {
         Place::Ring(ring) => ring.push(Event { time_ns: monotonic_ns(), kind, object, arguments }.to_words()),
         Place::Counted(unrecorded) => {
             unrecorded.fetch_add(1, crate::sync::Ordering::Relaxed);

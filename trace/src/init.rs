@@ -5,7 +5,7 @@ use crate::event::ObjectId;
 #[cfg(feature = "lttng")]
 use crate::lttng;
 use crate::object::{Object, ObjectKind};
-use crate::process::register_thread;
+use crate::thread::register_thread;
 use std::cell::Cell;
 
 thread_local!(static NODE: Cell<ObjectId> = const { Cell::new(ObjectId::NONE) });

@@ -47,6 +47,7 @@ mod recorder;
 mod ring;
 mod settings;
 mod sync;
+mod thread;
 
 pub use error::TraceError;
 pub use event::{Event, Kind, ObjectId, gid_key};
@@ -59,6 +60,7 @@ pub use init::{
     subscription_callback_init, subscription_init, timer_callback_init, timer_init,
 };
 pub use object::{Description, Object, ObjectKind};
-pub use process::{Membership, attend, configure, join, register_thread, register_thread_as};
+pub use process::{Membership, attend, configure, join};
 pub use recorder::{Record, Recorder, remove_dead_files};
 pub use settings::{TraceMode, TraceSettings};
+pub use thread::{register_thread, register_thread_as};

@@ -11,7 +11,6 @@ const RELEASE: &std::ffi::CStr = c"8.4.0";
 const GID_BYTES: usize = 24;
 
 unsafe extern "C" {
-    fn taut_lttng_keep() -> *const *const c_void;
     fn taut_lttng_context_init(context: u64, release: *const c_char);
     fn taut_lttng_node_init(node: u64, name: *const c_char, space: *const c_char);
     fn taut_lttng_publisher_init(
@@ -57,8 +56,6 @@ fn gid_bytes([low, high]: [u64; 2]) -> [u8; GID_BYTES] {
 }
 
 pub(crate) fn context_init(context: ObjectId) {
-    // SAFETY: takes no argument and returns a pointer to a constant, which is not read.
-    std::hint::black_box(unsafe { taut_lttng_keep() });
     // SAFETY: a string that ends with a zero byte and lives until the call returns.
     unsafe { taut_lttng_context_init(context.0, RELEASE.as_ptr()) }
 }

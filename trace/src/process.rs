@@ -12,10 +12,9 @@ use crate::object::{Description, FreeEntries};
 use crate::recorder;
 use crate::ring::Ring;
 use crate::settings::{TraceMode, TraceSettings};
-use crate::sync::{AtomicU64 as AtomicU64Shared, Ordering};
-use core::sync::atomic::{AtomicPtr, AtomicU64};
+use crate::sync::Ordering;
+use crate::thread;
 use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags};
-use std::cell::Cell;
 use std::hash::{BuildHasher, Hasher};
 use std::io;
 use std::os::fd::OwnedFd;
@@ -30,8 +29,8 @@ static PROCESS: Mutex<Process> = Mutex::new(Process {
     free: FreeEntries::none(),
 });
 
-/// Counts the files that this process has had; zero before the first. Rings are of one of them.
-static GENERATION: AtomicU64 = AtomicU64::new(0);
+/// Rings that have memory and wait for a thread that nobody has registered.
+const SPARE_RINGS: usize = 2;
 
 struct Process {
     settings: Option<TraceSettings>,
@@ -99,6 +98,13 @@ impl Drop for Membership {
     }
 }
 
+/// Gives one more ring memory, for a thread that is about to claim one.
+pub(crate) fn prepare_ring() {
+    if let Some(own) = &process().file {
+        own.prepare_rings(SPARE_RINGS + 1);
+    }
+}
+
 /// Looks whether a recorder is there, and gives rings of ended threads back. For a low-priority thread, now and then.
 pub fn attend() {
     if let Some(own) = &process().file {
@@ -115,15 +121,8 @@ impl Process {
         };
         self.region = Some(own.map);
         self.free = FreeEntries::all();
-        own.prepare_rings(SPARE);
-        let known = MAP.load(Ordering::Relaxed);
-        // SAFETY: as in `find_place`.
-        if unsafe { known.as_ref() } != Some(&own.map) {
-            // One for each place where a file of this process was mapped: one, unless the size of its rings changed.
-            MAP.store(Box::leak(Box::new(own.map)), Ordering::Release);
-        }
-        // Release: pairs with the Acquire in `place`.
-        GENERATION.fetch_add(1, Ordering::Release);
+        own.prepare_rings(SPARE_RINGS);
+        thread::change_map(own.map);
         own.map.state().store(
             if settings.mode == TraceMode::On { state::ALWAYS } else { state::OFF },
             Ordering::Relaxed,
@@ -173,7 +172,7 @@ impl Own {
             }
         }
         self.give_back_rings(asked);
-        self.prepare_rings(SPARE);
+        self.prepare_rings(SPARE_RINGS);
     }
 
     fn discard(&self) {
@@ -257,119 +256,14 @@ pub(crate) fn describe(object: &Description) -> Option<Entry> {
     own.map.layout().objects[index].write(object);
     // Release: pairs with the Acquire of the recorder, which then looks at the table.
     own.map.described().fetch_add(1, Ordering::Release);
-    Some(Entry { index, generation: GENERATION.load(Ordering::Relaxed) })
+    Some(Entry { index, generation: thread::generation() })
 }
 
 pub(crate) fn forget(entry: Entry) {
     let mut process = process();
-    if process.file.is_some() && entry.generation == GENERATION.load(Ordering::Relaxed) {
+    if process.file.is_some() && entry.generation == thread::generation() {
         process.free.give_back(entry.index);
     }
-}
-
-// ---- Rings ----
-
-/// Rings that have memory and wait for a thread that nobody has registered.
-const SPARE: usize = 2;
-
-/// Where the current thread's events go.
-#[derive(Clone, Copy)]
-pub(crate) enum Place {
-    /// Nowhere: there is no file.
-    Nowhere,
-    /// No ring is free: they are counted.
-    Counted(&'static AtomicU64Shared),
-    /// To a ring.
-    Ring(Ring<'static>),
-}
-
-thread_local! {
-    // With the generation it is of. Needs no destructor: the ring of an ended thread is given back by `attend`.
-    static PLACE: Cell<(u64, Place)> = const { Cell::new((0, Place::Nowhere)) };
-}
-
-/// The current map, for threads that must not take a lock: null, or one of those that [`Process::open`] has leaked.
-static MAP: AtomicPtr<Map> = AtomicPtr::new(core::ptr::null_mut());
-
-/// Claims a ring for the current thread under its name, and touches all of it: afterwards its events cost no syscall.
-/// A thread that makes a publisher or a subscription and a callback's thread do so by themselves; any other thread does
-/// with its first event, if a ring is spare.
-///
-/// # Real-time
-/// Setup: some syscalls and page faults. Once the thread has a ring: wait-free, no syscall.
-pub fn register_thread() {
-    register_thread_as("");
-}
-
-/// As [`register_thread`], under a name of at most 15 bytes.
-///
-/// # Real-time
-/// As [`register_thread`].
-pub fn register_thread_as(name: &str) {
-    if !matches!(cached(), Some(Place::Ring(_)))
-        && let Some(own) = &process().file
-    {
-        // One for this thread.
-        own.prepare_rings(SPARE + 1);
-    }
-    if let Place::Ring(ring) = place()
-        && !name.is_empty()
-    {
-        set_name(ring, name.as_bytes());
-    }
-}
-
-fn cached() -> Option<Place> {
-    let generation = GENERATION.load(Ordering::Relaxed);
-    PLACE.try_with(Cell::get).ok().filter(|(of, _)| *of == generation).map(|(_, place)| place)
-}
-
-/// Where the current thread's events go. The first time in a thread it looks for a ring.
-///
-/// # Real-time
-/// Wait-free; no allocation; in a thread's first event some syscalls for its name.
-pub(crate) fn place() -> Place {
-    // Acquire: pairs with the Release in `open`.
-    let generation = GENERATION.load(Ordering::Acquire);
-    // No thread-local any more: the thread is going down.
-    let Ok((of, place)) = PLACE.try_with(Cell::get) else { return Place::Nowhere };
-    if of == generation && matches!(place, Place::Ring(_)) {
-        return place;
-    }
-    let place = find_place();
-    let _ = PLACE.try_with(|cell| cell.set((generation, place)));
-    place
-}
-
-#[cold]
-fn find_place() -> Place {
-    // SAFETY: null, or a leaked Map, whose memory is never unmapped. Acquire: pairs with the Release in `open`.
-    let Some(map) = (unsafe { MAP.load(Ordering::Acquire).as_ref() }) else { return Place::Nowhere };
-    let tid = tautline_rt::current_tid();
-    let Some(ring) = (0..RINGS).map(|index| map.ring(index)).find(|ring| ring.claim(tid)) else {
-        return Place::Counted(map.unrecorded());
-    };
-    let mut name = [0u8; 16];
-    let named = if tid == std::process::id() { copy(&mut name, b"main") } else { comm(&mut name) };
-    set_name(ring, name.get(..named).unwrap_or_default());
-    Place::Ring(ring)
-}
-
-fn set_name(ring: Ring<'_>, name: &[u8]) {
-    for (to, from) in ring.head.name.iter().zip(name_to_words(name)) {
-        to.store(from, Ordering::Relaxed);
-    }
-}
-
-fn copy(to: &mut [u8], from: &[u8]) -> usize {
-    to.iter_mut().zip(from).map(|(to, from)| *to = *from).count()
-}
-
-/// The name that the kernel knows the current thread by; without allocating.
-fn comm(name: &mut [u8; 16]) -> usize {
-    let file = rustix::fs::open(c"/proc/thread-self/comm", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty());
-    let read = file.and_then(|file| rustix::io::read(file, &mut name[..])).unwrap_or(0);
-    name[..read].iter().position(|byte| *byte == b'\n').unwrap_or(read)
 }
 
 /// Random enough for a name: the seeds of the standard library's hash maps.

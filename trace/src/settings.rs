@@ -45,8 +45,8 @@ impl From<TraceMode> for TraceSettings {
 }
 
 impl TraceSettings {
-    /// What a ring holds unless told otherwise: 4096 events, 160 KiB.
-    pub const RING_EVENTS: usize = 4096;
+    /// What a ring holds unless told otherwise: 2048 events, 80 KiB.
+    pub const RING_EVENTS: usize = 2048;
 
     /// Sets the events per ring, rounded up to a power of two from 16 to 1048576.
     #[must_use]

@@ -68,7 +68,8 @@ fn main() -> ExitCode {
 
 fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     let (rounds, calls) = if options.quick { (5, 200_000) } else { (21, 5_000_000) };
-    let disturbance = Disturbance::start();
+    // Before this program confines itself to one core.
+    let (machine, disturbance) = (machine(), Disturbance::start());
     if let Some(core) = tautline_rt::CoreSet::allowed()?.iter().last() {
         tautline_rt::set_affinity(tautline_rt::CoreSet::one(core))?;
     }
@@ -100,14 +101,15 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
             cases.push(Case { name, recording, lttng, calls, rounds, min_ns, p50_ns, max_ns });
         }
     }
-    print(&cases, &disturbance);
+    print(&cases);
+    println!("\n{machine}\n{}", disturbance.report());
     if let Some(path) = &options.json {
         std::fs::write(path, serde_json::to_string_pretty(&cases)?)?;
     }
     Ok(())
 }
 
-fn print(cases: &[Case], disturbance: &Disturbance) {
+fn print(cases: &[Case]) {
     let lttng = if cfg!(feature = "lttng") { ", each event is an LTTng tracepoint, too" } else { "" };
     println!(
         "ns per call (least, median and greatest of {} rounds of {} calls{lttng})\n",
@@ -121,5 +123,4 @@ fn print(cases: &[Case], disturbance: &Disturbance) {
             case.name, case.min_ns, case.p50_ns, case.max_ns
         );
     }
-    println!("\n{}\n{}", machine(), disturbance.report());
 }

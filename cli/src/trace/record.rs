@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use tautline::rt::{self, Policy};
 use tautline_trace::{Record, Recorder};
 
-/// How often the rings are emptied: the ring of a thread lasts for 400,000 events per second.
+/// How often the rings are emptied: the ring of a thread lasts for 200,000 events per second.
 const PERIOD: Duration = Duration::from_millis(10);
 
 /// Records every process of a domain into a file, until Ctrl-C or for a time

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Where a thread's events go: how it comes to its ring, without a lock.
+
+use crate::layout::{Map, RINGS, name_to_words};
+use crate::ring::Ring;
+use crate::{process, sync};
+use core::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
+use rustix::fs::{Mode, OFlags};
+use std::cell::Cell;
+
+/// Where the current thread's events go.
+#[derive(Clone, Copy)]
+pub(crate) enum Place {
+    /// Nowhere: there is no file.
+    Nowhere,
+    /// No ring is free: they are counted.
+    Counted(&'static sync::AtomicU64),
+    /// To a ring.
+    Ring(Ring<'static>),
+}
+
+thread_local! {
+    // With the generation it is of. Needs no destructor: the ring of an ended thread is given back by `process::attend`.
+    static PLACE: Cell<(u64, Place)> = const { Cell::new((0, Place::Nowhere)) };
+}
+
+/// Counts the files that this process has had; zero before the first. Rings are of one of them.
+static GENERATION: AtomicU64 = AtomicU64::new(0);
+
+/// The current map, for threads that must not take a lock: null, or one of those that [`change_map`] has leaked.
+static MAP: AtomicPtr<Map> = AtomicPtr::new(core::ptr::null_mut());
+
+/// The process has a new file. One caller at a time.
+pub(crate) fn change_map(map: Map) {
+    // SAFETY: as in `find_place`.
+    if unsafe { MAP.load(Ordering::Relaxed).as_ref() } != Some(&map) {
+        // One for each place where a file of this process was mapped: one, unless the size of its rings changed.
+        MAP.store(Box::leak(Box::new(map)), Ordering::Release);
+    }
+    // Release: pairs with the Acquire in `place`.
+    GENERATION.fetch_add(1, Ordering::Release);
+}
+
+pub(crate) fn generation() -> u64 {
+    GENERATION.load(Ordering::Relaxed)
+}
+
+/// Claims a ring for the current thread under its name, and touches all of it: afterwards its events cost no syscall.
+/// A thread that makes a publisher or a subscription and a callback's thread do so by themselves; any other thread does
+/// with its first event, if a ring is spare.
+///
+/// # Real-time
+/// Setup: some syscalls and page faults. Once the thread has a ring: wait-free, no syscall.
+pub fn register_thread() {
+    register_thread_as("");
+}
+
+/// As [`register_thread`], under a name of at most 15 bytes.
+///
+/// # Real-time
+/// As [`register_thread`].
+pub fn register_thread_as(name: &str) {
+    if !matches!(cached(), Some(Place::Ring(_))) {
+        process::prepare_ring();
+    }
+    if let Place::Ring(ring) = place()
+        && !name.is_empty()
+    {
+        set_name(ring, name.as_bytes());
+    }
+}
+
+fn cached() -> Option<Place> {
+    PLACE.try_with(Cell::get).ok().filter(|(of, _)| *of == generation()).map(|(_, place)| place)
+}
+
+/// Where the current thread's events go. The first time in a thread it looks for a ring.
+///
+/// # Real-time
+/// Wait-free; no allocation; in a thread's first event some syscalls for its name.
+pub(crate) fn place() -> Place {
+    // Acquire: pairs with the Release in `change_map`.
+    let generation = GENERATION.load(Ordering::Acquire);
+    // No thread-local any more: the thread is going down.
+    let Ok((of, place)) = PLACE.try_with(Cell::get) else { return Place::Nowhere };
+    if of == generation && matches!(place, Place::Ring(_)) {
+        return place;
+    }
+    let place = find_place();
+    let _ = PLACE.try_with(|cell| cell.set((generation, place)));
+    place
+}
+
+#[cold]
+fn find_place() -> Place {
+    // SAFETY: null, or a leaked Map, whose memory is never unmapped. Acquire: pairs with the Release in `change_map`.
+    let Some(map) = (unsafe { MAP.load(Ordering::Acquire).as_ref() }) else { return Place::Nowhere };
+    let tid = tautline_rt::current_tid();
+    let Some(ring) = (0..RINGS).map(|index| map.ring(index)).find(|ring| ring.claim(tid)) else {
+        return Place::Counted(map.unrecorded());
+    };
+    let mut name = [0u8; 16];
+    let named = if tid == std::process::id() { copy(&mut name, b"main") } else { comm(&mut name) };
+    set_name(ring, name.get(..named).unwrap_or_default());
+    Place::Ring(ring)
+}
+
+fn set_name(ring: Ring<'_>, name: &[u8]) {
+    for (to, from) in ring.head.name.iter().zip(name_to_words(name)) {
+        to.store(from, Ordering::Relaxed);
+    }
+}
+
+fn copy(to: &mut [u8], from: &[u8]) -> usize {
+    to.iter_mut().zip(from).map(|(to, from)| *to = *from).count()
+}
+
+/// The name that the kernel knows the current thread by; without allocating.
+fn comm(name: &mut [u8; 16]) -> usize {
+    let file = rustix::fs::open(c"/proc/thread-self/comm", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty());
+    let read = file.and_then(|file| rustix::io::read(file, &mut name[..])).unwrap_or(0);
+    name[..read].iter().position(|byte| *byte == b'\n').unwrap_or(read)
+}
