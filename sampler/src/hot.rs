@@ -111,7 +111,7 @@ impl Sampler {
         let rung = self.seat.drain(|slot| agenda.update(shared, slot));
         let served = rung + agenda.release(shared);
         if std::mem::take(&mut self.awake) {
-            tautline_trace::spin_end(self.trace.id());
+            tautline_trace::spin_end(&self.trace);
         }
         served
     }
@@ -121,15 +121,15 @@ impl Sampler {
             (Some(deadline), Some(release)) => Some(deadline.min(release)),
             (deadline, release) => deadline.or(release),
         };
-        tautline_trace::spin_start(self.trace.id(), until);
+        tautline_trace::spin_start(&self.trace, until);
         self.sleep_until(until);
         if tautline_trace::is_on() {
             let due = || self.agenda.next_release().is_some_and(|release_ns| monotonic_ns() >= release_ns);
             self.awake = self.events.shared.doorbell.is_pending() || due();
             if self.awake {
-                tautline_trace::spin_wake(self.trace.id());
+                tautline_trace::spin_wake(&self.trace);
             } else {
-                tautline_trace::spin_timeout(self.trace.id());
+                tautline_trace::spin_timeout(&self.trace);
             }
         }
     }

@@ -26,7 +26,7 @@ pub struct Sampler {
     pub(crate) agenda: Agenda,
     pub(crate) wait: Wait,
     pub(crate) seat: SamplerSeat,
-    pub(crate) trace: tautline_trace::Object,
+    pub(crate) trace: tautline_trace::SamplerObject,
     /// It woke and has not told that it served.
     pub(crate) awake: bool,
 }

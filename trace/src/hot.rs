@@ -4,6 +4,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::event::{Event, Kind, ObjectId, gid_key};
+use crate::init::SamplerObject;
 #[cfg(feature = "lttng")]
 use crate::lttng;
 use crate::thread::{self, Place};
@@ -119,14 +120,14 @@ pub fn callback_end(callback: ObjectId) {
 /// # Real-time
 /// As [`publish`].
 #[inline(always)]
-pub fn spin_start(sampler: ObjectId, until_ns: Option<u64>) {
+pub fn spin_start(sampler: &SamplerObject, until_ns: Option<u64>) {
     if is_on() {
         let timeout_ns = until_ns.map_or(u64::MAX, |until| until.saturating_sub(monotonic_ns()));
         if ON.load(Ordering::Relaxed) {
-            record(Kind::SpinStart, sampler, [timeout_ns, 0, 0]);
+            record(Kind::SpinStart, sampler.id(), [timeout_ns, 0, 0]);
         }
         #[cfg(feature = "lttng")]
-        lttng::spin_start(sampler, timeout_ns);
+        lttng::spin_start(sampler.node(), timeout_ns);
     }
 }
 
@@ -135,12 +136,12 @@ pub fn spin_start(sampler: ObjectId, until_ns: Option<u64>) {
 /// # Real-time
 /// As [`publish`].
 #[inline(always)]
-pub fn spin_wake(sampler: ObjectId) {
+pub fn spin_wake(sampler: &SamplerObject) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::SpinWake, sampler, [0; 3]);
+        record(Kind::SpinWake, sampler.id(), [0; 3]);
     }
     #[cfg(feature = "lttng")]
-    lttng::spin_wake(sampler);
+    lttng::spin_wake(sampler.node());
 }
 
 /// `sampler` waited in vain.
@@ -148,12 +149,12 @@ pub fn spin_wake(sampler: ObjectId) {
 /// # Real-time
 /// As [`publish`].
 #[inline(always)]
-pub fn spin_timeout(sampler: ObjectId) {
+pub fn spin_timeout(sampler: &SamplerObject) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::SpinTimeout, sampler, [0; 3]);
+        record(Kind::SpinTimeout, sampler.id(), [0; 3]);
     }
     #[cfg(feature = "lttng")]
-    lttng::spin_timeout(sampler);
+    lttng::spin_timeout(sampler.node());
 }
 
 /// `sampler` has served what it woke for.
@@ -161,10 +162,10 @@ pub fn spin_timeout(sampler: ObjectId) {
 /// # Real-time
 /// As [`publish`].
 #[inline(always)]
-pub fn spin_end(sampler: ObjectId) {
+pub fn spin_end(sampler: &SamplerObject) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::SpinEnd, sampler, [0; 3]);
+        record(Kind::SpinEnd, sampler.id(), [0; 3]);
     }
     #[cfg(feature = "lttng")]
-    lttng::spin_end(sampler);
+    lttng::spin_end(sampler.node());
 }

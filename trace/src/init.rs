@@ -42,16 +42,39 @@ pub fn node_init(context: ObjectId, name: &str, namespace: &str) -> Object {
     let full = format!("{}/{name}", namespace.trim_end_matches('/'));
     let node = Object::describe(ObjectKind::Node, context, 0, [0; 2], &full);
     #[cfg(feature = "lttng")]
-    lttng::node_init(node.id(), name, namespace);
+    lttng::node_init(context, node.id(), name, namespace);
     node
 }
 
-/// A sampler was made. LTTng sees it as a node of that name, for the spin events of r2r are a node's.
-pub fn sampler_init(context: ObjectId) -> Object {
-    let sampler = Object::describe(ObjectKind::Sampler, context, 0, [0; 2], "sampler");
+/// A sampler, as its events speak of it.
+#[derive(Debug)]
+#[must_use = "it is described as long as this lives"]
+pub struct SamplerObject {
+    object: Object,
     #[cfg(feature = "lttng")]
-    lttng::node_init(sampler.id(), "sampler", "/");
-    sampler
+    node: std::sync::Arc<std::sync::atomic::AtomicU64>,
+}
+
+impl SamplerObject {
+    pub(crate) fn id(&self) -> ObjectId {
+        self.object.id()
+    }
+
+    /// To whom LTTng's spin events belong: r2r spins nodes, so the first one of the context. None before there is one.
+    #[cfg(feature = "lttng")]
+    pub(crate) fn node(&self) -> ObjectId {
+        ObjectId(self.node.load(std::sync::atomic::Ordering::Relaxed))
+    }
+}
+
+/// A sampler was made.
+pub fn sampler_init(context: ObjectId) -> SamplerObject {
+    let object = Object::describe(ObjectKind::Sampler, context, 0, [0; 2], "sampler");
+    SamplerObject {
+        object,
+        #[cfg(feature = "lttng")]
+        node: lttng::node_of(context),
+    }
 }
 
 /// A publisher was made, by the node of the current [`NodeScope`].

@@ -56,7 +56,7 @@ pub use hot::{
     take,
 };
 pub use init::{
-    NodeScope, callback_init, context_init, in_node, node_init, publisher_init, sampler_init,
+    NodeScope, SamplerObject, callback_init, context_init, in_node, node_init, publisher_init, sampler_init,
     subscription_callback_init, subscription_init, timer_callback_init, timer_init,
 };
 pub use object::{Description, Object, ObjectKind};

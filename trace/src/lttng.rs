@@ -4,6 +4,8 @@
 use crate::event::ObjectId;
 use crate::hot::MessageId;
 use std::ffi::{CString, c_char, c_void};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// Of which ros2_tracing the names and fields are.
 const RELEASE: &std::ffi::CStr = c"8.4.0";
@@ -60,10 +62,27 @@ pub(crate) fn context_init(context: ObjectId) {
     unsafe { taut_lttng_context_init(context.0, RELEASE.as_ptr()) }
 }
 
-pub(crate) fn node_init(node: ObjectId, name: &str, namespace: &str) {
+/// The first node of each context that has a sampler.
+static NODES: Mutex<Vec<(ObjectId, Weak<AtomicU64>)>> = Mutex::new(Vec::new());
+
+/// The first node of `context`, zero until it is made.
+pub(crate) fn node_of(context: ObjectId) -> Arc<AtomicU64> {
+    let mut nodes = NODES.lock().unwrap_or_else(PoisonError::into_inner);
+    nodes.retain(|(_, node)| node.strong_count() != 0);
+    let node = Arc::default();
+    nodes.push((context, Arc::downgrade(&node)));
+    node
+}
+
+pub(crate) fn node_init(context: ObjectId, node: ObjectId, name: &str, namespace: &str) {
     let (name, namespace) = (c(name), c(namespace));
     // SAFETY: strings that end with a zero byte and live until the call returns.
     unsafe { taut_lttng_node_init(node.0, name.as_ptr(), namespace.as_ptr()) }
+    for (of, first) in NODES.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+        if let Some(first) = first.upgrade().filter(|_| *of == context) {
+            let _ = first.compare_exchange(0, node.0, Ordering::Relaxed, Ordering::Relaxed);
+        }
+    }
 }
 
 pub(crate) fn publisher_init(publisher: ObjectId, node: ObjectId, topic: &str, depth: usize, gid: [u64; 2]) {
@@ -128,22 +147,30 @@ pub(crate) fn callback_end(callback: ObjectId) {
 }
 
 #[inline]
-pub(crate) fn spin_start(sampler: ObjectId, timeout_ns: u64) {
+pub(crate) fn spin_start(node: ObjectId, timeout_ns: u64) {
     let (seconds, nanoseconds) = (timeout_ns / 1_000_000_000, (timeout_ns % 1_000_000_000) as u32);
-    taut_lttng_spin_start(sampler.0, seconds, nanoseconds);
+    if node != ObjectId::NONE {
+        taut_lttng_spin_start(node.0, seconds, nanoseconds);
+    }
 }
 
 #[inline]
-pub(crate) fn spin_wake(sampler: ObjectId) {
-    taut_lttng_spin_wake(sampler.0);
+pub(crate) fn spin_wake(node: ObjectId) {
+    if node != ObjectId::NONE {
+        taut_lttng_spin_wake(node.0);
+    }
 }
 
 #[inline]
-pub(crate) fn spin_timeout(sampler: ObjectId) {
-    taut_lttng_spin_timeout(sampler.0);
+pub(crate) fn spin_timeout(node: ObjectId) {
+    if node != ObjectId::NONE {
+        taut_lttng_spin_timeout(node.0);
+    }
 }
 
 #[inline]
-pub(crate) fn spin_end(sampler: ObjectId) {
-    taut_lttng_spin_end(sampler.0);
+pub(crate) fn spin_end(node: ObjectId) {
+    if node != ObjectId::NONE {
+        taut_lttng_spin_end(node.0);
+    }
 }
