@@ -62,11 +62,6 @@ void taut_lttng_timer_callback_init(uint64_t timer, uint64_t callback, const cha
 	lttng_ust_tracepoint(ros2, rclcpp_callback_register, HANDLE(callback), name);
 }
 
-void taut_lttng_callback_init(uint64_t callback, const char *name)
-{
-	lttng_ust_tracepoint(ros2, rclcpp_callback_register, HANDLE(callback), name);
-}
-
 void taut_lttng_publish(uint64_t publisher, const void *message, int64_t timestamp_ns)
 {
 	lttng_ust_tracepoint(ros2, rclcpp_publish, message);

@@ -13,6 +13,12 @@ pub struct ObjectId(pub u64);
 impl ObjectId {
     /// Nothing: no event is recorded of it.
     pub const NONE: ObjectId = ObjectId(0);
+
+    /// Whether it is a callback of no subscription and no timer: these have odd numbers.
+    #[cfg(feature = "lttng")]
+    pub(crate) const fn is_callback_of_nothing(self) -> bool {
+        self.0 & 1 == 1
+    }
 }
 
 /// What happened.

@@ -119,10 +119,8 @@ pub fn timer_callback_init(timer: ObjectId, name: &str) -> Object {
     callback
 }
 
-/// A callback of something else was made, or a thread for callbacks.
+/// A callback of something else was made, or a thread for callbacks. LTTng is not told of it and its events: in ROS 2 each
+/// callback is a subscription's, a timer's or a service's.
 pub fn callback_init(name: &str) -> Object {
-    let callback = Object::describe(ObjectKind::Callback, ObjectId::NONE, 0, [0; 2], name);
-    #[cfg(feature = "lttng")]
-    lttng::callback_init(callback.id(), name);
-    callback
+    Object::describe(ObjectKind::Callback, ObjectId::NONE, 0, [0; 2], name)
 }

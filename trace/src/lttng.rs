@@ -3,6 +3,7 @@
 
 use crate::event::ObjectId;
 use crate::hot::MessageId;
+use std::cell::Cell;
 use std::ffi::{CString, c_char, c_void};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -32,7 +33,6 @@ unsafe extern "C" {
     fn taut_lttng_subscription_callback_init(subscription: u64, callback: u64, name: *const c_char);
     fn taut_lttng_timer_init(timer: u64, node: u64, period_ns: i64);
     fn taut_lttng_timer_callback_init(timer: u64, callback: u64, name: *const c_char);
-    fn taut_lttng_callback_init(callback: u64, name: *const c_char);
     safe fn taut_lttng_publish(publisher: u64, message: *const c_void, timestamp_ns: i64);
     safe fn taut_lttng_take(subscription: u64, message: *const c_void, source_timestamp_ns: i64);
     safe fn taut_lttng_callback_start(callback: u64);
@@ -114,12 +114,6 @@ pub(crate) fn timer_callback_init(timer: ObjectId, callback: ObjectId, name: &st
     unsafe { taut_lttng_timer_callback_init(timer.0, callback.0, name.as_ptr()) }
 }
 
-pub(crate) fn callback_init(callback: ObjectId, name: &str) {
-    let name = c(name);
-    // SAFETY: a string that ends with a zero byte and lives until the call returns.
-    unsafe { taut_lttng_callback_init(callback.0, name.as_ptr()) }
-}
-
 #[inline]
 pub(crate) fn publish(publisher: ObjectId, message: &MessageId) {
     let body = std::ptr::without_provenance(message.address);
@@ -132,16 +126,29 @@ pub(crate) fn take(subscription: ObjectId, message: &MessageId) {
     taut_lttng_take(subscription.0, body, message.source_timestamp_ns);
 }
 
+thread_local! {
+    /// The callback that runs in this thread. Tools for ROS 2 know one at a time.
+    static RUNNING: Cell<ObjectId> = const { Cell::new(ObjectId::NONE) };
+}
+
+/// Ends the callback that ran before: its stream learns only when it is next polled that its item has been dealt with.
 #[inline]
 pub(crate) fn callback_start(callback: ObjectId) {
-    if callback != ObjectId::NONE {
-        taut_lttng_callback_start(callback.0);
+    if callback == ObjectId::NONE || callback.is_callback_of_nothing() {
+        return;
     }
+    let before = RUNNING.try_with(|running| running.replace(callback)).unwrap_or_default();
+    if before != ObjectId::NONE {
+        taut_lttng_callback_end(before.0);
+    }
+    taut_lttng_callback_start(callback.0);
 }
 
 #[inline]
 pub(crate) fn callback_end(callback: ObjectId) {
-    if callback != ObjectId::NONE {
+    let running = RUNNING.try_with(Cell::get).unwrap_or_default();
+    if callback != ObjectId::NONE && callback == running {
+        RUNNING.set(ObjectId::NONE);
         taut_lttng_callback_end(callback.0);
     }
 }

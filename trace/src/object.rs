@@ -98,8 +98,9 @@ impl Object {
         name: &str,
     ) -> Object {
         // Only ever compared: any order will do. Not loom's, which has no statics.
-        static NEXT: core::sync::atomic::AtomicU64 = core::sync::atomic::AtomicU64::new(1);
-        let id = ObjectId(NEXT.fetch_add(1, core::sync::atomic::Ordering::Relaxed));
+        static NEXT: core::sync::atomic::AtomicU64 = core::sync::atomic::AtomicU64::new(2);
+        let odd = kind == ObjectKind::Callback && parent == ObjectId::NONE;
+        let id = ObjectId(NEXT.fetch_add(2, core::sync::atomic::Ordering::Relaxed) + u64::from(odd));
         let name = shortened(name);
         let description =
             Description { id, kind, parent, detail, gid, created_ns: monotonic_ns(), name: name.to_owned() };

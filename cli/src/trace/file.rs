@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn what_is_written_is_read() {
         let recording = parse(&sample()).unwrap();
-        assert_eq!(recording.warnings, Vec::<String>::new());
+        assert!(matches!(&recording.warnings[..], [lost] if lost.starts_with("4 events were overwritten")));
         assert_eq!(recording.events.len(), 2);
         assert_eq!(recording.events[1].event.arguments, [1, 2, 3]);
         assert_eq!(
@@ -258,7 +258,8 @@ mod tests {
         let whole = sample();
         for end in 8..whole.len() {
             let recording = parse(&whole[..end]).unwrap();
-            assert_eq!(recording.warnings.len(), 1, "{end}");
+            let broken = recording.warnings.iter().filter(|warning| warning.contains("recorder killed"));
+            assert_eq!(broken.count(), 1, "{end}: {:?}", recording.warnings);
         }
         assert!(parse(&whole[..7]).is_err());
     }

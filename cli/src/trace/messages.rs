@@ -53,11 +53,14 @@ pub fn key([sequence_number, _, publisher]: [u64; 3]) -> MessageKey {
 
 /// Every run of every callback, in order of their starts.
 ///
+/// A run ends at its callback's end, or earlier where another callback starts in its thread: a stream learns only when it is
+/// next polled that its item has been dealt with, and that may be after the thread's other streams.
+///
 /// A callback's message is the one that its subscription took last in the same thread, before the start: a stream takes one
 /// message at a time, and a group keeps one per member.
 pub fn runs(recording: &Recording) -> Vec<Run> {
     let mut taken: HashMap<(u32, u32, ObjectId), MessageKey> = HashMap::new();
-    let mut open: HashMap<(u32, u32, ObjectId), usize> = HashMap::new();
+    let mut open: HashMap<(u32, u32), usize> = HashMap::new();
     let mut runs: Vec<Run> = Vec::new();
     for timed in &recording.events {
         let (process, tid, event) = (timed.process, timed.tid, timed.event);
@@ -68,7 +71,11 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
             Kind::CallbackStart => {
                 let source = recording.object(process, event.object).map(|callback| callback.parent);
                 let message = source.and_then(|source| taken.remove(&(process, tid, source)));
-                open.insert((process, tid, event.object), runs.len());
+                if let Some(before) =
+                    open.insert((process, tid), runs.len()).and_then(|index| runs.get_mut(index))
+                {
+                    before.end_ns = Some(event.time_ns);
+                }
                 runs.push(Run {
                     process,
                     tid,
@@ -80,10 +87,11 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
                 });
             }
             Kind::CallbackEnd => {
-                if let Some(run) =
-                    open.remove(&(process, tid, event.object)).and_then(|index| runs.get_mut(index))
-                {
+                // Not the running one's: of one that another has ended.
+                let running = open.get(&(process, tid)).and_then(|index| runs.get_mut(*index));
+                if let Some(run) = running.filter(|run| run.callback == event.object) {
                     run.end_ns = Some(event.time_ns);
+                    open.remove(&(process, tid));
                 }
             }
             _ => {}
