@@ -1,0 +1,4 @@
+use crate::{Result, report::Report};
+pub fn page(_: &Report) -> Result<String> {
+    Ok(String::new())
+}
