@@ -96,7 +96,8 @@ fn use_pypi_libclang(command: &mut Command) -> Result<(), String> {
         done(steps::execute(install.args(["install", "--quiet", "--disable-pip-version-check", LIBCLANG])))?;
     }
     // It comes without the compiler's own headers.
-    let gcc = Command::new("gcc").arg("-print-file-name=include").output().map_err(|error| error.to_string())?;
+    let gcc =
+        Command::new("gcc").arg("-print-file-name=include").output().map_err(|error| error.to_string())?;
     let include = String::from_utf8_lossy(&gcc.stdout).trim().to_owned();
     command.env("LIBCLANG_PATH", native).env("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{include}"));
     Ok(())

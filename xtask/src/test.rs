@@ -2,9 +2,9 @@
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
 use crate::machine::{self, Domain};
-use crate::reports::{check_ablation, check_demo, check_wake};
+use crate::reports::{check_ablation, check_demo, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench_wake, examples, ros, stress_doorbell};
+use crate::{bench_wake, examples, paper as evaluation, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -23,8 +23,13 @@ pub fn run(quick: bool) -> ExitCode {
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 4] =
-        [("stress: doorbell", stress), ("bench: wake", wake), ("loom", loom), ("miri", miri)];
+    let slow: [(&str, Step); 5] = [
+        ("stress: doorbell", stress),
+        ("bench: wake", wake),
+        ("bench: paper", paper),
+        ("loom", loom),
+        ("miri", miri),
+    ];
     for (name, run) in slow {
         if quick {
             steps.skip(name, "--quick");
@@ -112,6 +117,35 @@ fn wake(steps: &mut Steps) {
         }
         match execute(&mut command) {
             Outcome::Ok => check_wake(&json),
+            other => other,
+        }
+    });
+}
+
+/// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
+/// minute to build.
+fn paper(steps: &mut Steps) {
+    let target = machine::target_dir();
+    let (json, html) = (target.join("paper.json"), target.join("paper.html"));
+    let _ = std::fs::remove_file(&json);
+    let realtime = machine::is_ci() || machine::realtime_permitted();
+    let domain = Domain::unused();
+    steps.step("bench: paper", || {
+        let mut arguments = vec!["--repeats".to_owned(), "0".to_owned()];
+        if !realtime {
+            arguments.push("--no-rt".to_owned());
+        }
+        let mut command = evaluation::command(&evaluation::Options {
+            no_r2r: true,
+            runs: Some(1),
+            seconds: Some(1.0),
+            json: Some(json.clone()),
+            html: Some(html),
+            arguments,
+            ..Default::default()
+        });
+        match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+            Outcome::Ok => check_paper(&json, realtime),
             other => other,
         }
     });

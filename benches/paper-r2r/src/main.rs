@@ -5,6 +5,7 @@
 
 mod publisher;
 mod subscriber;
+mod version;
 
 use std::error::Error;
 use std::process::ExitCode;
@@ -24,6 +25,10 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<()> {
+    if std::env::args().nth(1).as_deref() == Some("--version") {
+        println!("{}", version::version()?);
+        return Ok(());
+    }
     let mut arguments = std::env::args().skip(1);
     let (Some(flag), Some(job)) = (arguments.next(), arguments.next()) else {
         return Err("to be started by `cargo xtask bench paper`".into());

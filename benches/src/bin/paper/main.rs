@@ -56,6 +56,9 @@ struct Options {
     /// Length of a run
     #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = seconds)]
     seconds: f64,
+    /// How often a variant may be run once more because the core was taken away [default: half of the runs]
+    #[arg(long, value_name = "N")]
+    repeats: Option<u32>,
     /// Write the numbers to FILE as well
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,

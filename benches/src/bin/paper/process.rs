@@ -32,6 +32,20 @@ pub struct Run {
     pub repetition: bool,
 }
 
+impl Run {
+    /// Whether the core was taken away: by the hypervisor, or, as only the publisher at the highest priority could tell, by
+    /// something else.
+    pub fn is_disturbed(&self) -> bool {
+        self.steal_ticks > 0 || self.published.missed > 0
+    }
+}
+
+/// What r2r's program says that it is made of.
+pub fn version(program: &Path) -> Result<String> {
+    let output = Command::new(program).arg("--version").output()?;
+    Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
 /// Runs the cell once.
 pub fn run(plan: &Plan, cell: Cell, namespace: String, interrupted: &AtomicBool) -> Result<Run> {
     let job = plan.job(cell, namespace);

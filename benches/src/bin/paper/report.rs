@@ -18,7 +18,7 @@ pub struct Report {
     pub rows: Vec<Row>,
     pub verdicts: Vec<Verdict>,
     pub notes: Notes,
-    /// Runs from which the core was taken, the replaced ones and those that count nevertheless.
+    /// Runs in which the core was not ours, the replaced ones and those that count nevertheless.
     pub disturbed: Vec<Disturbed>,
 }
 
@@ -28,11 +28,12 @@ pub struct Notes {
     pub machine: Vec<String>,
 }
 
-/// A run from which the hypervisor took the core.
+/// A run in which the core was not ours.
 pub struct Disturbed {
     pub cell: String,
     pub run: usize,
     pub steal_ticks: u64,
+    pub missed_releases: u64,
     /// Whether a repetition stands in for it.
     pub replaced: bool,
     /// The 99th percentile of each topic.
@@ -56,7 +57,7 @@ impl Report {
             }
         }
         let verdicts = verdicts(&rows, plan.capacity.computed());
-        let notes = Notes { method: method(plan), machine: circumstances(plan, results, &overheads) };
+        let notes = Notes { method: method(plan), machine: circumstances(plan, results, &overheads)? };
         let disturbed = results.cells.iter().flat_map(|cell| disturbed(plan, cell)).collect();
         Ok(Report { rows, verdicts, notes, disturbed })
     }
@@ -64,7 +65,7 @@ impl Report {
 
 fn disturbed(plan: &Plan, cell: &CellRuns) -> Vec<Disturbed> {
     let counted = counted(&cell.runs, plan.runs as usize);
-    let runs = cell.runs.iter().enumerate().filter(|(_, run)| run.steal_ticks > 0);
+    let runs = cell.runs.iter().enumerate().filter(|(_, run)| run.is_disturbed());
     let p99 = |latencies_ns: &[u64]| {
         let mut sorted = latencies_ns.to_vec();
         sorted.sort_unstable();
@@ -74,6 +75,7 @@ fn disturbed(plan: &Plan, cell: &CellRuns) -> Vec<Disturbed> {
         cell: cell.cell.to_string(),
         run: index + 1,
         steal_ticks: run.steal_ticks,
+        missed_releases: run.published.missed,
         replaced: !counted.iter().any(|other| std::ptr::eq(*other, run)),
         p99_ms: run.measured.topics.iter().map(|topic| p99(&topic.latencies_ns)).collect(),
     })
@@ -100,7 +102,8 @@ fn method(plan: &Plan) -> Vec<String> {
             .into(),
         format!(
             "{} runs of {} s for each variant and system, rivals after each other. A run from which the hypervisor took the \
-             core (steal in /proc/stat) is repeated, at most {} times per variant; the undisturbed runs count, else the least \
+             core (steal in /proc/stat), or whose publisher, above everything else, missed a release, is repeated, at most {} \
+             times per variant; the undisturbed runs count, else the least \
              disturbed ones, and all are listed.",
             plan.runs, plan.seconds, plan.repeats
         ),
@@ -120,7 +123,7 @@ fn method(plan: &Plan) -> Vec<String> {
     ]
 }
 
-fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) -> Vec<String> {
+fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) -> Result<Vec<String>> {
     let version = |package| version_of(package).unwrap_or("?");
     let mut lines = vec![
         machine(),
@@ -131,7 +134,7 @@ fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) ->
             version("tokio")
         ),
         match &plan.r2r {
-            Ok(_) => "r2r 0.9.7 on ROS 2 (ROS_DISTRO at build time, rmw_fastrtps_cpp)".to_owned(),
+            Ok(program) => crate::process::version(program)?,
             Err(reason) => format!("r2r LEFT OUT: {reason}"),
         },
         results.disturbance.clone(),
@@ -148,13 +151,13 @@ fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) ->
     }
     let all = results.cells.iter().flat_map(|cell| &cell.runs);
     let (runs, disturbed) =
-        all.clone().fold((0, 0), |(n, d), run| (n + 1, d + u32::from(run.steal_ticks > 0)));
+        all.clone().fold((0, 0), |(n, d), run| (n + 1, d + u32::from(run.is_disturbed())));
     let missed: u64 = all.map(|run| run.published.missed).sum();
     lines.push(format!(
-        "{runs} runs in {:.0} s, {disturbed} of them with steal; releases that the publishers missed: {missed}",
+        "{runs} runs in {:.0} s, {disturbed} of them disturbed; releases that the publishers missed: {missed}",
         results.took.as_secs_f64()
     ));
-    lines
+    Ok(lines)
 }
 
 /// Prints the table, what must hold, and the circumstances.
@@ -167,7 +170,11 @@ pub fn print(report: &Report) {
     println!();
     for run in &report.disturbed {
         let fate = if run.replaced { "replaced by a repetition" } else { "counts nevertheless" };
-        println!("steal    {}, run {}: {} ticks, {fate}", run.cell, run.run, run.steal_ticks);
+        let (steal, missed) = (run.steal_ticks, run.missed_releases);
+        println!(
+            "disturbed {}, run {}: steal {steal} ticks, {missed} releases missed; {fate}",
+            run.cell, run.run
+        );
     }
     report.notes.machine.iter().for_each(|line| println!("{line}"));
 }
@@ -233,6 +240,12 @@ pub mod tests {
         }
     }
 
+    /// A report of these rows.
+    pub fn report(rows: Vec<Row>) -> Report {
+        let notes = Notes { method: vec!["a <method>".into()], machine: vec!["a machine".into()] };
+        Report { verdicts: verdicts(&rows, plan().capacity.computed()), rows, notes, disturbed: Vec::new() }
+    }
+
     /// A row with these response times.
     pub fn row(system: System, name: &str, index: usize, latencies_ms: &[f64]) -> Row {
         let plan = plan();
@@ -254,14 +267,7 @@ pub mod tests {
 
     #[test]
     fn json_keeps_its_contract() {
-        let rows = vec![row(System::Tautline, "futures-rt", 0, &[2.1])];
-        let report = Report {
-            rows,
-            verdicts: Vec::new(),
-            notes: Notes { method: Vec::new(), machine: Vec::new() },
-            disturbed: Vec::new(),
-        };
-        let text = json(&report).unwrap();
+        let text = json(&report(vec![row(System::Tautline, "futures-rt", 0, &[2.1])])).unwrap();
         let list: Value = serde_json::from_str(&text).unwrap();
         let first = &list[0];
         assert_eq!(

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! All runs, rivals next to each other, and again those from which the hypervisor took the core.
+//! All runs, rivals next to each other, and again those in which the core was taken away.
 
 use std::io::IsTerminal;
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use crate::Result;
 use crate::plan::{Cell, Plan};
 use crate::process::{self, Run};
 
-/// How long the core is watched before the runs.
-const NOISE_WINDOW: Duration = Duration::from_secs(1);
+/// How long the core is watched before the runs: not so long that the kernel's limit for real-time threads is seen.
+const NOISE_WINDOW: Duration = Duration::from_millis(500);
 
 /// Everything that was measured.
 pub struct Results {
@@ -37,7 +37,7 @@ pub struct CellRuns {
 
 impl CellRuns {
     fn undisturbed(&self) -> usize {
-        self.runs.iter().filter(|run| run.steal_ticks == 0).count()
+        self.runs.iter().filter(|run| !run.is_disturbed()).count()
     }
 
     /// Whether another run is due: every run counts at first; then disturbed ones are repeated, a limited number of times.
@@ -84,7 +84,7 @@ pub fn run(plan: &Plan) -> Result<Results> {
     }
     for repeat in 1..=plan.repeats {
         for cell in cells.iter_mut().filter(|cell| cell.wants_repetition(plan)) {
-            progress.more(&format!("repetition {repeat}, for steal: {}", cell.cell));
+            progress.more(&format!("repetition {repeat}: {}", cell.cell));
             once(cell, true)?;
         }
     }

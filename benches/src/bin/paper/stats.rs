@@ -40,6 +40,8 @@ pub struct Row {
     /// Runs that were disturbed and replaced by a repetition.
     pub replaced_runs: usize,
     pub published: u64,
+    /// Releases of any topic that the publisher missed in these runs; never published, so not lost.
+    pub missed_releases: u64,
     #[serde(skip)]
     pub cell: Cell,
     #[serde(skip)]
@@ -59,7 +61,7 @@ impl Row {
 /// The runs that count: as many as planned, the undisturbed ones first; where there are not enough, the least disturbed.
 pub fn counted(runs: &[Run], wanted: usize) -> Vec<&Run> {
     let mut runs: Vec<_> = runs.iter().collect();
-    runs.sort_by_key(|run| run.steal_ticks);
+    runs.sort_by_key(|run| (run.is_disturbed(), run.steal_ticks));
     runs.truncate(wanted);
     runs
 }
@@ -70,6 +72,7 @@ pub fn rows(plan: &Plan, cell: &CellRuns) -> Vec<Row> {
     let topics = plan.job(cell.cell, String::new()).topics;
     let rta_ns = plan.rta_ns(cell.cell);
     let steal_ticks = counted.iter().map(|run| run.steal_ticks).sum();
+    let missed_releases = counted.iter().map(|run| run.published.missed).sum();
     let row = |(index, topic): (usize, &Topic)| {
         let runs: Vec<&[u64]> = counted.iter().map(|run| latencies_ns(run, index)).collect();
         let published: u64 = counted.iter().filter_map(|run| run.published.messages.get(index)).sum();
@@ -95,6 +98,7 @@ pub fn rows(plan: &Plan, cell: &CellRuns) -> Vec<Row> {
             rta_overhead_ms: None,
             replaced_runs: cell.runs.len() - counted.len(),
             published,
+            missed_releases,
             cell: cell.cell,
             index,
             latencies_ns,
