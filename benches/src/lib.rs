@@ -3,6 +3,7 @@
 //!
 //! | binary | question |
 //! |---|---|
+//! | `paper` | do the response times of an ECRTS 2025 paper hold, with Tautline and with r2r, and only for the structure that it proposes |
 //! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and

@@ -43,8 +43,8 @@ impl Part {
             Part::Paper => {
                 // The whole evaluation takes two hours, this a quarter of one.
                 let (runs, seconds) = if quick { (None, None) } else { (Some(3), Some(8.0)) };
-                let json = Some(json.to_owned());
-                paper::command(&paper::Options { quick, runs, seconds, json, ..Default::default() })
+                let (json, html) = (Some(json.to_owned()), Some(json.with_extension("html")));
+                paper::command(&paper::Options { quick, runs, seconds, json, html, ..Default::default() })
             }
         }
     }

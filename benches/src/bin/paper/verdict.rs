@@ -94,7 +94,9 @@ fn only_futures_rt(rows: &[Row], system: System) -> Verdict {
     } else {
         format!("futures-rt did not: {}", failures(proposed))
     };
-    if others.is_empty() {
+    if variants.len() == 1 {
+        found += "; no other was measured";
+    } else if others.is_empty() {
         found += &format!("; all {} others failed", variants.len() - 1);
     } else {
         found += &format!("; here these did as well: {}", others.join(", "));
