@@ -195,12 +195,12 @@ fn paper_table(rows: &Value) -> String {
             variants.push(&row["variant"]);
         }
         if !topics.iter().any(|(topic, _)| *topic == &row["topic"]) {
-            topics.push((&row["topic"], &row["deadline_ms"]));
+            topics.push((&row["topic"], row["deadline_ms"].as_f64().unwrap_or(f64::NAN)));
         }
     }
     let mut out = String::from("| variant |");
     for (topic, deadline) in &topics {
-        let _ = write!(out, " {}, {deadline} |", topic.as_str().unwrap_or("?"));
+        let _ = write!(out, " {} ({deadline}) |", topic.as_str().unwrap_or("?"));
     }
     out.push_str("\n|---|");
     topics.iter().for_each(|_| out.push_str("--:|"));
@@ -224,7 +224,7 @@ fn paper_table(rows: &Value) -> String {
     let most = |key: &str| rows.iter().filter_map(|row| row[key].as_u64()).max().unwrap_or(0);
     let _ = writeln!(
         out,
-        "\n`cargo xtask bench paper`: 99th percentiles in ms, Tautline / r2r 0.9.7 over Fast DDS, beside each topic's deadline; \
+        "\n`cargo xtask bench paper`: 99th percentiles in ms, Tautline / r2r 0.9.7 over Fast DDS, deadlines in brackets; \
          \\* marks missed deadlines or lost messages; {} runs of each variant; {}.",
         most("runs"),
         machine()
@@ -299,7 +299,7 @@ mod tests {
         let lines: Vec<_> = table.lines().take(3).collect();
         assert_eq!(
             lines,
-            ["| variant | a, 10.0 | b, 10.0 |", "|---|--:|--:|", "| tokio | 2.00 / 123* | 3.00 |"]
+            ["| variant | a (10) | b (10) |", "|---|--:|--:|", "| tokio | 2.00 / 123* | 3.00 |"]
         );
         assert!(table.contains("3 runs of each"));
     }

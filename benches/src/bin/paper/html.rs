@@ -108,7 +108,8 @@ fn write_capacity(out: &mut String, report: &Report) -> Result<()> {
         return Ok(());
     }
     out.push_str(
-        "<h2>Queue capacity</h2>\n<table><tr><th class=\"l\">system</th><th class=\"l\">queue</th><th class=\"l\">topic</th>\
+        "<h2>Queue capacity</h2>\n<p>While <i>goal</i>'s callback computes, <i>scan</i> waits: its queue needs the computed \
+         capacity, the larger number here. r2r is asked for as much.</p>\n<table><tr><th class=\"l\">system</th><th class=\"l\">queue</th><th class=\"l\">topic</th>\
          <th>runs</th><th>published</th><th>handled</th><th>lost</th><th>max ms</th><th>RTA ms</th></tr>\n",
     );
     for row in rows {

@@ -83,7 +83,7 @@ impl Plan {
         let r2r = options.r2r.clone().ok_or_else(|| options.without_r2r.clone());
         let capacity = application::capacity()?;
         let cells = cells(&variants, r2r.is_ok(), capacity.computed());
-        let (repeats, realtime) = (options.repeats.unwrap_or(runs.div_ceil(2)), !options.no_rt);
+        let (repeats, realtime) = (options.repeats.unwrap_or(runs.div_ceil(2).max(2)), !options.no_rt);
         Ok(Plan {
             runs,
             seconds,

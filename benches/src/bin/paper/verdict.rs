@@ -218,7 +218,7 @@ fn computed_capacity(rows: &[Row], capacity: usize) -> Verdict {
 }
 
 fn one_less(rows: &[Row], capacity: usize) -> Verdict {
-    let claim = format!("tautline: with {} messages are lost, and counted", capacity - 1);
+    let claim = format!("tautline: with {}, messages are lost, and counted", capacity - 1);
     lossless(rows_of(rows, System::Tautline, Experiment::Capacity(capacity - 1)), claim, false)
 }
 
@@ -303,7 +303,7 @@ mod tests {
         assert_eq!(about(&verdicts, "tautline: futures-rt's p99").holds, Some(false));
         assert_eq!(about(&verdicts, "r2r: futures-rt's p99").holds, Some(true));
         assert_eq!(about(&verdicts, "computed capacity 15").holds, Some(false));
-        assert_eq!(about(&verdicts, "with 14 messages").holds, None);
+        assert_eq!(about(&verdicts, "with 14, messages").holds, None);
         assert_eq!(about(&verdicts, "nort-tokio").holds, None);
     }
 }

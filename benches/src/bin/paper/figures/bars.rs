@@ -112,7 +112,9 @@ impl Column {
             let words = Words { align: Align::Left, ..Words::SMALL };
             return canvas.text("nothing received", (self.left + 4, middle), words);
         };
-        let (text, deviation) = (short(p99), row.p99_std_ms.unwrap_or(0.0));
+        // A bar that goes beyond the scale has no whisker.
+        let deviation = row.p99_std_ms.filter(|_| p99 <= self.end_ms).unwrap_or(0.0);
+        let text = short(p99);
         let width = 6 * text.len() as i32 + 6;
         let beside = self.x(p99 + deviation) + 4;
         let (left, background, colour) = if beside + width < self.left + COLUMN {
