@@ -43,9 +43,15 @@ pub fn run(quick: bool) -> ExitCode {
 
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
-    // A workspace of its own, which needs a ROS 2 for more than this.
-    let r2r = machine::root().join("benches/paper-r2r/src/main.rs");
-    steps.command("fmt: paper-r2r", Command::new("rustfmt").args(["--check", "--edition", "2024"]).arg(r2r));
+    // A workspace of its own, which needs a ROS 2 for more than this; what it uses of ours may have got dependencies.
+    let r2r = machine::root().join("benches/paper-r2r");
+    let mut format = Command::new("rustfmt");
+    steps.command(
+        "fmt: paper-r2r",
+        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs")),
+    );
+    let mut lock = cargo("fetch --quiet --locked --manifest-path");
+    steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
 }
