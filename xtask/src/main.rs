@@ -7,14 +7,18 @@
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `lttng` | LTTng's packages, and the test that needs them |
-//! | `reports` | checks that the JSON of the demo and of the wake bench keeps its promises |
+//! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
+//! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
+//! | `r2r` | what it takes to build a program of r2r's |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
 mod examples;
 mod lttng;
 mod machine;
+mod paper;
+mod r2r;
 mod readme;
 mod reports;
 mod ros;
@@ -53,11 +57,14 @@ enum Verb {
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
-    /// Runs the demo and the wake bench and puts their tables and picture into the README
+    /// Runs the demo and the benches and puts their tables and picture into the README
     Readme {
-        /// Fewer payloads and rounds of the bench
+        /// Fewer payloads, rounds and runs of the benches
         #[arg(long)]
         quick: bool,
+        /// Only these parts [default: all]
+        #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]
+        only: Vec<readme::Part>,
     },
     /// Tries to break something by doing it very often
     #[command(subcommand)]
@@ -99,6 +106,8 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
+    Paper(paper::Options),
 }
 
 #[derive(Subcommand)]
@@ -129,28 +138,9 @@ fn main() -> ExitCode {
             steps::run(bench("messages", quick, json.as_deref()).args(arguments))
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
-        Verb::Readme { quick } => update_readme(quick),
+        Verb::Bench(Bench::Paper(options)) => paper::run(&options),
+        Verb::Readme { quick, only } => readme::run(quick, &only),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
-    }
-}
-
-/// Measures first: no table is made of a run that failed.
-fn update_readme(quick: bool) -> ExitCode {
-    let (demo, wake) = (PathBuf::from("target/readme-demo.json"), PathBuf::from("target/readme-wake.json"));
-    let mut run_demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
-    run_demo.arg(readme::PICTURE).arg("--json").arg(&demo);
-    for mut command in [run_demo, bench("wake", quick, Some(&wake))] {
-        if !command.status().is_ok_and(|status| status.success()) {
-            eprintln!("the README stays as it is: the run failed");
-            return ExitCode::FAILURE;
-        }
-    }
-    match readme::update("README.md".as_ref(), &demo, &wake) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
     }
 }
 

@@ -1,20 +1,89 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The README's tables and its picture, made from a run on this machine: no number in them is typed.
 
+use crate::{bench, paper, steps};
 use serde_json::Value;
 use std::fmt::Write;
 use std::fs;
 use std::path::Path;
+use std::process::{Command, ExitCode};
 
 /// Where the picture goes.
-pub const PICTURE: &str = "docs/demo.svg";
+const PICTURE: &str = "docs/demo.svg";
 
-/// Puts the tables of a demo run and of a wake bench, both as JSON, between their marks in `readme`.
-pub fn update(readme: &Path, demo: &Path, wake: &Path) -> Result<(), String> {
-    let (demo, wake) = (read_json(demo)?, read_json(wake)?);
+/// A part of the README that is made from a run.
+#[derive(clap::ValueEnum, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    Demo,
+    Wake,
+    Paper,
+}
+
+impl Part {
+    const ALL: [Part; 3] = [Part::Demo, Part::Wake, Part::Paper];
+
+    /// Its mark in the README.
+    fn mark(self) -> &'static str {
+        match self {
+            Part::Demo => "demo",
+            Part::Wake => "wake",
+            Part::Paper => "paper",
+        }
+    }
+
+    /// What measures it and writes `json`.
+    fn command(self, quick: bool, json: &Path) -> Command {
+        match self {
+            Part::Demo => {
+                let mut demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
+                demo.arg(PICTURE).arg("--json").arg(json);
+                demo
+            }
+            Part::Wake => bench("wake", quick, Some(json)),
+            Part::Paper => {
+                // The whole evaluation takes two hours, this a quarter of one.
+                let (runs, seconds) = if quick { (None, None) } else { (Some(3), Some(8.0)) };
+                let (json, html) = (Some(json.to_owned()), Some(json.with_extension("html")));
+                paper::command(&paper::Options { quick, runs, seconds, json, html, ..Default::default() })
+            }
+        }
+    }
+
+    fn table(self, run: &Value) -> String {
+        match self {
+            Part::Demo => demo_table(run),
+            Part::Wake => wake_tables(run),
+            Part::Paper => paper_table(run),
+        }
+    }
+}
+
+/// Runs what the parts (none: all) are made from and puts them into the README. Measures first: no table is made of a run
+/// that failed.
+pub fn run(quick: bool, parts: &[Part]) -> ExitCode {
+    let parts = if parts.is_empty() { &Part::ALL[..] } else { parts };
+    let json = |part: &Part| format!("target/readme-{}.json", part.mark());
+    for part in parts {
+        if !part.command(quick, json(part).as_ref()).status().is_ok_and(|status| status.success()) {
+            eprintln!("the README stays as it is: the run failed");
+            return ExitCode::FAILURE;
+        }
+    }
+    let update = |part| update("README.md".as_ref(), part, json(&part).as_ref());
+    match parts.iter().copied().try_for_each(update) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Puts the tables of a run, as JSON, between their marks in `readme`.
+fn update(readme: &Path, part: Part, json: &Path) -> Result<(), String> {
+    let run = read_json(json)?;
     let text = fs::read_to_string(readme).map_err(|error| format!("{}: {error}", readme.display()))?;
-    let text = replace(&text, "demo", &demo_table(&demo))?;
-    let text = replace(&text, "wake", &wake_tables(&wake))?;
+    let text = replace(&text, part.mark(), &part.table(&run))?;
     fs::write(readme, text).map_err(|error| format!("{}: {error}", readme.display()))
 }
 
@@ -116,6 +185,53 @@ fn wake_tables(rows: &Value) -> String {
     out
 }
 
+/// The 99th percentiles of the evaluation: a row for each variant, ours and r2r's for each topic.
+fn paper_table(rows: &Value) -> String {
+    let rows: Vec<&Value> = rows.as_array().into_iter().flatten().collect();
+    let of_paper = |row: &&&Value| !row["variant"].as_str().unwrap_or("").starts_with("capacity");
+    let (mut variants, mut topics) = (Vec::new(), Vec::new());
+    for row in rows.iter().filter(of_paper) {
+        if !variants.contains(&&row["variant"]) {
+            variants.push(&row["variant"]);
+        }
+        if !topics.iter().any(|(topic, _)| *topic == &row["topic"]) {
+            topics.push((&row["topic"], row["deadline_ms"].as_f64().unwrap_or(f64::NAN)));
+        }
+    }
+    let mut out = String::from("| variant |");
+    for (topic, deadline) in &topics {
+        let _ = write!(out, " {} ({deadline}) |", topic.as_str().unwrap_or("?"));
+    }
+    out.push_str("\n|---|");
+    topics.iter().for_each(|_| out.push_str("--:|"));
+    out.push('\n');
+    for variant in &variants {
+        let _ = write!(out, "| {} |", variant.as_str().unwrap_or("?"));
+        for (topic, _) in &topics {
+            let cell = |system: &str| {
+                let wanted = |row: &&&Value| {
+                    row["system"] == system && row["variant"] == **variant && row["topic"] == **topic
+                };
+                let row = rows.iter().find(wanted)?;
+                let mark = if row["misses"] == 0 && row["lost"] == 0 { "" } else { "*" };
+                Some(format!("{}{mark}", us(row, "p99_ms")))
+            };
+            let cells: Vec<_> = ["tautline", "r2r"].into_iter().filter_map(cell).collect();
+            let _ = write!(out, " {} |", cells.join(" / "));
+        }
+        out.push('\n');
+    }
+    let most = |key: &str| rows.iter().filter_map(|row| row[key].as_u64()).max().unwrap_or(0);
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench paper`: 99th percentiles in ms, Tautline / r2r 0.9.7 over Fast DDS, deadlines in brackets; \
+         \\* marks missed deadlines or lost messages; {} runs of each variant; {}.",
+        most("runs"),
+        machine()
+    );
+    out
+}
+
 /// Systems and modes in the order in which they first appear.
 fn names<'r>(rows: &[&'r Value]) -> Vec<(&'r str, &'r str)> {
     let mut names = Vec::new();
@@ -171,6 +287,22 @@ fn machine() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_evaluations_table_has_both_systems_and_marks_what_failed() {
+        let row = |system: &str, topic: &str, p99_ms: f64, misses: u64| {
+            serde_json::json!({"system": system, "variant": "tokio", "topic": topic, "deadline_ms": 10.0,
+                               "p99_ms": p99_ms, "misses": misses, "lost": 0, "runs": 3})
+        };
+        let rows = [row("tautline", "a", 2.0, 0), row("tautline", "b", 3.0, 0), row("r2r", "a", 123.4, 5)];
+        let table = paper_table(&rows.to_vec().into());
+        let lines: Vec<_> = table.lines().take(3).collect();
+        assert_eq!(
+            lines,
+            ["| variant | a (10) | b (10) |", "|---|--:|--:|", "| tokio | 2.00 / 123* | 3.00 |"]
+        );
+        assert!(table.contains("3 runs of each"));
+    }
 
     #[test]
     fn only_what_is_between_the_marks_changes() {

@@ -65,6 +65,23 @@ const MESSAGES_ROW: &[(&str, Kind)] = &[
     ("ratio_to_plain_buffer", Number),
 ];
 
+const PAPER_ROW: &[(&str, Kind)] = &[
+    ("system", Text),
+    ("variant", Text),
+    ("topic", Text),
+    ("runs", Count),
+    ("n", Count),
+    ("p50_ms", Number),
+    ("p99_ms", Number),
+    ("max_ms", Number),
+    ("p99_std_ms", Number),
+    ("rta_ms", Number),
+    ("deadline_ms", Number),
+    ("misses", Count),
+    ("lost", Count),
+    ("steal_ticks", Count),
+];
+
 /// The demo's report: five topics, each with messages; in real time if `realtime`.
 pub fn check_demo(path: &Path, realtime: bool) -> Outcome {
     judge(path, |report| {
@@ -113,6 +130,31 @@ fn check_rows(path: &Path, fields: &[(&str, Kind)]) -> Outcome {
             return Err("it has no rows".to_owned());
         }
         rows.iter().try_for_each(|row| check_row(row, fields))
+    })
+}
+
+/// The evaluation's report: a list of rows, each with measurements; in real time, where one thread serves all topics the
+/// fastest miss deadlines, and a queue that is too short loses messages, or the measurement cannot fail.
+pub fn check_paper(path: &Path, realtime: bool) -> Outcome {
+    judge(path, |report| {
+        let rows = report.as_array().ok_or("it is not a list")?;
+        rows.iter().try_for_each(|row| check_row(row, PAPER_ROW))?;
+        let variant = |name: &'static str| rows.iter().filter(move |row| row["variant"] == name);
+        for name in ["futures", "futures-rt", "tokio", "nort-tokio", "futures-rt-mw-below"] {
+            if variant(name).count() != 5 {
+                return Err(format!("{name} has {} topics instead of 5", variant(name).count()));
+            }
+        }
+        if !realtime {
+            return Ok(());
+        }
+        if let Some(row) = variant("futures").take(3).find(|row| row["misses"] == 0) {
+            return Err(format!("no deadline was missed: {row}"));
+        }
+        if variant("capacity-15").all(|row| row["lost"] == 0) {
+            return Err("a queue of 15 lost nothing where 16 are needed".to_owned());
+        }
+        Ok(())
     })
 }
 

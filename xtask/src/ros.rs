@@ -32,7 +32,7 @@ pub fn run() -> ExitCode {
 }
 
 /// The environment; tests look for it here.
-fn venv() -> PathBuf {
+pub fn venv() -> PathBuf {
     machine::target_dir().join("ros/venv")
 }
 

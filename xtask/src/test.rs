@@ -2,9 +2,9 @@
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
 use crate::machine::{self, Domain};
-use crate::reports::{check_ablation, check_demo, check_messages, check_wake};
+use crate::reports::{check_ablation, check_demo, check_messages, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, lttng, ros, stress_doorbell};
+use crate::{bench, examples, lttng, paper as evaluation, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -24,11 +24,12 @@ pub fn run(quick: bool) -> ExitCode {
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 6] = [
+    let slow: [(&str, Step); 7] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: wake", wake),
         ("bench: messages", messages),
+        ("bench: paper", paper),
         ("loom", loom),
         ("miri", miri),
     ];
@@ -45,6 +46,15 @@ pub fn run(quick: bool) -> ExitCode {
 
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
+    // A workspace of its own, which needs a ROS 2 for more than this; what it uses of ours may have got dependencies.
+    let r2r = machine::root().join("benches/paper-r2r");
+    let mut format = Command::new("rustfmt");
+    steps.command(
+        "fmt: paper-r2r",
+        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs")),
+    );
+    let mut lock = cargo("fetch --quiet --locked --manifest-path");
+    steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
 }
@@ -137,6 +147,35 @@ fn messages(steps: &mut Steps) {
 /// It runs; what it says belongs to the machine.
 fn trace(steps: &mut Steps) {
     steps.command("bench: trace", &mut bench("trace", true, None));
+}
+
+/// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
+/// minute to build.
+fn paper(steps: &mut Steps) {
+    let target = machine::target_dir();
+    let (json, html) = (target.join("paper.json"), target.join("paper.html"));
+    let _ = std::fs::remove_file(&json);
+    let realtime = machine::is_ci() || machine::realtime_permitted();
+    let domain = Domain::unused();
+    steps.step("bench: paper", || {
+        let mut arguments = vec!["--repeats".to_owned(), "0".to_owned()];
+        if !realtime {
+            arguments.push("--no-rt".to_owned());
+        }
+        let mut command = evaluation::command(&evaluation::Options {
+            no_r2r: true,
+            runs: Some(1),
+            seconds: Some(1.0),
+            json: Some(json.clone()),
+            html: Some(html),
+            arguments,
+            ..Default::default()
+        });
+        match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+            Outcome::Ok => check_paper(&json, realtime),
+            other => other,
+        }
+    });
 }
 
 fn stress(steps: &mut Steps) {

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a process tells the one that started it: a line of JSON each, on standard output.
+//!
+//! What it is told in turn comes on standard input: the subscriber gets how many messages of each topic were published, a
+//! JSON list. Closing it ends either process.
+
+use std::io::{Write, stdout};
+
+use serde::{Deserialize, Serialize};
+
+/// A line of a process.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Line {
+    /// The subscriber can receive.
+    Ready,
+    /// The end of the publisher.
+    Published(Published),
+    /// The end of the subscriber.
+    Measured(Measured),
+}
+
+/// What the publisher did.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Published {
+    /// Messages of each topic.
+    pub messages: Vec<u64>,
+    /// Releases that came too late to be published: not lost, never sent.
+    pub missed: u64,
+    /// CPU time of the process while it published.
+    pub cpu_ns: u64,
+}
+
+/// What the subscriber measured.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Measured {
+    /// CPU time of the process beyond the callbacks' own.
+    pub overhead_cpu_ns: u64,
+    /// One for each topic.
+    pub topics: Vec<TopicMeasured>,
+}
+
+/// What was measured on one topic.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TopicMeasured {
+    /// From scheduled release to end of callback, in the order of the callbacks.
+    pub latencies_ns: Vec<u64>,
+}
+
+/// Says a line. Nobody listening means that the starter died; then standard input is closed as well.
+pub fn say(line: &Line) {
+    if let Ok(text) = serde_json::to_string(line) {
+        let mut out = stdout().lock();
+        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
+    }
+}

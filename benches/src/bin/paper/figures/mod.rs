@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The paper's figures, drawn anew from the rows of a run.
+
+mod bars;
+mod canvas;
+mod histograms;
+
+pub use bars::p99_bars;
+pub use histograms::ablation_histograms;
+
+use plotters::style::{RGBColor, WHITE};
+
+use crate::plan::System;
+
+const INK: RGBColor = RGBColor(34, 40, 49);
+const FAINT: RGBColor = RGBColor(102, 110, 122);
+const GRID: RGBColor = RGBColor(232, 235, 240);
+const DEADLINE: RGBColor = RGBColor(204, 32, 38);
+const BOUND: RGBColor = RGBColor(34, 40, 49);
+
+fn colour(system: System) -> RGBColor {
+    match system {
+        System::Tautline => RGBColor(64, 120, 190),
+        System::R2r => RGBColor(236, 164, 72),
+    }
+}
+
+/// What can be read on a bar of the system.
+fn on_bar(system: System) -> RGBColor {
+    match system {
+        System::Tautline => WHITE,
+        System::R2r => INK,
+    }
+}
+
+fn label(system: System) -> &'static str {
+    match system {
+        System::Tautline => "Tautline",
+        System::R2r => "r2r over Fast DDS",
+    }
+}
+
+/// Three digits, or none after the point from 100 on.
+fn short(ms: f64) -> String {
+    match ms {
+        ms if ms < 10.0 => format!("{ms:.2}"),
+        ms if ms < 100.0 => format!("{ms:.1}"),
+        ms => format!("{ms:.0}"),
+    }
+}

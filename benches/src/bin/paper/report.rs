@@ -1,0 +1,303 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What was found: the data of all outputs, the table for the terminal, the JSON.
+
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{Cell as TableCell, CellAlignment, Table};
+use tautline_benches::{machine, version_of};
+use tautline_paper::Variant;
+
+use crate::Result;
+use crate::plan::{Experiment, Plan, System};
+use crate::predict;
+use crate::rounds::{CellRuns, Results};
+use crate::stats::{self, Row, counted};
+use crate::verdict::{Verdict, verdicts};
+
+/// Everything that the outputs say.
+pub struct Report {
+    pub rows: Vec<Row>,
+    pub verdicts: Vec<Verdict>,
+    pub notes: Notes,
+    /// Runs in which the core was not ours, the replaced ones and those that count nevertheless.
+    pub disturbed: Vec<Disturbed>,
+}
+
+/// How it was measured and where.
+pub struct Notes {
+    pub method: Vec<String>,
+    pub machine: Vec<String>,
+}
+
+/// A run in which the core was not ours.
+pub struct Disturbed {
+    pub cell: String,
+    pub run: usize,
+    pub steal_ticks: u64,
+    pub missed_releases: u64,
+    /// Whether a repetition stands in for it.
+    pub replaced: bool,
+    /// The 99th percentile of each topic.
+    pub p99_ms: Vec<f64>,
+}
+
+impl Report {
+    pub fn new(plan: &Plan, results: &Results) -> Result<Report> {
+        let mut rows: Vec<_> = results.cells.iter().flat_map(|cell| stats::rows(plan, cell)).collect();
+        let mut overheads = Vec::new();
+        for system in [System::Tautline, System::R2r] {
+            let runs = results.cells.iter().find(|cell| {
+                cell.cell.system == system && cell.cell.experiment == Experiment::Paper(Variant::FUTURES_RT)
+            });
+            let Some(runs) = runs else { continue };
+            let overhead_ns = stats::overhead_ns(&runs.runs);
+            overheads.push((system, overhead_ns));
+            let bounds = predict::response_times_ns(&plan.paper.topics, overhead_ns, &results.interruptions);
+            for row in rows.iter_mut().filter(|row| row.cell == runs.cell) {
+                row.rta_overhead_ms = bounds[row.index].map(stats::ms);
+            }
+        }
+        let verdicts = verdicts(&rows, plan.capacity.computed());
+        let notes = Notes { method: method(plan), machine: circumstances(plan, results, &overheads)? };
+        let disturbed = results.cells.iter().flat_map(|cell| disturbed(plan, cell)).collect();
+        Ok(Report { rows, verdicts, notes, disturbed })
+    }
+}
+
+fn disturbed(plan: &Plan, cell: &CellRuns) -> Vec<Disturbed> {
+    let counted = counted(&cell.runs, plan.runs as usize);
+    let runs = cell.runs.iter().enumerate().filter(|(_, run)| run.is_disturbed());
+    let p99 = |latencies_ns: &[u64]| {
+        let mut sorted = latencies_ns.to_vec();
+        sorted.sort_unstable();
+        stats::percentile(&sorted, 99).map_or(f64::NAN, stats::ms)
+    };
+    runs.map(|(index, run)| Disturbed {
+        cell: cell.cell.to_string(),
+        run: index + 1,
+        steal_ticks: run.steal_ticks,
+        missed_releases: run.published.missed,
+        replaced: !counted.iter().any(|other| std::ptr::eq(*other, run)),
+        p99_ms: run.measured.topics.iter().map(|topic| p99(&topic.latencies_ns)).collect(),
+    })
+    .collect()
+}
+
+fn method(plan: &Plan) -> Vec<String> {
+    let real = if plan.realtime {
+        "The publisher's main thread and middleware run at SCHED_FIFO 25, its worker at 24; the subscriber's sampler and \
+         middleware at 21, its callbacks at 20 to 16 (rate-monotonic), workers for all topics at 20; variants called nort- \
+         leave the subscriber at SCHED_OTHER."
+    } else {
+        "MEASURED WITHOUT REAL-TIME PRIORITIES: these are not the numbers to compare."
+    };
+    vec![
+        format!(
+            "A publisher and a subscriber process, both on core {}; five topics of 10, 20, 50, 100 and 200 ms, whose callbacks \
+             compute for 2, 4, 5, 15 and 50 ms of CPU time: 90 % of the core. Queues keep the last 100 messages.",
+            plan.core
+        ),
+        real.into(),
+        "A response time is from the scheduled release of a message to the end of its callback. All topics are first released \
+         together. Percentiles are of all runs together (nearest rank); the deviation is that of the runs' 99th percentiles."
+            .into(),
+        format!(
+            "{} runs of {} s for each variant and system, rivals after each other. A run from which the hypervisor took the \
+             core (steal in /proc/stat), or whose publisher, above everything else, missed a release, is repeated, at most {} \
+             times per variant; the undisturbed runs count, else the least \
+             disturbed ones, and all are listed.",
+            plan.runs, plan.seconds, plan.repeats
+        ),
+        "futures-rt-mw-below has sampler and middleware at 15, below the callbacks. In futures-rt-mw-other Fast DDS's own \
+         threads are SCHED_OTHER and r2r's main thread has 21, as in the paper; Tautline has no such threads, so there its \
+         sampler is SCHED_OTHER. The paper's C++ variants, rclcpp-st and rclcpp-rt, are not part of this."
+            .into(),
+        "The prediction (RTA+) is response-time analysis with the CPU time for each message that publisher and subscriber were \
+         seen to use besides the callbacks, at the highest priority, and what the machine was seen to take from the core \
+         before the runs."
+            .into(),
+        format!(
+            "Capacity: while a callback computes for 76.5 ms every 125 ms, another, below it, gets a message every 5 ms. Its queue \
+             must hold {}, as `taut check examples/systems/capacity.toml` computes.",
+            plan.capacity.computed()
+        ),
+    ]
+}
+
+fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) -> Result<Vec<String>> {
+    let version = |package| version_of(package).unwrap_or("?");
+    let mut lines = vec![
+        machine(),
+        format!(
+            "tautline {}, iceoryx2 {}, tokio {}",
+            version("tautline"),
+            version("iceoryx2"),
+            version("tokio")
+        ),
+        match &plan.r2r {
+            Ok(program) => crate::process::version(program)?,
+            Err(reason) => format!("r2r LEFT OUT: {reason}"),
+        },
+        results.disturbance.clone(),
+    ];
+    let seen = &results.interruptions;
+    lines.push(format!(
+        "the core before the runs: interruptions of {:.0} µs that take {:.2} % (longest {:.0} µs)",
+        seen.regular_ns as f64 / 1e3,
+        100.0 * seen.total_ns as f64 / seen.window_ns.max(1) as f64,
+        seen.longest_ns as f64 / 1e3
+    ));
+    for (system, overhead_ns) in overheads {
+        lines.push(format!("{system}: {:.1} µs of middleware per message", *overhead_ns as f64 / 1e3));
+    }
+    let all = results.cells.iter().flat_map(|cell| &cell.runs);
+    let (runs, disturbed) =
+        all.clone().fold((0, 0), |(n, d), run| (n + 1, d + u32::from(run.is_disturbed())));
+    let missed: u64 = all.map(|run| run.published.missed).sum();
+    lines.push(format!(
+        "{runs} runs in {:.0} s, {disturbed} of them disturbed; releases that the publishers missed: {missed}",
+        results.took.as_secs_f64()
+    ));
+    Ok(lines)
+}
+
+/// Prints the table, what must hold, and the circumstances.
+pub fn print(report: &Report) {
+    println!("{}", table(&report.rows));
+    println!(
+        "Times in ms, from scheduled release to end of callback; ± is the deviation of the runs' p99.\n"
+    );
+    report.verdicts.iter().for_each(|verdict| println!("{verdict}"));
+    println!();
+    for run in &report.disturbed {
+        let fate = if run.replaced { "replaced by a repetition" } else { "counts nevertheless" };
+        let (steal, missed) = (run.steal_ticks, run.missed_releases);
+        println!(
+            "disturbed {}, run {}: steal {steal} ticks, {missed} releases missed; {fate}",
+            run.cell, run.run
+        );
+    }
+    report.notes.machine.iter().for_each(|line| println!("{line}"));
+}
+
+/// The rows as a JSON list.
+pub fn json(report: &Report) -> Result<String> {
+    Ok(serde_json::to_string_pretty(&report.rows)? + "\n")
+}
+
+fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED);
+    table.set_header([
+        "variant", "system", "topic", "n", "mean", "p50", "p99", "±", "max", "RTA", "RTA+", "deadline",
+        "late", "lost", "steal",
+    ]);
+    let mut previous = (String::new(), None);
+    for row in rows {
+        let this = (row.variant.clone(), Some(row.system));
+        let first = this != previous;
+        let words = if first { [row.variant.clone(), row.system.to_string()] } else { Default::default() };
+        previous = this;
+        let time = |ms: Option<f64>| ms.map_or("-".into(), |ms| format!("{ms:.2}"));
+        let numbers = [
+            row.n.to_string(),
+            time(row.mean_ms),
+            time(row.p50_ms),
+            time(row.p99_ms),
+            time(row.p99_std_ms),
+            time(row.max_ms),
+            time(row.rta_ms),
+            row.rta_overhead_ms.map_or(String::new(), |ms| format!("{ms:.2}")),
+            format!("{}", row.deadline_ms),
+            row.misses.to_string(),
+            row.lost.to_string(),
+            if first { row.steal_ticks.to_string() } else { String::new() },
+        ];
+        let words = words.into_iter().chain([row.topic.clone()]).map(TableCell::new);
+        let numbers = numbers.map(|text| TableCell::new(text).set_alignment(CellAlignment::Right));
+        table.add_row(words.chain(numbers));
+    }
+    table
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+    use crate::plan::Cell;
+    use serde_json::Value;
+
+    /// A plan of two runs of everything.
+    pub fn plan() -> Plan {
+        Plan {
+            runs: 2,
+            seconds: 1.0,
+            repeats: 1,
+            core: 0,
+            realtime: true,
+            r2r: Err("a test".into()),
+            paper: crate::application::paper().unwrap(),
+            capacity: crate::application::capacity().unwrap(),
+            cells: Vec::new(),
+        }
+    }
+
+    /// A report of these rows.
+    pub fn report(rows: Vec<Row>) -> Report {
+        let notes = Notes { method: vec!["a <method>".into()], machine: vec!["a machine".into()] };
+        Report { verdicts: verdicts(&rows, plan().capacity.computed()), rows, notes, disturbed: Vec::new() }
+    }
+
+    /// A row with these response times.
+    pub fn row(system: System, name: &str, index: usize, latencies_ms: &[f64]) -> Row {
+        let plan = plan();
+        let experiment = match name.strip_prefix("capacity-") {
+            Some(depth) => Experiment::Capacity(depth.parse().unwrap()),
+            None => Experiment::Paper(name.parse().unwrap()),
+        };
+        let cell = Cell { system, experiment };
+        let mut row = stats::rows(&plan, &CellRuns { cell, runs: Vec::new() }).swap_remove(index);
+        row.latencies_ns = latencies_ms.iter().map(|ms| (ms * 1e6) as u64).collect();
+        row.n = latencies_ms.len() as u64;
+        (row.runs, row.published) = (1, row.n);
+        row.misses = latencies_ms.iter().filter(|ms| **ms > row.deadline_ms).count() as u64;
+        let longest = latencies_ms.iter().copied().reduce(f64::max);
+        (row.p50_ms, row.p99_ms, row.max_ms, row.mean_ms) = (longest, longest, longest, longest);
+        (row.p99_std_ms, row.rta_overhead_ms) = (Some(0.5), row.rta_ms);
+        row
+    }
+
+    #[test]
+    fn json_keeps_its_contract() {
+        let text = json(&report(vec![row(System::Tautline, "futures-rt", 0, &[2.1])])).unwrap();
+        let list: Value = serde_json::from_str(&text).unwrap();
+        let first = &list[0];
+        assert_eq!(
+            (&first["system"], &first["variant"], &first["n"]),
+            (&"tautline".into(), &"futures-rt".into(), &1.into())
+        );
+        let keys = [
+            "system",
+            "variant",
+            "topic",
+            "runs",
+            "n",
+            "p50_ms",
+            "p99_ms",
+            "max_ms",
+            "p99_std_ms",
+            "rta_ms",
+            "deadline_ms",
+            "misses",
+            "lost",
+            "steal_ticks",
+        ];
+        let places: Vec<_> = keys.iter().map(|key| text.find(&format!("\"{key}\":")).expect(key)).collect();
+        assert!(places.is_sorted() && text.find("\"mean_ms\"").unwrap() > *places.last().unwrap(), "{text}");
+    }
+
+    #[test]
+    fn the_table_names_a_variant_once() {
+        let rows = [0, 1].map(|index| row(System::R2r, "tokio", index, &[70.0]));
+        let text = table(&rows).to_string();
+        assert_eq!((text.matches("tokio").count(), text.matches("topic").count()), (1, 3), "{text}");
+    }
+}

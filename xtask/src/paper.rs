@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The evaluation: builds r2r's side, if it can, and runs both.
+
+use crate::steps::{self, Outcome, execute};
+use crate::{machine, r2r};
+use std::path::PathBuf;
+use std::process::{Command, ExitCode};
+
+#[derive(clap::Args, Default)]
+#[command(after_help = "Examples:
+  cargo xtask bench paper --quick                              some minutes: two runs of three seconds
+  cargo xtask bench paper --json paper.json --html paper.html  two hours: ten runs of twenty seconds, as in the paper
+  cargo xtask bench paper --runs 3 -- --variants futures-rt,tokio,nort-tokio
+
+r2r's side is built with the ROS 2 that is sourced, else with one from PyPI under target/ros.")]
+pub struct Options {
+    /// Two runs of three seconds
+    #[arg(long)]
+    pub quick: bool,
+    /// Runs of each variant [default: 10]
+    #[arg(long, value_name = "N")]
+    pub runs: Option<u32>,
+    /// Length of a run [default: 20]
+    #[arg(long, value_name = "S")]
+    pub seconds: Option<f64>,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write the report with its pictures to FILE
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+    /// Leave r2r out
+    #[arg(long)]
+    pub no_r2r: bool,
+    /// Passed on: see `cargo xtask bench paper -- --help`
+    #[arg(last = true)]
+    pub arguments: Vec<String>,
+}
+
+pub fn run(options: &Options) -> ExitCode {
+    steps::run(&mut command(options))
+}
+
+/// The command that measures. r2r's program is built before.
+pub fn command(options: &Options) -> Command {
+    let r2r = if options.no_r2r { Err("--no-r2r".to_owned()) } else { build_r2r() };
+    let mut command = steps::cargo("run --release -p tautline-benches --bin paper --");
+    match r2r {
+        Ok(program) => command.arg("--r2r").arg(program),
+        Err(reason) => command.arg("--without-r2r").arg(reason),
+    };
+    if options.quick {
+        command.arg("--quick");
+    }
+    if let Some(runs) = options.runs {
+        command.args(["--runs", &runs.to_string()]);
+    }
+    if let Some(seconds) = options.seconds {
+        command.args(["--seconds", &seconds.to_string()]);
+    }
+    for (name, path) in [("--json", &options.json), ("--html", &options.html)] {
+        if let Some(path) = path {
+            command.arg(name).arg(path);
+        }
+    }
+    command.args(&options.arguments);
+    command
+}
+
+/// A minute from cold.
+fn build_r2r() -> Result<PathBuf, String> {
+    let target = machine::target_dir().join("ros/paper-r2r");
+    let manifest = machine::root().join("benches/paper-r2r/Cargo.toml");
+    let mut build = r2r::cargo("build --release --locked")?;
+    build.arg("--manifest-path").arg(manifest).arg("--target-dir").arg(&target);
+    // The messages that it uses; all of them take minutes.
+    build.env("IDL_PACKAGE_FILTER", "std_msgs");
+    match execute(&mut build) {
+        Outcome::Ok => Ok(target.join("release/paper-r2r")),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_are_passed_on() {
+        let options = Options {
+            no_r2r: true,
+            runs: Some(3),
+            seconds: Some(0.5),
+            html: Some("paper.html".into()),
+            arguments: vec!["--core".into(), "0".into()],
+            ..Options::default()
+        };
+        let command = command(&options);
+        let words: Vec<_> = command.get_args().map(|word| word.to_string_lossy()).collect();
+        let own = words.iter().position(|word| word == "--").unwrap() + 1;
+        let expected = [
+            "--without-r2r",
+            "--no-r2r",
+            "--runs",
+            "3",
+            "--seconds",
+            "0.5",
+            "--html",
+            "paper.html",
+            "--core",
+            "0",
+        ];
+        assert_eq!(words[own..], expected);
+    }
+}

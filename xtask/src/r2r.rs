@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What it takes to build a program of r2r's: a ROS 2 to link with and libclang.
+
+use crate::steps::{self, Outcome};
+use crate::{machine, ros};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::{env, fs, io};
+
+/// From PyPI, where the system has none.
+const LIBCLANG: &str = "libclang==18.1.1";
+
+/// `cargo` with the ROS 2 that the user has sourced, else with the one under the target directory, which is made first.
+pub fn cargo(arguments: &str) -> Result<Command, String> {
+    let mut command = steps::cargo(arguments);
+    if env::var_os("AMENT_PREFIX_PATH").is_none() || env::var_os("ROS_DISTRO").is_none() {
+        use_wheels(&mut command)?;
+    }
+    if env::var_os("LIBCLANG_PATH").is_none() && !system_has_libclang() {
+        use_pypi_libclang(&mut command)?;
+    }
+    Ok(command)
+}
+
+fn use_wheels(command: &mut Command) -> Result<(), String> {
+    done(ros::prepare())?;
+    let prefix = machine::target_dir().join("ros/prefix");
+    make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;
+    // RPATH, for RUNPATH does not reach what the libraries themselves need.
+    let flags = format!("-Clink-arg=-Wl,--disable-new-dtags,-rpath,{}/lib", prefix.display());
+    command.env("AMENT_PREFIX_PATH", &prefix).env("ROS_DISTRO", "jazzy").env("RUSTFLAGS", flags);
+    Ok(())
+}
+
+/// Links the wheels' files into the layout of an installed ROS 2 and adds the libraries that the wheels lack.
+fn make_prefix(venv: &Path, prefix: &Path) -> io::Result<()> {
+    let lib = prefix.join("lib");
+    // Written last: what was interrupted is made anew.
+    let dispatcher = lib.join("librmw_implementation.so");
+    if dispatcher.exists() {
+        return Ok(());
+    }
+    if prefix.exists() {
+        fs::remove_dir_all(prefix)?;
+    }
+    fs::create_dir_all(&lib)?;
+    for name in ["include", "share"] {
+        symlink(venv.join(name), prefix.join(name))?;
+    }
+    let packages = venv.join("lib/python3.11/site-packages");
+    let bundled =
+        files(&packages)?.into_iter().filter(|(name, _)| name.starts_with("ros_") && name.ends_with(".libs"));
+    for folder in std::iter::once(venv.join("lib")).chain(bundled.map(|(_, path)| path)) {
+        for (name, path) in files(&folder)?.into_iter().filter(|(name, _)| name.contains(".so")) {
+            let link = lib.join(&name);
+            if name.ends_with("__rosidl_generator_py.so") {
+                // librcl needs them by name only; the real ones need a Python around them.
+                make_empty_library(&name, &link)?;
+            } else if !link.exists() {
+                symlink(path, link)?;
+            }
+        }
+    }
+    fs::write(dispatcher, "INPUT(-lrmw_fastrtps_cpp)\n")
+}
+
+fn files(folder: &Path) -> io::Result<Vec<(String, PathBuf)>> {
+    let named = |entry: fs::DirEntry| (entry.file_name().to_string_lossy().into_owned(), entry.path());
+    fs::read_dir(folder)?.map(|entry| entry.map(named)).collect()
+}
+
+fn make_empty_library(name: &str, path: &Path) -> io::Result<()> {
+    let mut gcc = Command::new("gcc");
+    gcc.args(["-shared", "-nostdlib", &format!("-Wl,-soname,{name}"), "-o"]).arg(path);
+    let status = gcc.args(["-x", "c", "/dev/null"]).status()?;
+    if status.success() { Ok(()) } else { Err(io::Error::other(format!("gcc for {name}: {status}"))) }
+}
+
+/// Where Debian and its kin install it.
+fn system_has_libclang() -> bool {
+    let has = |folder: &Path| {
+        files(folder).is_ok_and(|files| {
+            files.iter().any(|(name, _)| name.starts_with("libclang.so") || name.starts_with("libclang-"))
+        })
+    };
+    let llvm = files(Path::new("/usr/lib")).unwrap_or_default();
+    llvm.iter().any(|(name, path)| name.starts_with("llvm-") && has(&path.join("lib")))
+}
+
+fn use_pypi_libclang(command: &mut Command) -> Result<(), String> {
+    done(ros::prepare())?;
+    let native = ros::venv().join("lib/python3.11/site-packages/clang/native");
+    if !native.exists() {
+        let mut install = Command::new(ros::venv().join("bin/pip"));
+        done(steps::execute(install.args(["install", "--quiet", "--disable-pip-version-check", LIBCLANG])))?;
+    }
+    // It comes without the compiler's own headers.
+    let gcc =
+        Command::new("gcc").arg("-print-file-name=include").output().map_err(|error| error.to_string())?;
+    let include = String::from_utf8_lossy(&gcc.stdout).trim().to_owned();
+    command.env("LIBCLANG_PATH", native).env("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{include}"));
+    Ok(())
+}
+
+fn done(outcome: Outcome) -> Result<(), String> {
+    match outcome {
+        Outcome::Ok => Ok(()),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_prefix_has_every_library_and_stubs_for_those_that_need_python() {
+        let folder = env::temp_dir().join(format!("taut_prefix_{}", std::process::id()));
+        let (venv, prefix) = (folder.join("venv"), folder.join("prefix"));
+        let bundled = venv.join("lib/python3.11/site-packages/ros_rcl.libs");
+        fs::create_dir_all(&bundled).unwrap();
+        for path in ["librcl.so", "liba__rosidl_generator_py.so", "notes.txt"] {
+            fs::write(venv.join("lib").join(path), "wheel").unwrap();
+        }
+        fs::write(bundled.join("libssl-1.so.1"), "bundled").unwrap();
+        make_prefix(&venv, &prefix).unwrap();
+        let read = |name: &str| fs::read(prefix.join("lib").join(name));
+        assert_eq!(read("librcl.so").unwrap(), b"wheel");
+        assert_eq!(read("libssl-1.so.1").unwrap(), b"bundled");
+        assert_eq!(&read("liba__rosidl_generator_py.so").unwrap()[1..4], b"ELF");
+        assert_eq!(read("librmw_implementation.so").unwrap(), b"INPUT(-lrmw_fastrtps_cpp)\n");
+        assert!(read("notes.txt").is_err());
+        fs::remove_dir_all(folder).unwrap();
+    }
+}
