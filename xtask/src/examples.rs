@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 const RUNS: [&[&str]; 7] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
+    &["variable_image"],
     &["timer"],
     &["priorities"],
     &["callback_group"],
