@@ -47,6 +47,17 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     #[doc(hidden)]
     fn shorten<'short, 'long: 'short>(view: Self::View<'long>) -> Self::View<'short>;
 
+    /// The message that a view reads, as an owned one: allocates its strings and sequences.
+    fn owned(view: Self::View<'_>) -> Self;
+
+    /// Zeroes the padding between the fields in `memory`, which holds a message that was written as a Rust value. Nothing
+    /// to do for what is written field by field.
+    #[doc(hidden)]
+    #[inline]
+    fn clear_gaps(memory: &mut [u8]) {
+        let _ = memory;
+    }
+
     /// The length of the body in bytes.
     ///
     /// # Real-time

@@ -25,6 +25,9 @@ use crate::{Body, Invalid, Message};
 ///   initialised bytes are.
 /// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
 ///   without touching it. (References, `NonZero` integers and enums without a variant 0 are therefore excluded.)
+/// - If the type is a [`Message`], the memory of a [`Body`] that [`Message::view`] accepts starts with a valid `Self`. If it
+///   is [`Fill`](crate::cdr::Fill), what [`carve`](crate::cdr::Fill::carve) took of zero-padded memory is one, whatever is
+///   done with the writer.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is not a plain type: its bytes in memory are not its CDR",
     label = "not a plain type",

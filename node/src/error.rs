@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use tautline_executor::ExecutorError;
+use tautline_msgs::cdr::WriteError;
 use tautline_rt::RtError;
 use tautline_transport::{LoanError, PublishError, TakeError, TransportError, Unpublished};
 
@@ -105,6 +106,9 @@ pub enum Error {
     /// A message was not published.
     #[error(transparent)]
     Publish(#[from] PublishError),
+    /// A message was not written in place.
+    #[error(transparent)]
+    Write(#[from] WriteError),
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),

@@ -58,11 +58,14 @@ pub use tautline_executor::{
 };
 pub use tautline_msgs as msgs;
 pub use tautline_msgs::{Message, Plain};
+#[cfg(feature = "ros_msgs")]
+#[doc(no_inline)]
+pub use tautline_ros_msgs::*;
 pub use tautline_rt as rt;
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 pub use tautline_transport::{
     Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, PublisherCounters, Sample,
-    TakeError, TopicMemory, TransportError, Unpublished, topic_memory,
+    TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
 };
 
 /// The README's program compiles.

@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::future::Future;
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
-use tautline_msgs::{Message, Plain};
+use tautline_msgs::Message;
 use tautline_transport::{Limits, Publisher, TransportError};
 
 /// A node. Its publishers, subscriptions and timers live on when it is dropped; its context lives as long as it does.
@@ -119,7 +119,7 @@ impl Node {
     ///
     /// # Errors
     /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that is not enforced.
-    pub fn create_publisher<T: Message + Plain>(
+    pub fn create_publisher<T: Message>(
         &mut self,
         topic: &str,
         qos_profile: QosProfile,
@@ -129,23 +129,24 @@ impl Node {
         Ok(self.context.shared.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
-    /// Subscribes to a topic: a stream of owned messages, copied out of shared memory.
+    /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
     ///
     /// # Errors
     /// As [`create_publisher`](Self::create_publisher).
-    pub fn subscribe<T: Message + Plain>(
+    pub fn subscribe<T: Message>(
         &mut self,
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<impl Stream<Item = T> + Unpin + Send + use<T>> {
-        Ok(self.subscribe_loaned::<T>(topic, qos_profile)?.map(|sample| *sample))
+        Ok(self.subscribe_loaned::<T>(topic, qos_profile)?.map(|sample| sample.to_owned()))
     }
 
-    /// Subscribes to a topic: a stream of samples that deref into shared memory.
+    /// Subscribes to a topic: a stream of samples, read in shared memory: through [`Sample::view`](crate::Sample::view), or
+    /// by dereferencing if the type is plain.
     ///
     /// # Errors
     /// As [`create_publisher`](Self::create_publisher).
-    pub fn subscribe_loaned<T: Message + Plain>(
+    pub fn subscribe_loaned<T: Message>(
         &mut self,
         topic: &str,
         qos_profile: QosProfile,

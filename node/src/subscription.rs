@@ -8,10 +8,10 @@ use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
 use tautline_executor::job::QueueState;
 use tautline_executor::{busy_polling, job, stop_requested};
-use tautline_msgs::{Message, Plain};
+use tautline_msgs::Message;
 use tautline_transport::{Counters, Sample, TakeError};
 
-/// Receives messages of type `T` from one topic: a stream of [`Sample`]s that deref into shared memory.
+/// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written.
 ///
 /// On a callback thread each message is a job: its response time counts from the message's release, and the next poll of
 /// this stream ends it. On a busy-polling thread the subscription polls its queue without any doorbell.
@@ -26,7 +26,7 @@ pub struct Subscription<T> {
     noted_lost: u64,
 }
 
-impl<T: Message + Plain> Subscription<T> {
+impl<T: Message> Subscription<T> {
     pub(crate) fn new(inner: tautline_transport::Subscription<T>) -> Self {
         let counters = inner.counters();
         let trace = tautline_trace::subscription_callback_init(inner.trace_id(), inner.topic());
@@ -36,7 +36,7 @@ impl<T: Message + Plain> Subscription<T> {
     /// Takes the oldest sample, if there is one, without waiting. (Not called `take`: that is a method of every stream.)
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall.
+    /// Wait-free; no allocation; no syscall. The message is checked: see [`Message::view`].
     ///
     /// # Errors
     /// [`TakeError`].
@@ -60,17 +60,17 @@ impl<T: Message + Plain> Subscription<T> {
     }
 }
 
-impl<T: Message + Plain> std::fmt::Debug for Subscription<T> {
+impl<T: Message> std::fmt::Debug for Subscription<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Subscription").field("topic", &self.topic()).finish_non_exhaustive()
     }
 }
 
-impl<T: Message + Plain> Stream for Subscription<T> {
+impl<T: Message> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; on a callback thread that measures execution times one syscall per message. Never ends.
+    /// Wait-free; no allocation; the message is checked: see [`Message::view`]; on a callback thread that measures execution times one syscall per message. Never ends.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         if let Some(job) = self.job.take() {
             job.finish();
@@ -92,7 +92,7 @@ impl<T: Message + Plain> Stream for Subscription<T> {
     }
 }
 
-impl<T: Message + Plain> Subscription<T> {
+impl<T: Message> Subscription<T> {
     /// Looks without registering for a wake-up.
     fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<Sample<T>> {
         if let Ok(Some(sample)) = self.inner.try_take_valid() {

@@ -60,6 +60,67 @@ fn publishers_subscriptions_and_spin_once_in_one_thread() {
     assert_eq!(*heard.borrow(), [10, 30, 50]);
 }
 
+/// Messages by r2r's paths, owned and of any length; beside them what r2r lacks: the same read where they lie.
+#[cfg(feature = "sensor_msgs")]
+#[test]
+fn messages_of_any_length_by_their_ros_paths() {
+    use r2r::sensor_msgs::msg::{JointState, JointStateSizes};
+    let mut node = r2r::Node::create(context(199), "testnode", "").unwrap();
+    let qos = QosProfile::default();
+    let words = node.subscribe::<r2r::std_msgs::msg::String>("/words", qos).unwrap();
+    let joints = node.subscribe::<JointState>("/joints", qos).unwrap();
+    let in_place = node.subscribe_loaned::<JointState>("/joints", qos).unwrap();
+    let word_publisher = node.create_publisher::<r2r::std_msgs::msg::String>("/words", qos).unwrap();
+    let joint_publisher = node.create_publisher::<JointState>("/joints", qos).unwrap();
+
+    let said = ["", "taut", "a longer word"].map(|data| r2r::std_msgs::msg::String { data: data.into() });
+    said.iter().for_each(|word| word_publisher.publish(word).unwrap());
+    let sizes = JointStateSizes { name: &[4, 5], position: 2, ..JointStateSizes::default() };
+    let write = || -> r2r::Result<()> {
+        let loan = joint_publisher.loan_with(sizes)?.write(|joints| {
+            joints.name.each(|index, name| name.set(["left", "right"][index]))?;
+            joints.position.copy_from(&[0.5, -0.5])?;
+            joints.default_rest();
+            Ok(())
+        })?;
+        Ok(loan.publish()?)
+    };
+    write().unwrap();
+
+    let mut pool = LocalPool::new();
+    let spawner = pool.spawner();
+    let heard = Rc::new(RefCell::new((Vec::new(), Vec::new(), Vec::new())));
+    let log = heard.clone();
+    let words = words.for_each(move |word| {
+        log.borrow_mut().0.push(word);
+        future::ready(())
+    });
+    let log = heard.clone();
+    let joints = joints.for_each(move |state| {
+        log.borrow_mut().1.push(state);
+        future::ready(())
+    });
+    let log = heard.clone();
+    let view = in_place.for_each(move |sample| {
+        let state = sample.view();
+        let named = state.name().iter().map(str::to_owned).zip(state.position().iter().copied());
+        log.borrow_mut().2.extend(named);
+        future::ready(())
+    });
+    spawner.spawn_local(words).unwrap();
+    spawner.spawn_local(joints).unwrap();
+    spawner.spawn_local(view).unwrap();
+    while heard.borrow().0.len() < 3 || heard.borrow().1.is_empty() || heard.borrow().2.is_empty() {
+        node.spin_once(Duration::from_millis(100));
+        pool.run_until_stalled();
+    }
+    let (words, joints, in_place) = &*heard.borrow();
+    assert_eq!(words, &said);
+    assert_eq!(joints[0].name, ["left", "right"]);
+    assert_eq!((&joints[0].position, joints[0].effort.len()), (&vec![0.5, -0.5], 0));
+    assert_eq!(in_place, &[("left".to_owned(), 0.5), ("right".to_owned(), -0.5)]);
+}
+
 async fn timer_task(mut t: r2r::Timer) -> Result<Vec<Duration>, Box<dyn std::error::Error>> {
     let mut elapsed = Vec::new();
     loop {

@@ -3,6 +3,7 @@
 
 use std::io;
 use std::path::PathBuf;
+use tautline_msgs::cdr::{DecodeError, EncodeError};
 
 /// Why a participant, a topic, a publisher or a subscription could not be made. Each says what to change.
 #[derive(Debug, thiserror::Error)]
@@ -155,6 +156,9 @@ pub enum PublishError {
     /// No sample could be loaned for the message.
     #[error(transparent)]
     Loan(#[from] LoanError),
+    /// The message cannot be written: a string or sequence is longer than its bound.
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
     /// iceoryx2 could not deliver to every subscription; those missed count it as lost.
     #[error("the sample could not be delivered to every subscription")]
     Incomplete,
@@ -168,7 +172,7 @@ pub enum TakeError {
     TooManyHeld,
     /// The bytes are not a message of this type.
     #[error("the sample is not a valid message: {0}")]
-    Invalid(tautline_msgs::Invalid),
+    Invalid(DecodeError),
     /// A publisher's memory could not be mapped.
     #[error(
         "a publisher's shared memory could not be mapped: its samples do not arrive; is the process at its limit of open files?"

@@ -6,8 +6,9 @@
 //! through iceoryx2; that one is there is announced by Tautline's own [`Doorbell`], one per sampler: iceoryx2's event
 //! service can lose a wake-up for ever.
 //!
-//! - **Zero copy.** What lies in shared memory is the message's CDR, which for [plain](tautline_msgs::Plain) types is
-//!   the type's memory.
+//! - **Zero copy.** What lies in shared memory is the message's CDR, of a fixed size or not: written there field by field, or
+//!   as a `&mut T` if the type is [plain](tautline_msgs::Plain), and read there through its
+//!   [view](tautline_msgs::Message::View).
 //! - **Bytes below, types above.** [`RawPublisher`] and [`RawSubscription`] carry bodies of any length and look at none;
 //!   [`Publisher`] and [`Subscription`] are a thin layer over them. All ends of a topic agree on the [`TopicType`].
 //! - **Nothing waits in publish.** A slow keep-last subscription loses its oldest samples and counts them; a full
@@ -63,4 +64,4 @@ pub use qos::{Durability, History, Limits, Qos, Reliability};
 pub use subscription::{Counters, RawSample, RawSubscription};
 pub use topic_type::TopicType;
 pub use topics::{EndpointInfo, TopicInfo};
-pub use typed::{Loan, Publisher, Sample, Subscription};
+pub use typed::{Loan, Publisher, Sample, Subscription, Unwritten};

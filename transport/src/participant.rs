@@ -13,7 +13,7 @@ use crate::topic_type::TopicType;
 use crate::typed::{Publisher, Subscription};
 use iceoryx2::prelude::*;
 use std::sync::Arc;
-use tautline_msgs::{Message, Plain};
+use tautline_msgs::Message;
 
 /// Greatest domain number, as in ROS 2.
 pub const MAX_DOMAIN: u32 = 232;
@@ -106,7 +106,7 @@ impl Participant {
     ///
     /// # Errors
     /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
-    pub fn create_publisher<T: Message + Plain>(
+    pub fn create_publisher<T: Message>(
         &self,
         topic: &str,
         qos: Qos,
@@ -122,7 +122,7 @@ impl Participant {
     ///
     /// # Errors
     /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
-    pub fn create_subscription<T: Message + Plain>(
+    pub fn create_subscription<T: Message>(
         &self,
         topic: &str,
         qos: Qos,

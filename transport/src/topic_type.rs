@@ -4,7 +4,7 @@
 use crate::error::TransportError;
 use iceoryx2::service::attribute::{AttributeKey, AttributeSet, AttributeSpecifier, AttributeValue};
 use std::borrow::Cow;
-use tautline_msgs::{Message, Plain};
+use tautline_msgs::Message;
 
 /// Attribute keys of a topic's service.
 const NAME: &str = "ros.type";
@@ -61,8 +61,13 @@ impl TopicType {
     }
 
     /// The type `T`.
-    pub fn of<T: Message + Plain>() -> Self {
-        TopicType::new(T::TYPE_NAME).with_body_bytes(T::CDR_SIZE)
+    pub fn of<T: Message>() -> Self {
+        TopicType {
+            name: T::TYPE_NAME.into(),
+            hash: T::TYPE_HASH.map(Cow::from),
+            body_bytes: T::FIXED_LEN,
+            definition: T::DEFINITION.map(|definition| definition.to_text().into()),
+        }
     }
 
     /// Name, size and hash, for messages.

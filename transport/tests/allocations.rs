@@ -8,6 +8,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::{Cell, RefCell};
 use std::time::{Duration, Instant};
 use support::{Count, domain, wait_for};
+use tautline_ros_msgs::sensor_msgs::msg::{
+    Image, ImageSizes, PointCloud2, PointCloud2Sizes, PointField, PointFieldSizes,
+};
 use tautline_transport::{Limits, Participant, Qos, TopicType};
 
 const CYCLES: usize = 10_000;
@@ -130,4 +133,77 @@ fn publish_and_take_of_any_size_below_the_limit() {
     // The old segment goes when its last sample has come back.
     (0..2).for_each(cycle);
     assert_eq!(count(|| (0..CYCLES).for_each(|n| cycle(n * 13 % 100_001))), (CYCLES, CYCLES), "that is all");
+}
+
+#[test]
+fn write_and_view_in_place() {
+    let participant = Participant::new(domain(197)).unwrap();
+    let limits = Limits { message_bytes: 9 << 20, depth: 2, ..Limits::default() };
+    let qos = Qos::keep_last(2);
+    let images = participant.create_publisher::<Image>("/image", qos, limits).unwrap();
+    let image_in = participant.create_subscription::<Image>("/image", qos, limits).unwrap();
+    let clouds = participant.create_publisher::<PointCloud2>("/points", qos, limits).unwrap();
+    let cloud_in = participant.create_subscription::<PointCloud2>("/points", qos, limits).unwrap();
+    let fields = [PointFieldSizes { name: 1 }; 3];
+    let image = || {
+        let sizes = ImageSizes { encoding: 5, data: 8 << 20, ..ImageSizes::default() };
+        let loan = images.loan_with(sizes).unwrap();
+        let loan = loan.write(|image| {
+            image.header.stamp.value_mut().sec = 1;
+            image.height.set(2048);
+            image.width.set(4096);
+            image.step.set(4096);
+            image.is_bigendian.set(0);
+            image.encoding.set("mono8")?;
+            image.data.slice_mut()[..8].copy_from_slice(b"tautline");
+            Ok(())
+        });
+        loan.unwrap().publish().unwrap();
+        let sample = image_in.try_take().unwrap().unwrap();
+        let image = sample.view();
+        assert!(image.encoding() == "mono8" && image.data()[..8] == *b"tautline");
+        assert!(image.header().frame_id().is_empty() && image.data().len() == 8 << 20);
+    };
+    let cloud = || {
+        let sizes = PointCloud2Sizes { fields: &fields, data: 1_600_000, ..PointCloud2Sizes::default() };
+        let loan = clouds.loan_with(sizes).unwrap();
+        let loan = loan.write(|cloud| {
+            cloud.fields.each(|index, field| {
+                field.name.set(["x", "y", "z"][index])?;
+                field.offset.set(4 * index as u32);
+                field.datatype.set(PointField::FLOAT32);
+                field.count.set(1);
+                Ok(())
+            })?;
+            cloud.data.slice_mut()[0] = 5;
+            cloud.default_rest();
+            Ok(())
+        });
+        loan.unwrap().publish().unwrap();
+        let sample = cloud_in.try_take().unwrap().unwrap();
+        let cloud = sample.view();
+        assert_eq!((cloud.fields().iter().map(|field| field.offset()).sum(), cloud.data()[0]), (12u32, 5));
+    };
+    settle(image);
+    settle(cloud);
+    assert_eq!(
+        count(|| (0..CYCLES).for_each(|_| image())),
+        (CYCLES, CYCLES),
+        "iceoryx2's loans, and none of ours"
+    );
+    assert_eq!(SIZES.with_borrow(|sizes| sizes[(ALLOCATED.get() - 1) % 8]), 48);
+    assert_eq!(
+        count(|| (0..CYCLES).for_each(|_| cloud())),
+        (CYCLES, CYCLES),
+        "iceoryx2's loans, and none of ours"
+    );
+
+    // An owned message is written into the loan.
+    let owned = Image { data: vec![1; 100_000], ..Image::default() };
+    let publish = || {
+        images.publish(&owned).unwrap();
+        assert!(image_in.try_take().unwrap().unwrap().view().data() == owned.data);
+    };
+    assert_eq!(count(|| (0..100).for_each(|_| publish())), (100, 100));
+    assert_eq!(images.counters().growths(), 0);
 }

@@ -12,9 +12,10 @@ use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
 /// its first line.
-const RUNS: [&[&str]; 7] = [
+const RUNS: [&[&str]; 8] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
+    &["variable_image"],
     &["timer"],
     &["priorities"],
     &["callback_group"],

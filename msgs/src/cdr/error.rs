@@ -179,7 +179,8 @@ pub struct FieldPath {
 const NO_INDEX: u32 = u32::MAX;
 
 impl FieldPath {
-    pub(crate) const EMPTY: Self =
+    /// Leads nowhere: the message itself.
+    pub const EMPTY: Self =
         Self { names: [None; MAX_FIELDS], indices: [NO_INDEX; MAX_FIELDS], index: NO_INDEX, len: 0 };
 
     /// Whether it leads nowhere: what is meant is the message itself.

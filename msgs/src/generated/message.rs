@@ -20,6 +20,16 @@ macro_rules! message {
             fn shorten<'short, 'long: 'short>(view: &'long Self) -> &'short Self {
                 view
             }
+
+            #[inline]
+            fn owned(view: &Self) -> Self {
+                *view
+            }
+
+            #[inline]
+            fn clear_gaps(memory: &mut [u8]) {
+                $crate::layout::clear_at::<Self>(memory, 0);
+            }
         }
     };
     ($view:ident $type:ident $name:literal $definition:tt) => {
@@ -38,6 +48,10 @@ macro_rules! message {
             #[inline]
             fn shorten<'short, 'long: 'short>(view: $view<'long>) -> $view<'short> {
                 view
+            }
+
+            fn owned(view: $view<'_>) -> Self {
+                <Self as $crate::cdr::View>::own(view)
             }
         }
     };

@@ -206,6 +206,11 @@ fn has_room(peers: &Peers) -> bool {
 
 impl<'p> RawLoan<'p> {
     /// The whole payload: the body and the zeros that follow it, up to a multiple of 8.
+    pub(crate) fn payload(&self) -> &[u8] {
+        bytes(self.sample.payload())
+    }
+
+    /// As [`payload`](Self::payload).
     pub(crate) fn payload_mut(&mut self) -> &mut [u8] {
         bytes_mut(self.sample.payload_mut())
     }
@@ -279,7 +284,7 @@ impl Deref for RawLoan<'_> {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
-        bytes(self.sample.payload()).get(..self.len_bytes).unwrap_or_default()
+        self.payload().get(..self.len_bytes).unwrap_or_default()
     }
 }
 

@@ -19,7 +19,7 @@ use core::task::{Context, Poll};
 use futures::Stream;
 use iceoryx2::port::ReceiveError;
 use std::sync::Arc;
-use tautline_msgs::Invalid;
+use tautline_msgs::cdr::{DecodeError, DecodeFault, FieldPath};
 
 /// A body in shared memory. At most `Limits::held` of one subscription are alive at once; they may be dropped in any
 /// thread.
@@ -196,8 +196,9 @@ impl RawSubscription {
         let body_bytes = usize::try_from(header.body_bytes).unwrap_or(usize::MAX);
         if body_bytes > payload.len() {
             self.note_invalid();
-            let (needed, len) = (body_bytes, payload.len());
-            return Err(TakeError::Invalid(Invalid::Length { type_name: "sample", needed, len }));
+            let fault = DecodeFault::End { needed: body_bytes, left: payload.len() };
+            let (type_name, path) = ("sample", FieldPath::EMPTY);
+            return Err(TakeError::Invalid(DecodeError { type_name, path, offset: 0, fault }));
         }
         let payload = NonNull::from(payload);
         let lent = shelf.lend(sample).ok_or(TakeError::TooManyHeld)?;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Loans and samples that are a `T` in shared memory.
+//! Loans and samples of a type, written and read in shared memory.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -8,22 +8,19 @@ use crate::error::{LoanError, PublishError, TakeError};
 use crate::header::MessageInfo;
 use crate::publisher::{RawLoan, Unpublished};
 use crate::subscription::RawSample;
+use core::fmt;
+use core::marker::PhantomData;
+use core::mem::MaybeUninit;
 use core::ops::{Deref, DerefMut};
 use core::pin::Pin;
-use core::ptr::NonNull;
 use core::task::{Context, Poll};
 use futures::Stream;
-use tautline_msgs::{Invalid, Message, Plain};
+use tautline_msgs::cdr::{DecodeError, FieldPath, Fill, WriteError, fill, sized_len};
+use tautline_msgs::{Body, Message, Plain};
 
-/// A sample to write in place: `&mut T` in shared memory. Dropping it gives it back unsent.
-pub struct Loan<'p, T: Message + Plain> {
-    raw: RawLoan<'p>,
-    body: NonNull<T>,
-}
-
-impl<T: Message + Plain> Publisher<T> {
-    /// Loans a sample. Its content is a valid `T` but otherwise unspecified: zeros, or an earlier message of this
-    /// publisher; write what the message needs.
+impl<T: Message> Publisher<T> {
+    /// Loans a sample to write in place, as `&mut T`. Its content is a valid `T` but otherwise unspecified: zeros, or an
+    /// earlier message of this publisher; write what the message needs.
     ///
     /// # Real-time
     /// Wait-free; one allocation of 48 bytes (iceoryx2's); no syscall. For a type with bool, char or enum fields,
@@ -31,49 +28,158 @@ impl<T: Message + Plain> Publisher<T> {
     ///
     /// # Errors
     /// [`LoanError::Exhausted`]: `Limits::loans` are out already.
-    pub fn loan(&self) -> Result<Loan<'_, T>, LoanError> {
+    pub fn loan(&self) -> Result<Loan<'_, T>, LoanError>
+    where
+        T: Plain,
+    {
         let mut raw = self.raw.loan(T::CDR_SIZE)?;
-        let bytes = raw.payload_mut();
-        if bytes.len() < size_of::<T>() || bytes.as_ptr().align_offset(align_of::<T>()) != 0 {
+        let memory = raw.payload_mut();
+        if memory.len() < size_of::<T>() || memory.as_ptr().align_offset(align_of::<T>()) != 0 {
             return Err(LoanError::TooLarge);
         }
-        // Only this publisher writes here, and only whole `T`s; zeros are a valid `T` too. Another process that broke
+        // Only this publisher writes here, and only whole messages; zeros are a valid `T` too. Another process that broke
         // the rules must still not make an invalid `T`.
-        if !T::ALWAYS_VALID && T::validate(bytes).is_err() {
-            bytes.fill(0);
+        if !T::ALWAYS_VALID && T::validate(memory).is_err() {
+            memory.fill(0);
         }
-        let body = NonNull::from(bytes).cast::<T>();
-        Ok(Loan { raw, body })
+        Ok(Loan { raw, _message: PhantomData })
     }
 
-    /// Copies `message` into a loan and publishes it.
+    /// [`loan`](Self::loan) by r2r's name. The loan is published with its own [`publish`](Loan::publish).
     ///
     /// # Real-time
-    /// As [`loan`](Self::loan) and [`Loan::publish`], and one copy of the message.
+    /// As [`loan`](Self::loan).
+    ///
+    /// # Errors
+    /// As [`loan`](Self::loan).
+    pub fn borrow_loaned_message(&self) -> Result<Loan<'_, T>, LoanError>
+    where
+        T: Plain,
+    {
+        self.loan()
+    }
+
+    /// Loans a sample for a message of these lengths, to be [written](Unwritten::write) in place.
+    ///
+    /// # Real-time
+    /// Wait-free; one allocation of 48 bytes (iceoryx2's); no syscall; linear in the number of fields and of elements that
+    /// have sizes of their own. A message that is longer than `Limits::message_bytes` and than all before takes a larger
+    /// segment: allocates, maps memory.
+    ///
+    /// # Errors
+    /// [`LoanError`]: see [`RawPublisher::loan`](crate::RawPublisher::loan).
+    pub fn loan_with<'s>(&self, sizes: T::Sizes<'s>) -> Result<Unwritten<'_, 's, T>, LoanError>
+    where
+        T: Fill,
+    {
+        let raw = self.raw.loan(sized_len::<T>(sizes))?;
+        Ok(Unwritten { raw, sizes })
+    }
+
+    /// Writes `message` into a loan and publishes it.
+    ///
+    /// # Real-time
+    /// As [`RawPublisher::loan`](crate::RawPublisher::loan) and [`Loan::publish`], and one copy of the message.
     ///
     /// # Errors
     /// [`PublishError`]; nothing was sent unless it is [`PublishError::Incomplete`].
     pub fn publish(&self, message: &T) -> Result<(), PublishError> {
-        let mut loan = self.loan()?;
-        *loan = *message;
-        loan.publish().map_err(PublishError::from)
+        let mut raw = self.raw.loan(message.cdr_len())?;
+        message.encode(&mut raw)?;
+        raw.publish().map_err(PublishError::from)
     }
 }
 
-impl<'p, T: Message + Plain> Loan<'p, T> {
+/// A sample for a message of stated lengths, not written yet. Dropping it gives it back.
+///
+/// ```
+/// # use tautline_transport::{Limits, Participant, Qos};
+/// use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
+///
+/// # let participant = Participant::new(122)?;
+/// # let (qos, limits) = (Qos::default(), Limits::default());
+/// let subscription = participant.create_subscription::<Image>("/image", qos, limits)?;
+/// let publisher = participant.create_publisher::<Image>("/image", qos, limits)?;
+///
+/// let sizes = ImageSizes { encoding: "mono8".len(), data: 640 * 480, ..ImageSizes::default() };
+/// let loan = publisher.loan_with(sizes)?.write(|image| {
+///     (image.height.set(480), image.width.set(640), image.step.set(640));
+///     image.encoding.set("mono8")?;
+///     image.data.slice_mut().fill(200); // in shared memory
+///     image.default_rest();
+///     Ok(())
+/// })?;
+/// loan.publish().expect("keep-last never refuses");
+///
+/// let sample = subscription.try_take()?.expect("it was just published");
+/// let image = sample.view();
+/// assert_eq!((image.encoding(), image.data().len()), ("mono8", 307_200)); // from shared memory
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// It cannot be published before it is written:
+///
+/// ```compile_fail,E0599
+/// # use tautline_transport::Publisher;
+/// # use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
+/// fn send(publisher: Publisher<Image>) {
+///     publisher.loan_with(ImageSizes::default()).unwrap().publish().unwrap();
+/// }
+/// ```
+#[must_use = "nothing is sent before it is written and published"]
+pub struct Unwritten<'p, 's, T: Message + Fill> {
+    raw: RawLoan<'p>,
+    sizes: T::Sizes<'s>,
+}
+
+impl<'p, 's, T: Message + Fill> Unwritten<'p, 's, T> {
+    /// Lets `write` set each field in place, and checks that none was forgotten. What it does not write of a sequence's
+    /// `slice_mut` holds zeros, or an earlier message of this publisher.
+    ///
+    /// # Real-time
+    /// Wait-free but for `write`; no allocation; no syscall. Linear in the number of fields.
+    ///
+    /// # Errors
+    /// [`WriteError`]: a length over its bound, a field that was not set, an error of `write`. The loan is given back.
+    pub fn write(
+        mut self,
+        write: impl for<'a> FnOnce(&mut T::Writer<'a, 's>) -> Result<(), WriteError>,
+    ) -> Result<Loan<'p, T>, WriteError> {
+        fill::<T>(self.sizes, &mut self.raw, write)?;
+        Ok(Loan { raw: self.raw, _message: PhantomData })
+    }
+}
+
+impl<T: Message + Fill> fmt::Debug for Unwritten<'_, '_, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Unwritten").field("body_bytes", &self.raw.len()).finish_non_exhaustive()
+    }
+}
+
+/// A message in a loan, ready to be published; one of a plain type is a `&mut T` in shared memory. Dropping it gives it
+/// back unsent.
+#[must_use = "nothing is sent before it is published"]
+pub struct Loan<'p, T: Message> {
+    /// If `T` is plain, its payload starts with a valid `T`.
+    raw: RawLoan<'p>,
+    _message: PhantomData<fn(T)>,
+}
+
+impl<'p, T: Message> Loan<'p, T> {
     /// Publishes the sample to every subscription. It never waits: a slow keep-last subscription loses its oldest
     /// sample and counts it; with a full keep-all subscription, and if this publisher keeps all, nothing is sent and the
     /// loan comes back.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, no other syscall.
-    /// When ports of the topic have appeared or gone since the last call: allocates and maps memory.
+    /// When ports of the topic have appeared or gone since the last call: allocates and maps memory. For a plain type with
+    /// padding between its fields, O(number of these) to zero it.
     ///
     /// # Errors
     /// [`Unpublished`], with the loan if nothing was sent.
     pub fn publish(self) -> Result<(), Unpublished<Loan<'p, T>>> {
-        let body = self.body;
-        self.raw.publish().map_err(|unpublished| unpublished.map(|raw| Loan { raw, body }))
+        let published = self.ready().publish();
+        published.map_err(|unpublished| unpublished.map(Loan::back))
     }
 
     /// Publishes with a release time of the caller's: what response times are measured from, such as the instant at
@@ -85,9 +191,8 @@ impl<'p, T: Message + Plain> Loan<'p, T> {
     /// # Errors
     /// As [`publish`](Self::publish).
     pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<Loan<'p, T>>> {
-        let body = self.body;
-        let published = self.raw.publish_released_at(released_ns);
-        published.map_err(|unpublished| unpublished.map(|raw| Loan { raw, body }))
+        let published = self.ready().publish_released_at(released_ns);
+        published.map_err(|unpublished| unpublished.map(Loan::back))
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
@@ -99,7 +204,20 @@ impl<'p, T: Message + Plain> Loan<'p, T> {
     /// # Errors
     /// [`PublishError::Incomplete`].
     pub async fn publish_when_ready(self) -> Result<(), PublishError> {
-        self.raw.publish_when_ready().await
+        self.ready().publish_when_ready().await
+    }
+
+    /// The message as bytes that may be sent: what a plain value's padding held before stays here.
+    fn ready(mut self) -> RawLoan<'p> {
+        let body_bytes = self.raw.len();
+        let memory = self.raw.payload_mut();
+        T::clear_gaps(memory);
+        memory.get_mut(body_bytes..).unwrap_or_default().fill(0);
+        self.raw
+    }
+
+    fn back(raw: RawLoan<'p>) -> Self {
+        Loan { raw, _message: PhantomData }
     }
 }
 
@@ -107,31 +225,67 @@ impl<T: Message + Plain> Deref for Loan<'_, T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        // SAFETY: `body` points to a valid, aligned T (checked in `loan`) in memory that `raw` keeps.
-        unsafe { self.body.as_ref() }
+        // SAFETY: the payload starts with a valid T, at a multiple of 8: `loan` checked it, or it was written through
+        // `Fill`, which is as good by the contract of `Plain`. Only whole `T`s were written there since.
+        unsafe { &*self.raw.payload().as_ptr().cast() }
     }
 }
 
 impl<T: Message + Plain> DerefMut for Loan<'_, T> {
     fn deref_mut(&mut self) -> &mut T {
         // SAFETY: as in deref; the loan is borrowed mutably and no subscription has it yet.
-        unsafe { self.body.as_mut() }
+        unsafe { &mut *self.raw.payload_mut().as_mut_ptr().cast() }
     }
 }
 
-/// A message in shared memory: derefs to `T`. At most `Limits::held` of one subscription are alive at once; they may be
-/// dropped in any thread.
-pub struct Sample<T> {
-    raw: RawSample,
-    body: NonNull<T>,
+impl<T: Message> fmt::Debug for Loan<'_, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Loan").field("body_bytes", &self.raw.len()).finish_non_exhaustive()
+    }
 }
 
-// SAFETY: a Sample reads its body through `&T`, and `raw` is Send.
-unsafe impl<T: Sync> Send for Sample<T> {}
-// SAFETY: as above; `raw` is Sync.
-unsafe impl<T: Sync> Sync for Sample<T> {}
+/// A message in shared memory, checked when it was taken: read in place through its [`view`](Sample::view); one of a plain
+/// type derefs to `T`. At most `Limits::held` of one subscription are alive at once; they may be dropped in any thread.
+pub struct Sample<T: Message> {
+    /// Borrows from `raw`, whatever its lifetime says; given out only for as long as that is borrowed. `MaybeUninit`, though
+    /// always set: passing a reference to a function promises that its memory stays as it is until that returns, but the
+    /// memory goes back to its publisher when `raw` is dropped, maybe within.
+    view: MaybeUninit<T::View<'static>>,
+    raw: RawSample,
+}
 
-impl<T> Sample<T> {
+impl<T: Message> Sample<T> {
+    /// Checks the bytes once.
+    fn new(raw: RawSample) -> Result<Self, DecodeError> {
+        let payload: *const [u8] = raw.payload();
+        // SAFETY: the payload is mapped and unchanged as long as `raw` lives, wherever that moves. What borrows it is kept
+        // beside `raw` and is not used after it.
+        let payload: &'static [u8] = unsafe { &*payload };
+        let body = Body::new(payload, raw.body().len()).map_err(|fault| DecodeError {
+            type_name: T::TYPE_NAME,
+            path: FieldPath::EMPTY,
+            offset: 0,
+            fault,
+        })?;
+        let view = MaybeUninit::new(T::view(body)?);
+        Ok(Sample { view, raw })
+    }
+
+    /// Reads the message in place: `&T` for a plain type, else getters. Costs nothing: the message was checked when it was
+    /// taken.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn view(&self) -> T::View<'_> {
+        // SAFETY: set in `new`, and a view is Copy. It is given out for as long as `self`, and with it `raw`, is borrowed.
+        T::shorten(unsafe { self.view.assume_init() })
+    }
+
+    /// The message as an owned one: allocates its strings and sequences.
+    pub fn to_owned(&self) -> T {
+        T::owned(self.view())
+    }
+
     /// Sequence number, time stamps, publisher.
     ///
     /// # Real-time
@@ -146,42 +300,33 @@ impl<T> Sample<T> {
     }
 }
 
-impl<T: Message + Plain> Sample<T> {
-    /// Checks the bytes once.
-    fn new(raw: RawSample) -> Result<Self, Invalid> {
-        let len = raw.body().len();
-        // Longer by what alignment can explain is the same type; longer than that is another.
-        if !(T::CDR_SIZE..=T::CDR_SIZE + 8).contains(&len) {
-            return Err(Invalid::Length { type_name: T::TYPE_NAME, needed: T::CDR_SIZE, len });
-        }
-        let body = NonNull::from(tautline_msgs::from_bytes::<T>(raw.payload())?);
-        Ok(Sample { raw, body })
-    }
-}
-
-impl<T> Deref for Sample<T> {
+impl<T: Message + Plain> Deref for Sample<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        // SAFETY: `body` was made from the bytes of `raw`, checked to be a valid T; they stay where and as they are as long
-        // as `raw` lives.
-        unsafe { self.body.as_ref() }
+        // SAFETY: `T::view` accepted the payload in `new`, so that it starts with a valid `T` by the contract of `Plain`; it
+        // stays where and as it is as long as `raw` lives.
+        unsafe { &*self.raw.payload().as_ptr().cast() }
     }
 }
 
-impl<T: core::fmt::Debug> core::fmt::Debug for Sample<T> {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        (**self).fmt(f)
+/// The message's, through its view.
+impl<T: Message> fmt::Debug for Sample<T>
+where
+    for<'a> T::View<'a>: fmt::Debug,
+{
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.view().fmt(f)
     }
 }
 
-impl<T: Message + Plain> Subscription<T> {
+impl<T: Message> Subscription<T> {
     /// Takes the oldest sample of a publisher, if there is one.
     ///
     /// # Real-time
     /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
-    /// and its sampler sleeps. For types with bool, char or enum fields, O(number of these). When publishers have
-    /// appeared or gone since the last call: allocates and maps memory.
+    /// and its sampler sleeps. The message is checked: see [`Message::view`]. When publishers have appeared or gone since
+    /// the last call: allocates and maps memory.
     ///
     /// # Errors
     /// [`TakeError`]. An invalid sample is consumed.
@@ -219,7 +364,7 @@ impl<T: Message + Plain> Subscription<T> {
         }
     }
 
-    fn check(&self, raw: RawSample) -> Result<Sample<T>, Invalid> {
+    fn check(&self, raw: RawSample) -> Result<Sample<T>, DecodeError> {
         let checked = Sample::new(raw);
         if checked.is_err() {
             self.raw.note_invalid();
@@ -228,7 +373,7 @@ impl<T: Message + Plain> Subscription<T> {
     }
 }
 
-impl<T: Message + Plain> Stream for Subscription<T> {
+impl<T: Message> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time

@@ -3,7 +3,7 @@
 
 mod hot;
 
-pub use hot::{Loan, Sample};
+pub use hot::{Loan, Sample, Unwritten};
 
 use crate::error::TransportError;
 use crate::header::Gid;
@@ -14,9 +14,10 @@ use crate::subscription::{Counters, RawSubscription};
 use crate::topic_type::TopicType;
 use std::marker::PhantomData;
 use std::sync::Arc;
-use tautline_msgs::{Message, Plain};
+use tautline_msgs::Message;
 
-/// Publishes messages of type `T` on one topic.
+/// Publishes messages of type `T` on one topic: written in place after [`loan`](Publisher::loan) or, where sizes differ,
+/// [`loan_with`](Publisher::loan_with); or owned ones, with [`publish`](Publisher::publish).
 ///
 /// May be moved to another thread, and is used by one at a time.
 pub struct Publisher<T> {
@@ -24,7 +25,7 @@ pub struct Publisher<T> {
     _message: PhantomData<fn(T)>,
 }
 
-impl<T: Message + Plain> Publisher<T> {
+impl<T: Message> Publisher<T> {
     pub(crate) fn create(
         participant: &Participant,
         topic: &str,
@@ -92,7 +93,7 @@ pub struct Subscription<T> {
     _message: PhantomData<fn() -> T>,
 }
 
-impl<T: Message + Plain> Subscription<T> {
+impl<T: Message> Subscription<T> {
     pub(crate) fn create(
         participant: &Participant,
         topic: &str,
