@@ -3,58 +3,61 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use tautline::msgs::cdr::{self, Fill, WriteError};
-use tautline::msgs::{Body, Message, Plain};
-use tautline_transport::{Limits, Participant, Qos, RawPublisher, RawSubscription, TopicType};
+use tautline::msgs::cdr::{Fill, WriteError};
+use tautline::{Limits, Message, Plain, Publisher, Unpublished};
+use tautline_transport::{Participant, Qos, Sample, Subscription};
 
 use crate::Result;
 
 /// Nobody else measures in this domain.
 const DOMAIN: u32 = 231;
 
-pub struct Topic {
-    publisher: RawPublisher,
-    subscription: RawSubscription,
+pub struct Topic<T: Message> {
+    publisher: Publisher<T>,
+    subscription: Subscription<T>,
     _participant: Participant,
 }
 
-impl Topic {
-    pub fn open<T: Message>() -> Result<Self> {
+impl<T: Message> Topic<T> {
+    pub fn open() -> Result<Self> {
         static TOPICS: AtomicUsize = AtomicUsize::new(0);
         let name = format!("/bench/messages/{}", TOPICS.fetch_add(1, Ordering::Relaxed));
         let participant = Participant::new(DOMAIN)?;
-        let ty = TopicType::new(T::TYPE_NAME);
         let limits = Limits { message_bytes: 9 << 20, ..Limits::default() };
         let qos = Qos { depth: 1, ..Qos::default() };
-        let subscription = participant.create_raw_subscription(&name, &ty, qos, limits)?;
-        let publisher = participant.create_raw_publisher(&name, &ty, qos, limits)?;
+        let subscription = participant.create_subscription(&name, qos, limits)?;
+        let publisher = participant.create_publisher(&name, qos, limits)?;
         Ok(Self { publisher, subscription, _participant: participant })
     }
 
-    pub fn write<T: Message + Fill>(
+    /// Writes a message in place and publishes it.
+    pub fn write<'s>(
         &self,
-        sizes: T::Sizes<'static>,
-        write: impl for<'a> FnOnce(&mut T::Writer<'a, 'static>) -> std::result::Result<(), WriteError>,
-    ) -> Result<()> {
-        let mut loan = self.publisher.loan(cdr::sized_len::<T>(sizes))?;
-        cdr::fill::<T>(sizes, &mut loan, write)?;
-        Ok(loan.publish().map_err(|error| error.to_string())?)
+        sizes: T::Sizes<'s>,
+        write: impl for<'a> FnOnce(&mut T::Writer<'a, 's>) -> std::result::Result<(), WriteError>,
+    ) -> Result<()>
+    where
+        T: Fill,
+    {
+        sent(self.publisher.loan_with(sizes)?.write(write)?.publish())
     }
 
-    pub fn read<T: Message>(&self, read: &mut impl for<'a> FnMut(T::View<'a>) -> u64) -> Result<u64> {
-        let sample = self.subscription.try_take()?.ok_or("nothing arrived")?;
-        Ok(read(T::view(Body::new(sample.body(), sample.body().len())?)?))
+    /// Writes a plain message in place and publishes it.
+    pub fn write_plain(&self, message: &T) -> Result<()>
+    where
+        T: Plain,
+    {
+        let mut loan = self.publisher.loan()?;
+        *loan = *message;
+        sent(loan.publish())
     }
 
-    pub fn write_plain<T: Message + Plain>(&self, message: &T) -> Result<()> {
-        let mut loan = self.publisher.loan(T::CDR_SIZE)?;
-        message.encode(&mut loan)?;
-        Ok(loan.publish().map_err(|error| error.to_string())?)
+    /// The message that arrived.
+    pub fn take(&self) -> Result<Sample<T>> {
+        Ok(self.subscription.try_take()?.ok_or("nothing arrived")?)
     }
+}
 
-    pub fn read_plain<T: Message>(&self) -> Result<u64> {
-        let sample = self.subscription.try_take()?.ok_or("nothing arrived")?;
-        T::view(Body::new(sample.body(), sample.body().len())?)?;
-        Ok(sample.body().len() as u64)
-    }
+fn sent<L>(published: std::result::Result<(), Unpublished<L>>) -> Result<()> {
+    published.map_err(|error| error.to_string().into())
 }
