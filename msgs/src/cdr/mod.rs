@@ -29,6 +29,8 @@ pub use fill::{
     BoundFill, Carver, Elements, Field, Fill, Piece, Slice, Text, WText, WriteError, WriteFault, fill,
     sized_len,
 };
+#[cfg(feature = "sizes_of_values")]
+pub use fill::{Leaked, SizeSource, size_list};
 pub use form::{Bound, Bounded, Form, WString};
 pub(crate) use reader::SLACK;
 pub use reader::{Endian, Reader};
