@@ -6,12 +6,14 @@
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
+//! | `fuzz` | inputs made up by libFuzzer |
 //! | `reports` | checks that the JSON of the demo and of the wake bench keeps its promises |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
 mod examples;
+mod fuzz;
 mod machine;
 mod readme;
 mod reports;
@@ -36,7 +38,7 @@ struct Cli {
 enum Verb {
     /// Everything CI runs: format, lints, docs, tests, examples, stress, models, smoke tests
     Test {
-        /// Leave out what takes minutes: stress, loom, miri, bench
+        /// Leave out what takes minutes: stress, loom, miri, fuzz, bench
         #[arg(long)]
         quick: bool,
     },
@@ -56,6 +58,18 @@ enum Verb {
         /// Fewer payloads and rounds of the bench
         #[arg(long)]
         quick: bool,
+    },
+    /// Runs the tests of unsafe code under miri: `rustup component add miri --toolchain nightly`
+    Miri,
+    /// Gives the decoders, views, writers and parsers inputs made up by libFuzzer, under the address sanitizer
+    #[command(after_help = "Examples:\n  cargo xtask fuzz\n  cargo xtask fuzz --runs 50000 view fill")]
+    Fuzz {
+        /// Inputs per target
+        #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+        runs: u64,
+        /// The targets; all if none is named
+        #[arg(value_name = "TARGET", value_parser = fuzz::TARGETS)]
+        targets: Vec<String>,
     },
     /// Tries to break something by doing it very often
     #[command(subcommand)]
@@ -93,7 +107,8 @@ fn main() -> ExitCode {
         Verb::Test { quick } => test::run(quick),
         Verb::Examples { bless } => {
             let mut steps = Steps::new();
-            let mut build = steps::cargo("build --release -p tautline-examples --examples");
+            let mut build =
+                steps::cargo("build --release -p tautline-examples -p own-messages --examples --bins");
             let built = steps.command("examples: build", &mut build);
             examples::run(&mut steps, built, bless);
             steps.finish()
@@ -103,6 +118,12 @@ fn main() -> ExitCode {
             steps::run(bench_wake(quick, json.as_deref()).args(arguments))
         }
         Verb::Readme { quick } => update_readme(quick),
+        Verb::Miri => {
+            let mut steps = Steps::new();
+            test::miri(&mut steps);
+            steps.finish()
+        }
+        Verb::Fuzz { runs, targets } => fuzz::run(runs, &targets),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
     }
 }
