@@ -201,9 +201,7 @@ impl Form for String {
 
     #[inline]
     fn write(value: &Self, writer: &mut Writer<'_>) -> Result<(), EncodeError> {
-        writer.length(value.len().saturating_add(1))?;
-        writer.put(1, value.as_bytes())?;
-        writer.put(1, &[0])
+        writer.string(value)
     }
 
     #[inline]

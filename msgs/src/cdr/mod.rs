@@ -29,6 +29,8 @@ pub use fill::{
     BoundFill, Carver, Elements, Field, Fill, Piece, Slice, Text, WText, WriteError, WriteFault, fill,
     sized_len,
 };
+#[cfg(feature = "sizes_of_values")]
+pub use fill::{Leaked, SizeSource, size_list};
 #[doc(hidden)]
 pub use form::read_one_by_one;
 pub use form::{Bound, Bounded, Form, WString};
@@ -45,5 +47,5 @@ pub use wstr::WStr;
 #[doc(hidden)]
 pub mod dense {
     pub use super::fill::numbers::{end, field, values};
-    pub use super::view::{array as view_array, one as view_one, slice as view_list};
+    pub use super::view::{array as view_array, list as view_list, one as view_one};
 }

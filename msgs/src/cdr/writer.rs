@@ -39,10 +39,40 @@ impl<'a> Writer<'a> {
             return Err(EncodeError::new(EncodeFault::Room { needed: end, len: self.out.len() }));
         };
         let (padding, place) = place.split_at_mut(start - self.at);
-        for byte in padding {
-            *byte = 0;
-        }
+        clear(padding);
         place.copy_from_slice(bytes);
+        self.at = end;
+        Ok(())
+    }
+
+    /// Appends a string: its length, its UTF-8 and a zero byte.
+    ///
+    /// # Real-time
+    ///
+    /// As [`put`](Self::put).
+    ///
+    /// # Errors
+    ///
+    /// As [`length`](Self::length).
+    #[inline]
+    pub(crate) fn string(&mut self, text: &str) -> Result<(), EncodeError> {
+        let start = self.at.next_multiple_of(4);
+        let len = text.len() + 1;
+        let end = start + 4 + len;
+        let (Ok(number), Some(place)) = (u32::try_from(len), self.out.get_mut(self.at..end)) else {
+            // Which of the two: as for any other length and bytes.
+            self.length(len)?;
+            return self.put(1, text.as_bytes()).and_then(|()| self.put(1, &[0]));
+        };
+        let (padding, place) = place.split_at_mut(start - self.at);
+        clear(padding);
+        if let Some((length, place)) = place.split_first_chunk_mut::<4>()
+            && let Some((zero, place)) = place.split_last_mut()
+        {
+            *length = number.to_le_bytes();
+            place.copy_from_slice(text.as_bytes());
+            *zero = 0;
+        }
         self.at = end;
         Ok(())
     }
@@ -62,5 +92,13 @@ impl<'a> Writer<'a> {
             Ok(len) => self.put(4, &len.to_le_bytes()),
             Err(_) => Err(EncodeError::new(EncodeFault::Length { len })),
         }
+    }
+}
+
+/// Mostly there is no padding, and the call of `memset` that a loop becomes would cost more than the rest.
+#[inline]
+fn clear(padding: &mut [u8]) {
+    if !padding.is_empty() {
+        padding.fill(0);
     }
 }
