@@ -19,7 +19,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let code = generate(&mut packages, &names, &Options::default())?;
     let list: String = messages(&mut packages, &names)?
         .into_iter()
-        .map(|ty| format!("    Entry::of::<tautline_ros_msgs::{}>(),\n", ty.path))
+        .map(|ty| {
+            let constructor = if ty.is_plain { "plain" } else { "of" };
+            format!("    Entry::{constructor}::<tautline_ros_msgs::{}>(),\n", ty.path)
+        })
         .collect();
 
     let out = env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?;

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Packages to modules.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tautline_schema::{Base, Kind, Packages, Schema, TypeName};
 
+use crate::memory::Memory;
 use crate::text::Text;
 use crate::{GenerateError, Options, message, names};
 
@@ -15,6 +16,8 @@ pub struct RustType {
     pub name: TypeName,
     /// Its path from the module of the packages: `std_srvs::srv::SetBool::Request`.
     pub path: String,
+    /// Whether it is `Plain`.
+    pub is_plain: bool,
 }
 
 /// The code of these packages: a module for each, side by side.
@@ -37,7 +40,7 @@ pub fn generate(packages: &mut Packages, names: &[&str], options: &Options) -> R
 ///
 /// As [`generate`].
 pub fn messages(packages: &mut Packages, names: &[&str]) -> Result<Vec<RustType>, GenerateError> {
-    let mut types = BTreeSet::new();
+    let mut types = BTreeMap::new();
     for name in names.iter().copied().collect::<BTreeSet<_>>() {
         for name in definitions(packages, name)? {
             let schema = packages.schema(&name)?;
@@ -47,11 +50,13 @@ pub fn messages(packages: &mut Packages, names: &[&str]) -> Result<Vec<RustType>
                     && part.name.kind() == name.kind()
                     && !is_service_or_action(part)
             });
-            types.extend(own.map(|part| part.name.clone()));
+            for part in own {
+                types.insert(part.name.clone(), Memory::of(&schema.of_part(&part.name)?).is_plain());
+            }
         }
     }
     let path = |name: &TypeName| format!("{}::{}", name.package(), names::path(name));
-    Ok(types.into_iter().map(|name| RustType { path: path(&name), name }).collect())
+    Ok(types.into_iter().map(|(name, is_plain)| RustType { path: path(&name), name, is_plain }).collect())
 }
 
 /// Services and actions are definitions whose fields are their parts.

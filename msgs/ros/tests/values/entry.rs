@@ -6,7 +6,7 @@ use std::sync::Arc;
 use tautline_msgs::cdr::{self, DecodeFault, EncodeFault, Endian, Fill, Piece, Reader, View};
 use tautline_msgs::serde::Serialize;
 use tautline_msgs::serde::de::DeserializeOwned;
-use tautline_msgs::{Body, Definition, Message};
+use tautline_msgs::{Body, Definition, Message, Plain};
 use tautline_schema::{DynamicMessage, Schema, TypeName};
 
 pub struct Entry {
@@ -39,6 +39,12 @@ impl Entry {
             default: || T::default().to_cdr().unwrap(),
             check: check::<T>,
         }
+    }
+
+    /// Of a plain type: its memory is checked as well.
+    const fn plain<T: Plain + Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq>()
+    -> Self {
+        Self { check: check_plain::<T>, ..Self::of::<T>() }
     }
 
     pub fn type_name(&self) -> TypeName {
@@ -88,7 +94,7 @@ fn check<T: Message + View + Fill + Serialize + DeserializeOwned + Default + Par
 }
 
 /// Read in place it is the same message, written in place it has the same bytes, whatever the memory held before.
-fn in_place<T: Message + View + Fill + View + Fill>(owned: &T, body: &[u8]) {
+fn in_place<T: Message + View + Fill>(owned: &T, body: &[u8]) {
     let name = T::TYPE_NAME;
     let mut words = vec![u64::MAX; body.len().div_ceil(8) + 1];
     // SAFETY: the bytes of numbers.
@@ -120,4 +126,26 @@ fn in_place<T: Message + View + Fill + View + Fill>(owned: &T, body: &[u8]) {
     assert_eq!(written, Ok(body.len()), "{name}");
     assert_eq!(&memory[..body.len()], body, "{name}");
     assert_eq!(memory[body.len()..], vec![0xaa; memory.len() - body.len()], "{name}");
+}
+
+/// As [`check`]; and the value's memory, its padding cleared, is the body.
+fn check_plain<T: Plain + Message + View + Fill + Serialize + DeserializeOwned + Default + PartialEq>(
+    cdr: &[u8],
+    dynamic: &DynamicMessage,
+) -> Vec<u8> {
+    let bytes = check::<T>(cdr, dynamic);
+    let body = &bytes[4..];
+    let value = T::from_cdr(&bytes).unwrap();
+    assert_eq!((T::FIXED_LEN, T::CDR_SIZE), (Some(body.len()), body.len()), "{}", T::TYPE_NAME);
+    let mut memory = vec![std::mem::MaybeUninit::<T>::uninit(); 1];
+    // SAFETY: as many bytes as there are; that they have a value is seen to first.
+    let raw = unsafe {
+        let start = memory.as_mut_ptr().cast::<u8>();
+        start.write_bytes(0xaa, size_of::<T>());
+        std::slice::from_raw_parts_mut(start, size_of::<T>())
+    };
+    value.write_fields(raw);
+    T::clear_padding(raw);
+    assert_eq!(&raw[..T::CDR_SIZE], body, "{}", T::TYPE_NAME);
+    bytes
 }
