@@ -183,3 +183,27 @@ fn what_is_no_recording_is_refused_by_name() {
     assert!(text(&out.stderr).contains("`/nowhere/run.trace` cannot be written"));
     std::fs::remove_dir_all(directory).unwrap();
 }
+
+#[test]
+fn a_groups_callbacks_start_at_their_turn_under_their_topics() {
+    let program = Program::new("a_groups_callbacks_start_at_their_turn_under_their_topics", 125);
+    let Some(run) = program.variable("TAUT_TEST_GROUP", "1").run() else { return };
+    let lines = csv(&run.recording);
+    let of_group: Vec<String> = lines
+        .iter()
+        .filter(|line| line["thread"] == "cb:group")
+        .map(|line| format!("{} {}", line["event"], line["object"].rsplit('/').next().unwrap()))
+        .collect();
+    let expected = [
+        "take first",
+        "take second",
+        "callback_start first",
+        "callback_end first",
+        "callback_start second",
+        "callback_end second",
+    ];
+    assert_eq!(of_group, expected);
+    let latency = json("latency", &run.recording);
+    let unmatched = latency["callbacks"].as_array().unwrap().iter().map(|row| row["unmatched"].as_u64());
+    assert_eq!(unmatched.collect::<Vec<_>>(), [Some(0), Some(0)]);
+}

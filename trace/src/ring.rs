@@ -129,7 +129,7 @@ impl<'m> Ring<'m> {
     }
 }
 
-#[cfg(any(test, taut_loom))]
+#[cfg(test)]
 impl RingHead {
     pub(crate) fn new() -> RingHead {
         RingHead {

@@ -80,10 +80,12 @@ impl Drop for Domain {
 }
 
 /// Removes the two small files that every domain has for good (iceoryx2's and the graph's epoch), from the domains that tests
-/// use (120 and up) and that have no other file: nobody is in them.
+/// use (120 and up) and that have no other file: nobody is in them. And the events that a test left for a recorder when it
+/// failed.
 pub fn sweep() {
     for domain in 120..=232 {
-        let files = files_of(domain);
+        let mut files = files_of(domain);
+        files.retain(|file| !(is_abandoned_trace(file) && fs::remove_file(file).is_ok()));
         let lasts = |file: &PathBuf| {
             let name = file.to_string_lossy();
             name.ends_with(".global_mgmt") || name.ends_with("_graph1")
@@ -92,6 +94,12 @@ pub fn sweep() {
             files.iter().for_each(|file| drop(fs::remove_file(file)));
         }
     }
+}
+
+/// A trace file is locked as long as its owner lives.
+fn is_abandoned_trace(file: &Path) -> bool {
+    file.to_string_lossy().contains("_trace_p")
+        && fs::File::open(file).is_ok_and(|file| file.try_lock().is_ok())
 }
 
 fn files_of(domain: u32) -> Vec<PathBuf> {

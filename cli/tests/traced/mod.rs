@@ -6,7 +6,7 @@ use futures::StreamExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU64, Ordering};
-use tautline::{CallbackOptions, Context, Message, Node, QosProfile, Realtime, Sample};
+use tautline::{CallbackGroup, CallbackOptions, Context, Message, Node, QosProfile, Realtime, Sample};
 
 /// Messages that the program publishes, each when the one before has been dealt with.
 pub const MESSAGES: usize = 200;
@@ -85,7 +85,11 @@ impl Program {
     /// Runs it to its end and records what it left. In the program itself: does its work and returns `None`.
     pub fn run(mut self) -> Option<Run> {
         if Self::is_this() {
-            talk_and_listen();
+            if std::env::var_os("TAUT_TEST_GROUP").is_some() {
+                listen_as_a_group()
+            } else {
+                talk_and_listen()
+            }
             return None;
         }
         let out = self.command.output().unwrap();
@@ -98,6 +102,27 @@ impl Program {
         assert!(out.status.success(), "{}", text(&out.stderr));
         let report = serde_json::from_slice(&out.stdout).unwrap();
         Some(Run { directory, recording, report, said })
+    }
+}
+
+/// Two subscriptions share a thread. Both messages are there before it looks: it takes both, then handles one by one.
+fn listen_as_a_group() {
+    let context = Context::builder().realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context.clone(), "traced", "").unwrap();
+    let mut group = CallbackGroup::new();
+    let mut publishers = Vec::new();
+    for topic in ["~/first", "~/second"] {
+        publishers.push(node.create_publisher::<Number>(topic, QosProfile::default()).unwrap());
+        let numbers = node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap();
+        let release = |number: &Sample<Number>| number.info().released_ns;
+        group.add(topic, numbers, release, async |_| {});
+    }
+    for publisher in &publishers {
+        publisher.publish(&Number { value: 1 }).unwrap();
+    }
+    let callbacks = node.spawn_group(CallbackOptions::other().name("group"), group).unwrap();
+    while callbacks.stats().completions() < publishers.len() as u64 {
+        std::thread::yield_now();
     }
 }
 
