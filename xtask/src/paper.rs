@@ -43,11 +43,11 @@ pub fn run(options: &Options) -> ExitCode {
 
 /// The command that measures. r2r's program is built before.
 pub fn command(options: &Options) -> Command {
-    let r2r = if options.no_r2r { Err("--no-r2r".to_owned()) } else { build_r2r() };
+    let r2r = if options.no_r2r { Err("as --no-r2r says".to_owned()) } else { build_r2r() };
     let mut command = steps::cargo("run --release -p tautline-benches --bin paper --");
     match r2r {
         Ok(program) => command.arg("--r2r").arg(program),
-        Err(reason) => command.arg("--without-r2r").arg(reason),
+        Err(reason) => command.arg(format!("--without-r2r={reason}")),
     };
     if options.quick {
         command.arg("--quick");
@@ -99,8 +99,7 @@ mod tests {
         let words: Vec<_> = command.get_args().map(|word| word.to_string_lossy()).collect();
         let own = words.iter().position(|word| word == "--").unwrap() + 1;
         let expected = [
-            "--without-r2r",
-            "--no-r2r",
+            "--without-r2r=as --no-r2r says",
             "--runs",
             "3",
             "--seconds",

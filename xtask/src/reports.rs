@@ -199,6 +199,39 @@ mod tests {
                "p50_us": 1.0, "p99_us": 2, "p999_us": 3.0, "max_us": 4.0, "lost": 0})
     }
 
+    /// The evaluation's report as it must be, with `change` made to every row.
+    fn paper_report(change: impl Fn(&mut Value)) -> Result<(), String> {
+        let row = |variant: &str, topic: &str, misses: u64, lost: u64| {
+            json!({"system": "tautline", "variant": variant, "topic": topic, "runs": 1, "n": 9, "p50_ms": 1.0, "p99_ms": 2.0,
+                   "max_ms": 3.0, "p99_std_ms": 0.0, "rta_ms": 2.0, "deadline_ms": 10.0, "misses": misses, "lost": lost,
+                   "steal_ticks": 0})
+        };
+        let topics = ["topic1", "topic2", "topic3", "topic4", "topic5"];
+        let mut rows = vec![row("capacity-15", "goal", 0, 0), row("capacity-15", "scan", 0, 8)];
+        for variant in ["futures", "futures-rt", "tokio", "nort-tokio", "futures-rt-mw-below"] {
+            rows.extend(topics.map(|topic| row(variant, topic, 4, 0)));
+        }
+        rows.iter_mut().for_each(change);
+        let file = std::env::temp_dir().join(format!("taut_paper_report_{}.json", std::process::id()));
+        std::fs::write(&file, Value::from(rows).to_string()).unwrap();
+        let outcome = check_paper(&file, true);
+        std::fs::remove_file(file).unwrap();
+        match outcome {
+            Outcome::Ok => Ok(()),
+            Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+        }
+    }
+
+    #[test]
+    fn an_evaluation_that_cannot_fail_is_refused() {
+        assert_eq!(paper_report(|_| {}), Ok(()));
+        assert!(paper_report(|row| row["misses"] = json!(0)).unwrap_err().contains("no deadline was missed"));
+        assert!(paper_report(|row| row["lost"] = json!(0)).unwrap_err().contains("queue of 15 lost nothing"));
+        assert!(paper_report(|row| row["variant"] = json!("futures")).unwrap_err().contains("instead of 5"));
+        let nameless = paper_report(|row| drop(row.as_object_mut().unwrap().remove("rta_ms")));
+        assert!(nameless.unwrap_err().ends_with("has no field 'rta_ms'"));
+    }
+
     #[test]
     fn what_is_missing_or_of_another_type_is_named() {
         assert_eq!(check_row(&wake_row(), WAKE_ROW), Ok(()));

@@ -104,15 +104,20 @@ fn only_futures_rt(rows: &[Row], system: System) -> Verdict {
     Verdict { holds: Some(meets(proposed) && others.is_empty()), claim, found }
 }
 
-/// Which topics missed how many deadlines, with the steal that may be the reason.
+/// Which topics missed how many deadlines, with the disturbances that may be the reason.
 fn failures(rows: &[&Row]) -> String {
     let failed = rows.iter().filter(|row| !row.meets_deadline());
     let texts: Vec<_> = failed
         .map(|row| format!("{} ({} of {} late, {} lost)", row.topic, row.misses, row.n, row.lost))
         .collect();
-    let steal = rows.first().map_or(0, |row| row.steal_ticks);
-    let steal = if steal > 0 { format!(", with {steal} ticks of steal") } else { String::new() };
-    texts.join(", ") + &steal
+    let (steal, missed) = rows.first().map_or((0, 0), |row| (row.steal_ticks, row.missed_releases));
+    let mut text = texts.join(", ");
+    if steal > 0 || missed > 0 {
+        text += &format!(
+            "; in these runs {steal} ticks of steal, and {missed} releases that the publisher missed"
+        );
+    }
+    text
 }
 
 fn others_fail(rows: &[Row], system: System) -> Verdict {
