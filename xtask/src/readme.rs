@@ -16,17 +16,19 @@ const PICTURE: &str = "docs/demo.svg";
 pub enum Part {
     Demo,
     Wake,
+    Messages,
     Paper,
 }
 
 impl Part {
-    const ALL: [Part; 3] = [Part::Demo, Part::Wake, Part::Paper];
+    const ALL: [Part; 4] = [Part::Demo, Part::Wake, Part::Messages, Part::Paper];
 
     /// Its mark in the README.
     fn mark(self) -> &'static str {
         match self {
             Part::Demo => "demo",
             Part::Wake => "wake",
+            Part::Messages => "messages",
             Part::Paper => "paper",
         }
     }
@@ -40,6 +42,7 @@ impl Part {
                 demo
             }
             Part::Wake => bench("wake", quick, Some(json)),
+            Part::Messages => bench("messages", quick, Some(json)),
             Part::Paper => {
                 // The whole evaluation takes two hours, this a quarter of one.
                 let (runs, seconds) = if quick { (None, None) } else { (Some(3), Some(8.0)) };
@@ -53,6 +56,7 @@ impl Part {
         match self {
             Part::Demo => demo_table(run),
             Part::Wake => wake_tables(run),
+            Part::Messages => messages_table(run),
             Part::Paper => paper_table(run),
         }
     }
@@ -261,6 +265,31 @@ fn find<'r>(
             && row["touched"] == touched
     };
     rows.iter().find(wanted).copied()
+}
+
+/// A line per message, a column per way to handle it.
+fn messages_table(run: &Value) -> String {
+    let rows: Vec<_> = run.as_array().into_iter().flatten().collect();
+    let names = |key: &str| {
+        let mut names: Vec<_> = rows.iter().filter_map(|row| row[key].as_str()).collect();
+        let mut seen = std::collections::BTreeSet::new();
+        names.retain(|name| seen.insert(*name));
+        names
+    };
+    let implementations = names("implementation");
+    let mut out = format!("| message | bytes | {} |\n", implementations.join(" | "));
+    let _ = writeln!(out, "|---|--:|{}", "--:|".repeat(implementations.len()));
+    for case in names("case") {
+        let find = |implementation: &str| {
+            rows.iter().find(|row| row["case"] == case && row["implementation"] == implementation)
+        };
+        let bytes = find(implementations[0]).map_or(&Value::Null, |row| &row["bytes"]);
+        let times = implementations.iter().map(|name| find(name).map_or("-".into(), |row| us(row, "p50_us")));
+        let _ = writeln!(out, "| {case} | {bytes} | {} |", times.collect::<Vec<_>>().join(" | "));
+    }
+    let _ =
+        writeln!(out, "\n`cargo xtask bench messages`: medians in µs, one process, one core; {}.", machine());
+    out
 }
 
 /// Three figures are enough.
