@@ -308,6 +308,17 @@ fn nothing_is_forgotten_when_writing_in_place() {
     let no_room = DemoSizes { last: 1 << 20, ..SIZES };
     let (_, field, fault) = written(no_room, all_defaults);
     assert!(field == "last" && matches!(fault, WriteFault::Encode(EncodeFault::Room { .. })), "{fault}");
+    // Lengths that add up to more than there are addresses are too long, whatever follows them.
+    for field in 0..3 {
+        let mut sizes = SIZES;
+        *[&mut sizes.data, &mut sizes.wide, &mut sizes.last][field] = usize::MAX;
+        assert_eq!(cdr::sized_len::<Demo>(sizes), usize::MAX);
+        assert!(matches!(written(sizes, all_defaults).2, WriteFault::Encode(_)));
+    }
+    let huge = DemoSizes { path: &[PointSizes { name: usize::MAX }; 2], ..SIZES };
+    assert_eq!(cdr::sized_len::<Demo>(huge), usize::MAX);
+    let (_, field, fault) = written(huge, all_defaults);
+    assert!(field == "path" && matches!(fault, WriteFault::Encode(EncodeFault::Room { .. })), "{fault}");
     let odd = cdr::fill::<Demo>(SIZES, &mut memory.0[1..], write_demo).unwrap_err();
     assert_eq!(odd.fault, WriteFault::Encode(EncodeFault::Alignment { align: 8 }));
 }

@@ -29,6 +29,8 @@ pub use fill::{
     BoundFill, Carver, Elements, Field, Fill, Piece, Slice, Text, WText, WriteError, WriteFault, fill,
     sized_len,
 };
+#[cfg(feature = "sizes_of_values")]
+pub use fill::{Leaked, SizeSource, size_list};
 #[doc(hidden)]
 pub use form::read_one_by_one;
 pub use form::{Bound, Bounded, Form, WString};

@@ -61,11 +61,14 @@ macro_rules! dense_struct {
             type ArrayWriter<'a, 's, const N: usize> = $crate::cdr::Slice<'a, Self>;
 
             $crate::sizes_of_values! {
-                fn sizes_of(_: &Self) {}
-                fn list_sizes_of(values: &[Self]) -> usize {
-                    values.len()
+                fn sizes_from<'s>(_: ::core::option::Option<&Self>, _: &mut impl $crate::cdr::SizeSource<'s>) {}
+                fn list_sizes_from<'s>(
+                    values: ::core::option::Option<&[Self]>,
+                    source: &mut impl $crate::cdr::SizeSource<'s>,
+                ) -> usize {
+                    source.len(values.map(<[Self]>::len))
                 }
-                fn array_sizes_of(_: &[Self]) {}
+                fn array_sizes_from<'s>(_: ::core::option::Option<&[Self]>, _: &mut impl $crate::cdr::SizeSource<'s>) {}
             }
 
             #[inline]

@@ -21,7 +21,7 @@ macro_rules! in_place {
     }};
     (@skip $reader:ident, $($field:ident)+) => {};
     (@end $at:expr, ) => {
-        $at + 1
+        $at.saturating_add(1)
     };
     (@end $at:expr, $($field:ident)+) => {
         $at
@@ -171,18 +171,32 @@ macro_rules! in_place {
             type ArrayWriter<'a, 's, const N: usize> = $crate::cdr::Elements<'a, 's, Self>;
 
             $crate::sizes_of_values! {
-                fn sizes_of(value: &Self) -> Self::Sizes<'static> {
-                    let _ = value;
+                fn sizes_from<'s>(
+                    value: ::core::option::Option<&Self>,
+                    source: &mut impl $crate::cdr::SizeSource<'s>,
+                ) -> Self::Sizes<'s> {
+                    let _ = (value, &source);
                     #[allow(unused_mut, clippy::needless_update)]
-                    let mut sizes = <Self::Sizes<'static> as ::core::default::Default>::default();
-                    $($(sizes.$sized = <$form as $crate::cdr::Fill>::sizes_of(&value.$sized);)?)*
+                    let mut sizes = <Self::Sizes<'s> as ::core::default::Default>::default();
+                    $($(
+                        sizes.$sized = <$form as $crate::cdr::Fill>::sizes_from(
+                            value.map(|value| &value.$sized),
+                            source,
+                        );
+                    )?)*
                     sizes
                 }
-                fn list_sizes_of(values: &[Self]) -> Self::ListSizes<'static> {
-                    ::std::vec::Vec::leak(values.iter().map(Self::sizes_of).collect())
+                fn list_sizes_from<'s>(
+                    values: ::core::option::Option<&[Self]>,
+                    source: &mut impl $crate::cdr::SizeSource<'s>,
+                ) -> Self::ListSizes<'s> {
+                    $crate::cdr::size_list(source, values, Self::sizes_from)
                 }
-                fn array_sizes_of(values: &[Self]) -> Self::ArraySizes<'static> {
-                    Self::list_sizes_of(values)
+                fn array_sizes_from<'s>(
+                    values: ::core::option::Option<&[Self]>,
+                    source: &mut impl $crate::cdr::SizeSource<'s>,
+                ) -> Self::ArraySizes<'s> {
+                    $crate::cdr::size_list(source, values, Self::sizes_from)
                 }
             }
 

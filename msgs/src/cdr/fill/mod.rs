@@ -7,6 +7,8 @@
 mod carver;
 mod elements;
 pub(super) mod numbers;
+#[cfg(feature = "sizes_of_values")]
+mod sizes;
 mod text;
 
 use crate::cdr::{Bound, Bounded, EncodeError, EncodeFault, Form};
@@ -14,6 +16,8 @@ use crate::{BODY_ALIGN, Message};
 pub use carver::Carver;
 pub use elements::Elements;
 pub use numbers::{Field, Slice};
+#[cfg(feature = "sizes_of_values")]
+pub use sizes::{Leaked, SizeSource, size_list};
 pub use text::{Text, WText};
 
 /// A form that is written in place.
@@ -35,13 +39,27 @@ pub trait Fill: Form {
 
     crate::sizes_of_values! {
         /// The sizes of a value, for tests: what they refer to is never freed.
-        fn sizes_of(value: &Self::Value) -> Self::Sizes<'static>;
+        fn sizes_of(value: &Self::Value) -> Self::Sizes<'static> {
+            Self::sizes_from(Some(value), &mut crate::cdr::Leaked)
+        }
 
-        /// As [`sizes_of`](Self::sizes_of), for a sequence.
-        fn list_sizes_of(values: &[Self::Value]) -> Self::ListSizes<'static>;
+        /// The sizes that `source` says, for tests.
+        fn sizes_from<'s>(
+            value: Option<&Self::Value>,
+            source: &mut impl crate::cdr::SizeSource<'s>,
+        ) -> Self::Sizes<'s>;
 
-        /// As [`sizes_of`](Self::sizes_of), for an array.
-        fn array_sizes_of(values: &[Self::Value]) -> Self::ArraySizes<'static>;
+        /// As [`sizes_from`](Self::sizes_from), for a sequence.
+        fn list_sizes_from<'s>(
+            values: Option<&[Self::Value]>,
+            source: &mut impl crate::cdr::SizeSource<'s>,
+        ) -> Self::ListSizes<'s>;
+
+        /// As [`sizes_from`](Self::sizes_from), for an array.
+        fn array_sizes_from<'s>(
+            values: Option<&[Self::Value]>,
+            source: &mut impl crate::cdr::SizeSource<'s>,
+        ) -> Self::ArraySizes<'s>;
     }
 
     /// Where a value of these lengths ends that starts at `at`, both in bytes from the start of the body.
@@ -218,6 +236,18 @@ pub fn fill<'s, T: Message + Fill>(
     Ok(carver.position())
 }
 
+/// The next multiple of `align`. What lengths add up to may be any number: too large a one is no place in any memory.
+#[inline]
+fn aligned(at: usize, align: usize) -> usize {
+    at.checked_next_multiple_of(align).unwrap_or(usize::MAX)
+}
+
+/// Where a length ends.
+#[inline]
+fn length_end(at: usize) -> usize {
+    aligned(at, 4).saturating_add(4)
+}
+
 /// The sizes and writers of lists of forms that are written one by one.
 macro_rules! one_by_one {
     () => {
@@ -227,11 +257,17 @@ macro_rules! one_by_one {
         type ArrayWriter<'a, 's, const LEN: usize> = $crate::cdr::Elements<'a, 's, Self>;
 
         $crate::sizes_of_values! {
-            fn list_sizes_of(values: &[Self::Value]) -> Self::ListSizes<'static> {
-                Vec::leak(values.iter().map(Self::sizes_of).collect())
+            fn list_sizes_from<'s>(
+                values: Option<&[Self::Value]>,
+                source: &mut impl $crate::cdr::SizeSource<'s>,
+            ) -> Self::ListSizes<'s> {
+                $crate::cdr::size_list(source, values, Self::sizes_from)
             }
-            fn array_sizes_of(values: &[Self::Value]) -> Self::ArraySizes<'static> {
-                Self::list_sizes_of(values)
+            fn array_sizes_from<'s>(
+                values: Option<&[Self::Value]>,
+                source: &mut impl $crate::cdr::SizeSource<'s>,
+            ) -> Self::ArraySizes<'s> {
+                $crate::cdr::size_list(source, values, Self::sizes_from)
             }
         }
 
@@ -272,14 +308,17 @@ impl<F: Fill> Fill for Vec<F> {
     one_by_one!();
 
     crate::sizes_of_values! {
-        fn sizes_of(value: &Self::Value) -> Self::Sizes<'static> {
-            F::list_sizes_of(value)
+        fn sizes_from<'s>(
+            value: Option<&Self::Value>,
+            source: &mut impl crate::cdr::SizeSource<'s>,
+        ) -> Self::Sizes<'s> {
+            F::list_sizes_from(value.map(|value| &value[..]), source)
         }
     }
 
     #[inline]
     fn sized_end(sizes: F::ListSizes<'_>, at: usize) -> usize {
-        F::sized_list_end(sizes, u32::end(&0, at))
+        F::sized_list_end(sizes, length_end(at))
     }
 
     #[inline]
@@ -308,8 +347,11 @@ impl<F: Fill, const N: usize> Fill for [F; N] {
     one_by_one!();
 
     crate::sizes_of_values! {
-        fn sizes_of(value: &Self::Value) -> Self::Sizes<'static> {
-            F::array_sizes_of(value)
+        fn sizes_from<'s>(
+            value: Option<&Self::Value>,
+            source: &mut impl crate::cdr::SizeSource<'s>,
+        ) -> Self::Sizes<'s> {
+            F::array_sizes_from(value.map(|value| &value[..]), source)
         }
     }
 
@@ -333,8 +375,11 @@ impl<F: BoundFill + Bound, const N: usize> Fill for Bounded<F, N> {
     one_by_one!();
 
     crate::sizes_of_values! {
-        fn sizes_of(value: &Self::Value) -> Self::Sizes<'static> {
-            F::sizes_of(value)
+        fn sizes_from<'s>(
+            value: Option<&Self::Value>,
+            source: &mut impl crate::cdr::SizeSource<'s>,
+        ) -> Self::Sizes<'s> {
+            F::sizes_from(value, source)
         }
     }
 

@@ -122,7 +122,7 @@ pub fn values<'a, T: Plain>(len: usize, carver: &mut Carver<'a>) -> Result<Slice
 pub fn end<T: Plain>(len: usize, at: usize) -> usize {
     match len {
         0 => at,
-        _ => at.next_multiple_of(T::FIRST_ALIGN).saturating_add(len.saturating_mul(size_of::<T>())),
+        _ => super::aligned(at, T::FIRST_ALIGN).saturating_add(len.saturating_mul(size_of::<T>())),
     }
 }
 

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Strings and `wstring`s of a length stated before.
 
-use super::one_by_one;
-use crate::cdr::{
-    BoundFill, Carver, EncodeError, EncodeFault, Fill, Form, Piece, WString, WriteError, WriteFault,
-};
+use super::{length_end, one_by_one};
+use crate::cdr::{BoundFill, Carver, EncodeError, EncodeFault, Fill, Piece, WString, WriteError, WriteFault};
 
 /// The place of a string.
 #[derive(Debug)]
@@ -110,14 +108,14 @@ impl Fill for String {
     one_by_one!();
 
     crate::sizes_of_values! {
-        fn sizes_of(value: &Self) -> usize {
-            value.len()
+        fn sizes_from<'s>(value: Option<&Self>, source: &mut impl crate::cdr::SizeSource<'s>) -> usize {
+            source.len(value.map(String::len))
         }
     }
 
     #[inline]
     fn sized_end(len: usize, at: usize) -> usize {
-        u32::end(&0, at).saturating_add(len).saturating_add(1)
+        length_end(at).saturating_add(len).saturating_add(1)
     }
 
     #[inline]
@@ -146,13 +144,13 @@ impl Fill for WString {
     one_by_one!();
 
     crate::sizes_of_values! {
-        fn sizes_of(value: &String) -> usize {
-            value.encode_utf16().count()
+        fn sizes_from<'s>(value: Option<&String>, source: &mut impl crate::cdr::SizeSource<'s>) -> usize {
+            source.len(value.map(|value| value.encode_utf16().count()))
         }
     }
 
     fn sized_end(len: usize, at: usize) -> usize {
-        u32::end(&0, at).saturating_add(len.saturating_mul(4))
+        length_end(at).saturating_add(len.saturating_mul(4))
     }
 
     fn carve<'a, 's: 's>(len: usize, carver: &mut Carver<'a>) -> Result<WText<'a>, EncodeError> {
