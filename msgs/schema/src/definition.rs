@@ -171,7 +171,8 @@ impl Definition {
     /// Whether it defines no field, and has only the one that stands for none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        matches!(&self.fields[..], [field] if field.name == EMPTY_MEMBER)
+        let byte = FieldType { base: Base::Primitive(Primitive::U8), shape: Shape::Single };
+        matches!(&self.fields[..], [field] if field.name == EMPTY_MEMBER && field.ty == byte)
     }
 }
 

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use tautline_msgs::cdr::{Bounded, DecodeError, Endian, Seq, WStr, WString};
-use tautline_msgs::{Body, Message, cdr_form, in_place, message};
+use tautline_msgs::{Body, Message, cdr_form, dense_struct, in_place, message, plain_struct};
 use tautline_schema::{DynamicMessage, MessageError, Schema};
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -230,6 +230,74 @@ fn text_that_is_none() {
 fn a_bool_of_2() {
     refused(&changed(32, &[2]), "byte 32 of the body, field `ok`", "2 is no bool");
     refused(&changed(31, &[255]), "byte 31 of the body, field `path[0].flags[1]`", "255 is no bool");
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
+pub struct Pair {
+    ok: bool,
+    level: u8,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pairs {
+    one: Pair,
+    two: [Pair; 2],
+    many: Vec<Pair>,
+    flags: [bool; 2],
+}
+
+#[derive(Clone, Copy, Default)]
+pub struct PairsSizes {
+    many: usize,
+}
+
+plain_struct! { "demo_msgs/msg/Pair"; Pair { ok: bool, level: u8 } }
+dense_struct! { Pair }
+cdr_form! { "demo_msgs/msg/Pairs"; Pairs { one: Pair, two: [Pair; 2], many: Vec<Pair>, flags: [bool; 2] } }
+in_place! {
+    "demo_msgs/msg/Pairs";
+    Pairs PairsRef PairsWriter PairsSizes;
+    {
+        one: Pair as &'a Pair [],
+        two: [Pair; 2] as &'a [Pair; 2] [],
+        many: Vec<Pair> as &'a [Pair] [many],
+        flags: [bool; 2] as &'a [bool; 2] [],
+    }
+}
+message! { PairsRef Pairs "demo_msgs/msg/Pairs" {} }
+
+/// Messages that a view gives as references: it says which field of which of them is wrong, as the owned type does.
+#[test]
+fn messages_within_a_view() {
+    let fault = |body: &[u8]| {
+        let mut memory = Aligned([0; 96]);
+        memory.0[..body.len()].copy_from_slice(body);
+        let viewed = <Pairs as Message>::view(Body::new(&memory.0, body.len()).unwrap()).map(|_| ());
+        assert_eq!(viewed, Pairs::decode(body, Endian::Little).map(|_| ()));
+        viewed.map_err(|error| (error.path.to_string(), error.offset))
+    };
+    const BODY: [u8; 18] = [1, 5, 0, 6, 1, 7, 0, 0, 2, 0, 0, 0, 1, 8, 0, 9, 1, 0];
+    assert_eq!(fault(&BODY), Ok(()));
+    let wrong = [
+        (0, "one.ok"),
+        (2, "two[0].ok"),
+        (4, "two[1].ok"),
+        (12, "many[0].ok"),
+        (14, "many[1].ok"),
+        (16, "flags[0]"),
+        (17, "flags[1]"),
+    ];
+    for (at, path) in wrong {
+        let mut body = BODY;
+        body[at] = 2;
+        assert_eq!(fault(&body), Err((path.to_owned(), at)));
+    }
+    for end in 0..BODY.len() {
+        assert!(fault(&BODY[..end]).is_err(), "{end}");
+    }
+    assert_eq!(fault(&BODY[..1]), Err(("one.level".to_owned(), 1)));
+    assert_eq!(fault(&[&BODY[..8], &[255; 4], &BODY[12..]].concat()), Err(("many".to_owned(), 12)));
 }
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]

@@ -168,6 +168,21 @@ fn the_hash_ignores_names_of_constants_comments_and_defaults() {
     assert_eq!(again.to_text(), "int8 A=1\nint32 x 5\nuint8[2] y [1, 2]\n");
 }
 
+/// The field that stands for none is a `uint8`; of another type it is a field.
+#[test]
+fn an_empty_message_has_one_byte() {
+    let member = |ty: &str| schema(&format!("{ty} structure_needs_at_least_one_member\n")).unwrap();
+    assert_eq!(
+        (member("uint8").to_text().as_str(), member("uint8").hash()),
+        ("", schema("").unwrap().hash())
+    );
+    for ty in ["int8", "float64", "uint8[2]"] {
+        let text = format!("{ty} structure_needs_at_least_one_member\n");
+        assert_eq!(member(ty).to_text(), text);
+        assert_ne!(member(ty).hash(), schema("").unwrap().hash());
+    }
+}
+
 /// The value that ROS 2 gives for `example_interfaces/srv/AddTwoInts`, without a ROS 2.
 #[test]
 fn a_service_has_the_hash_that_ros_gives_it() {

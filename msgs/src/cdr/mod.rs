@@ -47,5 +47,5 @@ pub use wstr::WStr;
 #[doc(hidden)]
 pub mod dense {
     pub use super::fill::numbers::{end, field, values};
-    pub use super::view::{array as view_array, one as view_one, slice as view_list};
+    pub use super::view::{array as view_array, list as view_list, one as view_one};
 }

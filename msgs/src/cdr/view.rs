@@ -120,7 +120,7 @@ macro_rules! numbers {
 
             #[inline]
             fn view_array<'a, const N: usize>(reader: &mut Reader<'a>) -> Result<&'a [Self; N], Fault> {
-                array(reader)
+                array(reader, slice)
             }
 
             #[inline]
@@ -143,33 +143,81 @@ macro_rules! numbers {
 
 numbers!(bool i8 u8 i16 u16 i32 u32 i64 u64 f32 f64);
 
-/// One value in place.
+/// Numbers one after the other, in place.
+#[inline]
+pub(crate) fn slice<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], Fault> {
+    let start = reader.position().next_multiple_of(T::FIRST_ALIGN);
+    values(reader, len).map_err(|fault| match fault.fault {
+        DecodeFault::Value { .. } => {
+            // Read as an owned one, it says what is wrong.
+            reader.skip_to(fault.offset);
+            let index = fault.offset.saturating_sub(start) / size_of::<T>();
+            let fault = T::read(reader).err().unwrap_or(fault);
+            reader.at_index(fault, index)
+        }
+        _ => fault,
+    })
+}
+
+/// A message in place.
 #[doc(hidden)]
 #[inline]
 pub fn one<'a, T: Plain>(reader: &mut Reader<'a>) -> Result<&'a T, Fault> {
-    array::<T, 1>(reader).map(|[one]| one)
+    let start = reader.position();
+    match values(reader, 1) {
+        Ok([value, ..]) => Ok(value),
+        Ok([]) => Err(reader.fault(DecodeFault::End { needed: size_of::<T>(), left: 0 })),
+        Err(fault) => {
+            reader.skip_to(start);
+            Err(T::read(reader).err().unwrap_or(fault))
+        }
+    }
 }
 
-/// An array in place.
+/// Messages one after the other, in place.
 #[doc(hidden)]
 #[inline]
-pub fn array<'a, T: Plain, const N: usize>(reader: &mut Reader<'a>) -> Result<&'a [T; N], Fault> {
+pub fn list<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], Fault> {
     let start = reader.position();
-    slice(reader, N)?
+    values(reader, len).map_err(|fault| explain::<T>(reader, start, len, fault))
+}
+
+/// An array of numbers or messages in place, given what reads any number of them.
+#[doc(hidden)]
+#[inline]
+pub fn array<'a, T, const N: usize>(
+    reader: &mut Reader<'a>,
+    read: impl FnOnce(&mut Reader<'a>, usize) -> Result<&'a [T], Fault>,
+) -> Result<&'a [T; N], Fault> {
+    let start = reader.position();
+    read(reader, N)?
         .first_chunk()
         .ok_or_else(|| Fault::new(start, DecodeFault::End { needed: N, left: reader.left() }))
 }
 
+/// What is wrong with messages that cannot be read in place: read as owned ones, they say which field.
+#[cold]
+fn explain<T: Plain>(reader: &mut Reader<'_>, start: usize, len: usize, fault: Fault) -> Fault {
+    reader.skip_to(start);
+    if let Err(fault) = reader.expect(len, T::MIN_SIZE) {
+        return fault;
+    }
+    for index in 0..len {
+        if let Err(fault) = T::read(reader) {
+            return reader.at_index(fault, index);
+        }
+    }
+    fault
+}
+
 /// Values one after the other, in place. Without padding between or within, so that their memory is their CDR wherever
-/// the first lies.
-#[doc(hidden)]
+/// the first lies. Of one that is invalid the fault only says where it starts.
 #[inline]
-pub fn slice<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], Fault> {
+fn values<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T], Fault> {
     const { assert!(T::DENSE, "elements with padding are read one by one") }
     if len == 0 {
         return Ok(&[]);
     }
-    let mut before = reader.clone();
     let bytes = reader.take(T::FIRST_ALIGN, len.saturating_mul(size_of::<T>()))?;
     let start = reader.position() - bytes.len();
     let values = bytes.as_ptr().cast::<T>();
@@ -180,13 +228,8 @@ pub fn slice<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T
         && let Some(index) =
             bytes.chunks_exact(size_of::<T>()).position(|element| T::validate(element).is_err())
     {
-        // Read as an owned one, it says which field is wrong.
         let at = start + index * size_of::<T>();
-        before.skip_to(at);
-        let unknown = Fault::new(at, DecodeFault::Value { value: 0, type_name: &"value of this type" });
-        let fault = T::read(&mut before).err().unwrap_or(unknown);
-        *reader = before;
-        return Err(reader.at_index(fault, index));
+        return Err(Fault::new(at, DecodeFault::Value { value: 0, type_name: &"value of this type" }));
     }
     // SAFETY: `len` elements are within `bytes`, aligned, initialised and valid as just checked; the result borrows what
     // `bytes` does.

@@ -30,7 +30,7 @@ macro_rules! dense_struct {
             fn view_array<'a, const N: usize>(
                 reader: &mut $crate::cdr::Reader<'a>,
             ) -> ::core::result::Result<&'a [Self; N], $crate::cdr::Fault> {
-                $crate::cdr::dense::view_array(reader)
+                $crate::cdr::dense::view_array(reader, $crate::cdr::dense::view_list)
             }
 
             #[inline]
