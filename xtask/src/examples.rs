@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
 /// its first line.
-const RUNS: [&[&str]; 8] = [
+const RUNS: [&[&str]; 9] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
     &["variable_image"],
@@ -21,6 +21,7 @@ const RUNS: [&[&str]; 8] = [
     &["callback_group"],
     &["budget"],
     &["busy_poll"],
+    &["own_messages"],
 ];
 
 /// Has no promise to keep without real-time priorities.
@@ -87,7 +88,11 @@ struct Running {
 impl Running {
     fn start(program: &str, domain: &Domain) -> std::io::Result<Running> {
         let name = name_of(program);
-        let mut command = Command::new(machine::target_dir().join("release/examples").join(name));
+        let release = machine::target_dir().join("release");
+        // An example, or the program of an example that is a crate.
+        let folders = [release.join("examples"), release];
+        let [example, program_path] = folders.map(|folder| folder.join(name));
+        let mut command = Command::new(if example.exists() { example } else { program_path });
         command.args(program.split(' ').skip(1)).env("TAUT_DOMAIN", domain.number.to_string());
         announce(&command);
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;

@@ -6,6 +6,7 @@
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
+//! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
@@ -15,6 +16,7 @@
 //! | `machine` | where things are built, and what this user may do |
 
 mod examples;
+mod fuzz;
 mod lttng;
 mod machine;
 mod paper;
@@ -42,7 +44,7 @@ struct Cli {
 enum Verb {
     /// Everything CI runs: format, lints, docs, tests, examples, stress, models, smoke tests
     Test {
-        /// Leave out what takes minutes: stress, loom, miri, bench
+        /// Leave out what takes minutes: stress, loom, miri, fuzz, bench
         #[arg(long)]
         quick: bool,
     },
@@ -65,6 +67,18 @@ enum Verb {
         /// Only these parts [default: all]
         #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]
         only: Vec<readme::Part>,
+    },
+    /// Runs the tests of unsafe code under miri: `rustup component add miri --toolchain nightly`
+    Miri,
+    /// Gives the decoders, views, writers and parsers inputs made up by libFuzzer, under the address sanitizer
+    #[command(after_help = "Examples:\n  cargo xtask fuzz\n  cargo xtask fuzz --runs 50000 view fill")]
+    Fuzz {
+        /// Inputs per target
+        #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+        runs: u64,
+        /// The targets; all if none is named
+        #[arg(value_name = "TARGET", value_parser = fuzz::TARGETS)]
+        targets: Vec<String>,
     },
     /// Tries to break something by doing it very often
     #[command(subcommand)]
@@ -125,7 +139,8 @@ fn main() -> ExitCode {
         Verb::Test { quick } => test::run(quick),
         Verb::Examples { bless } => {
             let mut steps = Steps::new();
-            let mut build = steps::cargo("build --release -p tautline-examples --examples");
+            let mut build =
+                steps::cargo("build --release -p tautline-examples -p own-messages --examples --bins");
             let built = steps.command("examples: build", &mut build);
             examples::run(&mut steps, built, bless);
             steps.finish()
@@ -140,6 +155,12 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),
+        Verb::Miri => {
+            let mut steps = Steps::new();
+            test::miri(&mut steps);
+            steps.finish()
+        }
+        Verb::Fuzz { runs, targets } => fuzz::run(runs, &targets),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
     }
 }

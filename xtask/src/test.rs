@@ -4,7 +4,7 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, lttng, paper as evaluation, ros, stress_doorbell};
+use crate::{bench, examples, fuzz, lttng, paper as evaluation, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -19,12 +19,13 @@ pub fn run(quick: bool) -> ExitCode {
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
-    let binaries = "build --release -p taut -p tautline-examples -p tautline-benches --bins --examples";
+    let binaries =
+        "build --release -p taut -p tautline-examples -p own-messages -p tautline-benches --bins --examples";
     let built = steps.command("build", &mut cargo(binaries));
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 7] = [
+    let slow: [(&str, Step); 8] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: wake", wake),
@@ -32,6 +33,7 @@ pub fn run(quick: bool) -> ExitCode {
         ("bench: paper", paper),
         ("loom", loom),
         ("miri", miri),
+        ("fuzz", |steps| fuzz::all(steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS)),
     ];
     for (name, run) in slow {
         if quick {
@@ -55,6 +57,7 @@ fn lints(steps: &mut Steps) {
     );
     let mut lock = cargo("fetch --quiet --locked --manifest-path");
     steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
+    steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
 }
@@ -190,14 +193,14 @@ fn loom(steps: &mut Steps) {
 }
 
 /// The unsafe code that needs no kernel, under an interpreter that sees undefined behaviour.
-fn miri(steps: &mut Steps) {
+pub fn miri(steps: &mut Steps) {
     if let Err(reason) = machine::cargo_has("+nightly miri --version") {
         return steps.skip("miri", &reason);
     }
-    steps.command(
-        "miri: messages",
-        &mut cargo("+nightly miri test -p tautline-msgs --test cdr --test validate"),
-    );
+    // Of `owned`, what allocates and encodes very often shows nothing more here, and takes minutes.
+    let messages = "+nightly miri test -p tautline-msgs --test cdr --test validate --test owned -- \
+                    --skip lengths_are_not_believed --skip encoding_does_not_allocate";
+    steps.command("miri: messages", &mut cargo(messages));
     let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker";
     steps.command("miri: samples", &mut cargo(samples));
     let rings = "+nightly miri test -p tautline-trace --lib -- ring object";

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Checks of everything that takes input from outside. Each is a function of bytes, which `fuzz_targets` gives to
+//! libFuzzer: `cargo xtask fuzz` runs them under the address sanitizer.
+//!
+//! | target | input | must hold |
+//! |---|---|---|
+//! | [`owned`] | type, byte order, body | what is decoded is encoded again as the same message |
+//! | [`dynamic`] | type or definition, byte order, body | the same; and it is what the owned type makes of the bytes |
+//! | [`plain`] | type, place, bytes | reading in place, checking and decoding agree |
+//! | [`view`] | type, body | a body is read in place exactly if it is decoded, and as the same message |
+//! | [`fill`] | type, lengths, memory, value | nothing is written outside of what the lengths say; what is written is a message |
+//! | [`schema`] | definitions, bundles, type descriptions | what is accepted is written as text that says the same |
+//! | [`json`], [`yaml`] | type, text | what is read is written as text that says the same |
+//!
+//! All of them: no panic, no byte read that is not there, and no allocation larger than a multiple of the input, which
+//! each file states: a length that the input claims is not believed.
+//!
+//! The first bytes of an input choose the type: see `input`.
+
+mod allocations;
+mod dynamic;
+mod entry;
+mod fill;
+mod input;
+mod memory;
+mod plain;
+mod schema;
+mod text;
+
+pub use allocations::Counting;
+pub use dynamic::dynamic;
+pub use entry::{owned, type_names, view};
+pub use fill::fill;
+pub use plain::plain;
+pub use schema::schema;
+pub use text::{json, yaml};
