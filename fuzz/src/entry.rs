@@ -46,8 +46,8 @@ impl Entry {
 }
 
 /// A list grows to twice its length; the smallest of its elements against what they are in memory are strings and lists:
-/// four bytes of a length for the 24 of a `String`. What cannot be read takes nothing.
-const OWNED: Limit = Limit { multiple: 12, fixed: 4 * 24 };
+/// four bytes of a length for the 24 of a `String`. Up to 4 KiB are taken for a list that may turn out to be shorter.
+const OWNED: Limit = Limit { multiple: 12, fixed: 4096 };
 
 /// Decodes a message of a bundled type.
 pub fn owned(input: &[u8]) {

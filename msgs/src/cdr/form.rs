@@ -250,17 +250,18 @@ impl Bound for WString {
         let start = reader.position();
         let bytes = reader.take(1, len.saturating_mul(4))?;
         reader.add_slack();
+        let mut all_units = true;
         let units = bytes.chunks_exact(4).map(|unit| {
             let unit = unit.try_into().unwrap_or_default();
             let unit = match reader.endian() {
                 Endian::Little => u32::from_le_bytes(unit),
                 Endian::Big => u32::from_be_bytes(unit),
             };
-            // A lone surrogate is no text either.
-            u16::try_from(unit).unwrap_or(0xdfff)
+            all_units &= u16::try_from(unit).is_ok();
+            unit as u16
         });
         let text: Result<String, _> = char::decode_utf16(units).collect();
-        let text = text.map_err(|_| Fault::new(start, DecodeFault::Unicode))?;
+        let text = text.ok().filter(|_| all_units).ok_or(Fault::new(start, DecodeFault::Unicode))?;
         check(&text, bound, start)?;
         Ok(text)
     }
