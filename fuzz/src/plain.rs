@@ -70,7 +70,7 @@ struct Numbers {
 }
 
 /// An array is decoded into a list first.
-const ARRAYS: Limit = Limit { multiple: 1, fixed: 0 };
+const ARRAYS: Limit = Limit { multiple: 2, fixed: 0 };
 
 /// Reads bytes in place. The flags choose how far from a multiple of 8 they start.
 pub fn plain(input: &[u8]) {

@@ -162,7 +162,7 @@ pub fn read_dense<T: Plain>(reader: &mut Reader<'_>) -> Option<T> {
     if !T::DENSE || !T::ALWAYS_VALID || reader.endian() != Endian::Little {
         return None;
     }
-    let bytes = reader.take(T::FIRST_ALIGN, size_of::<T>()).ok()?;
+    let bytes = try_take(reader, T::FIRST_ALIGN, size_of::<T>())?;
     // SAFETY: `bytes` are as long as a `T`, any initialised bytes are one, and `T: Copy`.
     Some(unsafe { bytes.as_ptr().cast::<T>().read_unaligned() })
 }
@@ -173,7 +173,7 @@ pub fn read_dense_vec<T: Plain>(reader: &mut Reader<'_>, len: usize) -> Option<V
     if !T::DENSE || !T::ALWAYS_VALID || reader.endian() != Endian::Little || len == 0 {
         return None;
     }
-    let bytes = reader.take(T::FIRST_ALIGN, len.checked_mul(size_of::<T>())?).ok()?;
+    let bytes = try_take(reader, T::FIRST_ALIGN, len.checked_mul(size_of::<T>())?)?;
     let mut values = Vec::<T>::with_capacity(len);
     // SAFETY: `bytes` are as long as `len` values, so many fit into the new vector, and any initialised bytes are a `T`.
     unsafe {
@@ -181,6 +181,17 @@ pub fn read_dense_vec<T: Plain>(reader: &mut Reader<'_>, len: usize) -> Option<V
         values.set_len(len);
     }
     Some(values)
+}
+
+/// As [`Reader::take`]; if the bytes end too early, the reader stays where it was.
+#[inline]
+fn try_take<'a>(reader: &mut Reader<'a>, align: usize, len: usize) -> Option<&'a [u8]> {
+    let start = reader.position();
+    let bytes = reader.take(align, len).ok();
+    if bytes.is_none() {
+        reader.skip_to(start);
+    }
+    bytes
 }
 
 /// Where a value that starts at `at` ends; `None` for types with padding.

@@ -4,14 +4,14 @@
 
 use std::error::Error;
 
-use tautline_msgs::cdr::{self, WriteError};
-use tautline_msgs::{Body, Message, Service};
-use tautline_ros_msgs::geometry_msgs::msg::Point;
+use tautline::geometry_msgs::msg::Point;
+use tautline::msgs::cdr::{self, WriteError};
+use tautline::msgs::{Body, Message, Service};
 use track_msgs::msg::{PlaceSizes, Track, TrackSizes, TrackWriter};
 
-tautline_msgs::include_packages!();
+tautline::msgs::include_packages!();
 
-/// What a topic would lend.
+/// What a topic lends with `Publisher::loan_with`.
 #[repr(align(8))]
 struct Memory([u8; 256]);
 

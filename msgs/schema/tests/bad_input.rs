@@ -219,6 +219,9 @@ fn text_that_is_none() {
     refused(&changed(28, &[0x80]), "byte 28 of the body, field `path[0].label`", reason);
     refused(&changed(40, &[0, 0xd8]), "byte 40 of the body, field `wide`", reason);
     refused(&changed(42, &[1]), "byte 40 of the body, field `wide`", reason);
+    // Half of a pair, then what would be the other half if its upper bytes did not count.
+    let pair = [&BODY[..36], &[2, 0, 0, 0, 0x3d, 0xd8, 0, 0, 0, 0xde, 0x0e, 0], &[0; 6]].concat();
+    refused(&pair, "byte 40 of the body, field `wide`", reason);
     refused(
         &changed(6, b"x"),
         "byte 7 of the body, field `name`",

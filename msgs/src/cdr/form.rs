@@ -56,8 +56,8 @@ pub trait Form: Sized {
         values.iter().try_for_each(|value| Self::write(value, writer))
     }
 
-    /// As [`read`](Self::read), for `len` values one after the other. What it allocates at once is no larger than what is
-    /// left of the body, or 4 KiB.
+    /// As [`read`](Self::read), for `len` values one after the other. What it allocates at once is at most twice as
+    /// large as what is left of the body.
     ///
     /// # Errors
     ///
@@ -77,14 +77,13 @@ pub trait Form: Sized {
     }
 }
 
-/// Up to this many bytes are allocated for a length that may be a lie.
-const TRUSTED: usize = 4096;
-
 #[doc(hidden)]
 pub fn read_one_by_one<F: Form>(reader: &mut Reader<'_>, len: usize) -> Result<Vec<F::Value>, Fault> {
     reader.expect(len, F::MIN_SIZE)?;
     let size = size_of::<F::Value>().max(1);
-    let mut values = Vec::with_capacity(len.min(reader.left().max(TRUSTED) / size));
+    // The claimed length fits into what is left: believed unless values are much longer in memory than in CDR.
+    let at_once = if size <= 2 * F::MIN_SIZE { len } else { len.min(reader.left() / size) };
+    let mut values = Vec::with_capacity(at_once);
     for index in 0..len {
         values.push(F::read(reader).map_err(|fault| reader.at_index(fault, index))?);
     }
@@ -248,17 +247,18 @@ impl Bound for WString {
         let start = reader.position();
         let bytes = reader.take(1, len.saturating_mul(4))?;
         reader.add_slack();
+        let mut all_units = true;
         let units = bytes.chunks_exact(4).map(|unit| {
             let unit = unit.try_into().unwrap_or_default();
             let unit = match reader.endian() {
                 Endian::Little => u32::from_le_bytes(unit),
                 Endian::Big => u32::from_be_bytes(unit),
             };
-            // A lone surrogate is no text either.
-            u16::try_from(unit).unwrap_or(0xdfff)
+            all_units &= u16::try_from(unit).is_ok();
+            unit as u16
         });
         let text: Result<String, _> = char::decode_utf16(units).collect();
-        let text = text.map_err(|_| Fault::new(start, DecodeFault::Unicode))?;
+        let text = text.ok().filter(|_| all_units).ok_or(Fault::new(start, DecodeFault::Unicode))?;
         check(&text, bound, start)?;
         Ok(text)
     }

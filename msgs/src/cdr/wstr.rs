@@ -12,12 +12,13 @@ impl<'a> WStr<'a> {
     /// `None` if the units are no text.
     pub(crate) fn new(units: &'a [u32]) -> Option<Self> {
         let text = Self { units };
-        text.decode().all(|char| char.is_ok()).then_some(text)
+        let all_units = units.iter().all(|&unit| u16::try_from(unit).is_ok());
+        (all_units && text.decode().all(|char| char.is_ok())).then_some(text)
     }
 
     fn decode(self) -> impl Iterator<Item = Result<char, core::char::DecodeUtf16Error>> {
-        // A lone surrogate stands for what is no unit.
-        char::decode_utf16(self.units.iter().map(|&unit| u16::try_from(unit).unwrap_or(0xdfff)))
+        // None was larger when they were checked.
+        char::decode_utf16(self.units.iter().map(|&unit| unit as u16))
     }
 
     /// The characters.
