@@ -64,6 +64,11 @@ pub fn runs_twice(name: &str, first: &Process, second: &Process) -> Mark {
     mark("runs twice", text)
 }
 
+/// A mark of a callback of the same name that is not the one the table shows.
+pub fn of_another(process: &Process, of: Mark) -> Mark {
+    mark(of.name, format!("in {}: {}", process.label(), of.explanation))
+}
+
 pub fn wrong_priority(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let has = seen.priority.map_or("time sharing".into(), |priority| format!("priority {priority}"));
     let text = format!(

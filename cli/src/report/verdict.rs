@@ -140,12 +140,13 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
     } else if running.is_empty() && process.running {
         marks.push(explain::ended(name, process));
     }
-    let deadline_ns = predicted.entry.deadline_ns;
-    let misses = match callback.deadline_ns {
-        Some(counted) if counted == deadline_ns => callback.deadline_misses,
-        _ => callback.response.longer_than(deadline_ns),
-    };
+    let misses = misses(predicted, callback);
     marks.extend(violations(predicted, process, callback, misses));
+    // What an earlier process did, or another one does, has happened as well.
+    for (process, callback) in found.iter().skip(1) {
+        let theirs = violations(predicted, process, callback, self::misses(predicted, callback));
+        marks.extend(theirs.into_iter().map(|mark| explain::of_another(process, mark)));
+    }
     let measured = Measured {
         process: process.label(),
         response: callback.response.histogram(),
@@ -156,10 +157,24 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
     Row { predicted: predicted.clone(), measured: Some(measured), marks }
 }
 
+/// Jobs later than the file's deadline. The histogram counts those of the deadline's own bucket as in time; the longest one
+/// is known exactly.
+fn misses(predicted: &CheckedCallback, callback: &Callback) -> u64 {
+    let deadline_ns = predicted.entry.deadline_ns;
+    match callback.deadline_ns {
+        Some(counted) if counted == deadline_ns => callback.deadline_misses,
+        _ => {
+            let is_missed = callback.response.max_ns().is_some_and(|longest_ns| longest_ns > deadline_ns);
+            callback.response.longer_than(deadline_ns).max(is_missed.into())
+        }
+    }
+}
+
 /// Causes first: what follows from them is easier to understand then.
 fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, misses: u64) -> Vec<Mark> {
     let mut marks = Vec::new();
-    if process.realtime {
+    // A thread without a number is just starting: nobody knows yet what the kernel gave it.
+    if process.realtime && seen.tid != 0 {
         if seen.priority != Some(predicted.entry.priority) {
             marks.push(explain::wrong_priority(predicted, seen));
         }
