@@ -49,7 +49,7 @@ impl Report {
                 cell.cell.system == system && cell.cell.experiment == Experiment::Paper(Variant::FUTURES_RT)
             });
             let Some(runs) = runs else { continue };
-            let overhead_ns = stats::overhead_ns(&runs.runs);
+            let overhead_ns = stats::overhead_ns(&counted(&runs.runs, plan.runs as usize));
             overheads.push((system, overhead_ns));
             let bounds = predict::response_times_ns(&plan.paper.topics, overhead_ns, &results.interruptions);
             for row in rows.iter_mut().filter(|row| row.cell == runs.cell) {
