@@ -287,6 +287,34 @@ fn no_violation_gets_lost_between_buckets_or_processes() {
 }
 
 #[test]
+fn a_job_that_does_not_end_is_late() {
+    let scratch = Scratch::new("stuck");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(198, Realtime::Off, &system);
+    let numbers = running.node.subscribe_loaned::<Work>("fine", QosProfile::default()).unwrap();
+    // Released when the machine was started, and never done while this test looks.
+    let publisher = running.publisher("fine");
+    publish(&publisher, LITTLE, 1);
+    let (begun, (end, until_end)) = (running.done.0.clone(), channel::<()>());
+    let stuck = move |_: Sample<Work>| {
+        begun.send(()).unwrap();
+        let _ = until_end.recv();
+        async {}
+    };
+    let options = running.context.callback("fine").unwrap();
+    let handle = running.node.spawn_callback(options, numbers.for_each(stuck)).unwrap();
+    running.done.1.recv().unwrap();
+    let report = json(&taut(&["--domain", "198", "--json"]));
+    assert!(violations(&report, "fine").contains(&"bound exceeded".to_owned()), "{report}");
+    let shown = text(&taut(&["--domain", "198"]).stdout).replace('\n', " ");
+    assert!(shown.contains("so far, for its job has not ended"), "{shown}");
+    drop(end);
+    while handle.stats().completions() == 0 {
+        std::thread::yield_now();
+    }
+}
+
+#[test]
 fn what_was_violated_is_named_with_what_to_change() {
     const MORE: &str = r#"
 [callbacks]
