@@ -228,6 +228,92 @@ fn what_was_kept_is_kept_and_a_saved_run_says_the_same() {
     assert!(text(&output.stdout).contains("another text of the system file"));
 }
 
+/// The member of a JSON object.
+fn member<'v>(value: &'v mut Value, path: &str) -> &'v mut Value {
+    value.pointer_mut(path).unwrap_or_else(|| panic!("no {path}"))
+}
+
+#[test]
+fn no_violation_gets_lost_between_buckets_or_processes() {
+    let scratch = Scratch::new("lost");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(129, Realtime::Off, &system);
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
+    let path = scratch.0.join("run.json");
+    let path = path.to_str().unwrap();
+    assert_eq!(taut(&["--domain", "129", "--save", path]).status.code(), Some(0));
+    drop(running);
+    let saved: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let report = |run: &Value, arguments: &[&str]| {
+        std::fs::write(path, run.to_string()).unwrap();
+        json(&taut(&[&[path, "--json"], arguments].concat()))
+    };
+
+    // A deadline within the bucket of the longest response, which is counted nowhere but as the maximum.
+    let mut run = saved.clone();
+    let fine =
+        run["processes"][0]["callbacks"].as_array().unwrap().iter().position(|of| of["name"] == "fine");
+    let fine = format!("/processes/0/callbacks/{}", fine.unwrap());
+    *member(&mut run, &format!("{fine}/response/max_ns")) = 10_020_000.into();
+    *member(&mut run, &format!("{fine}/response/buckets")) = serde_json::json!([[9_961_472, 1]]);
+    let strict = SYSTEM.replacen("priority = 50", "priority = 50\ndeadline = \"10ms\"", 1);
+    let strict = scratch.write("strict.toml", &strict);
+    let shown = report(&run, &["--system", strict.to_str().unwrap()]);
+    assert_eq!(shown["callbacks"][0]["measured"]["deadline_misses"], 1, "{shown}");
+    assert!(violations(&shown, "fine").contains(&"deadline missed".to_owned()), "{shown}");
+
+    // A process that ended before this one and was late.
+    let mut run = saved;
+    let mut before = run["processes"][0].clone();
+    (before["pid"], before["running"]) = (1.into(), false.into());
+    for callback in before["callbacks"].as_array_mut().unwrap() {
+        (callback["ended"], callback["last_release_ns"]) =
+            (true.into(), callback["first_release_ns"].clone());
+    }
+    *member(&mut before, &fine.replacen("/processes/0", "", 1)).pointer_mut("/deadline_misses").unwrap() =
+        3.into();
+    run["processes"].as_array_mut().unwrap().insert(0, before);
+    let shown = report(&run, &[]);
+    assert_eq!(
+        (&shown["kept"], violations(&shown, "fine").as_slice()),
+        (&false.into(), &["deadline missed".to_owned()][..])
+    );
+    let explanation = shown["callbacks"][0]["violations"][0]["explanation"].as_str().unwrap();
+    assert!(
+        explanation.starts_with("in report-") && explanation.contains("(process 1): 3 jobs"),
+        "{explanation}"
+    );
+}
+
+#[test]
+fn a_job_that_does_not_end_is_late() {
+    let scratch = Scratch::new("stuck");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(198, Realtime::Off, &system);
+    let numbers = running.node.subscribe_loaned::<Work>("fine", QosProfile::default()).unwrap();
+    // Released when the machine was started, and never done while this test looks.
+    let publisher = running.publisher("fine");
+    publish(&publisher, LITTLE, 1);
+    let (begun, (end, until_end)) = (running.done.0.clone(), channel::<()>());
+    let stuck = move |_: Sample<Work>| {
+        begun.send(()).unwrap();
+        let _ = until_end.recv();
+        async {}
+    };
+    let options = running.context.callback("fine").unwrap();
+    let handle = running.node.spawn_callback(options, numbers.for_each(stuck)).unwrap();
+    running.done.1.recv().unwrap();
+    let report = json(&taut(&["--domain", "198", "--json"]));
+    assert!(violations(&report, "fine").contains(&"bound exceeded".to_owned()), "{report}");
+    let shown = text(&taut(&["--domain", "198"]).stdout).replace('\n', " ");
+    assert!(shown.contains("so far, for its job has not ended"), "{shown}");
+    drop(end);
+    while handle.stats().completions() == 0 {
+        std::thread::yield_now();
+    }
+}
+
 #[test]
 fn what_was_violated_is_named_with_what_to_change() {
     const MORE: &str = r#"

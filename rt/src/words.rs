@@ -135,7 +135,7 @@ pub struct ForeignWords {
 }
 
 impl ForeignWords {
-    /// The files whose names begin with `prefix` and that this user may read, in the order of their names.
+    /// This user's files whose names begin with `prefix`, in the order of their names.
     ///
     /// # Errors
     /// If /dev/shm cannot be read.
@@ -148,10 +148,13 @@ impl ForeignWords {
             .collect();
         paths.sort();
         let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-        // One that cannot be opened has just gone, or is somebody else's.
+        // One that cannot be opened has just gone. One that is somebody else's could be cut short while it is read, which
+        // would kill the reader.
+        let user = rustix::process::geteuid().as_raw();
         let open = |path: PathBuf| {
             let file = rustix::fs::open(&path, flags, Mode::empty()).ok()?;
-            Some(ForeignWords { path, file })
+            let is_own = rustix::fs::fstat(&file).ok()?.st_uid == user;
+            is_own.then_some(ForeignWords { path, file })
         };
         Ok(paths.into_iter().filter_map(open).collect())
     }
@@ -297,6 +300,17 @@ mod tests {
         rustix::fs::flock(lock, FlockOperation::Unlock).unwrap();
         let found = ForeignWords::list(&prefix).unwrap();
         assert!(!found[0].is_owned() && found[0].remove_if_orphaned() && !path.exists());
+    }
+
+    #[test]
+    fn files_of_others_are_left_out() {
+        let prefix = prefix("others");
+        let file = WordsFile::create(&prefix).unwrap();
+        if let Err(error) = std::os::unix::fs::chown(file.path(), Some(65_534), None) {
+            println!("skipped: only root can give a file away: {error}");
+            return;
+        }
+        assert!(ForeignWords::list(&prefix).unwrap().is_empty());
     }
 
     #[test]

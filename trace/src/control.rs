@@ -7,7 +7,7 @@ use crate::error::TraceError;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -48,6 +48,16 @@ fn path(domain: u32) -> PathBuf {
     path_of(domain, "control")
 }
 
+/// Whether a file is this user's. `/dev/shm` is everybody's: what others put there under our names could be cut short while
+/// it is mapped, and then kills who reads it.
+pub(crate) fn is_own(file: impl AsFd) -> bool {
+    rustix::fs::fstat(file).is_ok_and(|stat| stat.st_uid == rustix::process::geteuid().as_raw())
+}
+
+fn has_name(file: impl AsFd) -> bool {
+    rustix::fs::fstat(file).is_ok_and(|stat| stat.st_nlink != 0)
+}
+
 /// Looks whether a recorder is there.
 pub(crate) fn asked(domain: u32) -> Asked {
     let path = path(domain);
@@ -56,9 +66,15 @@ pub(crate) fn asked(domain: u32) -> Asked {
     else {
         return Asked::Nothing;
     };
+    if !is_own(&file) {
+        return Asked::Nothing;
+    }
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
-        // Its recorder was killed, or has not come to lock it and will look whether it still has a name.
-        let _ = rustix::fs::unlink(&path);
+        // Its recorder was killed, or has not come to lock it and will look whether it still has a name. Who locks it alone
+        // while it has one unlinks this file, and not the next recorder's of the same name.
+        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() && has_name(&file) {
+            let _ = rustix::fs::unlink(&path);
+        }
         return Asked::Nothing;
     }
     let mut byte = [0];
@@ -84,8 +100,11 @@ impl Control {
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR).map_err(refuse)?;
+            if !is_own(&file) {
+                return Err(refuse(Errno::PERM));
+            }
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) if rustix::fs::fstat(&file).map_err(refuse)?.st_nlink != 0 => {
+                Ok(()) if has_name(&file) => {
                     let control = Control { path: path.clone(), file };
                     control.write(ON).map_err(refuse)?;
                     return Ok(control);

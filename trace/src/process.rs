@@ -162,6 +162,10 @@ impl Own {
         if self.mode != TraceMode::On {
             let wanted = if asked == Asked::Record { state::ASKED } else { state::OFF };
             if self.map.state().load(Ordering::Relaxed) != wanted {
+                if wanted == state::ASKED {
+                    // Of a thread that was switched off between its look and its event: not the next recording's.
+                    self.discard();
+                }
                 hot::switch(wanted == state::ASKED);
                 if asked == Asked::Nothing {
                     // The recorder was killed. What it left would turn up in the next recording.
@@ -220,10 +224,11 @@ impl Own {
         }
     }
 
-    /// What nobody has fetched stays for a recorder.
+    /// What nobody has fetched stays for a recorder: the one that asked for it, or any if it was recorded from the start.
     fn give_up(self) {
         hot::switch(false);
-        if self.map.is_drained() {
+        let wanted = self.mode == TraceMode::On || control::asked(self.domain) != Asked::Nothing;
+        if !wanted || self.map.is_drained() {
             let _ = rustix::fs::unlink(&self.path);
         }
         // Should this fail, the pages stay until the process ends.

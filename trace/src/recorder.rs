@@ -225,6 +225,9 @@ impl Peer {
     fn open(path: &Path, number: u32) -> Result<Option<Peer>, String> {
         let flags = OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
         let Ok(file) = rustix::fs::open(path, flags, Mode::empty()) else { return Ok(None) };
+        if !control::is_own(&file) {
+            return Err("it belongs to another user".to_owned());
+        }
         let mut first = [0; 64];
         let read = rustix::io::pread(&file, &mut first, 0).map_err(|errno| errno.to_string())?;
         if first.iter().take(8).all(|byte| *byte == 0) {
@@ -320,7 +323,9 @@ pub fn remove_dead_files(domain: u32) {
     let mut files = control::process_files(domain);
     files.retain(|path| {
         let file = rustix::fs::open(path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty());
-        file.is_ok_and(|file| rustix::fs::flock(file, FlockOperation::NonBlockingLockExclusive).is_ok())
+        let is_free =
+            |file: &OwnedFd| rustix::fs::flock(file, FlockOperation::NonBlockingLockExclusive).is_ok();
+        file.is_ok_and(|file| control::is_own(&file) && is_free(&file))
     });
     if files.is_empty() || control::asked(domain) != Asked::Nothing {
         return;

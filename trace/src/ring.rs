@@ -112,15 +112,19 @@ impl<'m> Ring<'m> {
         Drained { next: committed, lost: whole - from }
     }
 
+    /// Whether it has memory and is nobody's.
+    pub(crate) fn is_spare(&self) -> bool {
+        // Acquire: pairs with the Release of the thread that got its memory.
+        self.head.ready.load(Ordering::Acquire) != 0 && self.head.tid.load(Ordering::Relaxed) == 0
+    }
+
     /// Makes the ring, if it has memory and is nobody's, the one of the thread `tid`.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub(crate) fn claim(&self, tid: u32) -> bool {
-        // Acquire: pairs with the Release of the thread that gives a ring back, and of the one that got its memory.
-        self.head.ready.load(Ordering::Acquire) != 0
-            && self.head.tid.load(Ordering::Relaxed) == 0
-            && self.head.tid.compare_exchange(0, tid, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+        // AcqRel: pairs with the Release of the thread that gives a ring back.
+        self.is_spare() && self.head.tid.compare_exchange(0, tid, Ordering::AcqRel, Ordering::Relaxed).is_ok()
     }
 
     /// Whether a recorder has everything.

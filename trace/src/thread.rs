@@ -77,7 +77,7 @@ fn cached() -> Option<Place> {
 /// Where the current thread's events go. The first time in a thread it looks for a ring.
 ///
 /// # Real-time
-/// Wait-free; no allocation; in a thread's first event some syscalls for its name.
+/// Wait-free; no allocation; some syscalls when it finds its ring, otherwise none.
 pub(crate) fn place() -> Place {
     // Acquire: pairs with the Release in `change_map`.
     let generation = GENERATION.load(Ordering::Acquire);
@@ -95,6 +95,10 @@ pub(crate) fn place() -> Place {
 fn find_place() -> Place {
     // SAFETY: null, or a leaked Map, whose memory is never unmapped. Acquire: pairs with the Release in `change_map`.
     let Some(map) = (unsafe { MAP.load(Ordering::Acquire).as_ref() }) else { return Place::Nowhere };
+    // A thread without a ring comes here with every event: no syscall if there is none to be had.
+    if !(0..RINGS).any(|index| map.ring(index).is_spare()) {
+        return Place::Counted(map.unrecorded());
+    }
     let tid = tautline_rt::current_tid();
     let Some(ring) = (0..RINGS).map(|index| map.ring(index)).find(|ring| ring.claim(tid)) else {
         return Place::Counted(map.unrecorded());

@@ -311,6 +311,14 @@ fn a_killed_recorder_leaves_nothing_switched_on() {
     assert!(!tautline_trace::is_on() || cfg!(feature = "lttng"));
     let seen = record(DOMAIN);
     assert_eq!(seen.numbers(), Vec::<u64>::new(), "what was left is not the next recording's");
+
+    // Nor does it outlive a process that ends before it has noticed.
+    let mut recorder = Process::start("a_killed_recorder_leaves_nothing_switched_on").unwrap();
+    assert_eq!(recorder.answer().unwrap(), "recording");
+    tautline_trace::attend();
+    publish(&publisher, 2);
+    recorder.child.kill().unwrap();
+    recorder.child.wait().unwrap();
     drop(membership);
     assert_eq!(files(DOMAIN), Vec::<PathBuf>::new());
 }
@@ -338,6 +346,32 @@ fn files_that_lie_are_left_out_by_name() {
     for name in ["garbage", "short"] {
         std::fs::remove_file(path(name)).unwrap();
     }
+}
+
+#[test]
+fn files_of_others_are_not_mapped() {
+    const DOMAIN: u32 = 1207;
+    let uid = std::fs::metadata("/proc/self").map(|of| std::os::unix::fs::MetadataExt::uid(&of)).unwrap();
+    let path = |name: &str| PathBuf::from(format!("/dev/shm/taut_{DOMAIN}_{uid}_trace_{name}"));
+    let (file, control) = (path("pforeign"), path("control"));
+    std::fs::write(&file, [0; 64]).unwrap();
+    std::fs::write(&control, b"1").unwrap();
+    let given = [&file, &control].map(|path| std::os::unix::fs::chown(path, Some(65_534), None));
+    if given.iter().all(Result::is_ok) {
+        tautline_trace::remove_dead_files(DOMAIN);
+        assert!(file.exists());
+        let refused = Recorder::start(DOMAIN).map(drop);
+        assert!(matches!(refused, Err(TraceError::File { .. })), "{refused:?}");
+        std::fs::remove_file(&control).unwrap();
+        let mut recorder = Recorder::start(DOMAIN).unwrap();
+        recorder.poll(&mut |record| panic!("{record:?}"));
+        let complaints = recorder.complaints();
+        assert!(complaints[0].ends_with("it belongs to another user"), "{complaints:?}");
+    } else {
+        println!("skipped: only root can give a file away");
+        std::fs::remove_file(&control).unwrap();
+    }
+    std::fs::remove_file(&file).unwrap();
 }
 
 #[test]

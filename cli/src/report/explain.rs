@@ -64,6 +64,11 @@ pub fn runs_twice(name: &str, first: &Process, second: &Process) -> Mark {
     mark("runs twice", text)
 }
 
+/// A mark of a callback of the same name that is not the one the table shows.
+pub fn of_another(process: &Process, of: Mark) -> Mark {
+    mark(of.name, format!("in {}: {}", process.label(), of.explanation))
+}
+
 pub fn wrong_priority(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let has = seen.priority.map_or("time sharing".into(), |priority| format!("priority {priority}"));
     let text = format!(
@@ -134,6 +139,7 @@ pub fn rate_not_kept(predicted: &CheckedCallback, releases: u64, most: u64, wind
 pub fn bound_exceeded(
     predicted: &CheckedCallback,
     process: &Process,
+    seen: &Callback,
     longest_ns: u64,
     bound_ns: u64,
     explained: bool,
@@ -150,7 +156,10 @@ pub fn bound_exceeded(
             predicted.core, predicted.entry.priority
         )
     };
-    let text = format!("a response took {}, the bound is {}: {why}", Time(longest_ns), Time(bound_ns));
+    let so_far =
+        if seen.unfinished_ns == Some(longest_ns) { " so far, for its job has not ended" } else { "" };
+    let text =
+        format!("a response took {}{so_far}, the bound is {}: {why}", Time(longest_ns), Time(bound_ns));
     mark("bound exceeded", text)
 }
 
@@ -201,7 +210,7 @@ pub fn deadline_missed(predicted: &CheckedCallback, misses: u64, longest_ns: u64
     };
     let text = format!(
         "{} later than the deadline of {}, the latest {} after its release; {why}",
-        if misses == 1 { "a job ended".into() } else { format!("{misses} jobs ended") },
+        if misses == 1 { "a job was".into() } else { format!("{misses} jobs were") },
         Time(deadline_ns),
         Time(longest_ns)
     );

@@ -63,6 +63,9 @@ pub struct Callback {
     pub lost: u64,
     pub max_queue: u64,
     pub depth: u64,
+    /// How long after its release a job was still running when this was taken, at least.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unfinished_ns: Option<u64>,
     pub response: Times,
     pub execution: Times,
 }
@@ -88,8 +91,10 @@ impl Run {
         for process in processes {
             // Asked first: what an ended process did is then complete.
             let running = process.is_running();
+            // Before reading, too: what runs then has run as long as that at least.
+            let now_ns = running.then(tautline::rt::clock::monotonic_ns);
             if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
-                gathered.push(Process::new(&snapshot, running));
+                gathered.push(Process::new(&snapshot, now_ns));
             }
         }
         gathered.sort_by_key(|process| process.pid);
@@ -125,18 +130,19 @@ impl Run {
 }
 
 impl Process {
-    fn new(snapshot: &ProcessSnapshot, running: bool) -> Process {
+    /// `now_ns`: `None` if it has ended.
+    fn new(snapshot: &ProcessSnapshot, now_ns: Option<u64>) -> Process {
         let process = &snapshot.process;
         Process {
             pid: process.pid,
             program: process.program.clone(),
             host: process.host.clone(),
             realtime: process.realtime,
-            running,
+            running: now_ns.is_some(),
             sampler_priority: process.sampler_priority,
             system_hash: process.system_hash,
             steal_ticks: tautline::rt::host::steal_ticks(None).saturating_sub(process.steal_ticks),
-            callbacks: snapshot.callbacks.iter().map(|of| Callback::new(of, running)).collect(),
+            callbacks: snapshot.callbacks.iter().map(|of| Callback::new(of, now_ns)).collect(),
         }
     }
 
@@ -147,12 +153,14 @@ impl Process {
 }
 
 impl Callback {
-    fn new(of: &CallbackSnapshot, running: bool) -> Callback {
+    fn new(of: &CallbackSnapshot, now_ns: Option<u64>) -> Callback {
+        // A killed process does not say so itself.
+        let ended = of.ended || now_ns.is_none();
+        let is_busy = !ended && of.releases > of.completions;
         Callback {
             name: of.name.clone(),
             is_group: of.is_group,
-            // A killed process does not say so itself.
-            ended: of.ended || !running,
+            ended,
             tid: of.tid,
             priority: of.priority,
             core: of.core,
@@ -170,9 +178,15 @@ impl Callback {
             lost: of.lost,
             max_queue: of.max_queue,
             depth: of.depth,
+            unfinished_ns: now_ns.filter(|_| is_busy).map(|now| now.saturating_sub(of.last_release_ns)),
             response: Times::new(&of.response),
             execution: Times::new(&of.execution),
         }
+    }
+
+    /// The longest time from a release until now or the job's end; `None` if there is none.
+    pub fn longest_response_ns(&self) -> Option<u64> {
+        self.response.max_ns().max(self.unfinished_ns)
     }
 
     /// The mean time between two releases.

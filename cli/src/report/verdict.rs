@@ -140,12 +140,13 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
     } else if running.is_empty() && process.running {
         marks.push(explain::ended(name, process));
     }
-    let deadline_ns = predicted.entry.deadline_ns;
-    let misses = match callback.deadline_ns {
-        Some(counted) if counted == deadline_ns => callback.deadline_misses,
-        _ => callback.response.longer_than(deadline_ns),
-    };
+    let misses = misses(predicted, callback);
     marks.extend(violations(predicted, process, callback, misses));
+    // What an earlier process did, or another one does, has happened as well.
+    for (process, callback) in found.iter().skip(1) {
+        let theirs = violations(predicted, process, callback, self::misses(predicted, callback));
+        marks.extend(theirs.into_iter().map(|mark| explain::of_another(process, mark)));
+    }
     let measured = Measured {
         process: process.label(),
         response: callback.response.histogram(),
@@ -156,10 +157,23 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
     Row { predicted: predicted.clone(), measured: Some(measured), marks }
 }
 
+/// Jobs later than the file's deadline, one that has not ended yet among them. The histogram counts those of the deadline's own bucket as in time; the longest one
+/// is known exactly.
+fn misses(predicted: &CheckedCallback, callback: &Callback) -> u64 {
+    let deadline_ns = predicted.entry.deadline_ns;
+    let is_past = |time_ns: Option<u64>| u64::from(time_ns.is_some_and(|time_ns| time_ns > deadline_ns));
+    let ended = match callback.deadline_ns {
+        Some(counted) if counted == deadline_ns => callback.deadline_misses,
+        _ => callback.response.longer_than(deadline_ns).max(is_past(callback.response.max_ns())),
+    };
+    ended + is_past(callback.unfinished_ns)
+}
+
 /// Causes first: what follows from them is easier to understand then.
 fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, misses: u64) -> Vec<Mark> {
     let mut marks = Vec::new();
-    if process.realtime {
+    // A thread without a number is just starting: nobody knows yet what the kernel gave it.
+    if process.realtime && seen.tid != 0 {
         if seen.priority != Some(predicted.entry.priority) {
             marks.push(explain::wrong_priority(predicted, seen));
         }
@@ -186,11 +200,18 @@ fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, m
             marks.push(explain::rate_not_kept(predicted, seen.releases, most, window_ns));
         }
     }
-    let longest_ns = seen.response.max_ns();
+    let longest_ns = seen.longest_response_ns();
     if let (Some(longest_ns), Some(bound_ns)) = (longest_ns, predicted.response_overhead_ns)
         && longest_ns > bound_ns
     {
-        marks.push(explain::bound_exceeded(predicted, process, longest_ns, bound_ns, !marks.is_empty()));
+        marks.push(explain::bound_exceeded(
+            predicted,
+            process,
+            seen,
+            longest_ns,
+            bound_ns,
+            !marks.is_empty(),
+        ));
     }
     if let Some(capacity) = predicted.capacity
         && seen.max_queue > capacity as u64

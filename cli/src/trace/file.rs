@@ -199,12 +199,19 @@ fn add(recording: &mut Recording, entry: Entry) {
             recording.process(process).threads.insert(tid, name);
         }
         Entry::Lost { process, tid, events } => {
-            *recording.process(process).lost.entry(tid).or_default() += events;
+            increase(recording.process(process).lost.entry(tid).or_default(), events);
         }
-        Entry::Unrecorded { process, events } => recording.process(process).unrecorded += events,
-        Entry::Undescribed { process, objects } => recording.process(process).undescribed += objects,
+        Entry::Unrecorded { process, events } => increase(&mut recording.process(process).unrecorded, events),
+        Entry::Undescribed { process, objects } => {
+            increase(&mut recording.process(process).undescribed, objects)
+        }
         Entry::Ended { .. } | Entry::Finished { .. } => {}
     }
+}
+
+/// The numbers of a file are what somebody wrote there.
+fn increase(count: &mut u64, by: u64) {
+    *count = count.saturating_add(by);
 }
 
 fn add_events(recording: &mut Recording, content: &[u8]) -> Option<()> {

@@ -4,8 +4,8 @@
 use super::messages::{messages_lost, publications, runs};
 use super::recording::Recording;
 use super::{TraceError, file, write_to};
+use crate::table::write_table;
 use clap::Args;
-use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -43,6 +43,7 @@ struct Row {
     duration: Histogram<u64>,
     /// Runs whose message was published by nobody in the recording.
     unmatched: u64,
+    /// `None` as well where events were lost, and nobody knows.
     messages_lost: Option<u64>,
 }
 
@@ -80,7 +81,7 @@ fn rows(recording: &Recording) -> Vec<Row> {
             let callback = recording.object(run.process, run.callback);
             let source = callback.and_then(|callback| recording.object(run.process, callback.parent));
             let subscription = source.filter(|source| source.kind == ObjectKind::Subscription);
-            let lost_of = |id| lost.get(&(run.process, id)).copied().unwrap_or(0);
+            let lost_of = |id| lost.get(&(run.process, id)).copied();
             let of = recording.processes.get(&run.process);
             Row {
                 pid: of.map_or(0, |of| of.pid),
@@ -93,7 +94,7 @@ fn rows(recording: &Recording) -> Vec<Row> {
                 to_end: histogram(),
                 duration: histogram(),
                 unmatched: 0,
-                messages_lost: subscription.map(|subscription| lost_of(subscription.id)),
+                messages_lost: subscription.and_then(|subscription| lost_of(subscription.id)),
             }
         });
         let since = match (row.topic.is_some(), run.message.and_then(|message| published.get(&message))) {
@@ -141,32 +142,21 @@ fn to_json(recording: &Recording, rows: &[Row]) -> Value {
     })
 }
 
-fn table(rows: &[Row], to: &mut dyn Write) -> io::Result<()> {
-    let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
-    let mut table = Table::new();
-    table.load_style(style).set_header([
-        "callback",
-        "thread",
-        "what",
-        "n",
-        "p50 µs",
-        "p99 µs",
-        "p99.9 µs",
-        "max µs",
-        "lost",
-    ]);
+fn table(rows: &[Row], mut to: &mut dyn Write) -> io::Result<()> {
+    let head = ["callback", "thread", "what", "n", "p50 µs", "p99 µs", "p99.9 µs", "max µs", "lost"];
+    let mut lines = Vec::new();
     for row in rows {
         let since = if row.topic.is_some() { "publish" } else { "release" };
-        let lines = [
+        let parts = [
             (format!("{since} to start"), &row.to_start),
             (format!("{since} to end"), &row.to_end),
             ("duration".to_owned(), &row.duration),
         ];
-        for (index, (what, of)) in lines.into_iter().enumerate() {
+        for (index, (what, of)) in parts.into_iter().enumerate() {
             let first = |text: &str| if index == 0 { text.to_owned() } else { String::new() };
             let at = |quantile: f64| format!("{:.1}", us(of.value_at_quantile(quantile)));
             let lost = row.messages_lost.map_or_else(|| "-".to_owned(), |lost| lost.to_string());
-            table.add_row([
+            let line = vec![
                 first(&row.callback),
                 first(&format!("{} ({})", row.thread, row.pid)),
                 what,
@@ -176,18 +166,11 @@ fn table(rows: &[Row], to: &mut dyn Write) -> io::Result<()> {
                 at(0.999),
                 format!("{:.1}", us(of.max())),
                 first(&lost),
-            ]);
+            ];
+            lines.push((true, line));
         }
     }
-    for (index, column) in table.column_iter_mut().enumerate() {
-        column.set_padding((0, 2));
-        if index >= 3 {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    for line in table.lines() {
-        writeln!(to, "{}", line.trim_end())?;
-    }
+    write_table(&head, 3, lines, &mut to)?;
     for row in rows.iter().filter(|row| row.unmatched != 0) {
         writeln!(
             to,

@@ -101,12 +101,16 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
 }
 
 /// For each subscription: messages missing in the sequence numbers of what it took from each publisher. Before the first
-/// one it took, those that were published since it was made.
+/// one it took, those that were published since it was made and since its process has been recorded. None for a process of
+/// which events were lost: what it took is not known then.
 pub fn messages_lost(recording: &Recording) -> HashMap<(u32, ObjectId), u64> {
     let mut published: HashMap<u64, Vec<(u64, u64)>> = HashMap::new();
     let mut last: HashMap<(u32, ObjectId, u64), u64> = HashMap::new();
     let mut lost: HashMap<(u32, ObjectId), u64> = HashMap::new();
+    // Processes do not begin to record at the same time.
+    let mut recorded_ns: HashMap<u32, u64> = HashMap::new();
     for timed in &recording.events {
+        let since_ns = *recorded_ns.entry(timed.process).or_insert(timed.event.time_ns);
         let MessageKey { publisher, sequence_number } = key(timed.event.arguments);
         if timed.event.kind == Kind::Publish {
             published.entry(publisher).or_default().push((sequence_number, timed.event.time_ns));
@@ -120,12 +124,68 @@ pub fn messages_lost(recording: &Recording) -> HashMap<(u32, ObjectId), u64> {
             None => {
                 let made_ns =
                     recording.object(process, subscription).map_or(u64::MAX, |object| object.created_ns);
+                let first_ns = made_ns.max(since_ns);
                 let earlier =
-                    |(number, time_ns): &&(u64, u64)| *number < sequence_number && *time_ns >= made_ns;
+                    |(number, time_ns): &&(u64, u64)| *number < sequence_number && *time_ns >= first_ns;
                 published.get(&publisher).map_or(0, |of| of.iter().filter(earlier).count() as u64)
             }
         };
         *lost.entry((process, subscription)).or_default() += missing;
     }
+    lost.retain(|(process, _), _| recording.processes.get(process).is_none_or(|of| of.events_lost() == 0));
     lost
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace::recording::TimedEvent;
+    use tautline_trace::{Description, Event, ObjectKind};
+
+    const PUBLISHER: u32 = 0;
+    const SUBSCRIBER: u32 = 1;
+    const SUBSCRIPTION: ObjectId = ObjectId(7);
+
+    /// A subscription made at 5 whose process is recorded from 30 on, and a publisher recorded from 10 on that publishes a
+    /// message every 10: (time, message) of each take.
+    fn recording(taken: &[(u64, u64)]) -> Recording {
+        let mut recording = Recording::default();
+        let object = Description {
+            id: SUBSCRIPTION,
+            kind: ObjectKind::Subscription,
+            parent: ObjectId::NONE,
+            detail: 1,
+            gid: [0; 2],
+            created_ns: 5,
+            name: "/n".to_owned(),
+        };
+        recording.process(SUBSCRIBER).objects.insert(SUBSCRIPTION, object);
+        let mut add = |process: u32, kind: Kind, time_ns: u64, number: u64| {
+            let event = Event { time_ns, kind, object: SUBSCRIPTION, arguments: [number, 0, 9] };
+            recording.events.push(TimedEvent { process, tid: 1, event });
+        };
+        (1..=9).for_each(|number| add(PUBLISHER, Kind::Publish, 10 * number, number));
+        add(SUBSCRIBER, Kind::SpinStart, 30, 0);
+        taken.iter().for_each(|(time_ns, number)| add(SUBSCRIBER, Kind::Take, *time_ns, *number));
+        recording.finish();
+        recording
+    }
+
+    fn lost(recording: &Recording) -> Option<u64> {
+        messages_lost(recording).get(&(SUBSCRIBER, SUBSCRIPTION)).copied()
+    }
+
+    #[test]
+    fn what_was_taken_before_the_recording_is_not_lost() {
+        assert_eq!(lost(&recording(&[(41, 4), (51, 5)])), Some(1), "3 was published when both were recorded");
+        assert_eq!(lost(&recording(&[(31, 3), (61, 6)])), Some(2));
+        assert_eq!(lost(&recording(&[(31, 3), (41, 4)])), Some(0));
+    }
+
+    #[test]
+    fn what_was_lost_is_unknown_where_events_were() {
+        let mut recording = recording(&[(31, 3), (61, 6)]);
+        recording.process(SUBSCRIBER).lost.insert(1, 4);
+        assert_eq!(lost(&recording), None);
+    }
 }

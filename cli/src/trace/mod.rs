@@ -70,8 +70,8 @@ enum Format {
 pub enum TraceError {
     #[error("{0}")]
     Record(#[from] tautline_trace::TraceError),
-    #[error("TAUT_DOMAIN or ROS_DOMAIN_ID: `{value}` is no domain; a domain is a number from 0 to 232")]
-    Domain { value: String },
+    #[error(transparent)]
+    Domain(tautline::Error),
     #[error("`{}` cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
     #[error("`{}` is no recording: {reason}; `taut trace record` makes them", path.display())]

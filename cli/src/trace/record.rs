@@ -62,7 +62,7 @@ struct Sum {
 pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
     let domain = match args.domain {
         Some(domain) => domain,
-        None => domain_of_environment()?,
+        None => tautline::Context::domain_of_environment().map_err(TraceError::Domain)?,
     };
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
@@ -121,7 +121,9 @@ fn note(writer: &mut Writer<BufWriter<File>>, sum: &mut Sum, record: &Record<'_>
     match record {
         Record::Process { .. } => sum.processes += 1,
         Record::Events { events, .. } => sum.events += events.len() as u64,
-        Record::Lost { events, .. } | Record::Unrecorded { events, .. } => sum.lost += events,
+        Record::Lost { events, .. } | Record::Unrecorded { events, .. } => {
+            sum.lost = sum.lost.saturating_add(*events)
+        }
         _ => {}
     }
     if let Err(error) = writer.record(record) {
@@ -168,15 +170,4 @@ fn session(domain: u32) -> Entry {
         started_monotonic_ns: rt::clock::monotonic_ns(),
         started_unix_ns: rt::clock::wall_ns(),
     }
-}
-
-fn domain_of_environment() -> Result<u32, TraceError> {
-    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
-        let value = std::env::var_os(variable).unwrap_or_default().to_string_lossy().into_owned();
-        if !value.is_empty() {
-            let domain = value.parse().ok().filter(|domain| *domain <= 232);
-            return domain.ok_or(TraceError::Domain { value });
-        }
-    }
-    Ok(0)
 }

@@ -27,6 +27,13 @@ pub struct Process {
     pub undescribed: u64,
 }
 
+impl Process {
+    /// Events of it that are known to be missing.
+    pub fn events_lost(&self) -> u64 {
+        self.lost.values().copied().fold(self.unrecorded, u64::saturating_add)
+    }
+}
+
 /// An event and where it happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedEvent {
@@ -49,9 +56,9 @@ impl Recording {
                 self.warnings.push(format!("{count} {what}"));
             }
         };
-        let sum = |of: fn(&Process) -> u64| self.processes.values().map(of).sum();
+        let sum = |of: fn(&Process) -> u64| self.processes.values().map(of).fold(0, u64::saturating_add);
         warn(
-            sum(|process| process.lost.values().sum()),
+            sum(|process| process.events_lost() - process.unrecorded),
             "events were overwritten before they were fetched: give threads larger rings with TAUT_TRACE_EVENTS",
         );
         warn(
@@ -66,7 +73,7 @@ impl Recording {
 
     /// Events that are known to be missing.
     pub fn events_lost(&self) -> u64 {
-        self.processes.values().map(|process| process.lost.values().sum::<u64>() + process.unrecorded).sum()
+        self.processes.values().map(Process::events_lost).fold(0, u64::saturating_add)
     }
 
     /// What is known of an event's object.

@@ -100,11 +100,13 @@ impl Block {
     }
 
     pub fn set_thread(&self, thread: &ThreadInfo) {
-        self.set(word::TID, u64::from(thread.tid));
         self.set(word::PRIORITY, thread.policy.realtime_priority().map_or(0, u64::from));
         let mut cores = thread.cores.iter();
         let core = cores.next().filter(|_| cores.next().is_none());
         self.set(word::CORE, core.map_or(0, |core| core as u64 + 1));
+        // Last, and before the others in the file: who reads the number reads what is known of its thread. Release: pairs
+        // with the Acquire of whoever reads the file.
+        self.words[word::TID].store(u64::from(thread.tid), Ordering::Release);
     }
 
     /// Says that the words mean something: after all else was set.
@@ -129,7 +131,7 @@ pub struct CallbackSnapshot {
     pub is_group: bool,
     /// Whether its future has ended.
     pub ended: bool,
-    /// Its thread's number in the kernel.
+    /// Its thread's number in the kernel; 0 while it is starting, when neither priority nor core is known.
     pub tid: u32,
     /// The real-time priority that the kernel confirmed; `None` for time sharing.
     pub priority: Option<u8>,

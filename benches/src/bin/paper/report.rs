@@ -49,7 +49,7 @@ impl Report {
                 cell.cell.system == system && cell.cell.experiment == Experiment::Paper(Variant::FUTURES_RT)
             });
             let Some(runs) = runs else { continue };
-            let overhead_ns = stats::overhead_ns(&runs.runs);
+            let overhead_ns = stats::overhead_ns(&counted(&runs.runs, plan.runs as usize));
             overheads.push((system, overhead_ns));
             let bounds = predict::response_times_ns(&plan.paper.topics, overhead_ns, &results.interruptions);
             for row in rows.iter_mut().filter(|row| row.cell == runs.cell) {
@@ -149,6 +149,7 @@ fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) ->
     for (system, overhead_ns) in overheads {
         lines.push(format!("{system}: {:.1} µs of middleware per message", *overhead_ns as f64 / 1e3));
     }
+    lines.extend(results.failed.iter().map(|error| format!("a run that failed and was made again: {error}")));
     let all = results.cells.iter().flat_map(|cell| &cell.runs);
     let (runs, disturbed) =
         all.clone().fold((0, 0), |(n, d), run| (n + 1, d + u32::from(run.is_disturbed())));

@@ -3,7 +3,7 @@
 
 use std::io::IsTerminal;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
@@ -19,12 +19,17 @@ use crate::process::{self, Run};
 /// How long the core is watched before the runs: not so long that the kernel's limit for real-time threads is seen.
 const NOISE_WINDOW: Duration = Duration::from_millis(500);
 
+/// How often a run may fail, as when its processes do not find each other, before hours of others are given up.
+const ATTEMPTS: u32 = 3;
+
 /// Everything that was measured.
 pub struct Results {
     pub cells: Vec<CellRuns>,
     /// What the machine itself takes from the core.
     pub interruptions: Interruptions,
     pub disturbance: String,
+    /// Runs that failed and were made again, and why they failed.
+    pub failed: Vec<String>,
     pub took: Duration,
 }
 
@@ -66,14 +71,25 @@ pub fn run(plan: &Plan) -> Result<Results> {
     let mut progress = Progress::new(plan);
     let mut cells: Vec<_> =
         plan.cells.iter().map(|cell| CellRuns { cell: *cell, runs: Vec::new() }).collect();
-    let mut number = 0;
+    let (mut number, mut failed) = (0, Vec::new());
     let mut once = |cell: &mut CellRuns, repetition| -> Result<()> {
-        number += 1;
-        let namespace = format!("/paper_{}_{number}", std::process::id());
-        let run = process::run(plan, cell.cell, namespace, &interrupted);
-        let run = run.map_err(|error| format!("{}: {error}", cell.cell))?;
-        cell.runs.push(Run { repetition, ..run });
-        Ok(())
+        let mut attempts = 0;
+        loop {
+            (number, attempts) = (number + 1, attempts + 1);
+            let namespace = format!("/paper_{}_{number}", std::process::id());
+            let error = match process::run(plan, cell.cell, namespace, &interrupted) {
+                Ok(run) => {
+                    cell.runs.push(Run { repetition, ..run });
+                    return Ok(());
+                }
+                Err(error) => format!("{}: {error}", cell.cell),
+            };
+            if attempts == ATTEMPTS || interrupted.load(Ordering::Relaxed) {
+                return Err(error.into());
+            }
+            eprintln!("{error}; once more");
+            failed.push(error);
+        }
     };
     for round in 1..=plan.runs {
         for cell in &mut cells {
@@ -89,7 +105,8 @@ pub fn run(plan: &Plan) -> Result<Results> {
         }
     }
     progress.end();
-    Ok(Results { cells, interruptions, disturbance: disturbance.report(), took: started.elapsed() })
+    let (disturbance, took) = (disturbance.report(), started.elapsed());
+    Ok(Results { cells, interruptions, disturbance, failed, took })
 }
 
 /// Sees what the machine itself takes from the core, at a priority that no run has.

@@ -112,8 +112,8 @@ fn latencies_ns(run: &Run, index: usize) -> &[u64] {
 }
 
 /// The middleware's work for each message in these runs, publisher and subscriber together, in nanoseconds.
-pub fn overhead_ns(runs: &[Run]) -> u64 {
-    let per_run = |run: &Run| {
+pub fn overhead_ns(runs: &[&Run]) -> u64 {
+    let per_run = |run: &&Run| {
         let handled: usize = run.measured.topics.iter().map(|topic| topic.latencies_ns.len()).sum();
         let published: u64 = run.published.messages.iter().sum();
         let publisher = run.published.cpu_ns.checked_div(published)?;
@@ -210,8 +210,8 @@ mod tests {
 
     #[test]
     fn overhead_is_the_publishers_and_the_subscribers_share_of_a_message() {
-        let runs = [run([&[1, 1], &[1]], [4, 1], 0)];
-        assert_eq!(overhead_ns(&runs), 1_000 / 5 + 900 / 3);
+        let run = run([&[1, 1], &[1]], [4, 1], 0);
+        assert_eq!(overhead_ns(&[&run]), 1_000 / 5 + 900 / 3);
         assert_eq!(overhead_ns(&[]), 0);
     }
 }

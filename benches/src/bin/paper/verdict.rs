@@ -101,7 +101,9 @@ fn only_futures_rt(rows: &[Row], system: System) -> Verdict {
     } else {
         found += &format!("; here these did as well: {}", others.join(", "));
     }
-    Verdict { holds: Some(meets(proposed) && others.is_empty()), claim, found }
+    // That no other does is not known if there is none.
+    let is_alone = meets(proposed) && variants.len() == 1;
+    Verdict { holds: (!is_alone).then_some(meets(proposed) && others.is_empty()), claim, found }
 }
 
 /// Which topics missed how many deadlines, with the disturbances that may be the reason.
@@ -239,6 +241,9 @@ fn lossless(rows: Vec<&Row>, claim: String, wanted: bool) -> Verdict {
     }
     let lost: u64 = rows.iter().map(|row| row.lost).sum();
     let published: u64 = rows.iter().map(|row| row.published).sum();
+    if published == 0 {
+        return unmeasured(claim);
+    }
     let runs = rows[0].runs;
     let found = format!("{lost} of {published} lost in {runs} runs");
     Verdict { holds: Some((lost == 0) == wanted), claim, found }
@@ -280,6 +285,17 @@ mod tests {
         assert_eq!(plan().capacity.computed(), 16);
         for verdict in verdicts(&rows(), 16) {
             assert_ne!(verdict.holds, Some(false), "{verdict}");
+        }
+    }
+
+    #[test]
+    fn what_was_not_measured_does_not_hold() {
+        let mut rows = rows();
+        rows.retain(|row| row.variant == "futures-rt" || row.variant.starts_with("capacity"));
+        rows.iter_mut().filter(|row| row.variant == "capacity-16").for_each(|row| row.published = 0);
+        let verdicts = verdicts(&rows, 16);
+        for claim in ["r2r: futures-rt, and no other", "every other variant", "computed capacity 16"] {
+            assert_eq!(about(&verdicts, claim).holds, None, "{claim}");
         }
     }
 
