@@ -229,11 +229,20 @@ fn paper_table(rows: &Value) -> String {
     let _ = writeln!(
         out,
         "\n`cargo xtask bench paper`: 99th percentiles in ms, Tautline / r2r 0.9.7 over Fast DDS, deadlines in brackets; \
-         \\* marks missed deadlines or lost messages; {} runs of each variant; {}.",
+         \\* marks missed deadlines or lost messages; {} runs of {:.0} s of each variant, of which the hypervisor took at most \
+         {} ticks of 10 ms from one variant; {}.",
         most("runs"),
+        rows.first().map_or(f64::NAN, |row| run_seconds(row)),
+        most("steal_ticks"),
         machine()
     );
     out
+}
+
+/// A topic's period is its deadline.
+fn run_seconds(row: &Value) -> f64 {
+    let number = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+    number("n") * number("deadline_ms") / 1e3 / number("runs")
 }
 
 /// Systems and modes in the order in which they first appear.
@@ -321,7 +330,8 @@ mod tests {
     fn the_evaluations_table_has_both_systems_and_marks_what_failed() {
         let row = |system: &str, topic: &str, p99_ms: f64, misses: u64| {
             serde_json::json!({"system": system, "variant": "tokio", "topic": topic, "deadline_ms": 10.0,
-                               "p99_ms": p99_ms, "misses": misses, "lost": 0, "runs": 3})
+                               "p99_ms": p99_ms, "misses": misses, "lost": 0, "runs": 3, "n": 600,
+                               "steal_ticks": 1})
         };
         let rows = [row("tautline", "a", 2.0, 0), row("tautline", "b", 3.0, 0), row("r2r", "a", 123.4, 5)];
         let table = paper_table(&rows.to_vec().into());
@@ -330,7 +340,8 @@ mod tests {
             lines,
             ["| variant | a (10) | b (10) |", "|---|--:|--:|", "| tokio | 2.00 / 123* | 3.00 |"]
         );
-        assert!(table.contains("3 runs of each"));
+        assert!(table.contains("3 runs of 2 s of each"), "{table}");
+        assert!(table.contains("at most 1 ticks"));
     }
 
     #[test]
