@@ -22,7 +22,7 @@ pub fn run(job: &Job) -> Result<()> {
         callbacks.push(callback(topic, Arc::clone(log), messages, |message| message.data));
     }
     let node = structures::run(job, &mut subscriber, Spinning(node), callbacks)?;
-    subscriber.finish();
+    subscriber.finish(&[]);
     drop(node);
     Ok(())
 }

@@ -44,6 +44,8 @@ pub struct Measured {
 pub struct TopicMeasured {
     /// From scheduled release to end of callback, in the order of the callbacks.
     pub latencies_ns: Vec<u64>,
+    /// Messages that the middleware itself counted as lost, if it counts.
+    pub counted_lost: Option<u64>,
 }
 
 /// Says a line. Nobody listening means that the starter died; then standard input is closed as well.

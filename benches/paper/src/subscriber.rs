@@ -78,11 +78,16 @@ impl Subscriber {
         say(&Line::Ready);
     }
 
-    /// Tells the parent what was measured.
-    pub fn finish(self) {
+    /// Tells the parent what was measured. `counted_lost`: the messages of each topic that the middleware itself counted as
+    /// lost; empty if it does not count.
+    pub fn finish(self, counted_lost: &[u64]) {
         let cpu_ns = clock::process_cpu_ns().saturating_sub(self.cpu_before_ns);
-        let topics: Vec<_> =
-            self.logs.iter().map(|log| TopicMeasured { latencies_ns: log.latencies_ns() }).collect();
+        let topics: Vec<_> = (self.logs.iter().enumerate())
+            .map(|(index, log)| TopicMeasured {
+                latencies_ns: log.latencies_ns(),
+                counted_lost: counted_lost.get(index).copied(),
+            })
+            .collect();
         let busy_ns: u64 =
             topics.iter().zip(&self.wcets_ns).map(|(t, wcet)| t.latencies_ns.len() as u64 * wcet).sum();
         say(&Line::Measured(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics }));

@@ -32,6 +32,8 @@ pub struct Row {
     pub misses: u64,
     /// Messages published whose callback never ran.
     pub lost: u64,
+    /// Messages that the middleware itself counted as lost; null if it does not count.
+    pub counted_lost: Option<u64>,
     /// Ticks of 10 ms that the hypervisor took from the core during these runs.
     pub steal_ticks: u64,
     pub mean_ms: Option<f64>,
@@ -93,6 +95,10 @@ pub fn rows(plan: &Plan, cell: &CellRuns) -> Vec<Row> {
             deadline_ms: ms(topic.deadline_ns),
             misses: latencies_ns.iter().filter(|latency| **latency > topic.deadline_ns).count() as u64,
             lost: published.saturating_sub(n),
+            counted_lost: counted
+                .iter()
+                .map(|run| run.measured.topics.get(index).and_then(|topic| topic.counted_lost))
+                .sum(),
             steal_ticks,
             mean_ms: mean(latencies_ns.iter().map(|latency| ms(*latency))),
             rta_overhead_ms: None,
@@ -157,7 +163,10 @@ mod tests {
     use tautline_paper::{Measured, Published, TopicMeasured, Variant};
 
     fn run(latencies_ms: [&[u64]; 2], published: [u64; 2], steal_ticks: u64) -> Run {
-        let topic = |ms: &[u64]| TopicMeasured { latencies_ns: ms.iter().map(|ms| ms * 1_000_000).collect() };
+        let topic = |ms: &[u64]| TopicMeasured {
+            latencies_ns: ms.iter().map(|ms| ms * 1_000_000).collect(),
+            counted_lost: Some(1),
+        };
         Run {
             published: Published { messages: published.to_vec(), missed: 0, cpu_ns: 1_000 },
             measured: Measured { overhead_cpu_ns: 900, topics: latencies_ms.map(topic).to_vec() },

@@ -57,9 +57,10 @@ fn subscribe(job: &Job) -> Result<()> {
         .hold_idle(false) // the bench itself holds it
         .build()?;
     let mut node = Node::create(context.clone(), "subscriber", &job.namespace)?;
-    let mut callbacks = Vec::new();
+    let (mut callbacks, mut counters) = (Vec::new(), Vec::new());
     for (topic, log) in job.topics.iter().zip(subscriber.logs()) {
         let messages = node.subscribe_loaned::<Release>(&topic.name, qos(topic.depth))?;
+        counters.push(messages.counters());
         callbacks.push(callback(topic, Arc::clone(log), messages, |message| message.data));
     }
     if job.variant.structure == Structure::FuturesRt {
@@ -67,7 +68,8 @@ fn subscribe(job: &Job) -> Result<()> {
     } else {
         structures::run(job, &mut subscriber, Spinning(node), callbacks)?;
     }
-    subscriber.finish();
+    let counted_lost: Vec<_> = counters.iter().map(|counters| counters.lost()).collect();
+    subscriber.finish(&counted_lost);
     Ok(())
 }
 

@@ -226,7 +226,16 @@ fn computed_capacity(rows: &[Row], capacity: usize) -> Verdict {
 
 fn one_less(rows: &[Row], capacity: usize) -> Verdict {
     let claim = format!("tautline: with {}, messages are lost, and counted", capacity - 1);
-    lossless(rows_of(rows, System::Tautline, Experiment::Capacity(capacity - 1)), claim, false)
+    let rows = rows_of(rows, System::Tautline, Experiment::Capacity(capacity - 1));
+    let counted: Option<u64> = rows.iter().map(|row| row.counted_lost).sum();
+    let lost: u64 = rows.iter().map(|row| row.lost).sum();
+    let verdict = lossless(rows, claim, false);
+    let counted_word = counted.map_or("not counted".to_owned(), |counted| format!("{counted} counted"));
+    Verdict {
+        holds: verdict.holds.map(|holds| holds && counted == Some(lost)),
+        found: format!("{}, {counted_word} by the subscriptions", verdict.found),
+        ..verdict
+    }
 }
 
 fn fixed_channel(rows: &[Row], capacity: usize) -> Verdict {
@@ -272,7 +281,7 @@ mod tests {
             let deep = row(system, "capacity-16", 1, &[77.0]);
             rows.push(Row { lost: if system == System::R2r { 5 } else { 0 }, ..deep });
         }
-        rows.push(Row { lost: 1, ..row(System::Tautline, "capacity-15", 1, &[77.0]) });
+        rows.push(Row { lost: 1, counted_lost: Some(1), ..row(System::Tautline, "capacity-15", 1, &[77.0]) });
         rows
     }
 
