@@ -216,14 +216,39 @@ pub fn view_plain<T: Plain + Message>(body: Body<'_>) -> Result<&T, DecodeError>
     }
 }
 
+/// What is wrong with a body. A small message says which field, because it is read as an owned one; a large one says at
+/// which byte, since it may be larger than the stack.
 #[cold]
 fn explain<T: Plain + Message>(body: Body<'_>) -> DecodeError {
-    match T::decode(body.bytes(), Endian::Little) {
-        Err(error) => error,
-        // The message is whole, but its trailing padding is missing.
-        Ok(_) => {
-            let fault = DecodeFault::End { needed: size_of::<T>(), left: body.memory().len() };
-            DecodeError { type_name: T::TYPE_NAME, path: FieldPath::EMPTY, offset: 0, fault }
-        }
+    let bytes = body.bytes();
+    let error = |offset, fault| DecodeError { type_name: T::TYPE_NAME, path: FieldPath::EMPTY, offset, fault };
+    if fits_stack::<T>()
+        && let Some(error) = field_error::<T>(bytes)
+    {
+        return error;
     }
+    if bytes.len() < T::CDR_SIZE {
+        return error(0, DecodeFault::End { needed: T::CDR_SIZE, left: bytes.len() });
+    }
+    if bytes.len() > T::CDR_SIZE + SLACK {
+        return error(T::CDR_SIZE, DecodeFault::Trailing { len: bytes.len() - T::CDR_SIZE, most: SLACK });
+    }
+    match T::validate(bytes) {
+        Err(Invalid::Value { offset, value, .. }) => {
+            error(offset, DecodeFault::Value { value, type_name: &"value of its field" })
+        }
+        // The message is whole, but its trailing padding is missing.
+        _ => error(0, DecodeFault::End { needed: size_of::<T>(), left: body.memory().len() }),
+    }
+}
+
+/// Whether a value may be put on the stack, just to find out what is wrong with it.
+pub(crate) const fn fits_stack<T>() -> bool {
+    size_of::<T>() <= 4096
+}
+
+/// Not inlined: where the value does not fit, there must be no place for it on the stack either.
+#[inline(never)]
+fn field_error<T: Message>(bytes: &[u8]) -> Option<DecodeError> {
+    T::decode(bytes, Endian::Little).err()
 }
