@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use core::marker::PhantomData;
+
 use crate::cdr::{DecodeError, DecodeFault, EncodeError, Endian, FieldPath, Form, Reader, Writer};
-use crate::{Body, Definition};
+use crate::{Body, Definition, Plain};
 
 /// The encapsulation header that ROS 2 puts before a body: plain CDR, little-endian, no options.
 pub const HEADER: [u8; 4] = [0, 1, 0, 0];
@@ -49,6 +51,11 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
 
     /// The message that a view reads, as an owned one: allocates its strings and sequences.
     fn owned(view: Self::View<'_>) -> Self;
+
+    /// For types that are [plain](crate::Plain) too: the proof that [`view`](Self::view) is right about the memory. Only the
+    /// derive and generated code have one.
+    #[doc(hidden)]
+    const PLAIN: Option<PlainView<Self>> = None;
 
     /// Zeroes the padding between the fields in `memory`, which holds a message that was written as a Rust value. Nothing
     /// to do for what is written field by field.
@@ -147,6 +154,22 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
             Ok((Endian::Big, _)) => Err(whole::<Self>(DecodeFault::BigEndian)),
             Err(fault) => Err(whole::<Self>(fault)),
         }
+    }
+}
+
+/// The proof that a body which `T::view` accepts lies in memory that starts with a valid `T`.
+#[doc(hidden)]
+pub struct PlainView<T>(PhantomData<fn(T) -> T>);
+
+impl<T: Plain + Message> PlainView<T> {
+    /// Says so.
+    ///
+    /// # Safety
+    ///
+    /// [`Message::view`] of `T` is [`view_plain`](crate::view_plain).
+    #[must_use]
+    pub const unsafe fn new() -> Self {
+        Self(PhantomData)
     }
 }
 

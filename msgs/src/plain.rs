@@ -25,9 +25,6 @@ use crate::{Body, Invalid, Message};
 ///   initialised bytes are.
 /// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
 ///   without touching it. (References, `NonZero` integers and enums without a variant 0 are therefore excluded.)
-/// - If the type is a [`Message`], the memory of a [`Body`] that [`Message::view`] accepts starts with a valid `Self`. If it
-///   is [`Fill`](crate::cdr::Fill), what [`carve`](crate::cdr::Fill::carve) took of zero-padded memory is one, whatever is
-///   done with the writer.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is not a plain type: its bytes in memory are not its CDR",
     label = "not a plain type",
@@ -221,7 +218,8 @@ pub fn view_plain<T: Plain + Message>(body: Body<'_>) -> Result<&T, DecodeError>
 #[cold]
 fn explain<T: Plain + Message>(body: Body<'_>) -> DecodeError {
     let bytes = body.bytes();
-    let error = |offset, fault| DecodeError { type_name: T::TYPE_NAME, path: FieldPath::EMPTY, offset, fault };
+    let error =
+        |offset, fault| DecodeError { type_name: T::TYPE_NAME, path: FieldPath::EMPTY, offset, fault };
     if fits_stack::<T>()
         && let Some(error) = field_error::<T>(bytes)
     {

@@ -157,6 +157,9 @@ pub enum WriteFault {
         /// The one stated before.
         stated: usize,
     },
+    /// What was written is no value of the type: its writer was replaced by one of other memory.
+    #[error("it was not written where it lies: set it through the writer that is passed in")]
+    Elsewhere,
     /// The lengths stated do not go, or the memory is too short.
     #[error(transparent)]
     Encode(EncodeFault),
