@@ -367,7 +367,7 @@ impl<T: Message> Subscription<T> {
     /// # Real-time
     /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
     /// and its sampler sleeps. The message is checked: see [`Message::view`]. When publishers have appeared or gone since
-    /// the last call: allocates and maps memory.
+    /// the last call, or one of them took a larger segment: allocates and maps memory.
     ///
     /// # Errors
     /// [`TakeError`]. An invalid sample is consumed.
