@@ -144,6 +144,10 @@ fn samples_stay_readable_while_the_memory_grows() {
         participant.create_raw_subscription("/text", &text, Qos::keep_last(10), limits(100)).unwrap();
     assert_eq!(segments(DOMAIN).len(), 1, "{:?}", segments(DOMAIN));
     let first = segments(DOMAIN);
+    let loans: Vec<_> = (0..limits(100).loans).map(|_| publisher.loan(100).unwrap()).collect();
+    assert_eq!(publisher.loan(1000).err(), Some(LoanError::Exhausted));
+    assert_eq!(publisher.counters().growths(), 0, "refused, so nothing grew");
+    drop(loans);
     let (mut held, mut waiting, mut largest) = (VecDeque::new(), VecDeque::new(), 0);
     for n in 0..2000usize {
         // Up to 100, then ever larger, to 1 MB.
