@@ -26,7 +26,7 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// The definition; `None` for types that are only written in Rust.
     const DEFINITION: Option<&'static Definition>;
 
-    /// The length of every message's body in bytes, if that is the same for all of them.
+    /// The length of every message's body in bytes, for [plain](crate::Plain) types; `None` for all others.
     const FIXED_LEN: Option<usize>;
 
     /// What reads a message in place: `&Self` for [plain](crate::Plain) types, else a struct of getters such as
@@ -136,7 +136,8 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     }
 
     /// Reads what is on the ROS 2 wire in place. The body, which starts 4 bytes after the start of `bytes`, must be at a
-    /// multiple of 8 bytes.
+    /// multiple of 8 bytes (so that `bytes` is not: a new `Vec` starts at one), and as long as the memory of a
+    /// [plain](crate::Plain) type, of which the trailing padding may be missing on the wire.
     ///
     /// # Real-time
     ///
@@ -144,7 +145,8 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     ///
     /// # Errors
     ///
-    /// [`DecodeFault::BigEndian`], [`DecodeFault::Alignment`], else as [`from_cdr`](Self::from_cdr).
+    /// [`DecodeFault::BigEndian`], [`DecodeFault::Alignment`], [`DecodeFault::End`] also for missing trailing padding, else as
+    /// [`from_cdr`](Self::from_cdr).
     fn view_cdr(bytes: &[u8]) -> Result<Self::View<'_>, DecodeError> {
         match split_header(bytes) {
             Ok((Endian::Little, body)) => {

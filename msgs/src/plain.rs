@@ -21,6 +21,8 @@ use crate::{Body, Invalid, Message};
 ///   `align_of::<Self>() <= 8`.
 /// - `CDR_SIZE` is where the last primitive ends: `size_of::<Self>()` without the trailing padding.
 /// - `FIRST_ALIGN` is the alignment of the first primitive.
+/// - `CONTENT_SIZE` is what the sizes of all its primitives add up to, so that padding is what it lacks to
+///   `size_of::<Self>()`.
 /// - If [`validate`](Plain::validate) returns `Ok`, these bytes are a valid `Self`; with `ALWAYS_VALID`, all
 ///   initialised bytes are.
 /// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
