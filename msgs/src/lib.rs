@@ -62,6 +62,8 @@ pub use definition::Definition;
 #[doc(hidden)]
 pub use definition::definition_of;
 pub use invalid::Invalid;
+#[doc(hidden)]
+pub use message::PlainView;
 pub use message::{HEADER, Message, split_header};
 pub use plain::{Plain, from_bytes, write_cdr};
 #[doc(hidden)]

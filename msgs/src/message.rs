@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use core::marker::PhantomData;
+
 use crate::cdr::{DecodeError, DecodeFault, EncodeError, Endian, FieldPath, Form, Reader, Writer};
-use crate::{Body, Definition};
+use crate::{Body, Definition, Plain};
 
 /// The encapsulation header that ROS 2 puts before a body: plain CDR, little-endian, no options.
 pub const HEADER: [u8; 4] = [0, 1, 0, 0];
@@ -24,7 +26,7 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     /// The definition; `None` for types that are only written in Rust.
     const DEFINITION: Option<&'static Definition>;
 
-    /// The length of every message's body in bytes, if that is the same for all of them.
+    /// The length of every message's body in bytes, for [plain](crate::Plain) types; `None` for all others.
     const FIXED_LEN: Option<usize>;
 
     /// What reads a message in place: `&Self` for [plain](crate::Plain) types, else a struct of getters such as
@@ -49,6 +51,11 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
 
     /// The message that a view reads, as an owned one: allocates its strings and sequences.
     fn owned(view: Self::View<'_>) -> Self;
+
+    /// For types that are [plain](crate::Plain) too: the proof that [`view`](Self::view) is right about the memory. Only the
+    /// derive and generated code have one.
+    #[doc(hidden)]
+    const PLAIN: Option<PlainView<Self>> = None;
 
     /// Zeroes the padding between the fields in `memory`, which holds a message that was written as a Rust value. Nothing
     /// to do for what is written field by field.
@@ -129,7 +136,8 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     }
 
     /// Reads what is on the ROS 2 wire in place. The body, which starts 4 bytes after the start of `bytes`, must be at a
-    /// multiple of 8 bytes.
+    /// multiple of 8 bytes (so that `bytes` is not: a new `Vec` starts at one), and as long as the memory of a
+    /// [plain](crate::Plain) type, of which the trailing padding may be missing on the wire.
     ///
     /// # Real-time
     ///
@@ -137,7 +145,8 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     ///
     /// # Errors
     ///
-    /// [`DecodeFault::BigEndian`], [`DecodeFault::Alignment`], else as [`from_cdr`](Self::from_cdr).
+    /// [`DecodeFault::BigEndian`], [`DecodeFault::Alignment`], [`DecodeFault::End`] also for missing trailing padding, else as
+    /// [`from_cdr`](Self::from_cdr).
     fn view_cdr(bytes: &[u8]) -> Result<Self::View<'_>, DecodeError> {
         match split_header(bytes) {
             Ok((Endian::Little, body)) => {
@@ -147,6 +156,22 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
             Ok((Endian::Big, _)) => Err(whole::<Self>(DecodeFault::BigEndian)),
             Err(fault) => Err(whole::<Self>(fault)),
         }
+    }
+}
+
+/// The proof that a body which `T::view` accepts lies in memory that starts with a valid `T`.
+#[doc(hidden)]
+pub struct PlainView<T>(PhantomData<fn(T) -> T>);
+
+impl<T: Plain + Message> PlainView<T> {
+    /// Says so.
+    ///
+    /// # Safety
+    ///
+    /// [`Message::view`] of `T` is [`view_plain`](crate::view_plain).
+    #[must_use]
+    pub const unsafe fn new() -> Self {
+        Self(PhantomData)
     }
 }
 

@@ -21,13 +21,12 @@ use crate::{Body, Invalid, Message};
 ///   `align_of::<Self>() <= 8`.
 /// - `CDR_SIZE` is where the last primitive ends: `size_of::<Self>()` without the trailing padding.
 /// - `FIRST_ALIGN` is the alignment of the first primitive.
+/// - `CONTENT_SIZE` is what the sizes of all its primitives add up to, so that padding is what it lacks to
+///   `size_of::<Self>()`.
 /// - If [`validate`](Plain::validate) returns `Ok`, these bytes are a valid `Self`; with `ALWAYS_VALID`, all
 ///   initialised bytes are.
 /// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
 ///   without touching it. (References, `NonZero` integers and enums without a variant 0 are therefore excluded.)
-/// - If the type is a [`Message`], the memory of a [`Body`] that [`Message::view`] accepts starts with a valid `Self`. If it
-///   is [`Fill`](crate::cdr::Fill), what [`carve`](crate::cdr::Fill::carve) took of zero-padded memory is one, whatever is
-///   done with the writer.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is not a plain type: its bytes in memory are not its CDR",
     label = "not a plain type",
@@ -216,14 +215,40 @@ pub fn view_plain<T: Plain + Message>(body: Body<'_>) -> Result<&T, DecodeError>
     }
 }
 
+/// What is wrong with a body. A small message says which field, because it is read as an owned one; a large one says at
+/// which byte, since it may be larger than the stack.
 #[cold]
 fn explain<T: Plain + Message>(body: Body<'_>) -> DecodeError {
-    match T::decode(body.bytes(), Endian::Little) {
-        Err(error) => error,
-        // The message is whole, but its trailing padding is missing.
-        Ok(_) => {
-            let fault = DecodeFault::End { needed: size_of::<T>(), left: body.memory().len() };
-            DecodeError { type_name: T::TYPE_NAME, path: FieldPath::EMPTY, offset: 0, fault }
-        }
+    let bytes = body.bytes();
+    let error =
+        |offset, fault| DecodeError { type_name: T::TYPE_NAME, path: FieldPath::EMPTY, offset, fault };
+    if fits_stack::<T>()
+        && let Some(error) = field_error::<T>(bytes)
+    {
+        return error;
     }
+    if bytes.len() < T::CDR_SIZE {
+        return error(0, DecodeFault::End { needed: T::CDR_SIZE, left: bytes.len() });
+    }
+    if bytes.len() > T::CDR_SIZE + SLACK {
+        return error(T::CDR_SIZE, DecodeFault::Trailing { len: bytes.len() - T::CDR_SIZE, most: SLACK });
+    }
+    match T::validate(bytes) {
+        Err(Invalid::Value { offset, value, .. }) => {
+            error(offset, DecodeFault::Value { value, type_name: &"value of its field" })
+        }
+        // The message is whole, but its trailing padding is missing.
+        _ => error(0, DecodeFault::End { needed: size_of::<T>(), left: body.memory().len() }),
+    }
+}
+
+/// Whether a value may be put on the stack, just to find out what is wrong with it.
+pub(crate) const fn fits_stack<T>() -> bool {
+    size_of::<T>() <= 4096
+}
+
+/// Not inlined: where the value does not fit, there must be no place for it on the stack either.
+#[inline(never)]
+fn field_error<T: Message>(bytes: &[u8]) -> Option<DecodeError> {
+    T::decode(bytes, Endian::Little).err()
 }

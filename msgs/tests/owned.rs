@@ -299,6 +299,11 @@ fn nothing_is_forgotten_when_writing_in_place() {
     let other_length = |demo: &mut DemoWriter<'_, '_>| demo.wide.set("longer");
     let fault = WriteFault::Length { len: 6, stated: 3 };
     assert_eq!(written(SIZES, other_length), ("Demo", "", fault), "the closure's own error has no field");
+    let defaults_first = |demo: &mut DemoWriter<'_, '_>| {
+        demo.default_rest();
+        demo.empty.each(|_, _| Ok(()))
+    };
+    assert_eq!(written(SIZES, defaults_first), ("Demo", "", WriteFault::Again), "not passed over");
     let over = DemoSizes { data: 5, ..SIZES };
     let fault = WriteFault::Encode(EncodeFault::Bound { len: 5, bound: 4 });
     assert_eq!(written(over, all_defaults), ("Demo", "data", fault));

@@ -6,7 +6,7 @@
 
 use crate::error::TransportError;
 use crate::sync::{FutexWord, Ordering};
-use rustix::fs::{Mode, OFlags};
+use rustix::fs::{FallocateFlags, Mode, OFlags};
 use rustix::mm::{MapFlags, ProtFlags};
 use std::io;
 use std::path::Path;
@@ -40,8 +40,9 @@ impl Graph {
         let make = || -> io::Result<NonNull<Layout>> {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-            // Whoever comes later does the same, which changes nothing.
-            rustix::fs::ftruncate(&file, FILE_BYTES as u64)?;
+            // Whoever comes later does the same, which changes nothing. Claims the memory: a full /dev/shm is an error here,
+            // not a SIGBUS later.
+            rustix::fs::fallocate(&file, FallocateFlags::empty(), 0, FILE_BYTES as u64)?;
             let (access, shared) = (ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED);
             // SAFETY: a new shared mapping at an address of the kernel's choice; the length is not zero.
             let address =
@@ -100,5 +101,24 @@ impl Presence {
 impl Drop for Presence {
     fn drop(&mut self) {
         self.graph.advance();
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::MetadataExt;
+
+    #[test]
+    fn its_memory_is_there_before_it_is_touched() {
+        let graph = Graph::open(232).unwrap();
+        let name = format!("{}graph1", crate::participant::file_prefix(232));
+        let path = Path::new("/dev/shm").join(name);
+        let file = std::fs::metadata(&path).unwrap();
+        std::fs::remove_file(path).unwrap();
+        assert_eq!((file.len(), file.blocks() * 512), (FILE_BYTES as u64, FILE_BYTES as u64));
+        let epoch = graph.epoch();
+        graph.advance();
+        assert_ne!(graph.wait(epoch, Duration::ZERO), epoch);
     }
 }

@@ -121,19 +121,25 @@ fn run(shared: &Shared) {
         // Acquire: pairs with the Release of `call_janitor`; a call after this load ends the wait below at once.
         let calls = word.0.load(Ordering::Acquire);
         if shared.stop.load(std::sync::atomic::Ordering::Acquire) {
+            remove_dead_nodes(&shared.node, &shared.graph);
             return;
         }
         look_around(shared);
         tautline_trace::attend();
         if Instant::now() >= next_cleanup {
-            if shared.node.try_cleanup_dead_nodes().cleanups > 0 {
-                shared.graph.advance();
-            }
+            remove_dead_nodes(&shared.node, &shared.graph);
             remove_stale_arenas(shared.domain);
             tautline_trace::remove_dead_files(shared.domain);
             next_cleanup = Instant::now() + CLEANUP_PERIOD;
         }
         word.wait(calls, Some(monotonic_ns() + PERIOD.as_nanos() as u64));
+    }
+}
+
+/// Removes what dead processes left of their iceoryx2 nodes, and says so to those who wait for changes.
+pub(crate) fn remove_dead_nodes(node: &IoxNode, graph: &Graph) {
+    if node.try_cleanup_dead_nodes().cleanups > 0 {
+        graph.advance();
     }
 }
 

@@ -4,7 +4,7 @@
 use crate::doorbell::{Doorbell, Slot};
 use crate::error::TransportError;
 use crate::graph::Graph;
-use crate::janitor::Janitor;
+use crate::janitor::{Janitor, remove_dead_nodes};
 use crate::publisher::RawPublisher;
 use crate::qos::{Limits, Qos};
 use crate::subscription::RawSubscription;
@@ -61,6 +61,9 @@ impl Participant {
         // Publishers that ended with samples still queued, per subscription: of more, the samples are lost and counted.
         // iceoryx2's 128 cost each subscription 460 KiB of heap.
         config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4;
+        // Done here and by the janitor, which tell the others.
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
         let tracing = tautline_trace::join(domain)?;
         let node = NodeBuilder::new()
             .config(&config)
@@ -70,6 +73,7 @@ impl Participant {
         let node = Arc::new(node);
         let doorbell = Doorbell::create(domain)?;
         let graph = Graph::open(domain)?;
+        remove_dead_nodes(&node, &graph);
         let janitor = Janitor::start(domain, doorbell.clone(), graph.clone(), node.clone())?;
         let trace = tautline_trace::context_init(domain);
         let shared = Shared { domain, doorbell, janitor, graph, node, trace, _tracing: tracing };

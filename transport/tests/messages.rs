@@ -525,3 +525,62 @@ fn samples_and_errors_are_small() {
     is_send::<Sample<Image>>();
     is_send::<Sample<Twist>>();
 }
+
+/// Plain types with padding, so that they are written field by field.
+mod padded {
+    use tautline_msgs::{in_place, message, plain_struct};
+
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    #[repr(C)]
+    pub struct Part {
+        pub flag: bool,
+        pub n: u16,
+    }
+
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    #[repr(C)]
+    pub struct Whole {
+        pub parts: [Part; 2],
+    }
+
+    plain_struct! { "test_msgs/msg/Part"; Part { flag: bool, n: u16 } }
+    in_place! { "test_msgs/msg/Part"; Part PartRef PartWriter (); { flag: bool as bool [], n: u16 as u16 [], } }
+    plain_struct! { "test_msgs/msg/Whole"; Whole { parts: [Part; 2] } }
+    in_place! {
+        "test_msgs/msg/Whole";
+        Whole WholeRef WholeWriter ();
+        { parts: [Part; 2] as tautline_msgs::cdr::Seq<'a, Part> [], }
+    }
+    message! { plain Whole "test_msgs/msg/Whole" {} }
+}
+
+#[test]
+fn a_plain_message_is_written_where_it_lies() {
+    use padded::{Part, Whole};
+    use tautline_msgs::cdr::{Carver, Fill};
+    let participant = Participant::new(domain(194)).unwrap();
+    let publisher = participant.create_publisher::<Whole>("/replaced", Qos::default(), LIMITS).unwrap();
+    let whole = Whole { parts: [Part { flag: true, n: 1 }; 2] };
+    let loan = publisher.loan_with(()).unwrap().write(|writer| {
+        tautline_msgs::cdr::Piece::default_rest(writer, Some(&whole));
+        Ok(())
+    });
+    assert_eq!(*loan.unwrap(), whole);
+
+    // No bools where they will be.
+    for _ in 0..LIMITS.loans {
+        publisher.raw().publish(&[7; size_of::<Whole>()]).unwrap();
+    }
+    let memory = vec![0; size_of::<Whole>()].leak();
+    let refused = publisher.loan_with(()).unwrap().write(|writer| {
+        let mut elsewhere = <[Part; 2] as Fill>::carve(&[], &mut Carver::new(memory, 0))?;
+        elsewhere.each(|_, part| {
+            part.flag.set(true);
+            part.n.set(1);
+            Ok(())
+        })?;
+        writer.parts = elsewhere;
+        Ok(())
+    });
+    assert_eq!(refused.err().map(|error| error.fault), Some(WriteFault::Elsewhere));
+}

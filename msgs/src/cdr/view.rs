@@ -2,6 +2,7 @@
 //! Reading in place: what a getter gives for each form.
 
 use crate::cdr::{Bound, Bounded, DecodeError, DecodeFault, Endian, Fault, Form, Reader, WStr, WString};
+use crate::plain::fits_stack;
 use crate::{Body, Message, Plain};
 
 /// A form that is read in place: a number by value; text, sequences of numbers and messages of one layout as references
@@ -169,7 +170,7 @@ pub fn one<'a, T: Plain>(reader: &mut Reader<'a>) -> Result<&'a T, Fault> {
         Ok([]) => Err(reader.fault(DecodeFault::End { needed: size_of::<T>(), left: 0 })),
         Err(fault) => {
             reader.skip_to(start);
-            Err(T::read(reader).err().unwrap_or(fault))
+            Err(first_fault::<T>(reader).unwrap_or(fault))
         }
     }
 }
@@ -202,12 +203,25 @@ fn explain<T: Plain>(reader: &mut Reader<'_>, start: usize, len: usize, fault: F
     if let Err(fault) = reader.expect(len, T::MIN_SIZE) {
         return fault;
     }
-    for index in 0..len {
-        if let Err(fault) = T::read(reader) {
-            return reader.at_index(fault, index);
+    if fits_stack::<T>() {
+        for index in 0..len {
+            if let Some(fault) = first_fault::<T>(reader) {
+                return reader.at_index(fault, index);
+            }
         }
     }
     fault
+}
+
+/// What is wrong with a message, read as an owned one; `None` as well if it is too large for that. Not inlined: reading in
+/// place needs no stack for the message.
+#[cold]
+fn first_fault<T: Plain>(reader: &mut Reader<'_>) -> Option<Fault> {
+    #[inline(never)]
+    fn read<T: Plain>(reader: &mut Reader<'_>) -> Option<Fault> {
+        T::read(reader).err()
+    }
+    if fits_stack::<T>() { read::<T>(reader) } else { None }
 }
 
 /// Values one after the other, in place. Without padding between or within, so that their memory is their CDR wherever

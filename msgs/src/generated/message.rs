@@ -9,6 +9,9 @@ macro_rules! message {
             type View<'a> = &'a Self;
             const FIXED_LEN: ::core::option::Option<usize> =
                 ::core::option::Option::Some(<Self as $crate::Plain>::CDR_SIZE);
+            // SAFETY: see `view`.
+            const PLAIN: ::core::option::Option<$crate::PlainView<Self>> =
+                ::core::option::Option::Some(unsafe { $crate::PlainView::new() });
             $crate::message!(@definition $name $definition);
 
             #[inline]

@@ -99,11 +99,15 @@ impl RawPublisher {
             return Err(LoanError::TooLarge);
         }
         let payload_bytes = padded(len_bytes);
-        if payload_bytes > self.capacity_bytes.get() && !self.grow(payload_bytes) {
+        let grows = payload_bytes > self.capacity_bytes.get();
+        if grows && !self.topic.limits.may_grow {
             return Err(LoanError::TooLarge);
         }
         let sample = self.port.loan_slice_uninit(payload_bytes / size_of::<Word>());
         let sample = sample.map_err(loan_error)?;
+        if grows {
+            self.note_growth(payload_bytes);
+        }
         // SAFETY: the memory belongs to a mapped file, so every byte has a value: zero, or what was written last.
         let mut sample = unsafe { sample.assume_init() };
         // What is not the body's is zero, whatever was here before.

@@ -152,13 +152,9 @@ impl RawPublisher {
         self.counters.clone()
     }
 
-    /// The next loan is of `payload_bytes`, more than this publisher's samples hold. False if they may not grow. iceoryx2
-    /// makes the segment in that loan.
+    /// A loan of `payload_bytes`, more than this publisher's samples held, made iceoryx2 take a larger segment.
     #[cold]
-    fn grow(&self, payload_bytes: usize) -> bool {
-        if !self.topic.limits.may_grow || payload_bytes > padded(Limits::MAX_MESSAGE_BYTES) {
-            return false;
-        }
+    fn note_growth(&self, payload_bytes: usize) {
         let (before, after) = (self.capacity_bytes.get(), memory::grown_payload(payload_bytes));
         self.capacity_bytes.set(after);
         if self.counters.growths.fetch_add(1, Ordering::Relaxed) == 0 {
@@ -169,7 +165,6 @@ impl RawPublisher {
                 self.topic.name
             );
         }
-        true
     }
 
     /// Number of subscriptions that the next sample goes to.

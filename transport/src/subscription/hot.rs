@@ -275,7 +275,7 @@ fn receive(port: &Sole<IoxSubscriber>, shelf: &Shelf<IoxSample>) -> Result<Optio
 }
 
 impl Counters {
-    fn note(&self, lost: u64, waiting: u64) {
+    pub(super) fn note(&self, lost: u64, waiting: u64) {
         add(&self.received, 1);
         if lost != 0 {
             add(&self.lost, lost);
@@ -288,5 +288,5 @@ impl Counters {
 
 /// Only the subscription's thread writes its counters: a load and a store, no locked instruction.
 fn add(counter: &AtomicU64, n: u64) {
-    counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
+    counter.store(counter.load(Ordering::Relaxed).saturating_add(n), Ordering::Relaxed);
 }

@@ -69,11 +69,12 @@ impl Tracker {
             .or_else(|| links.iter().position(|link| link.gid() == gid));
         let duplicate = sequence_number < seen.next;
         let lost = sequence_number.saturating_sub(seen.next);
-        seen.next = seen.next.max(sequence_number + 1);
+        // Numbers are another process's claims: too large a one is a wrong count, not an overflow.
+        seen.next = seen.next.max(sequence_number.saturating_add(1));
         seen.link = link;
         let mut waiting = 0;
         if let Some(link) = link.and_then(|link| links.get(link)) {
-            waiting = (link.out.sent.load(Ordering::Relaxed) + 1).saturating_sub(sequence_number);
+            waiting = link.out.sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(sequence_number);
             // Release: pairs with the Acquire in the publisher's check for room.
             link.taken.0.store(sequence_number, Ordering::Release);
         }
@@ -86,7 +87,7 @@ impl Tracker {
         let Some(seen) = self.seen.get_mut(index).filter(|seen| sequence_number >= seen.next) else {
             return false;
         };
-        seen.next = sequence_number + 1;
+        seen.next = sequence_number.saturating_add(1);
         true
     }
 
@@ -117,8 +118,9 @@ impl Tracker {
                 None => self.remember(gid, start, links),
             };
             if let Some(seen) = self.seen.get_mut(index) {
-                lost += (sent + 1).saturating_sub(seen.next);
-                seen.next = seen.next.max(sent + 1);
+                let next = sent.saturating_add(1);
+                lost = next.saturating_sub(seen.next).saturating_add(lost);
+                seen.next = seen.next.max(next);
             }
             if let Some(link) = links.get(link) {
                 link.settle(gid);
@@ -177,6 +179,19 @@ mod tests {
         assert!(!tracker.note_history(A, 3, &[]));
         assert!(tracker.note(A, 4, &[]).is_some_and(|noted| noted.duplicate));
         assert_eq!(tracker.note(A, 6, &[]).map(|noted| noted.lost), Some(1));
+    }
+
+    #[test]
+    fn any_number_is_a_count() {
+        let mut tracker = Tracker::new();
+        assert_eq!(tracker.note(A, u64::MAX, &[]).map(|noted| noted.lost), Some(0));
+        assert_eq!(tracker.note(B, 1, &[]).map(|noted| noted.lost), Some(0));
+        assert_eq!(tracker.note(B, u64::MAX, &[]).map(|noted| noted.lost), Some(u64::MAX - 2));
+        assert!(!tracker.note_history(B, 7, &[]));
+        let counters = super::super::Counters::default();
+        counters.note(u64::MAX - 2, 0);
+        counters.note(u64::MAX, 0);
+        assert_eq!(counters.lost(), u64::MAX);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use core::ops::{Deref, DerefMut};
 use core::pin::Pin;
 use core::task::{Context, Poll};
 use futures::Stream;
-use tautline_msgs::cdr::{DecodeError, FieldPath, Fill, WriteError, fill, sized_len};
+use tautline_msgs::cdr::{DecodeError, FieldPath, Fill, WriteError, WriteFault, fill, sized_len};
 use tautline_msgs::{Body, Message, Plain};
 
 impl<T: Message> Publisher<T> {
@@ -137,7 +137,8 @@ impl<'p, 's, T: Message + Fill> Unwritten<'p, 's, T> {
     /// `slice_mut` holds zeros, or an earlier message of this publisher.
     ///
     /// # Real-time
-    /// Wait-free but for `write`; no allocation; no syscall. Linear in the number of fields.
+    /// Wait-free but for `write`; no allocation; no syscall. Linear in the number of fields, and of bools in sequences and
+    /// arrays.
     ///
     /// # Errors
     /// [`WriteError`]: a length over its bound, a field that was not set, an error of `write`. The loan is given back.
@@ -146,6 +147,11 @@ impl<'p, 's, T: Message + Fill> Unwritten<'p, 's, T> {
         write: impl for<'a> FnOnce(&mut T::Writer<'a, 's>) -> Result<(), WriteError>,
     ) -> Result<Loan<'p, T>, WriteError> {
         fill::<T>(self.sizes, &mut self.raw, write)?;
+        // A `&mut T` will be given out, and safe code can have replaced a writer by one that writes elsewhere.
+        let is_whole = |body: Body<'_>| T::view(body).is_ok();
+        if T::PLAIN.is_some() && !Body::new(self.raw.payload(), self.raw.len()).is_ok_and(is_whole) {
+            return Err(WriteError { type_name: T::TYPE_NAME, field: "", fault: WriteFault::Elsewhere });
+        }
         Ok(Loan { raw: self.raw, _message: PhantomData })
     }
 }
@@ -225,14 +231,16 @@ impl<T: Message + Plain> Deref for Loan<'_, T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        // SAFETY: the payload starts with a valid T, at a multiple of 8: `loan` checked it, or it was written through
-        // `Fill`, which is as good by the contract of `Plain`. Only whole `T`s were written there since.
+        const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
+        // SAFETY: the payload starts with a valid T, at a multiple of 8: `loan` and `write` checked it, the latter through
+        // `T::view`, of which `PLAIN` is the proof. Only whole `T`s were written there since.
         unsafe { &*self.raw.payload().as_ptr().cast() }
     }
 }
 
 impl<T: Message + Plain> DerefMut for Loan<'_, T> {
     fn deref_mut(&mut self) -> &mut T {
+        const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
         // SAFETY: as in deref; the loan is borrowed mutably and no subscription has it yet.
         unsafe { &mut *self.raw.payload_mut().as_mut_ptr().cast() }
     }
@@ -300,12 +308,45 @@ impl<T: Message> Sample<T> {
     }
 }
 
+/// The type's own derive made it a message, or generated code did: what somebody else's [`Message::view`] accepts need not
+/// be a `T`.
+///
+/// ```compile_fail,E0080
+/// # use tautline_msgs::{Body, Definition, Message, cdr::DecodeError};
+/// #[derive(Message, Clone, Copy)]
+/// #[message(nested, crate = "tautline_msgs")]
+/// #[repr(C)]
+/// struct Flag {
+///     raised: bool,
+/// }
+///
+/// impl Message for Flag {
+///     type View<'a> = ();
+///     const TYPE_NAME: &'static str = "demo_msgs/msg/Flag";
+///     const TYPE_HASH: Option<&'static str> = None;
+///     const DEFINITION: Option<&'static Definition> = None;
+///     const FIXED_LEN: Option<usize> = Some(1);
+///     fn view(_: Body<'_>) -> Result<(), DecodeError> {
+///         Ok(())
+///     }
+///     fn shorten<'short, 'long: 'short>((): ()) {}
+///     fn owned((): ()) -> Self {
+///         Flag { raised: false }
+///     }
+/// }
+///
+/// fn main() {
+///     let read: fn(&tautline_transport::Sample<Flag>) -> bool = |sample| sample.raised;
+///     std::hint::black_box(read);
+/// }
+/// ```
 impl<T: Message + Plain> Deref for Sample<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        // SAFETY: `T::view` accepted the payload in `new`, so that it starts with a valid `T` by the contract of `Plain`; it
-        // stays where and as it is as long as `raw` lives.
+        const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
+        // SAFETY: `T::view` accepted the payload in `new`, so that it starts with a valid `T`: `PLAIN` is the proof. It stays
+        // where and as it is as long as `raw` lives.
         unsafe { &*self.raw.payload().as_ptr().cast() }
     }
 }
@@ -326,7 +367,7 @@ impl<T: Message> Subscription<T> {
     /// # Real-time
     /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
     /// and its sampler sleeps. The message is checked: see [`Message::view`]. When publishers have appeared or gone since
-    /// the last call: allocates and maps memory.
+    /// the last call, or one of them took a larger segment: allocates and maps memory.
     ///
     /// # Errors
     /// [`TakeError`]. An invalid sample is consumed.

@@ -47,17 +47,17 @@ impl<'a, 's, F: Fill> Elements<'a, 's, F> {
         self.len == 0
     }
 
-    /// Lets `write` set each element in turn, and checks that each was set. Once: a second call has no elements.
+    /// Lets `write` set each element in turn, and checks that each was set. Once, and before `default_rest`.
     ///
     /// # Errors
     ///
-    /// Of `write`; [`WriteFault::Unset`] with the field that was not set; a length over its bound.
+    /// Of `write`; [`WriteFault::Unset`] with the field that was not set; a length over its bound; [`WriteFault::Again`].
     pub fn each(
         &mut self,
         mut write: impl FnMut(usize, &mut F::Writer<'a, 's>) -> Result<(), WriteError>,
     ) -> Result<(), WriteError> {
-        if core::mem::replace(&mut self.begun, true) {
-            return Ok(());
+        if core::mem::replace(&mut self.begun, true) && self.len != 0 {
+            return Err(WriteError::new(WriteFault::Again));
         }
         let mut carver = Carver::new(core::mem::take(&mut self.region), self.at);
         for index in 0..self.len {
@@ -77,7 +77,7 @@ impl<'s, F: Fill, V: AsRef<[F::Value]>> Piece<V> for Elements<'_, 's, F> {
 
     fn default_rest(&mut self, values: Option<&V>) {
         let values = values.map(AsRef::as_ref).filter(|values| values.len() == self.len);
-        // Text of a stated length has no default: then this fails, and `check` reports it.
+        // Text of a stated length has no default: then this fails, and `check` reports it. Nor is what was set set again.
         let _ = self.each(|index, element| {
             element.default_rest(values.and_then(|values| values.get(index)));
             Ok(())

@@ -157,6 +157,12 @@ pub enum WriteFault {
         /// The one stated before.
         stated: usize,
     },
+    /// The elements of a list were written before, one by one or by `default_rest`.
+    #[error("its elements were written before: set them once, and the rest with `default_rest` after them")]
+    Again,
+    /// What was written is no value of the type: its writer was replaced by one of other memory.
+    #[error("it was not written where it lies: set it through the writer that is passed in")]
+    Elsewhere,
     /// The lengths stated do not go, or the memory is too short.
     #[error(transparent)]
     Encode(EncodeFault),
