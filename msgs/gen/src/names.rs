@@ -43,8 +43,8 @@ pub fn relative(name: &TypeName, module: &str, options: &Options) -> String {
 /// A field's name in Rust.
 pub fn field(name: &str) -> String {
     match name {
-        // These cannot be raw.
-        "self" | "super" | "crate" => format!("{name}_"),
+        // These cannot be raw; `to_owned` is a method of every view.
+        "self" | "super" | "crate" | "to_owned" => format!("{name}_"),
         _ if KEYWORDS.split(' ').any(|keyword| keyword == name) => format!("r#{name}"),
         _ => name.to_owned(),
     }

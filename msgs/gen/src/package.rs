@@ -78,6 +78,19 @@ fn definitions(packages: &Packages, package: &str) -> Result<Vec<TypeName>, Gene
     Ok(names)
 }
 
+/// No message has the name of what reads or writes another one in place.
+fn check_names(names: &[&TypeName]) -> Result<(), GenerateError> {
+    for name in names.iter().filter(|name| name.kind() == Kind::Msg) {
+        for suffix in ["Ref", "Writer", "Sizes"] {
+            let taken = format!("{name}{suffix}");
+            if names.iter().any(|other| other.as_str() == taken) {
+                return Err(GenerateError::Taken { type_name: taken, of: name.to_string() });
+            }
+        }
+    }
+    Ok(())
+}
+
 struct Generator<'a> {
     packages: &'a mut Packages,
     names: &'a [&'a str],
@@ -98,6 +111,7 @@ impl Generator<'_> {
                 continue;
             }
             self.open(kind.as_str(), docs);
+            check_names(&of_kind)?;
             for name in of_kind {
                 let schema = self.packages.schema(name)?;
                 let module = format!("{package}::{}", kind.as_str());

@@ -104,6 +104,17 @@ fn a_missing_package_is_named() {
     assert!(matches!(&error, GenerateError::Empty { .. }), "{error}");
 }
 
+#[test]
+fn a_name_that_is_taken_is_refused() {
+    let (folder, mut packages) = demo("string text\n");
+    std::fs::write(folder.path().join("demo_msgs/msg/DemoRef.msg"), "uint8 x\n").unwrap();
+    let error = generate(&mut packages, &["demo_msgs"], &Options::default()).unwrap_err();
+    assert!(
+        matches!(&error, GenerateError::Taken { type_name, .. } if type_name == "demo_msgs/msg/DemoRef"),
+        "{error}"
+    );
+}
+
 /// rustfmt, without a configuration, finds nothing to change.
 #[test]
 fn code_is_formatted() {

@@ -211,15 +211,16 @@ impl RawSubscription {
         add(&self.counters.invalid, 1);
     }
 
-    /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted.
+    /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted. After
+    /// 16 invalid ones it gives up for now.
     ///
     /// # Real-time
-    /// As [`try_take`](Self::try_take), for each invalid sample.
+    /// As [`try_take`](Self::try_take), at most 16 times.
     ///
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
     pub fn try_take_valid(&self) -> Result<Option<RawSample>, TakeError> {
-        loop {
+        for _ in 0..INVALID_AT_ONCE {
             match self.try_take() {
                 Err(TakeError::Invalid(_)) => {}
                 Err(refused) => {
@@ -229,29 +230,41 @@ impl RawSubscription {
                 taken => return taken,
             }
         }
+        Ok(None)
     }
 
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
     ///
     /// # Real-time
-    /// As [`try_take_valid`](Self::try_take_valid).
+    /// As [`try_take_valid`](Self::try_take_valid). After 16 invalid samples other tasks of the thread have a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
         self.departure.slot.waker().register(context.waker());
-        loop {
-            match self.try_take_valid() {
+        for _ in 0..INVALID_AT_ONCE {
+            match self.try_take() {
                 Ok(Some(sample)) => return Poll::Ready(sample),
+                Err(TakeError::Invalid(_)) => {}
                 Err(TakeError::TooManyHeld) => {
+                    add(&self.counters.refused, 1);
                     let state = self.state.borrow();
                     let shelf = state.catch.as_ref().map_or(&self.shelf, |catch| &catch.shelf);
                     if !shelf.wake_when_back(context.waker()) {
                         return Poll::Pending;
                     }
                 }
-                Ok(None) | Err(TakeError::Invalid(_) | TakeError::Connection) => return Poll::Pending,
+                Err(TakeError::Connection) => {
+                    add(&self.counters.refused, 1);
+                    return Poll::Pending;
+                }
+                Ok(None) => return Poll::Pending,
             }
         }
+        context.waker().wake_by_ref();
+        Poll::Pending
     }
 }
+
+/// A publisher that sends nothing but invalid samples must not keep a thread busy: so many are passed over in one poll.
+pub(crate) const INVALID_AT_ONCE: usize = 16;
 
 impl Stream for RawSubscription {
     type Item = RawSample;

@@ -4,6 +4,7 @@
 mod hot;
 mod tracker;
 
+pub(crate) use hot::INVALID_AT_ONCE;
 pub use hot::RawSample;
 
 use crate::address::{Address, Role};

@@ -7,7 +7,7 @@ use super::{Publisher, Subscription};
 use crate::error::{LoanError, PublishError, TakeError};
 use crate::header::MessageInfo;
 use crate::publisher::{RawLoan, Unpublished};
-use crate::subscription::RawSample;
+use crate::subscription::{INVALID_AT_ONCE, RawSample};
 use core::fmt;
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
@@ -376,20 +376,22 @@ impl<T: Message> Subscription<T> {
         self.check(raw).map(Some).map_err(TakeError::Invalid)
     }
 
-    /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted.
+    /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted. After
+    /// 16 in a row that are no message of this type it gives up for now.
     ///
     /// # Real-time
-    /// As [`try_take`](Self::try_take), for each invalid sample.
+    /// As [`try_take`](Self::try_take), for each invalid sample; of those whose header is wrong at most 256.
     ///
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
     pub fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
-        loop {
+        for _ in 0..INVALID_AT_ONCE {
             let Some(raw) = self.raw.try_take_valid()? else { return Ok(None) };
             if let Ok(sample) = self.check(raw) {
                 return Ok(Some(sample));
             }
         }
+        Ok(None)
     }
 
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
@@ -397,12 +399,14 @@ impl<T: Message> Subscription<T> {
     /// # Real-time
     /// As [`try_take_valid`](Self::try_take_valid).
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
-        loop {
+        for _ in 0..INVALID_AT_ONCE {
             let Poll::Ready(raw) = self.raw.poll_take(context) else { return Poll::Pending };
             if let Ok(sample) = self.check(raw) {
                 return Poll::Ready(sample);
             }
         }
+        context.waker().wake_by_ref();
+        Poll::Pending
     }
 
     fn check(&self, raw: RawSample) -> Result<Sample<T>, DecodeError> {
