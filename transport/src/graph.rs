@@ -4,6 +4,7 @@
 //! Who wants to know of changes compares it with what it read before it looked, or sleeps on it. A port that ends with its
 //! killed process moves it when a janitor cleans up. The file stays when nobody is left, as iceoryx2's own per domain does.
 
+use crate::doorbell::check_owner;
 use crate::error::TransportError;
 use crate::sync::{FutexWord, Ordering};
 use rustix::fs::{FallocateFlags, Mode, OFlags};
@@ -40,6 +41,7 @@ impl Graph {
         let make = || -> io::Result<NonNull<Layout>> {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+            check_owner(&rustix::fs::fstat(&file)?)?;
             // Whoever comes later does the same, which changes nothing. Claims the memory: a full /dev/shm is an error here,
             // not a SIGBUS later.
             rustix::fs::fallocate(&file, FallocateFlags::empty(), 0, FILE_BYTES as u64)?;

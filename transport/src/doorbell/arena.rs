@@ -177,6 +177,14 @@ unsafe impl Send for Arena {}
 // SAFETY: as above: shared access is through atomics.
 unsafe impl Sync for Arena {}
 
+/// Anybody may put files into /dev/shm. One of another user could be cut short while it is mapped here.
+pub(crate) fn check_owner(stat: &rustix::fs::Stat) -> io::Result<()> {
+    if stat.st_uid == rustix::process::geteuid().as_raw() {
+        return Ok(());
+    }
+    Err(io::Error::other(format!("it belongs to user {}: remove it", stat.st_uid)))
+}
+
 impl Arena {
     pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
         loop {
@@ -214,8 +222,9 @@ impl Arena {
         let refuse = |source: io::Error| TransportError::Arena { path: path.clone(), source };
         let file = rustix::fs::open(&path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())
             .map_err(|errno| refuse(errno.into()))?;
-        let size = rustix::fs::fstat(&file).map_err(|errno| refuse(errno.into()))?.st_size;
-        if size < size_of::<Layout>() as i64 {
+        let stat = rustix::fs::fstat(&file).map_err(|errno| refuse(errno.into()))?;
+        check_owner(&stat).map_err(refuse)?;
+        if stat.st_size < size_of::<Layout>() as i64 {
             return Err(refuse(io::Error::other(
                 "shorter than an arena: made by another version of Tautline?",
             )));

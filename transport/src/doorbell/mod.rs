@@ -17,7 +17,7 @@ mod loom;
 #[cfg(all(test, not(taut_loom)))]
 mod stress;
 
-pub(crate) use arena::{Arena, ArenaId, LINKS, Link, Owner, remove_stale_arenas, slot_flags};
+pub(crate) use arena::{Arena, ArenaId, LINKS, Link, Owner, check_owner, remove_stale_arenas, slot_flags};
 
 use crate::error::TransportError;
 use crate::sync::Ordering;
