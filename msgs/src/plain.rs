@@ -21,7 +21,7 @@ use crate::{Body, Invalid, Message};
 ///   `align_of::<Self>() <= 8`.
 /// - `CDR_SIZE` is where the last primitive ends: `size_of::<Self>()` without the trailing padding.
 /// - `FIRST_ALIGN` is the alignment of the first primitive.
-/// - If [`validate`](Plain::validate) returns `Ok`, these bytes are a valid `Self`; with `ALWAYS_VALID`, all
+/// - If [`validate`](Plain::validate) returns `Ok` for at least `CDR_SIZE` bytes, these are a valid `Self`; with `ALWAYS_VALID`, all
 ///   initialised bytes are.
 /// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
 ///   without touching it. (References, `NonZero` integers and enums without a variant 0 are therefore excluded.)
@@ -65,7 +65,8 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
     ///
     /// # Errors
     ///
-    /// [`Invalid::Length`] if a field lies past the end, [`Invalid::Value`] for the first invalid field.
+    /// [`Invalid::Length`] if a field that is looked at lies past the end (numbers are not looked at: who calls this has
+    /// checked the length), [`Invalid::Value`] for the first invalid field.
     fn validate(bytes: &[u8]) -> Result<(), Invalid>;
 
     /// Writes the primitives to the start of `out`, which holds at least `CDR_SIZE` bytes; leaves padding as it is.
