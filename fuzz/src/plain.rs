@@ -110,6 +110,8 @@ fn check<T: Plain + Message + Debug + PartialEq>(input: &Input<'_>) {
             T::clear_padding(cleared.bytes_mut());
             assert_eq!(&cleared.bytes()[..T::CDR_SIZE], encoded(value));
         }
+        // Numbers are valid, but may be missing.
+        (Err(_), Ok(())) if bytes.len() < T::CDR_SIZE => {}
         (Err(error), Ok(())) => assert!(matches!(error.fault, DecodeFault::Trailing { .. }), "{error}"),
         (Ok(_), Err(fault)) => panic!("decoded what is not valid: {fault}"),
         (Err(_), Err(_)) => {}

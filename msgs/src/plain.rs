@@ -23,8 +23,8 @@ use crate::{Body, Invalid, Message};
 /// - `FIRST_ALIGN` is the alignment of the first primitive.
 /// - `CONTENT_SIZE` is what the sizes of all its primitives add up to, so that padding is what it lacks to
 ///   `size_of::<Self>()`.
-/// - If [`validate`](Plain::validate) returns `Ok`, these bytes are a valid `Self`; with `ALWAYS_VALID`, all
-///   initialised bytes are.
+/// - If [`validate`](Plain::validate) returns `Ok` for at least `CDR_SIZE` bytes, these are a valid `Self`; with
+///   `ALWAYS_VALID`, all initialised bytes are.
 /// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
 ///   without touching it. (References, `NonZero` integers and enums without a variant 0 are therefore excluded.)
 #[diagnostic::on_unimplemented(
@@ -64,7 +64,8 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
     ///
     /// # Errors
     ///
-    /// [`Invalid::Length`] if a field lies past the end, [`Invalid::Value`] for the first invalid field.
+    /// [`Invalid::Length`] if a field that is looked at lies past the end (numbers are not looked at: who calls this has
+    /// checked the length), [`Invalid::Value`] for the first invalid field.
     fn validate(bytes: &[u8]) -> Result<(), Invalid>;
 
     /// Writes the primitives to the start of `out`, which holds at least `CDR_SIZE` bytes; leaves padding as it is.

@@ -101,7 +101,8 @@ fn fuzz(target: &str, runs: u64) -> Outcome {
 fn command(program: &PathBuf, verb: &str) -> Command {
     let mut command = Command::new(program);
     command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root());
-    command.args([verb, "--fuzz-dir", "fuzz", "--target-dir"]).arg(target_dir());
+    // One codegen unit, its default, keeps only one core busy.
+    command.args([verb, "--fuzz-dir", "fuzz", "--codegen-units", "4", "--target-dir"]).arg(target_dir());
     command
 }
 

@@ -22,4 +22,13 @@
 //! assert_eq!(Quaternion::default().w, 1.0); // as the definition says
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! # Build times
+//!
+//! This crate alone, its dependencies built: seconds of processor time, measured on 2 cores. A release build uses all cores.
+//!
+//! | features | `cargo check` | debug build | release build |
+//! |---|---|---|---|
+//! | default: 5 packages | 1.8 | 2.0 | 10 |
+//! | `all`: 23 packages | 5.8 | 7.1 | 37 |
 include!(concat!(env!("OUT_DIR"), "/packages.rs"));
