@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 use tautline_executor::ExecutorError;
-use tautline_msgs::cdr::WriteError;
+use tautline_msgs::cdr::{DecodeError, WriteError};
 use tautline_rt::RtError;
-use tautline_transport::{LoanError, PublishError, TakeError, TransportError, Unpublished};
+use tautline_transport::{LoanError, PublishCdrError, PublishError, TakeError, TransportError, Unpublished};
 
 /// What can go wrong while a node is set up or publishes. Each message names the thing, the limit and the fix.
 #[derive(thiserror::Error)]
@@ -109,9 +109,68 @@ pub enum Error {
     /// A message was not written in place.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// The CDR of a message was not published: it is none of the type.
+    #[error("not published: {0}")]
+    InvalidCdr(Box<DecodeError>),
+    /// A definition of a message type is not valid, or its name is none.
+    #[cfg(feature = "untyped")]
+    #[error(transparent)]
+    Schema(Box<tautline_schema::SchemaError>),
+    /// What is kept of a topic's type is not its definition.
+    #[cfg(feature = "untyped")]
+    #[error(
+        "the definition in {} cannot be used: {reason}; remove the file, then restart a process that has the type: it writes the file anew",
+        path.display()
+    )]
+    StoredDefinition {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// No definition of a message type was found.
+    #[cfg(feature = "untyped")]
+    #[error(
+        "topic '{topic}': the definition of '{type_name}' was found neither beside the topic ({stored}), nor in AMENT_PREFIX_PATH, nor among the bundled packages: source the ROS 2 workspace that has it, or start a process first whose type has a definition, as those of tautline-build have"
+    )]
+    UnknownType {
+        /// The topic.
+        topic: String,
+        /// The type asked for.
+        type_name: String,
+        /// What the topic itself told.
+        stored: String,
+    },
+    /// JSON or bytes are not a message of the type.
+    #[cfg(feature = "untyped")]
+    #[error(transparent)]
+    Message(Box<tautline_schema::MessageError>),
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),
+}
+
+#[cfg(feature = "untyped")]
+impl From<tautline_schema::SchemaError> for Error {
+    fn from(error: tautline_schema::SchemaError) -> Self {
+        Error::Schema(error.into())
+    }
+}
+
+#[cfg(feature = "untyped")]
+impl From<tautline_schema::MessageError> for Error {
+    fn from(error: tautline_schema::MessageError) -> Self {
+        Error::Message(error.into())
+    }
+}
+
+impl From<PublishCdrError> for Error {
+    fn from(error: PublishCdrError) -> Self {
+        match error {
+            PublishCdrError::Invalid(error) => Error::InvalidCdr(error.into()),
+            PublishCdrError::Publish(error) => Error::Publish(error),
+        }
+    }
 }
 
 impl From<LoanError> for Error {

@@ -38,6 +38,8 @@ mod statistics;
 mod subscription;
 mod system;
 mod timer;
+#[cfg(feature = "untyped")]
+mod untyped;
 
 pub mod qos;
 
@@ -48,6 +50,8 @@ pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, Rel
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;
+#[cfg(feature = "untyped")]
+pub use untyped::{PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema};
 
 pub use tautline_trace::{TraceMode, TraceSettings};
 
@@ -63,9 +67,11 @@ pub use tautline_msgs::{Message, Plain};
 pub use tautline_ros_msgs::*;
 pub use tautline_rt as rt;
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
+#[cfg(feature = "untyped")]
+pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishError, Publisher, PublisherCounters, Sample,
-    TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
+    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishCdrError, PublishError, Publisher,
+    PublisherCounters, Sample, TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
 };
 
 /// The README's program compiles.

@@ -49,11 +49,11 @@ use tautline_transport::{Limits, Publisher, TransportError};
 /// # Ok::<(), tautline::Error>(())
 /// ```
 pub struct Node {
-    context: Context,
+    pub(crate) context: Context,
     name: String,
     namespace: String,
     limits: HashMap<String, Limits>,
-    trace: tautline_trace::Object,
+    pub(crate) trace: tautline_trace::Object,
 }
 
 impl Node {
@@ -158,7 +158,7 @@ impl Node {
         Ok(Subscription::new(subscription))
     }
 
-    fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
+    pub(crate) fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
         let topic = self.expand_topic_name(topic)?;
         if let Some(setting) = qos_profile.unsupported_liveliness() {
             return Err(TransportError::Unsupported { topic, setting }.into());

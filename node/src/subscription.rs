@@ -9,7 +9,7 @@ use std::task::{Context, Poll};
 use tautline_executor::job::QueueState;
 use tautline_executor::{busy_polling, job, stop_requested};
 use tautline_msgs::Message;
-use tautline_transport::{Counters, Sample, TakeError};
+use tautline_transport::{Counters, RawSubscription, Sample, TakeError};
 
 /// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written.
 ///
@@ -17,20 +17,12 @@ use tautline_transport::{Counters, Sample, TakeError};
 /// this stream ends it. On a busy-polling thread the subscription polls its queue without any doorbell.
 #[must_use = "nothing is received unless it is polled; dropping it ends it"]
 pub struct Subscription<T> {
-    inner: tautline_transport::Subscription<T>,
-    job: Option<job::Job>,
-    trace: tautline_trace::Object,
-    quiet: bool,
-    counters: Arc<Counters>,
-    /// How many lost messages the callback's statistics know of.
-    noted_lost: u64,
+    samples: Samples<tautline_transport::Subscription<T>>,
 }
 
 impl<T: Message> Subscription<T> {
     pub(crate) fn new(inner: tautline_transport::Subscription<T>) -> Self {
-        let counters = inner.counters();
-        let trace = tautline_trace::subscription_callback_init(inner.trace_id(), inner.topic());
-        Subscription { inner, job: None, trace, quiet: false, counters, noted_lost: 0 }
+        Subscription { samples: Samples::new(inner) }
     }
 
     /// Takes the oldest sample, if there is one, without waiting. (Not called `take`: that is a method of every stream.)
@@ -41,22 +33,22 @@ impl<T: Message> Subscription<T> {
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
-        self.inner.try_take()
+        self.samples.source().try_take()
     }
 
     /// Received, lost, invalid, highest queue fill: to be read from any thread.
     pub fn counters(&self) -> Arc<Counters> {
-        self.counters.clone()
+        self.samples.counters()
     }
 
     /// The topic's fully qualified name.
     pub fn topic(&self) -> &str {
-        self.inner.topic()
+        self.samples.source().topic()
     }
 
     /// Number of publishers of the topic.
     pub fn publisher_count(&self) -> usize {
-        self.inner.publisher_count()
+        self.samples.source().publisher_count()
     }
 }
 
@@ -72,6 +64,90 @@ impl<T: Message> Stream for Subscription<T> {
     /// # Real-time
     /// Wait-free; no allocation; the message is checked: see [`Message::view`]; on a callback thread that measures execution times one syscall per message. Never ends.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
+        self.samples.poll_next(context).map(Some)
+    }
+}
+
+/// Where samples come from: a subscription to messages of a type, or to bytes.
+pub(crate) trait Source {
+    type Sample;
+
+    fn raw(&self) -> &RawSubscription;
+    fn try_take_valid(&self) -> Result<Option<Self::Sample>, TakeError>;
+    fn poll_take(&self, context: &mut Context<'_>) -> Poll<Self::Sample>;
+    fn released_ns(sample: &Self::Sample) -> u64;
+}
+
+impl<T: Message> Source for tautline_transport::Subscription<T> {
+    type Sample = Sample<T>;
+
+    fn raw(&self) -> &RawSubscription {
+        self.raw()
+    }
+
+    fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
+        self.try_take_valid()
+    }
+
+    fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+        self.poll_take(context)
+    }
+
+    fn released_ns(sample: &Sample<T>) -> u64 {
+        sample.info().released_ns
+    }
+}
+
+#[cfg(feature = "untyped")]
+impl Source for RawSubscription {
+    type Sample = tautline_transport::RawSample;
+
+    fn raw(&self) -> &RawSubscription {
+        self
+    }
+
+    fn try_take_valid(&self) -> Result<Option<Self::Sample>, TakeError> {
+        self.try_take_valid()
+    }
+
+    fn poll_take(&self, context: &mut Context<'_>) -> Poll<Self::Sample> {
+        self.poll_take(context)
+    }
+
+    fn released_ns(sample: &Self::Sample) -> u64 {
+        sample.info().released_ns
+    }
+}
+
+/// The samples of a source, each a job.
+pub(crate) struct Samples<S> {
+    source: S,
+    job: Option<job::Job>,
+    trace: tautline_trace::Object,
+    quiet: bool,
+    counters: Arc<Counters>,
+    /// How many lost messages the callback's statistics know of.
+    noted_lost: u64,
+}
+
+impl<S: Source> Samples<S> {
+    pub(crate) fn new(source: S) -> Self {
+        let raw = source.raw();
+        let counters = raw.counters();
+        let trace = tautline_trace::subscription_callback_init(raw.trace_id(), raw.topic());
+        Samples { source, job: None, trace, quiet: false, counters, noted_lost: 0 }
+    }
+
+    pub(crate) fn source(&self) -> &S {
+        &self.source
+    }
+
+    pub(crate) fn counters(&self) -> Arc<Counters> {
+        self.counters.clone()
+    }
+
+    /// Ends the job of the sample before, and begins that of the next one, if there is one.
+    pub(crate) fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<S::Sample> {
         if let Some(job) = self.job.take() {
             job.finish();
         }
@@ -81,21 +157,19 @@ impl<T: Message> Stream for Subscription<T> {
         }
         let busy = busy_polling();
         self.set_quiet(busy);
-        let poll = if busy { self.poll_busily(context) } else { self.inner.poll_take(context) };
+        let poll = if busy { self.poll_busily(context) } else { self.source.poll_take(context) };
         if poll.is_ready() || self.counters.lost() != self.noted_lost {
             self.note_queue();
         }
         if let Poll::Ready(sample) = &poll {
-            self.job = Some(job::begin_for(self.trace.id(), sample.info().released_ns));
+            self.job = Some(job::begin_for(self.trace.id(), S::released_ns(sample)));
         }
-        poll.map(Some)
+        poll
     }
-}
 
-impl<T: Message> Subscription<T> {
     /// Looks without registering for a wake-up.
-    fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<Sample<T>> {
-        if let Ok(Some(sample)) = self.inner.try_take_valid() {
+    fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<S::Sample> {
+        if let Ok(Some(sample)) = self.source.try_take_valid() {
             return Poll::Ready(sample);
         }
         // For combinators that only poll what was woken.
@@ -109,7 +183,7 @@ impl<T: Message> Subscription<T> {
         job::note_queue(QueueState {
             lost: lost.wrapping_sub(self.noted_lost),
             max_queue: self.counters.max_queue(),
-            depth: self.inner.qos().depth as u64,
+            depth: self.source.raw().qos().depth as u64,
         });
         self.noted_lost = lost;
     }
@@ -118,7 +192,7 @@ impl<T: Message> Subscription<T> {
     fn set_quiet(&mut self, quiet: bool) {
         if quiet != self.quiet {
             self.quiet = quiet;
-            self.inner.set_quiet(quiet);
+            self.source.raw().set_quiet(quiet);
             // A publisher has a fence between sending and reading the flag: either it sees the change, or the look into
             // the queue that follows here sees its sample.
             fence(Ordering::SeqCst);

@@ -164,6 +164,23 @@ pub enum PublishError {
     Incomplete,
 }
 
+/// Why the CDR of a message was not published.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum PublishCdrError {
+    /// The bytes are not a message of the topic's type. Nothing was sent.
+    #[error("not published: {0}")]
+    Invalid(#[from] DecodeError),
+    /// It was not published.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+}
+
+impl From<LoanError> for PublishCdrError {
+    fn from(error: LoanError) -> Self {
+        PublishCdrError::Publish(error.into())
+    }
+}
+
 /// Why nothing was taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TakeError {

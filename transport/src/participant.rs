@@ -175,7 +175,7 @@ pub fn file_prefix(domain: u32) -> String {
     format!("taut_{domain}_{}_", rustix::process::getuid().as_raw())
 }
 
-/// Where iceoryx2 keeps what is not shared memory: the descriptions of nodes and services.
-fn root_directory() -> String {
+/// Where what is not shared memory is kept: iceoryx2's descriptions of nodes and services, and the schemas.
+pub(crate) fn root_directory() -> String {
     format!("/tmp/tautline_{}", rustix::process::getuid().as_raw())
 }

@@ -5,6 +5,7 @@ use crate::error::TransportError;
 use crate::header::SampleHeader;
 use crate::memory;
 use crate::qos::{Durability, Limits, Qos};
+use crate::schema_store;
 use crate::topic_type::TopicType;
 use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
@@ -73,7 +74,8 @@ impl Topic {
         // Only a subscription's depth is a queue; a transient-local publisher's keeper is one as well.
         let depth = if is_queue || transient_local { qos.depth } else { 1 };
         let wanted = Limits { depth: limits.depth.max(depth), ..limits };
-        let (factory, topic_type) = open_service(node, name, name, topic_type, wanted)?;
+        let requested = topic_type;
+        let (factory, topic_type) = open_service(node, name, name, requested, wanted)?;
         // Known here by now, or by whoever made the topic: a claim, which sizes memory.
         let message_bytes = topic_type.body_bytes.map_or(limits.message_bytes, |bytes| bytes.max(1));
         Limits { message_bytes, ..limits }.check(name)?;
@@ -103,6 +105,8 @@ impl Topic {
                 requested: depth,
             });
         }
+        // Only what its bringer knows the hash of.
+        schema_store::keep(requested);
         Ok(Topic { name: name.into(), factory, topic_type, limits, history })
     }
 

@@ -32,7 +32,8 @@ pub struct TopicType {
     /// Length of every body in bytes, if the type's size is fixed and known: CDR without the 4 encapsulation bytes and
     /// without trailing padding.
     pub body_bytes: Option<usize>,
-    /// The definition as ros2msg text, with those of the types it uses.
+    /// The definition as ros2msg text, with those of the types it uses. If the hash is known too, opening a topic keeps it in
+    /// the [`SchemaStore`](crate::SchemaStore).
     pub definition: Option<Cow<'static, str>>,
 }
 
@@ -159,7 +160,7 @@ impl TopicType {
 }
 
 /// Whether this is `RIHS01_` and 64 hexadecimal digits.
-fn is_hash(hash: &str) -> bool {
+pub(crate) fn is_hash(hash: &str) -> bool {
     hash.strip_prefix(HASH_PREFIX).is_some_and(|digits| {
         digits.len() == HASH_DIGITS && digits.bytes().all(|digit| digit.is_ascii_hexdigit())
     })

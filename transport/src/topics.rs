@@ -105,6 +105,14 @@ impl Participant {
         (publishers, subscriptions)
     }
 
+    /// The type of a topic, as far as whoever made it knew it; `None` if there is no such topic.
+    ///
+    /// # Real-time
+    /// Not for real-time threads: opens the topic, with files and allocations.
+    pub fn topic_type(&self, topic: &str) -> Option<TopicType> {
+        TopicType::from_attributes(open_existing(&self.shared.node, topic)?.attributes())
+    }
+
     /// A number that changes when a publisher or a subscription of the domain appears or goes. Read it before
     /// [`topics`](Self::topics): if it is the same later, so is the list.
     ///

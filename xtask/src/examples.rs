@@ -12,10 +12,11 @@ use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
 /// its first line.
-const RUNS: [&[&str]; 9] = [
+const RUNS: [&[&str]; 10] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
     &["variable_image"],
+    &["untyped"],
     &["timer"],
     &["priorities"],
     &["callback_group"],

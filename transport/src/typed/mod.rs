@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Publishers and subscriptions of a type: a thin layer over those of bytes.
 
+mod cdr;
 mod hot;
 
 pub use hot::{Loan, Sample, Unwritten};

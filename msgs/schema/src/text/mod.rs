@@ -39,6 +39,16 @@ impl DynamicMessage {
         Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
     }
 
+    /// [`from_json`](Self::from_json) of what was parsed already.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError::Text`] with the field if it does not fit the type.
+    pub fn from_json_value(schema: &Arc<Schema>, json: serde_json::Value) -> Result<Self, MessageError> {
+        let fields = Root::seed(schema).deserialize(json);
+        Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
+    }
+
     fn from_text_fields(
         schema: &Arc<Schema>,
         fields: Result<Vec<Value>, String>,
@@ -52,6 +62,12 @@ impl DynamicMessage {
     pub fn to_json(&self) -> String {
         // All keys are strings, all numbers finite.
         serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// What [`to_json`](Self::to_json) writes, as a value.
+    #[must_use]
+    pub fn to_json_value(&self) -> serde_json::Value {
+        serde_json::to_value(self).unwrap_or_default()
     }
 }
 

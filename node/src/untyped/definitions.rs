@@ -1,0 +1,199 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Finds the definition of a type that is known by name.
+
+use super::bundled::Bundled;
+use crate::error::{Error, Result};
+use std::sync::Arc;
+use tautline_schema::{Packages, Schema, SchemaError, TypeName};
+use tautline_transport::{SchemaStore, TopicType};
+
+/// The definition of the type `name`, with all types it consists of, for `topic`, which exists with the type `existing` or
+/// does not exist yet: what was kept for the topic's hash, after computing the hash anew; else from the packages of
+/// `AMENT_PREFIX_PATH`; else from those that are bundled.
+///
+/// Of the latter two the one with the topic's hash is taken. If none has it, the first one is: opening the topic with it is
+/// then an error that names both hashes.
+///
+/// # Errors
+/// [`Error::UnknownType`] if there is none; [`Error::StoredDefinition`] or [`Error::Schema`] if it cannot be used.
+pub fn find_schema(topic: &str, name: &TypeName, existing: Option<&TopicType>) -> Result<Arc<Schema>> {
+    find(&SchemaStore::of_user(), &mut Packages::from_env(), topic, name, existing)
+}
+
+fn find(
+    store: &SchemaStore,
+    installed: &mut Packages,
+    topic: &str,
+    name: &TypeName,
+    existing: Option<&TopicType>,
+) -> Result<Arc<Schema>> {
+    // If the topic has another type, this one is not the one to look for: opening it will say so.
+    let existing = existing.filter(|existing| existing.name == name.as_str());
+    let hash = existing.and_then(|existing| existing.hash.as_deref());
+    if let Some(hash) = hash
+        && let Some(schema) = stored(store, name, hash)?
+    {
+        return Ok(schema.into());
+    }
+    let mut bundled = Bundled::default();
+    let first = known(Schema::resolve(name, &mut |name| match installed.definition(name)? {
+        Some(definition) => Ok(Some(definition)),
+        None => bundled.definition(name),
+    }))?;
+    let agrees = |schema: &Schema| hash.is_none_or(|hash| schema.hash().to_string() == hash);
+    if let Some(first) = first {
+        if !agrees(&first) {
+            let second = known(Schema::resolve(name, &mut |name| bundled.definition(name)))?;
+            if let Some(second) = second.filter(agrees) {
+                return Ok(second.into());
+            }
+        }
+        return Ok(first.into());
+    }
+    Err(Error::UnknownType {
+        topic: topic.to_owned(),
+        type_name: name.to_string(),
+        stored: match (existing, hash) {
+            (None, _) => "it has no publisher or subscription of this type yet".to_owned(),
+            (Some(_), None) => "its type has no hash, as those of #[derive(Message)]".to_owned(),
+            (Some(_), Some(hash)) => format!("nothing is kept as {}", store.path().join(hash).display()),
+        },
+    })
+}
+
+/// What is kept is a claim: whoever can write the folder can have written anything.
+fn stored(store: &SchemaStore, name: &TypeName, hash: &str) -> Result<Option<Schema>> {
+    let unusable = |reason: String| Error::StoredDefinition { path: store.path().join(hash), reason };
+    let Some(claimed) = store.read(hash).map_err(|error| unusable(error.to_string()))? else {
+        return Ok(None);
+    };
+    let schema = Schema::from_text(name, &claimed.text).map_err(|error| unusable(error.to_string()))?;
+    let computed = schema.hash().to_string();
+    if computed != hash {
+        return Err(unusable(format!("read as '{name}', its hash is {computed}")));
+    }
+    Ok(Some(schema))
+}
+
+/// A type that is defined nowhere is none; one that uses such a type is wrong.
+fn known(
+    schema: std::result::Result<Schema, SchemaError>,
+) -> std::result::Result<Option<Schema>, SchemaError> {
+    match schema {
+        Err(SchemaError::Missing { .. }) => Ok(None),
+        schema => schema.map(Some),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+    use tautline_transport::MAX_SCHEMA_BYTES;
+
+    const TEXT: &str = "uint8 x\n";
+    const NAME: &str = "demo_msgs/msg/A";
+
+    /// A store, an installed package, and what is found in them for a topic of this hash.
+    struct Fixture {
+        folder: tempfile::TempDir,
+        store: SchemaStore,
+        installed: bool,
+    }
+
+    impl Fixture {
+        fn new() -> Self {
+            let folder = tempfile::tempdir().unwrap();
+            let store = SchemaStore::at(folder.path().join("root"));
+            Fixture { folder, store, installed: false }
+        }
+
+        fn install(&mut self, package: &str, name: &str, text: &str) {
+            let file = self.folder.path().join(format!("prefix/share/{package}/msg/{name}.msg"));
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(file, text).unwrap();
+            self.installed = true;
+        }
+
+        fn find(&self, name: &str, hash: Option<&str>) -> Result<Arc<Schema>> {
+            let mut installed = Packages::new();
+            if self.installed {
+                installed.add_folder(self.folder.path().join("prefix"));
+            }
+            let existing = TopicType::new(name.to_owned());
+            let existing = hash.map(|hash| existing.with_hash(hash.to_owned()));
+            find(&self.store, &mut installed, "/t", &name.parse().unwrap(), existing.as_ref())
+        }
+    }
+
+    fn hash_of(name: &str, text: &str) -> String {
+        Schema::from_text(&name.parse().unwrap(), text).unwrap().hash().to_string()
+    }
+
+    #[test]
+    fn what_is_kept_wins_then_what_is_installed_then_what_is_bundled() {
+        let mut fixture = Fixture::new();
+        let hash = hash_of(NAME, TEXT);
+        let error = fixture.find(NAME, Some(&hash)).unwrap_err().to_string();
+        assert!(error.contains("nothing is kept as") && error.contains(&hash), "{error}");
+        fixture.store.keep(&hash, TEXT).unwrap();
+        assert_eq!(fixture.find(NAME, Some(&hash)).unwrap().hash().to_string(), hash);
+
+        fixture.install("demo_msgs", "A", "uint16 x\n");
+        assert_eq!(fixture.find(NAME, Some(&hash)).unwrap().hash().to_string(), hash);
+        assert_eq!(fixture.find(NAME, None).unwrap().hash().to_string(), hash_of(NAME, "uint16 x\n"));
+
+        // Two versions of one type: that of the topic, whoever has it, else the installed one.
+        let bundled = fixture.find("std_msgs/msg/String", None).unwrap().hash().to_string();
+        fixture.install("std_msgs", "String", "wstring data\n");
+        let installed = hash_of("std_msgs/msg/String", "wstring data\n");
+        for (topic, found) in [(Some(&bundled), &bundled), (Some(&installed), &installed), (None, &installed)]
+        {
+            let schema = fixture.find("std_msgs/msg/String", topic.map(String::as_str)).unwrap();
+            assert_eq!(&schema.hash().to_string(), found);
+        }
+        let unknown = format!("RIHS01_{}", "a".repeat(64));
+        assert_eq!(
+            fixture.find("std_msgs/msg/String", Some(&unknown)).unwrap().hash().to_string(),
+            installed
+        );
+    }
+
+    #[test]
+    fn a_file_that_lies_is_named() {
+        let fixture = Fixture::new();
+        let hash = hash_of(NAME, TEXT);
+        fixture.store.keep(&hash, TEXT).unwrap();
+        let file = fixture.store.path().join(&hash);
+        let long = format!("{TEXT}#{}", "x".repeat(MAX_SCHEMA_BYTES));
+        for (content, reason) in [
+            ("uint16 x\n".as_bytes(), hash_of(NAME, "uint16 x\n")),
+            (b"uint8 x\nuint", "uint".to_owned()),
+            (b"Other x\n", "demo_msgs/msg/Other".to_owned()),
+            (b"A x\n", "cannot contain itself".to_owned()),
+            (b"\xff\xfe", "UTF-8".to_owned()),
+            (long.as_bytes(), "longer than".to_owned()),
+        ] {
+            fs::write(&file, content).unwrap();
+            let error = fixture.find(NAME, Some(&hash)).unwrap_err();
+            assert!(matches!(error, Error::StoredDefinition { .. }), "{error}");
+            let error = error.to_string();
+            let path = file.to_string_lossy();
+            assert!(error.contains(&*path) && error.contains(&reason) && error.contains("remove"), "{error}");
+        }
+        // That of another type.
+        fs::write(&file, TEXT).unwrap();
+        assert!(fixture.find("demo_msgs/msg/B", Some(&hash)).is_err());
+        assert!(fixture.find(NAME, Some(&hash)).is_ok());
+    }
+
+    #[test]
+    fn a_definition_that_is_wrong_is_an_error_with_its_place() {
+        let mut fixture = Fixture::new();
+        fixture.install("demo_msgs", "A", "uint8 x\nuint8\n");
+        assert!(fixture.find(NAME, None).unwrap_err().to_string().contains("A.msg:2"));
+        fixture.install("demo_msgs", "A", "uint8 x\nno_msgs/None none\n");
+        let error = fixture.find(NAME, None).unwrap_err().to_string();
+        assert!(error.contains("no_msgs/msg/None") && error.contains("A.msg:2"), "{error}");
+    }
+}

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Topics of types that the program was not built with: messages as JSON, or as the CDR of the ROS 2 wire.
+
+mod bundled;
+mod definitions;
+mod publisher;
+mod subscription;
+
+pub use definitions::find_schema;
+pub use publisher::PublisherUntyped;
+pub use subscription::{SubscriptionRaw, SubscriptionUntyped};
+
+use crate::error::{Error, Result};
+use crate::node::Node;
+use crate::qos::QosProfile;
+use std::sync::Arc;
+use tautline_schema::{Layout, Schema, Size, TypeName};
+use tautline_transport::{Limits, RawSubscription, TopicType};
+
+/// Where definitions are looked for, in this order: what was kept for the hash of the topic, if it exists (every process
+/// keeps the definitions of its types in `/tmp/tautline_<uid>/schemas`); the packages of `AMENT_PREFIX_PATH`; those that are
+/// bundled.
+impl Node {
+    /// Subscribes to a topic of a type that is known by name: a stream of messages as JSON, led by the type's definition.
+    /// An item is an error if a message is not of the type.
+    ///
+    /// ```
+    /// # use futures::{StreamExt, executor::block_on};
+    /// # use tautline::{Context, Node, QosProfile, Realtime};
+    /// # let ctx = Context::builder().domain(196).realtime(Realtime::Off).build()?;
+    /// # let mut node = Node::create(ctx, "example", "")?;
+    /// let qos = QosProfile::default();
+    /// let mut points = node.subscribe_untyped("/point", "geometry_msgs/msg/Point", qos)?;
+    /// let publisher = node.create_publisher_untyped("/point", "geometry_msgs/msg/Point", qos)?;
+    /// publisher.publish(serde_json::json!({ "x": 1.5 }))?; // what is left out has its default
+    /// let point = block_on(points.next()).expect("it never ends")?;
+    /// assert_eq!(point, serde_json::json!({ "x": 1.5, "y": 0.0, "z": 0.0 }));
+    /// # Ok::<(), tautline::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::UnknownType`] if the type's definition is not found, [`Error::Schema`] and [`Error::StoredDefinition`] if it
+    /// is wrong; as [`create_publisher`](Self::create_publisher).
+    pub fn subscribe_untyped(
+        &mut self,
+        topic: &str,
+        topic_type: &str,
+        qos_profile: QosProfile,
+    ) -> Result<SubscriptionUntyped> {
+        let schema = self.schema_of(topic, topic_type)?;
+        let raw = self.raw_subscription(topic, &type_of(&schema), qos_profile)?;
+        Ok(SubscriptionUntyped::new(raw, schema))
+    }
+
+    /// Subscribes to a topic of a type that is known by name: a stream of its messages as CDR, each with the 4 bytes of the
+    /// encapsulation header, copied out of shared memory. Nobody has looked whether they are messages of the type. Its
+    /// definition need not be known; if it is, the topic must agree with its hash.
+    ///
+    /// # Errors
+    /// [`Error::Schema`] and [`Error::StoredDefinition`] if there is a definition but it is wrong; as
+    /// [`create_publisher`](Self::create_publisher).
+    pub fn subscribe_raw(
+        &mut self,
+        topic: &str,
+        topic_type: &str,
+        qos_profile: QosProfile,
+    ) -> Result<SubscriptionRaw> {
+        let topic_type = match self.schema_of(topic, topic_type) {
+            Ok(schema) => type_of(&schema),
+            Err(Error::UnknownType { type_name, .. }) => TopicType::new(type_name),
+            Err(error) => return Err(error),
+        };
+        Ok(SubscriptionRaw::new(self.raw_subscription(topic, &topic_type, qos_profile)?))
+    }
+
+    /// Creates a publisher of messages as JSON or CDR, checked with the type's definition.
+    ///
+    /// # Errors
+    /// As [`subscribe_untyped`](Self::subscribe_untyped).
+    pub fn create_publisher_untyped(
+        &mut self,
+        topic: &str,
+        topic_type: &str,
+        qos_profile: QosProfile,
+    ) -> Result<PublisherUntyped> {
+        let schema = self.schema_of(topic, topic_type)?;
+        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let _node = tautline_trace::in_node(self.trace.id());
+        let participant = &self.context.shared.participant;
+        let qos = qos_profile.to_transport();
+        let raw = participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
+        Ok(PublisherUntyped::new(raw, schema))
+    }
+
+    fn schema_of(&self, topic: &str, type_name: &str) -> Result<Arc<Schema>> {
+        let topic = self.expand_topic_name(topic)?;
+        let name: TypeName = type_name.parse()?;
+        let existing = self.context.shared.participant.topic_type(&topic);
+        find_schema(&topic, &name, existing.as_ref())
+    }
+
+    fn raw_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos_profile: QosProfile,
+    ) -> Result<RawSubscription> {
+        let (topic, limits): (String, Limits) = self.resolve(topic, qos_profile)?;
+        let _node = tautline_trace::in_node(self.trace.id());
+        let participant = &self.context.shared.participant;
+        Ok(participant.create_raw_subscription(&topic, topic_type, qos_profile.to_transport(), limits)?)
+    }
+}
+
+/// All that a topic can know of a type.
+fn type_of(schema: &Schema) -> TopicType {
+    let topic_type = TopicType::new(schema.name().to_string())
+        .with_hash(schema.hash().to_string())
+        .with_definition(schema.to_text());
+    match Layout::of(schema).size {
+        Size::Fixed(body_bytes) => topic_type.with_body_bytes(body_bytes),
+        Size::Formula(_) => topic_type,
+    }
+}

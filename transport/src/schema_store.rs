@@ -1,0 +1,301 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The definitions of the types on this host's topics, one file for each type hash: how a tool reads messages of a type
+//! that it was not built with.
+//!
+//! Whoever opens a topic with hash and definition leaves the definition here, in files that only this user can read or
+//! write. What is read is a claim: whoever can compute the hash checks it before use.
+
+use crate::participant::root_directory;
+use crate::topic_type::{TopicType, is_hash};
+use rustix::fs::{self, AtFlags, Mode, OFlags};
+use rustix::io::Errno;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::{Path, PathBuf};
+use std::sync::Once;
+
+/// The longest definition that is kept or read. Those of ROS 2's own packages are below 20 KB.
+pub const MAX_SCHEMA_BYTES: usize = 1 << 20;
+
+const FOLDER: &str = "schemas";
+const PRIVATE_FOLDER: Mode = Mode::RWXU;
+const OTHERS: Mode = Mode::RWXG.union(Mode::RWXO);
+const OTHERS_WRITE: Mode = Mode::WGRP.union(Mode::WOTH);
+
+/// The folder of this user's schemas.
+#[derive(Clone, Debug)]
+pub struct SchemaStore {
+    /// The folder that has the folder.
+    root: PathBuf,
+}
+
+/// A definition as a file has it. Nobody has checked yet that it is of the type whose hash names the file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClaimedSchema {
+    /// The file.
+    pub path: PathBuf,
+    /// What it says: ros2msg text.
+    pub text: String,
+}
+
+impl SchemaStore {
+    /// That of the user who runs this process: `/tmp/tautline_<uid>/schemas`.
+    pub fn of_user() -> Self {
+        Self::at(root_directory())
+    }
+
+    /// In this folder, which is made if its parent exists.
+    pub fn at(root: impl Into<PathBuf>) -> Self {
+        SchemaStore { root: root.into() }
+    }
+
+    /// The folder with the files.
+    pub fn path(&self) -> PathBuf {
+        self.root.join(FOLDER)
+    }
+
+    /// Keeps a definition, unless there is one for this hash already. Readers see all of it or nothing, however many write.
+    ///
+    /// # Errors
+    /// [`io::Error`]: the folder cannot be made or written, or belongs to somebody else; the hash is none; the text is longer
+    /// than [`MAX_SCHEMA_BYTES`].
+    pub fn keep(&self, hash: &str, text: &str) -> io::Result<()> {
+        check_hash(hash)?;
+        if text.len() > MAX_SCHEMA_BYTES {
+            return Err(invalid(format!(
+                "a definition of {} bytes is too long: at most {MAX_SCHEMA_BYTES}",
+                text.len()
+            )));
+        }
+        let folder = self.make()?;
+        match fs::statat(&folder, hash, AtFlags::SYMLINK_NOFOLLOW) {
+            // An empty file may be what a crash of the system left.
+            Ok(stat) if stat.st_size > 0 || text.is_empty() => return Ok(()),
+            Ok(_) | Err(Errno::NOENT) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let (process, thread) = (rustix::process::getpid(), rustix::thread::gettid());
+        let temporary = format!(
+            ".{hash}.{}.{}.{}",
+            process.as_raw_pid(),
+            thread.as_raw_pid(),
+            tautline_rt::clock::monotonic_ns()
+        );
+        let flags = OFlags::CREATE | OFlags::EXCL | OFlags::WRONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+        let file = fs::openat(&folder, &temporary, flags, Mode::RUSR | Mode::WUSR)?;
+        let written = File::from(file)
+            .write_all(text.as_bytes())
+            .and_then(|()| Ok(fs::renameat(&folder, &temporary, &folder, hash)?));
+        if written.is_err() {
+            let _ = fs::unlinkat(&folder, &temporary, AtFlags::empty());
+        }
+        written
+    }
+
+    /// Reads what is kept for a hash; `None` if nothing is.
+    ///
+    /// # Errors
+    /// [`io::Error`]: the file cannot be read, is not a file, is longer than [`MAX_SCHEMA_BYTES`] or no text; the folder
+    /// belongs to somebody else.
+    pub fn read(&self, hash: &str) -> io::Result<Option<ClaimedSchema>> {
+        check_hash(hash)?;
+        let folder = match self.open() {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            folder => folder?,
+        };
+        // Not blocking: it might be a pipe.
+        let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let file = match fs::openat(&folder, hash, flags, Mode::empty()) {
+            Err(Errno::NOENT) => return Ok(None),
+            file => File::from(file?),
+        };
+        if !file.metadata()?.is_file() {
+            return Err(invalid("it is not a file".to_owned()));
+        }
+        let mut text = String::new();
+        file.take(MAX_SCHEMA_BYTES as u64 + 1).read_to_string(&mut text)?;
+        if text.len() > MAX_SCHEMA_BYTES {
+            return Err(invalid(format!("it is longer than {MAX_SCHEMA_BYTES} bytes")));
+        }
+        Ok(Some(ClaimedSchema { path: self.path().join(hash), text }))
+    }
+
+    fn make(&self) -> io::Result<OwnedFd> {
+        for path in [&self.root, &self.path()] {
+            match fs::mkdir(path, PRIVATE_FOLDER) {
+                Ok(()) | Err(Errno::EXIST) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        self.open()
+    }
+
+    /// Both folders must be this user's own: the place is where anybody can make folders.
+    fn open(&self) -> io::Result<OwnedFd> {
+        let flags = OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::RDONLY | OFlags::CLOEXEC;
+        let root = fs::open(&self.root, flags, Mode::empty())?;
+        check_owner(&self.root, &root, OTHERS_WRITE)?;
+        let folder = fs::openat(&root, FOLDER, flags, Mode::empty())?;
+        check_owner(&self.path(), &folder, OTHERS)?;
+        Ok(folder)
+    }
+}
+
+/// Keeps the definition of a topic's type if its opener knows hash and definition. What goes wrong is said once and stops
+/// nobody: only tools that lack the definition miss it.
+pub(crate) fn keep(topic_type: &TopicType) {
+    static SAID: Once = Once::new();
+    let (Some(hash), Some(definition)) = (&topic_type.hash, &topic_type.definition) else { return };
+    let store = SchemaStore::of_user();
+    if let Err(error) = store.keep(hash, definition) {
+        SAID.call_once(|| {
+            tracing::warn!(
+                "the definition of '{}' cannot be kept in {}: {error}; topics work, but tools that do not know the type \
+                 cannot read them: see that the folder is this user's own, of mode 700, on a file system with room (said \
+                 once)",
+                topic_type.name,
+                store.path().display()
+            );
+        });
+    }
+}
+
+fn check_hash(hash: &str) -> io::Result<()> {
+    if is_hash(hash) { Ok(()) } else { Err(invalid(format!("'{hash}' is not a type hash"))) }
+}
+
+fn check_owner(path: &Path, folder: impl AsFd, forbidden: Mode) -> io::Result<()> {
+    let stat = fs::fstat(folder)?;
+    let mode = Mode::from_raw_mode(stat.st_mode);
+    if stat.st_uid == rustix::process::geteuid().as_raw() && !mode.intersects(forbidden) {
+        return Ok(());
+    }
+    let reason = format!(
+        "{} is open to other users (owner {}, mode {:o}): remove it",
+        path.display(),
+        stat.st_uid,
+        mode.as_raw_mode() & 0o777
+    );
+    Err(io::Error::new(io::ErrorKind::PermissionDenied, reason))
+}
+
+fn invalid(reason: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, reason)
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use std::fs as files;
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    struct Scratch(PathBuf);
+
+    impl Scratch {
+        fn new(name: &str) -> (Scratch, SchemaStore) {
+            let root = std::env::temp_dir().join(format!("taut_schemas_{}_{name}", std::process::id()));
+            let store = SchemaStore::at(&root);
+            (Scratch(root), store)
+        }
+    }
+
+    impl Drop for Scratch {
+        fn drop(&mut self) {
+            let _ = files::remove_dir_all(&self.0);
+            let _ = files::remove_file(&self.0);
+        }
+    }
+
+    fn hash(digit: char) -> String {
+        format!("RIHS01_{}", String::from(digit).repeat(64))
+    }
+
+    fn names(store: &SchemaStore) -> Vec<String> {
+        let entries = files::read_dir(store.path()).unwrap();
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn what_is_kept_is_read_and_private() {
+        let (scratch, store) = Scratch::new("kept");
+        assert_eq!(store.read(&hash('1')).unwrap(), None);
+        store.keep(&hash('1'), "uint8 x\n").unwrap();
+        store.keep(&hash('1'), "another definition\n").unwrap();
+        store.keep(&hash('2'), "").unwrap();
+        let claimed = store.read(&hash('1')).unwrap().unwrap();
+        assert_eq!((claimed.path, claimed.text.as_str()), (store.path().join(hash('1')), "uint8 x\n"));
+        assert_eq!(store.read(&hash('2')).unwrap().unwrap().text, "");
+        assert_eq!(store.read(&hash('3')).unwrap(), None);
+        for folder in [scratch.0.clone(), store.path()] {
+            assert_eq!(files::metadata(folder).unwrap().permissions().mode() & 0o777, 0o700);
+        }
+        // Cut off by a crash.
+        files::write(store.path().join(hash('1')), "").unwrap();
+        store.keep(&hash('1'), "uint8 x\n").unwrap();
+        assert_eq!(store.read(&hash('1')).unwrap().unwrap().text, "uint8 x\n");
+    }
+
+    #[test]
+    fn a_reader_beside_many_writers_sees_all_of_it_or_nothing() {
+        let (_scratch, store) = Scratch::new("writers");
+        let text = "uint8 x\n".repeat(10_000);
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for digit in ('0'..='9').chain('a'..='f') {
+                        store.keep(&hash(digit), &text).unwrap();
+                    }
+                });
+            }
+            while store.read(&hash('f')).unwrap().is_none() {
+                for digit in ('0'..='9').chain('a'..='f') {
+                    assert!(store.read(&hash(digit)).unwrap().is_none_or(|claimed| claimed.text == text));
+                }
+            }
+        });
+        assert_eq!(names(&store).len(), 16, "nothing temporary is left: {:?}", names(&store));
+    }
+
+    #[test]
+    fn what_is_no_schema_is_refused() {
+        let (_scratch, store) = Scratch::new("refused");
+        for no_hash in ["", "..", "../x", "RIHS01_", &hash('1')[1..]] {
+            assert!(store.keep(no_hash, "").is_err() && store.read(no_hash).is_err(), "{no_hash}");
+        }
+        let long = " ".repeat(MAX_SCHEMA_BYTES + 1);
+        assert!(store.keep(&hash('1'), &long).unwrap_err().to_string().contains("too long"));
+        store.keep(&hash('0'), "x").unwrap();
+        files::write(store.path().join(hash('1')), &long).unwrap();
+        assert!(store.read(&hash('1')).unwrap_err().to_string().contains("longer than"));
+        files::write(store.path().join(hash('2')), [0xff, 0xfe]).unwrap();
+        store.read(&hash('2')).unwrap_err();
+        files::create_dir(store.path().join(hash('3'))).unwrap();
+        store.read(&hash('3')).unwrap_err();
+        symlink("/etc/passwd", store.path().join(hash('4'))).unwrap();
+        store.read(&hash('4')).unwrap_err();
+    }
+
+    #[test]
+    fn a_folder_that_others_can_change_is_not_used() {
+        let (scratch, store) = Scratch::new("folder");
+        // A file is in the way.
+        files::write(&scratch.0, "").unwrap();
+        store.keep(&hash('1'), "x").unwrap_err();
+        files::remove_file(&scratch.0).unwrap();
+        // A link.
+        symlink("/tmp", &scratch.0).unwrap();
+        store.keep(&hash('1'), "x").unwrap_err();
+        files::remove_file(&scratch.0).unwrap();
+        // Others may look in, or write.
+        store.keep(&hash('1'), "x").unwrap();
+        for (folder, mode) in [(store.path(), 0o755), (scratch.0.clone(), 0o777)] {
+            files::set_permissions(&folder, files::Permissions::from_mode(mode)).unwrap();
+            let error = store.keep(&hash('2'), "x").unwrap_err();
+            assert!(error.to_string().contains("open to other users"), "{error}");
+            store.read(&hash('1')).unwrap_err();
+            files::set_permissions(&folder, files::Permissions::from_mode(0o700)).unwrap();
+        }
+        store.read(&hash('1')).unwrap().unwrap();
+    }
+}
