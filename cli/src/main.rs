@@ -8,6 +8,7 @@ mod init;
 mod msg;
 mod report;
 mod table;
+mod topic;
 mod trace;
 
 use clap::{Parser, Subcommand};
@@ -28,6 +29,7 @@ enum Verb {
     Init(init::InitArgs),
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
+    Topic(topic::TopicArgs),
     Trace(trace::TraceArgs),
 }
 
@@ -44,6 +46,7 @@ fn main() -> ExitCode {
         Verb::Init(args) => Ok(init::run(&args)),
         Verb::Report(args) => Ok(report::run(&args)),
         Verb::Trace(args) => trace::run(args).map_err(|error| error.to_string()),
+        Verb::Topic(args) => topic::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {

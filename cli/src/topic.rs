@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut topic`: the topics of a domain, and what is published on them, without a compiled-in type.
+
+use clap::{Args, Subcommand};
+use futures::{FutureExt, StreamExt};
+use std::io::{self, Write};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tautline::{Context, Node, QosProfile, Realtime, find_schema};
+use tautline_schema::DynamicMessage;
+use tautline_transport::{Durability, Participant, TopicInfo};
+
+/// Lists topics; prints messages.
+///
+/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Types need not be compiled in: processes leave their definitions
+/// in /tmp/tautline_<uid>/schemas.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut topic list
+  taut topic list --json            types, hashes, publishers and subscriptions
+  taut topic echo /joint_states     as ros2 topic echo, until Ctrl-C
+  taut topic echo /map --once --json")]
+pub struct TopicArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Print JSON
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the topics with their types, and how many publishers and subscriptions they have
+    List,
+    /// Prints the messages of a topic as they come
+    Echo {
+        /// The topic; waited for if it does not exist
+        #[arg(value_name = "TOPIC")]
+        topic: String,
+        /// End after the first message
+        #[arg(long)]
+        once: bool,
+    },
+}
+
+/// Why there is nothing to print.
+#[derive(Debug, thiserror::Error)]
+pub enum TopicError {
+    #[error(transparent)]
+    Node(#[from] tautline::Error),
+    #[error(transparent)]
+    Transport(#[from] tautline_transport::TransportError),
+    #[error(transparent)]
+    Schema(#[from] tautline_schema::SchemaError),
+    #[error("signals cannot be caught: {0}")]
+    Signal(io::Error),
+    #[error("the result cannot be printed: {0}")]
+    Print(#[from] io::Error),
+}
+
+/// Runs the verb.
+pub fn run(args: TopicArgs) -> Result<ExitCode, TopicError> {
+    let participant = Participant::new(Context::domain_of_environment()?)?;
+    let result = match &args.verb {
+        Verb::List => list(&participant, args.json),
+        Verb::Echo { topic, once } => echo(&participant, topic, *once, args.json),
+    };
+    match result {
+        // Whoever reads has seen enough.
+        Err(TopicError::Print(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
+        result => result.map(|()| ExitCode::SUCCESS),
+    }
+}
+
+fn list(participant: &Participant, json: bool) -> Result<(), TopicError> {
+    let topics = participant.topics()?;
+    let mut out = io::stdout().lock();
+    if json {
+        let topics = topics.iter().map(|topic| {
+            serde_json::json!({
+                "topic": topic.name,
+                "type": topic.topic_type.name,
+                "hash": topic.topic_type.hash,
+                "publishers": topic.publishers.len(),
+                "subscriptions": topic.subscriptions.len(),
+            })
+        });
+        return Ok(writeln!(out, "{}", serde_json::Value::from_iter(topics))?);
+    }
+    let row = |topic: &TopicInfo| {
+        let counts = [topic.publishers.len().to_string(), topic.subscriptions.len().to_string()];
+        (true, [vec![topic.name.clone(), topic.topic_type.name.to_string()], counts.to_vec()].concat())
+    };
+    let head = ["topic", "type", "publishers", "subscriptions"];
+    Ok(crate::table::write_table(&head, 2, topics.iter().map(row).collect(), &mut out)?)
+}
+
+fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Result<(), TopicError> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone()).map_err(TopicError::Signal)?;
+    }
+    let context = Context::builder().realtime(Realtime::Off).build()?;
+    let mut node = Node::create(context, "taut_topic_echo", "")?;
+    let topic = node.expand_topic_name(topic)?;
+    let mut waits = false;
+    let info = loop {
+        let seen = participant.graph_epoch();
+        if let Some(info) = participant.topics()?.into_iter().find(|info| info.name == topic) {
+            break info;
+        }
+        if stop.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        if !std::mem::replace(&mut waits, true) {
+            eprintln!("taut: there is no topic '{topic}' yet: waiting for it");
+        }
+        participant.wait_for_graph_change(seen, Duration::from_millis(200));
+    };
+    let schema = find_schema(&topic, &info.topic_type.name.parse()?, Some(&info.topic_type))?;
+    // What late joiners get is asked for if every publisher has it.
+    let latched = |durability| durability == Durability::TransientLocal;
+    let all = info.publishers.iter().all(|publisher| latched(publisher.qos.durability));
+    let qos = if all && !info.publishers.is_empty() {
+        QosProfile::default().transient_local()
+    } else {
+        QosProfile::default()
+    };
+    let mut messages = node.subscribe_raw(&topic, &info.topic_type.name, qos)?;
+    while !stop.load(Ordering::Relaxed) {
+        node.spin_once(Duration::from_millis(100));
+        while let Some(Some(cdr)) = messages.next().now_or_never() {
+            let mut out = io::stdout().lock();
+            match DynamicMessage::from_cdr(&schema, &cdr) {
+                Ok(message) if json => writeln!(out, "{}", message.to_json())?,
+                Ok(message) => writeln!(out, "{}---", message.echo(ECHOED))?,
+                Err(error) => eprintln!("taut: {error}"),
+            }
+            out.flush()?;
+            if once {
+                return Ok(());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// As `ros2 topic echo`: elements of a list, characters of a text.
+const ECHOED: usize = 128;
