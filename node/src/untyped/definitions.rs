@@ -3,9 +3,10 @@
 
 use super::bundled::Bundled;
 use crate::error::{Error, Result};
+use std::io;
 use std::sync::Arc;
 use tautline_schema::{Packages, Schema, SchemaError, TypeName};
-use tautline_transport::{SchemaStore, TopicType};
+use tautline_transport::{ClaimedSchema, SchemaStore, TopicType};
 
 /// The definition of the type `name`, with all types it consists of, for `topic`, which exists with the type `existing` or
 /// does not exist yet: what was kept for the topic's hash, after computing the hash anew; else from the packages of
@@ -30,10 +31,20 @@ fn find(
     // If the topic has another type, this one is not the one to look for: opening it will say so.
     let existing = existing.filter(|existing| existing.name == name.as_str());
     let hash = existing.and_then(|existing| existing.hash.as_deref());
-    if let Some(hash) = hash
-        && let Some(schema) = stored(store, name, hash)?
-    {
-        return Ok(schema.into());
+    // No reason to do without the other places.
+    let mut unread = None;
+    if let Some(hash) = hash {
+        match store.read(hash) {
+            Ok(Some(claimed)) => return Ok(checked(claimed, name, hash)?.into()),
+            Ok(None) => {}
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => {
+                return Err(Error::StoredDefinition {
+                    path: store.path().join(hash),
+                    reason: error.to_string(),
+                });
+            }
+            Err(error) => unread = Some(error),
+        }
     }
     let mut bundled = Bundled::default();
     let first = known(Schema::resolve(name, &mut |name| match installed.definition(name)? {
@@ -56,23 +67,26 @@ fn find(
         stored: match (existing, hash) {
             (None, _) => "it has no publisher or subscription of this type yet".to_owned(),
             (Some(_), None) => "its type has no hash, as those of #[derive(Message)]".to_owned(),
-            (Some(_), Some(hash)) => format!("nothing is kept as {}", store.path().join(hash).display()),
+            (Some(_), Some(hash)) => {
+                let path = store.path().join(hash);
+                match unread {
+                    None => format!("nothing is kept as {}", path.display()),
+                    Some(error) => format!("{} cannot be read: {error}", path.display()),
+                }
+            }
         },
     })
 }
 
 /// What is kept is a claim: whoever can write the folder can have written anything.
-fn stored(store: &SchemaStore, name: &TypeName, hash: &str) -> Result<Option<Schema>> {
-    let unusable = |reason: String| Error::StoredDefinition { path: store.path().join(hash), reason };
-    let Some(claimed) = store.read(hash).map_err(|error| unusable(error.to_string()))? else {
-        return Ok(None);
+fn checked(claimed: ClaimedSchema, name: &TypeName, hash: &str) -> Result<Schema> {
+    let ClaimedSchema { path, text } = claimed;
+    let reason = match Schema::from_text(name, &text) {
+        Ok(schema) if schema.hash().to_string() == hash => return Ok(schema),
+        Ok(schema) => format!("read as '{name}', its hash is {}", schema.hash()),
+        Err(error) => error.to_string(),
     };
-    let schema = Schema::from_text(name, &claimed.text).map_err(|error| unusable(error.to_string()))?;
-    let computed = schema.hash().to_string();
-    if computed != hash {
-        return Err(unusable(format!("read as '{name}', its hash is {computed}")));
-    }
-    Ok(Some(schema))
+    Err(Error::StoredDefinition { path, reason })
 }
 
 /// A type that is defined nowhere is none; one that uses such a type is wrong.
@@ -185,6 +199,19 @@ mod tests {
         fs::write(&file, TEXT).unwrap();
         assert!(fixture.find("demo_msgs/msg/B", Some(&hash)).is_err());
         assert!(fixture.find(NAME, Some(&hash)).is_ok());
+    }
+
+    #[test]
+    fn without_a_folder_of_its_own_the_user_has_the_other_places() {
+        use std::os::unix::fs::PermissionsExt;
+        let fixture = Fixture::new();
+        let hash = hash_of(NAME, TEXT);
+        fixture.store.keep(&hash, TEXT).unwrap();
+        fs::set_permissions(fixture.store.path(), fs::Permissions::from_mode(0o755)).unwrap();
+        let error = fixture.find(NAME, Some(&hash)).unwrap_err().to_string();
+        assert!(error.contains("open to other users"), "{error}");
+        let bundled = fixture.find("std_msgs/msg/String", None).unwrap().hash().to_string();
+        assert!(fixture.find("std_msgs/msg/String", Some(&bundled)).is_ok());
     }
 
     #[test]
