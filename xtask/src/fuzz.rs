@@ -13,7 +13,7 @@ use std::time::Instant;
 pub const TARGETS: [&str; 8] = ["dynamic", "fill", "json", "owned", "plain", "schema", "view", "yaml"];
 
 /// Of every run in CI.
-pub const RUNS_IN_CI: u64 = 20_000;
+pub const RUNS_IN_CI: u64 = 10_000;
 
 const CARGO_FUZZ: &str = "0.13.2";
 

@@ -133,13 +133,14 @@ fn place<'a, T: Plain>(len: usize, carver: &mut Carver<'a>) -> Result<&'a mut [T
         return Ok(&mut []);
     }
     let bytes = carver.take(T::FIRST_ALIGN, len.saturating_mul(size_of::<T>()))?;
-    let values = bytes.as_mut_ptr().cast::<T>();
-    if !values.is_aligned() {
-        return Err(EncodeError::new(EncodeFault::Alignment { align: align_of::<T>() }));
-    }
     if !T::ALWAYS_VALID {
         // Zeros are a valid `T`; what the memory held before may not be.
         bytes.fill(0);
+    }
+    // Taken last: no other use of `bytes` may come between it and the reference that is made of it.
+    let values = bytes.as_mut_ptr().cast::<T>();
+    if !values.is_aligned() {
+        return Err(EncodeError::new(EncodeFault::Alignment { align: align_of::<T>() }));
     }
     // SAFETY: `len` elements are within `bytes`, aligned and initialised, and valid since any bytes or zeros are; they
     // are borrowed as exclusively and as long as `bytes`. `T` has no padding, so writing it leaves every byte initialised.
