@@ -4,6 +4,7 @@
 
 mod check;
 mod demo;
+mod gateway;
 mod init;
 mod msg;
 mod report;
@@ -31,6 +32,7 @@ enum Verb {
     Msg(msg::MsgArgs),
     Topic(topic::TopicArgs),
     Trace(trace::TraceArgs),
+    Gateway(gateway::GatewayArgs),
 }
 
 fn main() -> ExitCode {
@@ -47,6 +49,7 @@ fn main() -> ExitCode {
         Verb::Report(args) => Ok(report::run(&args)),
         Verb::Trace(args) => trace::run(args).map_err(|error| error.to_string()),
         Verb::Topic(args) => topic::run(args).map_err(|error| error.to_string()),
+        Verb::Gateway(args) => gateway::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {

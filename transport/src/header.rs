@@ -5,7 +5,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use std::fmt;
 
 /// Global identifier of a publisher, unique among all of a domain: 16 bytes, as in the rmw_zenoh attachment.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Default, ZeroCopySend)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, ZeroCopySend)]
 #[repr(C)]
 pub struct Gid(pub [u8; 16]);
 

@@ -1,0 +1,378 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Zenoh's configuration: rmw_zenoh's defaults, files, environment variables, options of the command line.
+
+use std::path::{Path, PathBuf};
+use zenoh::Config;
+
+/// Part that a session plays among the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Mode {
+    /// Links to every other peer that it learns of, and to routers.
+    #[default]
+    Peer,
+    /// One link, to a router or a peer that forwards for it.
+    Client,
+    /// Forwards between all that link to it.
+    Router,
+}
+
+impl Mode {
+    fn as_str(self) -> &'static str {
+        match self {
+            Mode::Peer => "peer",
+            Mode::Client => "client",
+            Mode::Router => "router",
+        }
+    }
+}
+
+/// What the gateway is told about the network. Every field may stay at its default.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Network {
+    /// `None`: as the file says, else peer.
+    pub mode: Option<Mode>,
+    /// Endpoints to accept links at, such as `tcp/0.0.0.0:7447`. Empty: as the file says, else loopback only.
+    pub listen: Vec<String>,
+    /// Endpoints to link to, such as `tcp/host:7447`. Empty: as the file says, else a router on this host.
+    pub connect: Vec<String>,
+    /// A Zenoh configuration file, JSON5 or YAML. `None`: as the environment says.
+    pub file: Option<PathBuf>,
+}
+
+/// Longest message, encapsulation included, that is taken from the network unless told otherwise: 64 MiB.
+pub const MAX_MESSAGE_BYTES: usize = 64 << 20;
+
+/// A configuration that Zenoh can open, and what to tell the user of it.
+#[derive(Clone, Debug)]
+pub struct SessionConfig {
+    pub(crate) zenoh: Config,
+    /// Where it comes from.
+    pub source: String,
+    /// Endpoints at which links are accepted.
+    pub listen: Vec<String>,
+    /// Endpoints that are linked to.
+    pub connect: Vec<String>,
+}
+
+/// Why there is no configuration.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// A file that cannot be read or is no configuration.
+    #[error("{} (from {origin}) is no Zenoh configuration: {reason}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The option or variable that names it.
+        origin: &'static str,
+        /// Zenoh's word for it.
+        reason: String,
+    },
+    /// A part of `ZENOH_CONFIG_OVERRIDE`.
+    #[error(
+        "ZENOH_CONFIG_OVERRIDE: '{part}' cannot be set: {reason}; write key/of/setting=json5 and ';' between settings"
+    )]
+    Override {
+        /// The part.
+        part: String,
+        /// Why not.
+        reason: String,
+    },
+    /// An endpoint or another option that Zenoh refuses.
+    #[error("{option} {value}: {reason}; an endpoint is written like tcp/192.168.1.2:7447")]
+    Option {
+        /// The option.
+        option: &'static str,
+        /// What was given.
+        value: String,
+        /// Zenoh's word for it.
+        reason: String,
+    },
+}
+
+impl Network {
+    /// Makes the configuration: the file or rmw_zenoh's defaults, then `ZENOH_CONFIG_OVERRIDE`, then the options.
+    /// `variable` reads the environment.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the file, variable or option and what is wrong with it.
+    pub fn session_config(
+        &self,
+        variable: impl Fn(&str) -> Option<String>,
+        max_message_bytes: usize,
+    ) -> Result<SessionConfig, ConfigError> {
+        let (mut config, mut source) = self.base(&variable, max_message_bytes)?;
+        if let Some(overrides) = variable("ZENOH_CONFIG_OVERRIDE").filter(|text| !text.trim().is_empty()) {
+            apply_overrides(&mut config, &overrides)?;
+            source.push_str(" and ZENOH_CONFIG_OVERRIDE");
+        }
+        let mut set = |option, key: &str, value: String| {
+            let reason = |error: zenoh::Error| error.to_string();
+            let refuse = |reason| ConfigError::Option { option, value: value.clone(), reason };
+            config.insert_json5(key, &value).map_err(|error| refuse(reason(error)))
+        };
+        if let Some(mode) = self.mode {
+            set("mode", "mode", format!("\"{}\"", mode.as_str()))?;
+        }
+        for (option, key, endpoints) in [
+            ("--listen", "listen/endpoints", &self.listen),
+            ("--connect", "connect/endpoints", &self.connect),
+        ] {
+            if !endpoints.is_empty() {
+                set(option, key, serde_json::json!(endpoints).to_string())?;
+            }
+        }
+        // Late joiners are told apart by time stamps.
+        set("timestamping", "timestamping/enabled", "true".into())?;
+        let (listen, connect) = (endpoints(&config, "listen"), endpoints(&config, "connect"));
+        Ok(SessionConfig { zenoh: config, source, listen, connect })
+    }
+
+    fn base(
+        &self,
+        variable: &impl Fn(&str) -> Option<String>,
+        max_message_bytes: usize,
+    ) -> Result<(Config, String), ConfigError> {
+        let by_mode = match self.mode {
+            Some(Mode::Router) => "ZENOH_ROUTER_CONFIG_URI",
+            _ => "ZENOH_SESSION_CONFIG_URI",
+        };
+        let from_environment = || {
+            let uri = variable(by_mode).filter(|uri| !uri.is_empty())?;
+            Some((PathBuf::from(uri.strip_prefix("file://").unwrap_or(&uri)), by_mode))
+        };
+        match self.file.clone().map(|file| (file, "--config")).or_else(from_environment) {
+            Some((path, origin)) => Ok((read_file(&path, origin)?, format!("{} ({origin})", path.display()))),
+            None => Ok((defaults(self.mode.unwrap_or_default(), max_message_bytes)?, "defaults".into())),
+        }
+    }
+}
+
+impl SessionConfig {
+    /// Whether other hosts can open a link to this one.
+    pub fn is_reachable(&self) -> bool {
+        self.listen.iter().any(|endpoint| !is_loopback(endpoint))
+    }
+
+    /// Whether every link that is opened or accepted stays on this host.
+    pub fn stays_on_host(&self) -> bool {
+        !self.is_reachable() && self.connect.iter().all(|endpoint| is_loopback(endpoint))
+    }
+}
+
+fn read_file(path: &Path, origin: &'static str) -> Result<Config, ConfigError> {
+    Config::from_file(path).map_err(|error| ConfigError::File {
+        path: path.into(),
+        origin,
+        reason: error.to_string(),
+    })
+}
+
+/// rmw_zenoh's, where they matter to it: a peer without multicast that looks for a router on its own host. Other than
+/// rmw_zenoh's are: only loopback is listened on by a router too, nothing gives up connecting, a silent link is given
+/// up after 10 s, and what one peer can make us hold in memory is bounded. Queues are long enough for a link that
+/// stalls for a moment.
+fn defaults(mode: Mode, max_message_bytes: usize) -> Result<Config, ConfigError> {
+    let (listen, connect) = match mode {
+        Mode::Peer => (r#"["tcp/localhost:0"]"#, r#"["tcp/localhost:7447"]"#),
+        Mode::Client => ("[]", r#"["tcp/localhost:7447"]"#),
+        Mode::Router => (r#"["tcp/localhost:7447"]"#, "[]"),
+    };
+    // A message's limit is the body's; its headers and attachment come on top.
+    let max_message_bytes = max_message_bytes.saturating_add(64 << 10);
+    let text = format!(
+        r#"{{
+            mode: "{}",
+            listen: {{ endpoints: {listen}, exit_on_failure: true }},
+            connect: {{
+                endpoints: {connect}, timeout_ms: -1, exit_on_failure: false,
+                retry: {{ period_init_ms: 500, period_max_ms: 2000, period_increase_factor: 2 }},
+            }},
+            scouting: {{ multicast: {{ enabled: false }}, gossip: {{ enabled: true }} }},
+            timestamping: {{ enabled: true, drop_future_timestamp: false }},
+            routing: {{ router: {{ peers_failover_brokering: true }} }},
+            transport: {{
+                unicast: {{ max_sessions: 1000 }},
+                link: {{
+                    tx: {{ queue: {{
+                        size: {{
+                            control: 4, real_time: 12, interactive_high: 12, interactive_low: 12,
+                            data_high: 12, data: 12, data_low: 12, background: 12,
+                        }},
+                        congestion_control: {{
+                            drop: {{ wait_before_drop: 1000, max_wait_before_drop_fragments: 50000 }},
+                            block: {{ wait_before_close: 20000000 }},
+                        }},
+                    }} }},
+                    rx: {{ max_message_size: {max_message_bytes} }},
+                }},
+                shared_memory: {{ enabled: false }},
+            }},
+            adminspace: {{ enabled: false }},
+        }}"#,
+        mode.as_str()
+    );
+    Config::from_json5(&text).map_err(|error| ConfigError::Option {
+        option: "the defaults",
+        value: text,
+        reason: error.to_string(),
+    })
+}
+
+fn apply_overrides(config: &mut Config, text: &str) -> Result<(), ConfigError> {
+    for part in text.split(';').map(str::trim).filter(|part| !part.is_empty()) {
+        let refuse = |reason: String| ConfigError::Override { part: part.into(), reason };
+        let (key, value) = part.split_once('=').ok_or_else(|| refuse("there is no '='".into()))?;
+        config.insert_json5(key.trim(), value.trim()).map_err(|error| refuse(error.to_string()))?;
+    }
+    Ok(())
+}
+
+/// The endpoints of the mode that is configured.
+fn endpoints(config: &Config, which: &str) -> Vec<String> {
+    let json = |key: &str| config.get_json(key).ok().and_then(|text| serde_json::from_str(&text).ok());
+    let mode: String =
+        json("mode").and_then(|mode: serde_json::Value| Some(mode.as_str()?.into())).unwrap_or_default();
+    let value: serde_json::Value = json(&format!("{which}/endpoints")).unwrap_or_default();
+    let list = value.get(&mode).unwrap_or(&value).as_array().cloned().unwrap_or_default();
+    // An endpoint may be split into its parts: alternatives are an array in the array.
+    let text =
+        |endpoint: serde_json::Value| endpoint.as_str().map_or_else(|| endpoint.to_string(), String::from);
+    list.into_iter().map(text).collect()
+}
+
+fn is_loopback(endpoint: &str) -> bool {
+    let Some((protocol, rest)) = endpoint.split_once('/') else { return false };
+    let address = rest.split(['?', '#']).next().unwrap_or(rest);
+    if protocol.starts_with("unixsock") || protocol == "unixpipe" {
+        return true;
+    }
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host).trim_matches(['[', ']']);
+    host == "localhost" || host.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashMap;
+
+    fn config(network: &Network, variables: &[(&str, &str)]) -> Result<SessionConfig, ConfigError> {
+        let variables: HashMap<_, _> = variables.iter().copied().collect();
+        network.session_config(|name| variables.get(name).map(|value| (*value).into()), MAX_MESSAGE_BYTES)
+    }
+
+    fn value(config: &SessionConfig, key: &str) -> String {
+        config.zenoh.get_json(key).unwrap()
+    }
+
+    #[test]
+    fn defaults_are_rmw_zenohs_and_stay_on_the_host() {
+        for (mode, listen, connect) in [
+            (None, vec!["tcp/localhost:0"], vec!["tcp/localhost:7447"]),
+            (Some(Mode::Peer), vec!["tcp/localhost:0"], vec!["tcp/localhost:7447"]),
+            (Some(Mode::Client), vec![], vec!["tcp/localhost:7447"]),
+            (Some(Mode::Router), vec!["tcp/localhost:7447"], vec![]),
+        ] {
+            let config = config(&Network { mode, ..Network::default() }, &[]).unwrap();
+            assert_eq!(
+                (&config.listen[..], &config.connect[..]),
+                (&to_strings(&listen)[..], &to_strings(&connect)[..])
+            );
+            assert_eq!(value(&config, "mode"), format!("\"{}\"", mode.unwrap_or_default().as_str()));
+            assert_eq!(value(&config, "scouting/multicast/enabled"), "false");
+            assert_eq!(value(&config, "scouting/gossip/enabled"), "true");
+            assert_eq!(value(&config, "timestamping/enabled"), "true");
+            assert_eq!(
+                value(&config, "transport/link/rx/max_message_size"),
+                ((64 << 20) + (64 << 10)).to_string()
+            );
+            assert!(config.stays_on_host() && config.source == "defaults");
+        }
+    }
+
+    fn to_strings(texts: &[&str]) -> Vec<String> {
+        texts.iter().map(|text| (*text).into()).collect()
+    }
+
+    #[test]
+    fn options_win_over_overrides_and_those_over_the_file() {
+        let file = tempfile::NamedTempFile::with_suffix(".json5").unwrap();
+        let text = r#"{ mode: "client", connect: { endpoints: ["tcp/10.0.0.1:1"] }, timestamping: { enabled: false } }"#;
+        std::fs::write(file.path(), text).unwrap();
+        let uri = file.path().to_str().unwrap();
+
+        let from_file = config(&Network::default(), &[("ZENOH_SESSION_CONFIG_URI", uri)]).unwrap();
+        assert_eq!(
+            (value(&from_file, "mode"), &from_file.connect[..]),
+            ("\"client\"".into(), &to_strings(&["tcp/10.0.0.1:1"])[..])
+        );
+        assert_eq!(value(&from_file, "timestamping/enabled"), "true", "late joiners need it");
+        assert!(from_file.source.contains("ZENOH_SESSION_CONFIG_URI") && !from_file.stays_on_host());
+
+        let router = Network { mode: Some(Mode::Router), ..Network::default() };
+        let uri = format!("file://{uri}");
+        let router =
+            config(&router, &[("ZENOH_ROUTER_CONFIG_URI", &uri), ("ZENOH_SESSION_CONFIG_URI", "/no")])
+                .unwrap();
+        assert_eq!(value(&router, "mode"), "\"router\"");
+
+        let overrides = ("ZENOH_CONFIG_OVERRIDE", r#"mode="router"; connect/endpoints=["tcp/10.0.0.2:2"];"#);
+        let network = Network { file: Some(file.path().into()), ..Network::default() };
+        let overridden = config(&network, &[overrides, ("ZENOH_SESSION_CONFIG_URI", "/nowhere")]).unwrap();
+        assert_eq!(
+            (value(&overridden, "mode"), &overridden.connect[..]),
+            ("\"router\"".into(), &to_strings(&["tcp/10.0.0.2:2"])[..])
+        );
+
+        let network = Network {
+            mode: Some(Mode::Peer),
+            listen: to_strings(&["tcp/0.0.0.0:7447", "udp/[::1]:5"]),
+            connect: to_strings(&["tls/robot.local:7447"]),
+            ..network
+        };
+        let options = config(&network, &[overrides]).unwrap();
+        assert_eq!((&options.listen, &options.connect), (&network.listen, &network.connect));
+        assert_eq!(value(&options, "mode"), "\"peer\"");
+        assert!(options.is_reachable());
+    }
+
+    #[test]
+    fn what_cannot_be_is_named() {
+        let message = |network: &Network, variables: &[(&str, &str)]| {
+            config(network, variables).unwrap_err().to_string()
+        };
+        let nothing = Network::default();
+        assert!(
+            message(&nothing, &[("ZENOH_SESSION_CONFIG_URI", "/no/such.json5")]).contains("/no/such.json5")
+        );
+        assert!(message(&nothing, &[("ZENOH_CONFIG_OVERRIDE", "mode")]).contains("'mode'"));
+        assert!(message(&nothing, &[("ZENOH_CONFIG_OVERRIDE", "no/such/key=1")]).contains("no/such/key=1"));
+        let network = Network { listen: to_strings(&["tcp"]), ..Network::default() };
+        assert!(message(&network, &[]).contains("--listen"));
+    }
+
+    #[test]
+    fn loopback() {
+        for endpoint in [
+            "tcp/localhost:0",
+            "tcp/127.0.0.1:7447",
+            "tcp/127.1.2.3:1",
+            "udp/[::1]:7447",
+            "unixsock-stream//tmp/x",
+            "tcp/127.0.0.1:1?prio=1",
+            "tls/localhost:1#root=x",
+        ] {
+            assert!(is_loopback(endpoint), "{endpoint}");
+        }
+        for endpoint in [
+            "tcp/0.0.0.0:7447",
+            "tcp/[::]:7447",
+            "tcp/192.168.1.2:7447",
+            "tls/robot:1",
+            "",
+            "tcp/localhost.evil.org:1",
+        ] {
+            assert!(!is_loopback(endpoint), "{endpoint}");
+        }
+    }
+}

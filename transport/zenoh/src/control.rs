@@ -1,0 +1,396 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The control thread: hears of changes here and elsewhere, asks the mirror what follows, and does it.
+
+use crate::filter::Filter;
+use crate::gateway::{Options, Shared};
+use crate::graph::Graph;
+use crate::incoming::{Incoming, Inlet, OwnGids, port_qos};
+use crate::locals;
+use crate::mirror::{Action, InQos, Mirror, OutQos, Writer};
+use crate::outgoing::{Outgoing, Sender};
+use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
+use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, token_wildcard};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+use tautline_schema::TypeHash;
+use tautline_transport::{Gid, Limits, Participant, Qos, TopicType, TransportError};
+use zenoh::liveliness::LivelinessToken;
+use zenoh::query::Reply;
+use zenoh::sample::{Sample, SampleKind};
+use zenoh::{Session, Wait};
+
+/// What the control thread is told.
+pub(crate) enum Event {
+    TokenUp(String),
+    TokenDown(String),
+    /// Publishers or subscriptions of this host appeared or went.
+    Locals,
+    Stop,
+}
+
+/// Takes tokens in Zenoh's thread and leaves them to the control thread. What does not fit makes room for nothing: all
+/// tokens are asked for again later.
+pub(crate) fn tokens_to(events: mpsc::SyncSender<Event>) -> impl Fn(Sample) + Send + Sync + 'static {
+    move |sample| {
+        let key = sample.key_expr().as_str();
+        let key = cut(key);
+        let event = match sample.kind() {
+            SampleKind::Put => Event::TokenUp(key),
+            SampleKind::Delete => Event::TokenDown(key),
+        };
+        if events.try_send(event).is_err() {
+            MISSED.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What is too long for any honest key is cut, so that it is refused for its length without being kept.
+fn cut(key: &str) -> String {
+    key.get(..=MAX_KEY_BYTES).unwrap_or(key).to_owned()
+}
+
+/// Whether an event found no room. Of whichever gateway of the process: looking once too often does no harm.
+static MISSED: AtomicBool = AtomicBool::new(false);
+
+/// How often numbers are read, what failed is tried again, and missed tokens are asked for.
+const PERIOD: Duration = Duration::from_secs(1);
+/// Changes of the graph are shown together, this long after one another at least.
+const BATCH: Duration = Duration::from_millis(20);
+/// How long others are waited for when all tokens are asked for.
+const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
+
+pub(crate) struct Control {
+    options: Options,
+    participant: Participant,
+    session: Session,
+    outgoing: Outgoing,
+    shared: Arc<Shared>,
+    mirror: Mirror,
+    own: OwnGids,
+    /// Own gids by the local publisher's.
+    gids: HashMap<Gid, Gid>,
+    tokens: HashMap<String, LivelinessToken>,
+    incoming: BTreeMap<TopicKey, (Incoming, Gid)>,
+    counters: BTreeMap<(TopicKey, Direction), Arc<Counters>>,
+    active: BTreeSet<(TopicKey, Direction)>,
+    /// Topics that could not be started, with what is to be done and why it failed.
+    failed: BTreeMap<(TopicKey, Direction), (Vec<Action>, String)>,
+    refused: BTreeMap<String, String>,
+    /// Whether the graph changed since it was last shown.
+    is_unseen: bool,
+    shown: Instant,
+    started: Instant,
+}
+
+impl Control {
+    pub(crate) fn new(
+        options: Options,
+        participant: Participant,
+        session: Session,
+        outgoing: Outgoing,
+        shared: Arc<Shared>,
+        zid: u128,
+    ) -> Self {
+        let domain = options.network_domain.unwrap_or(options.domain);
+        let filter: Filter = options.filter.clone();
+        let mirror = Mirror::new(domain, zid, Graph::new(domain, zid, options.limits), filter);
+        Control {
+            options,
+            participant,
+            session,
+            outgoing,
+            shared,
+            mirror,
+            own: OwnGids::default(),
+            gids: HashMap::new(),
+            tokens: HashMap::new(),
+            incoming: BTreeMap::new(),
+            counters: BTreeMap::new(),
+            active: BTreeSet::new(),
+            failed: BTreeMap::new(),
+            refused: BTreeMap::new(),
+            is_unseen: false,
+            shown: Instant::now(),
+            started: Instant::now(),
+        }
+    }
+
+    pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
+        let mut next = Instant::now() + PERIOD;
+        while !self.shared.stop.load(Ordering::Acquire) {
+            let soon = self.is_unseen.then(|| self.shown + BATCH).map_or(next, |at| at.min(next));
+            let event = events.recv_timeout(soon.saturating_duration_since(Instant::now()));
+            match event {
+                Ok(Event::TokenUp(key)) => self.remote_changed(|mirror| mirror.token_up(&key)),
+                Ok(Event::TokenDown(key)) => self.remote_changed(|mirror| mirror.token_down(&key)),
+                Ok(Event::Locals) => self.list_locals(),
+                Ok(Event::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break,
+                Err(mpsc::RecvTimeoutError::Timeout) => {}
+            }
+            if self.is_unseen && self.shown.elapsed() >= BATCH {
+                self.settle();
+            }
+            if Instant::now() >= next {
+                next = Instant::now() + PERIOD;
+                if MISSED.swap(false, Ordering::Relaxed) {
+                    self.resync();
+                }
+                self.try_again();
+                self.read_numbers(PERIOD);
+            }
+        }
+        let last = self.mirror.close();
+        self.act(last);
+    }
+
+    fn remote_changed(&mut self, change: impl FnOnce(&mut Mirror) -> Vec<Action>) {
+        let actions = change(&mut self.mirror);
+        self.is_unseen = true;
+        self.act(actions);
+    }
+
+    fn list_locals(&mut self) {
+        let graph = self.mirror.graph();
+        match locals::list(&self.participant, |topic, type_name| adopted_hash(graph, topic, type_name)) {
+            Ok(locals) => {
+                self.refused = locals.refused;
+                let actions = self.mirror.set_locals(&locals.nodes, locals.endpoints);
+                self.act(actions);
+            }
+            Err(error) => tracing::warn!("{error}"),
+        }
+    }
+
+    fn act(&mut self, actions: Vec<Action>) {
+        for action in actions {
+            self.act_once(action);
+        }
+    }
+
+    fn act_once(&mut self, action: Action) {
+        match action {
+            Action::Declare(token) => self.declare(&token),
+            Action::Undeclare(token) => drop(self.tokens.remove(&token.to_string())),
+            Action::StartOut(key, qos) => {
+                if let Err(error) = self.start_out(&key, qos) {
+                    self.fail(key.clone(), Direction::Out, Action::StartOut(key, qos), error.to_string());
+                }
+            }
+            Action::OpenWriter(key, writer) => {
+                self.own.write().unwrap_or_else(PoisonError::into_inner).insert(writer.wire_gid);
+                self.gids.insert(writer.local_gid, writer.wire_gid);
+                let id = (key, Direction::Out);
+                match self.failed.get_mut(&id) {
+                    Some((actions, _)) => actions.push(Action::OpenWriter(id.0, writer)),
+                    None => self.open_writer(id.0, &writer),
+                }
+            }
+            Action::CloseWriter(key, gid) => {
+                self.forget(gid);
+                self.drop_failed_writer(&key, gid);
+                self.outgoing.close(key, gid);
+            }
+            Action::StopOut(key) => {
+                self.active.remove(&(key.clone(), Direction::Out));
+                self.failed.remove(&(key.clone(), Direction::Out));
+                self.outgoing.stop_topic(key);
+            }
+            Action::StartIn(key, qos) => {
+                if let Err(error) = self.start_in(&key, qos) {
+                    self.fail(key.clone(), Direction::In, Action::StartIn(key, qos), error);
+                }
+            }
+            Action::StopIn(key) => {
+                self.active.remove(&(key.clone(), Direction::In));
+                self.failed.remove(&(key.clone(), Direction::In));
+                if let Some((incoming, port)) = self.incoming.remove(&key) {
+                    drop(incoming);
+                    self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).remove(&port);
+                }
+            }
+            Action::Resync => self.resync(),
+        }
+    }
+
+    fn declare(&mut self, token: &Token) {
+        let text = token.to_string();
+        match self.session.liveliness().declare_token(text.clone()).wait() {
+            Ok(declared) => drop(self.tokens.insert(text, declared)),
+            Err(error) => tracing::warn!("{text} is not announced: {error}"),
+        }
+    }
+
+    fn start_out(&mut self, key: &TopicKey, qos: OutQos) -> Result<(), TransportError> {
+        let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX);
+        let mut wanted =
+            Qos { durability: qos.durability, ..Qos::keep_last(depth.clamp(1, Limits::MAX_DEPTH)) };
+        let subscription = loop {
+            match self.participant.create_raw_subscription(
+                &key.topic,
+                &topic_type(key),
+                wanted,
+                Limits::default(),
+            ) {
+                // A queue as long as the topic allows.
+                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
+                    wanted.depth = existing;
+                }
+                outcome => break outcome?,
+            }
+        };
+        let counters = self.counters(key, Direction::Out);
+        self.outgoing.start_topic(key.clone(), subscription, counters);
+        self.active.insert((key.clone(), Direction::Out));
+        Ok(())
+    }
+
+    fn open_writer(&mut self, key: TopicKey, writer: &Writer) {
+        let body_bytes = None;
+        match Sender::declare(&self.session, &key, writer, &self.options.rules, body_bytes) {
+            Ok(sender) => self.outgoing.open(key, writer.local_gid, sender),
+            Err(error) => tracing::warn!("topic '{}' is not sent: {error}", key.topic),
+        }
+    }
+
+    fn start_in(&mut self, key: &TopicKey, qos: InQos) -> Result<(), String> {
+        let mut wanted = port_qos(qos, Limits::MAX_DEPTH);
+        let publisher = loop {
+            match self.participant.create_raw_publisher(
+                &key.topic,
+                &topic_type(key),
+                wanted,
+                Limits::default(),
+            ) {
+                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
+                    wanted.depth = existing;
+                }
+                outcome => break outcome.map_err(|error| error.to_string())?,
+            }
+        };
+        let port = publisher.gid();
+        self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).insert(port);
+        let counters = self.counters(key, Direction::In);
+        let inlet = Inlet::new(publisher, counters, self.own.clone(), self.options.max_message_bytes);
+        let incoming = Incoming::start(&self.session, key, qos, inlet).map_err(|error| error.to_string())?;
+        self.incoming.insert(key.clone(), (incoming, port));
+        self.active.insert((key.clone(), Direction::In));
+        Ok(())
+    }
+
+    fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
+        self.counters.entry((key.clone(), direction)).or_insert_with(|| Arc::new(Counters::new())).clone()
+    }
+
+    fn fail(&mut self, key: TopicKey, direction: Direction, action: Action, reason: String) {
+        if !self.failed.contains_key(&(key.clone(), direction)) {
+            tracing::warn!("topic '{}' is not mirrored: {reason}", key.topic);
+        }
+        self.failed.insert((key, direction), (vec![action], reason));
+    }
+
+    fn drop_failed_writer(&mut self, key: &TopicKey, gid: Gid) {
+        if let Some((actions, _)) = self.failed.get_mut(&(key.clone(), Direction::Out)) {
+            actions
+                .retain(|action| !matches!(action, Action::OpenWriter(_, writer) if writer.local_gid == gid));
+        }
+    }
+
+    fn forget(&mut self, local: Gid) {
+        if let Some(wire) = self.gids.remove(&local) {
+            self.own.write().unwrap_or_else(PoisonError::into_inner).remove(&wire);
+        }
+    }
+
+    /// What failed may be possible now: a limit, memory, another process's type.
+    fn try_again(&mut self) {
+        for (_, (actions, _)) in std::mem::take(&mut self.failed) {
+            self.act(actions);
+        }
+    }
+
+    /// Asks for all tokens, for some were missed or refused.
+    fn resync(&mut self) {
+        let wildcard = token_wildcard(self.options.network_domain.unwrap_or(self.options.domain));
+        // As many as the graph can hold: the rest would be refused. Not Zenoh's own queue, which is short and would have
+        // the answers that this session gives itself wait for their reader, who is still asking.
+        let (answers, keys) = mpsc::channel();
+        let room = AtomicUsize::new(self.options.limits.tokens);
+        let answer = move |reply: Reply| {
+            let Ok(sample) = reply.result() else { return };
+            let count = |room: usize| room.checked_sub(1);
+            if room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count).is_ok() {
+                let _ = answers.send(cut(sample.key_expr().as_str()));
+            }
+        };
+        let get = self.session.liveliness().get(wildcard).timeout(RESYNC_TIMEOUT).callback(answer);
+        if let Err(error) = get.wait() {
+            return tracing::warn!("other hosts cannot be asked what they have: {error}");
+        }
+        // Ends when Zenoh lets go of the other end, after the timeout at the latest.
+        let there: BTreeSet<String> = keys.iter().collect();
+        let gone = self.mirror.graph().keys().filter(|key| !there.contains(*key)).map(String::from);
+        for key in gone.collect::<Vec<_>>() {
+            let actions = self.mirror.token_down(&key);
+            // Not again, from within itself.
+            self.act(actions.into_iter().filter(|action| *action != Action::Resync).collect());
+        }
+        self.is_unseen = true;
+        for key in there {
+            let actions = self.mirror.token_up(&key);
+            self.act(actions);
+        }
+    }
+
+    fn read_numbers(&mut self, elapsed: Duration) {
+        let graph = self.mirror.graph();
+        let mut stats = self.shared.stats.lock().unwrap_or_else(PoisonError::into_inner);
+        stats.uptime_s = self.started.elapsed().as_secs_f64();
+        stats.remote_nodes = graph.tokens().filter(|token| token.endpoint.is_none()).count();
+        stats.remote_endpoints = graph.tokens().count() - stats.remote_nodes;
+        stats.refused_tokens = refused_by_reason(graph.refused());
+        stats.not_mirrored = self.refused.clone();
+        let failed = self.failed.iter().map(|((key, _), (_, reason))| (key.topic.clone(), reason.clone()));
+        stats.not_mirrored.extend(failed);
+        stats.not_mirrored.extend(self.mirror.mismatches());
+        let before = std::mem::take(&mut stats.topics);
+        let old: HashMap<_, _> =
+            before.iter().map(|topic| ((&*topic.topic, &*topic.type_name, topic.direction), topic)).collect();
+        let read = |((key, direction), counters): (&(TopicKey, Direction), &Arc<Counters>)| {
+            let type_name = key.type_id.name.as_str();
+            let old = old.get(&(&*key.topic, type_name, *direction));
+            let reading: Reading = counters.read(old.map(|old| (*old, elapsed)));
+            TopicStats {
+                topic: key.topic.clone(),
+                type_name: type_name.into(),
+                direction: *direction,
+                active: self.active.contains(&(key.clone(), *direction)),
+                reading,
+            }
+        };
+        stats.topics = self.counters.iter().map(read).collect();
+    }
+
+    /// The graph of other hosts changed a while ago: shows it, and looks for the hashes of types that only others know.
+    fn settle(&mut self) {
+        (self.is_unseen, self.shown) = (false, Instant::now());
+        let remote: Vec<Token> = self.mirror.graph().tokens().cloned().collect();
+        *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
+        if !self.refused.is_empty() {
+            self.list_locals();
+        }
+    }
+}
+
+fn topic_type(key: &TopicKey) -> TopicType {
+    TopicType::new(key.type_id.name.to_string()).with_hash(key.type_id.hash.to_string())
+}
+
+/// Where this host knows a type by its name only, the hash that another host states for the same name on the same topic.
+fn adopted_hash(graph: &Graph, topic: &str, type_name: &str) -> Option<TypeHash> {
+    let mut keys = graph.topics().filter(|key| key.topic == topic && key.type_id.name.as_str() == type_name);
+    let hash = keys.next()?.type_id.hash;
+    // Of two that differ, neither can be believed.
+    keys.all(|key| key.type_id.hash == hash).then_some(hash)
+}

@@ -1,0 +1,276 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The gateway itself: joins the domain and the network, and does what the mirror decides.
+
+use crate::budget::{Budget, Guard};
+use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
+use crate::control::{Control, Event, tokens_to};
+use crate::filter::Filter;
+use crate::graph::GraphLimits;
+use crate::outgoing::{Outgoing, OutgoingError, THREADS};
+use crate::rules::Rule;
+use crate::seat::{Seat, SeatError};
+use crate::session::{self, SessionError, network_threads};
+use crate::stats::Stats;
+use crate::wire::{Token, token_wildcard};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::Duration;
+use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
+use tautline_transport::{Participant, TransportError};
+use zenoh::{Session, Wait};
+
+/// What a gateway is to do. Every field has a default that works on one host.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The domain of this host's topics.
+    pub domain: u32,
+    /// The domain on the network, if it is to be another one.
+    pub network_domain: Option<u32>,
+    /// Endpoints and configuration of Zenoh.
+    pub network: Network,
+    /// Topics that are mirrored: all.
+    pub filter: Filter,
+    /// Order on a busy link; what no rule speaks of goes by size.
+    pub rules: Vec<Rule>,
+    /// `SCHED_FIFO` priority of the network's threads: below the sampler's (90), above the callbacks'.
+    pub priority: u8,
+    /// Whether that is required.
+    pub realtime: Realtime,
+    /// Cores of the network's threads.
+    pub cores: Option<CoreSet>,
+    /// Processor time at that priority; `None` is without a limit.
+    pub budget: Option<Budget>,
+    /// Longest body that is taken from the network.
+    pub max_message_bytes: usize,
+    /// How much of other hosts is kept.
+    pub limits: GraphLimits,
+}
+
+impl Options {
+    /// Default of [`Options::priority`].
+    pub const PRIORITY: u8 = 80;
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options {
+            domain: 0,
+            network_domain: None,
+            network: Network::default(),
+            filter: Filter::default(),
+            rules: Vec::new(),
+            priority: Self::PRIORITY,
+            realtime: Realtime::Required,
+            cores: None,
+            budget: Some(Budget::default()),
+            max_message_bytes: MAX_MESSAGE_BYTES,
+            limits: GraphLimits::default(),
+        }
+    }
+}
+
+/// Why there is no gateway.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GatewayError {
+    /// There is one, or its lock cannot be had.
+    #[error(transparent)]
+    Seat(#[from] SeatError),
+    /// Zenoh's configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Zenoh.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The domain's shared memory.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// A thread.
+    #[error(transparent)]
+    Threads(#[from] RtError),
+    /// Zenoh refused something that every session has.
+    #[error("{what} failed in Zenoh: {reason}")]
+    Zenoh {
+        /// Which step.
+        what: &'static str,
+        /// Zenoh's word for it.
+        reason: String,
+    },
+}
+
+impl From<OutgoingError> for GatewayError {
+    fn from(error: OutgoingError) -> Self {
+        match error {
+            OutgoingError::Transport(error) => GatewayError::Transport(error),
+            OutgoingError::Rt(error) => GatewayError::Threads(error),
+        }
+    }
+}
+
+/// A running gateway. Dropping it takes everything back: tokens, links, threads, the seat.
+pub struct Gateway {
+    events: mpsc::SyncSender<Event>,
+    shared: Arc<Shared>,
+    control: Option<JoinHandle<()>>,
+    watch: Option<JoinHandle<()>>,
+    guard: Option<Guard>,
+    config: SessionConfig,
+    session: Session,
+    _seat: Seat,
+}
+
+/// What is read from outside.
+pub(crate) struct Shared {
+    pub(crate) stop: AtomicBool,
+    pub(crate) stats: Mutex<Stats>,
+    /// Nodes and endpoints of other hosts.
+    pub(crate) remote: Mutex<Arc<Vec<Token>>>,
+}
+
+/// Most tokens and changes that wait to be looked at; of more, all are asked for again.
+const EVENTS: usize = 16_384;
+
+impl Gateway {
+    /// Starts a gateway in this process: about eight threads, none of which the caller's own real-time threads wait for.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`GatewayError`]: another gateway of the domain, a configuration, a missing privilege.
+    pub fn spawn(options: Options) -> Result<Self, GatewayError> {
+        let seat = Seat::take(options.domain)?;
+        Self::spawn_in(options, seat)
+    }
+
+    /// As [`spawn`](Self::spawn), in a seat that was waited for.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub fn spawn_in(options: Options, seat: Seat) -> Result<Self, GatewayError> {
+        let config =
+            options.network.session_config(|name| std::env::var(name).ok(), options.max_message_bytes)?;
+        let participant = Participant::new(options.domain)?;
+        let policy = match options.realtime {
+            Realtime::Required => Policy::Fifo(options.priority),
+            Realtime::Off => tautline_rt::current_policy()?,
+        };
+        let session = session::open(config.clone(), policy, options.realtime, options.cores)?;
+        let outgoing = Outgoing::start(&participant, policy, options.realtime, options.cores)?;
+
+        let (events, received) = mpsc::sync_channel(EVENTS);
+        let network_domain = options.network_domain.unwrap_or(options.domain);
+        let tokens = session
+            .liveliness()
+            .declare_subscriber(token_wildcard(network_domain))
+            .history(true)
+            .callback(tokens_to(events.clone()))
+            .wait()
+            .map_err(|error| GatewayError::Zenoh {
+                what: "listening to other hosts",
+                reason: error.to_string(),
+            })?;
+        let zid = u128::from_le_bytes(session.zid().to_le_bytes());
+        let shared = Arc::new(Shared {
+            stop: AtomicBool::new(false),
+            stats: Mutex::new(Stats::new(options.domain, network_domain, format!("{zid:x}"))),
+            remote: Mutex::default(),
+        });
+        let thread = |name: &str| {
+            let builder = ThreadBuilder { cores: options.cores, ..ThreadBuilder::new(name) };
+            // Zenoh's calls are deep.
+            builder.policy(policy).realtime(options.realtime).stack_bytes(2 << 20)
+        };
+        let watch = {
+            let (participant, events, shared) = (participant.clone(), events.clone(), shared.clone());
+            thread("gw-watch").spawn(move || move || watch_domain(&participant, &events, &shared))?
+        };
+        let guard = match (options.realtime, options.budget) {
+            (Realtime::Required, Some(budget)) => Some(Guard::start(budget, policy, &THREADS)?),
+            _ => None,
+        };
+        let control = {
+            let (session, shared) = (session.clone(), shared.clone());
+            let control = Control::new(options.clone(), participant, session, outgoing, shared, zid);
+            thread("gw-control").spawn(move || {
+                move || {
+                    let _tokens = tokens;
+                    control.run(&received);
+                }
+            })?
+        };
+        let (control, watch) = (Some(control), Some(watch));
+        let gateway = Gateway { events, shared, control, watch, guard, config, session, _seat: seat };
+        if options.realtime == Realtime::Required {
+            gateway.check_threads(policy)?;
+        }
+        Ok(gateway)
+    }
+
+    /// Reads back what the kernel says of Zenoh's threads.
+    fn check_threads(&self, asked: Policy) -> Result<(), RtError> {
+        for thread in network_threads()? {
+            // With a budget a thread may be an ordinary one at this moment.
+            if thread.policy != asked && self.guard.as_ref().is_none_or(|guard| guard.demotions() == 0) {
+                tautline_rt::set_policy_of(thread.tid, asked)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The configuration that Zenoh was opened with.
+    pub fn config(&self) -> &SessionConfig {
+        &self.config
+    }
+
+    /// Addresses at which links are accepted, such as `tcp/127.0.0.1:41234`.
+    pub fn locators(&self) -> Vec<String> {
+        self.session.info().locators().wait().iter().map(ToString::to_string).collect()
+    }
+
+    /// Zenoh's threads, as the kernel reports them.
+    ///
+    /// # Errors
+    /// [`RtError`] if `/proc` cannot be read.
+    pub fn threads(&self) -> Result<Vec<ThreadInfo>, RtError> {
+        network_threads()
+    }
+
+    /// What went through and what did not. Rates are those of the second before.
+    pub fn stats(&self) -> Stats {
+        let mut stats = self.shared.stats.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        stats.links = self.session.info().transports().wait().count();
+        stats.throttled = self.guard.as_ref().map_or(0, Guard::demotions);
+        stats
+    }
+
+    /// Nodes, publishers, subscriptions, services and clients of other hosts.
+    pub fn remote(&self) -> Arc<Vec<Token>> {
+        self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Drop for Gateway {
+    fn drop(&mut self) {
+        self.guard = None;
+        self.shared.stop.store(true, Ordering::Release);
+        // If it does not fit, the control thread has much to read and will see the flag.
+        let _ = self.events.try_send(Event::Stop);
+        for thread in [self.control.take(), self.watch.take()].into_iter().flatten() {
+            let _ = thread.join();
+        }
+        let _ = self.session.close().wait();
+    }
+}
+
+/// Says when the topics of the domain changed.
+fn watch_domain(participant: &Participant, events: &mpsc::SyncSender<Event>, shared: &Shared) {
+    const PATIENCE: Duration = Duration::from_millis(250);
+    let mut seen = participant.graph_epoch().wrapping_sub(1);
+    while !shared.stop.load(Ordering::Acquire) {
+        let epoch = participant.wait_for_graph_change(seen, PATIENCE);
+        if epoch != seen && events.try_send(Event::Locals).is_ok() {
+            seen = epoch;
+        }
+    }
+}

@@ -1,0 +1,223 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! From the network to shared memory: the claim is checked, the body is copied once, from the network's slices into a
+//! loan, for all subscriptions of the host.
+//!
+//! It is done in Zenoh's own thread, as soon as the sample is there. Nothing in it waits: a subscription that is slow
+//! loses its oldest samples.
+
+use crate::mirror::InQos;
+use crate::stats::{Counters, unix_ns};
+use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Duration;
+use tautline_transport::{
+    Durability, Gid, History, LoanError, MessageInfo, PublishError, RawPublisher, Reliability,
+};
+use zenoh::bytes::ZBytes;
+use zenoh::sample::{Locality, Sample, SampleKind};
+use zenoh::{Session, Wait};
+use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+
+/// A time stamp further ahead of this host's clock is no time.
+const FUTURE_NS: i64 = 3_600_000_000_000;
+/// Fast CDR appends up to this many bytes after the last field.
+const TRAILING_BYTES: usize = 8;
+/// How long a publisher is waited for that was asked for what it keeps.
+const HISTORY_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Gids of this host's publishers, as the network knows them: what carries one of these comes from here.
+pub(crate) type OwnGids = Arc<RwLock<HashSet<Gid>>>;
+
+/// Why a sample from the network was dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum Dropped {
+    #[error(transparent)]
+    Malformed(#[from] Malformed),
+    #[error("a deletion, which topics do not have")]
+    Deletion,
+    #[error("published by this host")]
+    Own,
+    #[error("negative sequence number")]
+    Sequence,
+    #[error("time stamp before 1970 or far in the future")]
+    Time,
+    #[error("length differs from the type's")]
+    Length,
+    #[error("{0}")]
+    Loan(#[from] LoanError),
+    #[error("{0}")]
+    Publish(PublishError),
+}
+
+/// A topic that comes in. Dropping it ends the subscription on the network.
+pub(crate) struct Incoming {
+    _subscriber: Subscriber,
+}
+
+enum Subscriber {
+    Plain { _subscriber: zenoh::pubsub::Subscriber<()> },
+    Late { _subscriber: AdvancedSubscriber<()> },
+}
+
+impl Incoming {
+    pub(crate) fn start(session: &Session, key: &TopicKey, qos: InQos, inlet: Inlet) -> zenoh::Result<Self> {
+        let subscriber = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
+        let subscriber = subscriber.callback(move |sample| inlet.receive(&sample));
+        if qos.durability == Durability::Volatile {
+            return Ok(Incoming { _subscriber: Subscriber::Plain { _subscriber: subscriber.wait()? } });
+        }
+        let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX);
+        let mut late = subscriber
+            .history(HistoryConfig::default().detect_late_publishers().max_samples(depth))
+            .query_timeout(HISTORY_TIMEOUT)
+            .subscriber_detection();
+        if qos.reliability == Reliability::Reliable {
+            late = late.recovery(RecoveryConfig::default().heartbeat());
+        }
+        Ok(Incoming { _subscriber: Subscriber::Late { _subscriber: late.wait()? } })
+    }
+}
+
+/// Where samples go, and what they are checked against.
+pub(crate) struct Inlet {
+    /// Samples of one topic come from several links' threads.
+    publisher: Mutex<RawPublisher>,
+    counters: Arc<Counters>,
+    own: OwnGids,
+    max_bytes: usize,
+    /// Of a type whose size is fixed and known.
+    body_bytes: Option<usize>,
+}
+
+impl Inlet {
+    pub(crate) fn new(
+        publisher: RawPublisher,
+        counters: Arc<Counters>,
+        own: OwnGids,
+        max_bytes: usize,
+    ) -> Self {
+        let body_bytes = publisher.topic_type().body_bytes;
+        Inlet { publisher: Mutex::new(publisher), counters, own, max_bytes, body_bytes }
+    }
+
+    fn receive(&self, sample: &Sample) {
+        if sample.kind() != SampleKind::Put {
+            return self.counters.dropped(Dropped::Deletion);
+        }
+        if let Err(reason) = self.take(sample.payload(), sample.attachment()) {
+            self.counters.dropped(reason);
+        }
+    }
+
+    fn take(&self, payload: &ZBytes, attachment: Option<&ZBytes>) -> Result<(), Dropped> {
+        let attachment = parse_attachment(attachment)?;
+        if self.own.read().unwrap_or_else(PoisonError::into_inner).contains(&attachment.gid) {
+            return Err(Dropped::Own);
+        }
+        let sequence_number = u64::try_from(attachment.sequence_number).map_err(|_| Dropped::Sequence)?;
+        let source_timestamp_ns = attachment.source_timestamp_ns;
+        if source_timestamp_ns < 0 || source_timestamp_ns.saturating_sub(unix_ns()) > FUTURE_NS {
+            return Err(Dropped::Time);
+        }
+        let len_bytes = self.body_len(payload)?;
+        {
+            let publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut loan = publisher.loan(len_bytes)?;
+            copy_body(payload, &mut loan);
+            let source = MessageInfo {
+                sequence_number,
+                source_timestamp_ns,
+                released_ns: 0,
+                publisher_gid: attachment.gid,
+            };
+            loan.publish_as(source).map_err(|unpublished| Dropped::Publish(unpublished.into()))?;
+        }
+        self.counters.follow(attachment.gid, attachment.sequence_number);
+        self.counters.passed(len_bytes, source_timestamp_ns);
+        Ok(())
+    }
+
+    /// The length of the body, once its frame has been checked.
+    fn body_len(&self, payload: &ZBytes) -> Result<usize, Dropped> {
+        let mut head = [0; ENCAPSULATION.len()];
+        let copied = copy(payload.slices(), 0, &mut head);
+        check_encapsulation(head.get(..copied).unwrap_or_default())?;
+        let len_bytes = payload.len() - ENCAPSULATION.len();
+        if len_bytes > self.max_bytes {
+            return Err(Malformed::PayloadTooLong.into());
+        }
+        match self.body_bytes {
+            None => Ok(len_bytes),
+            Some(fixed) if (fixed..=fixed + TRAILING_BYTES).contains(&len_bytes) => Ok(fixed),
+            Some(_) => Err(Dropped::Length),
+        }
+    }
+}
+
+fn parse_attachment(attachment: Option<&ZBytes>) -> Result<Attachment, Malformed> {
+    let attachment = attachment.ok_or(Malformed::NoAttachment)?;
+    if attachment.len() != Attachment::BYTES {
+        return Err(Malformed::Attachment);
+    }
+    let mut bytes = [0; Attachment::BYTES];
+    copy(attachment.slices(), 0, &mut bytes);
+    Attachment::parse(&bytes)
+}
+
+fn copy_body(payload: &ZBytes, body: &mut [u8]) {
+    let copied = copy(payload.slices(), ENCAPSULATION.len(), body);
+    // A loan's content is unspecified, and the slices are what they are, whatever length they claim.
+    if let Some(rest) = body.get_mut(copied..) {
+        rest.fill(0);
+    }
+}
+
+/// Copies what follows the first `skip` bytes of `slices` to `to`, as much as fits. Returns how much that was.
+fn copy<'a>(slices: impl Iterator<Item = &'a [u8]>, mut skip: usize, to: &mut [u8]) -> usize {
+    let mut at = 0;
+    for slice in slices {
+        let (skipped, slice) = slice.split_at(skip.min(slice.len()));
+        skip -= skipped.len();
+        let len = slice.len().min(to.len() - at);
+        to[at..at + len].copy_from_slice(&slice[..len]);
+        at += len;
+        if at == to.len() {
+            break;
+        }
+    }
+    at
+}
+
+/// The quality of service of the port that samples from the network go through.
+pub(crate) fn port_qos(qos: InQos, max_depth: usize) -> tautline_transport::Qos {
+    let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX).clamp(1, max_depth);
+    tautline_transport::Qos {
+        history: History::KeepLast,
+        durability: qos.durability,
+        reliability: qos.reliability,
+        ..tautline_transport::Qos::keep_last(depth)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bodies_are_gathered_from_slices() {
+        let whole: Vec<u8> = (0..100).collect();
+        for size in 1..101 {
+            for skip in [0, 1, 4, 50, 99, 100] {
+                let mut body = vec![0xFF; 100 - skip];
+                assert_eq!(copy(whole.chunks(size), skip, &mut body), 100 - skip, "{size} {skip}");
+                assert_eq!(body, whole[skip..]);
+            }
+        }
+        let mut short = [0; 3];
+        assert_eq!(copy(whole.chunks(2), 4, &mut short), 3);
+        assert_eq!(short, [4, 5, 6]);
+        assert_eq!(copy([].into_iter(), 4, &mut short), 0);
+        assert_eq!(copy(whole.chunks(7), 200, &mut short), 0);
+    }
+}

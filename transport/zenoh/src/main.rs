@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut-gateway`: what `taut gateway` runs.
+#![forbid(unsafe_code)]
+
+mod args;
+mod status;
+
+use args::Args;
+use clap::Parser;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use status::Status;
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use tautline_gateway::{Gateway, Options, Seat};
+use tautline_rt::Realtime;
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    // Zenoh says much that is no concern of ours; what it drops or loses is counted. RUST_LOG changes what is shown.
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error,zenoh_ext=error"));
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(colours)
+        .without_time()
+        .init();
+    match run(&args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("taut-gateway: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Why the program ends.
+#[derive(Debug, thiserror::Error)]
+enum Failure {
+    #[error(transparent)]
+    Args(#[from] args::ArgsError),
+    #[error(transparent)]
+    Gateway(#[from] tautline_gateway::GatewayError),
+    #[error("signals cannot be handled: {0}")]
+    Signals(#[source] std::io::Error),
+}
+
+fn run(args: &Args) -> Result<(), Failure> {
+    let options = args.options()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone()).map_err(Failure::Signals)?;
+    }
+    let Some(gateway) = start(args, options.clone(), &stop)? else { return Ok(()) };
+    introduce(&gateway, &options);
+    let status = Status::new(args.json);
+    let period = Duration::from_secs_f64(args.interval);
+    let mut next = Instant::now() + period;
+    while !stop.load(Ordering::Relaxed) {
+        let patience = next.saturating_duration_since(Instant::now()).min(Duration::from_millis(50));
+        std::thread::sleep(patience);
+        if Instant::now() >= next {
+            next += period;
+            if status.show(&gateway.stats()).is_err() {
+                // Whoever read it has gone.
+                break;
+            }
+        }
+    }
+    drop(status);
+    drop(gateway);
+    Ok(())
+}
+
+/// `None`: a signal came while another gateway was waited for.
+fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gateway>, Failure> {
+    if !args.standby {
+        return Ok(Some(Gateway::spawn(options)?));
+    }
+    let stopped = || stop.load(Ordering::Relaxed);
+    let seat = Seat::wait(options.domain, stopped).map_err(tautline_gateway::GatewayError::from)?;
+    Ok(seat.map(|seat| Gateway::spawn_in(options, seat)).transpose()?)
+}
+
+/// What it does and where it listens: once, to standard error.
+fn introduce(gateway: &Gateway, options: &Options) {
+    let (config, stats) = (gateway.config(), gateway.stats());
+    let other = options.network_domain.filter(|domain| *domain != options.domain);
+    let domains = other.map_or_else(String::new, |domain| format!(", {domain} on the network"));
+    eprintln!(
+        "gateway of domain {}{domains}; session {}; configuration: {}",
+        options.domain, stats.zid, config.source
+    );
+    let locators = gateway.locators().join(" ");
+    if config.is_reachable() {
+        eprintln!("listening on {locators}");
+    } else {
+        let locators = if locators.is_empty() { "nothing".into() } else { locators };
+        eprintln!(
+            "listening on {locators}: loopback only, no other host can connect; --listen tcp/0.0.0.0:7447 opens it"
+        );
+    }
+    if !config.connect.is_empty() {
+        eprintln!("connecting to {}", config.connect.join(" "));
+    }
+    match (options.realtime, gateway.threads()) {
+        (Realtime::Off, _) => eprintln!("without real-time priorities: callbacks and the network compete"),
+        (Realtime::Required, Ok(threads)) => {
+            let budget = options.budget.map_or_else(
+                || "without a budget: a flood can starve callbacks".into(),
+                |budget| format!("at most {} % of a core, beyond that as ordinary threads", budget.percent),
+            );
+            eprintln!(
+                "{} threads of the network at SCHED_FIFO {}, {budget}",
+                threads.len(),
+                options.priority
+            );
+        }
+        (Realtime::Required, Err(error)) => eprintln!("{error}"),
+    }
+}

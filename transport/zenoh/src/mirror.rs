@@ -1,0 +1,330 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is to be mirrored: decided here from what exists on this host and on others, done elsewhere.
+//!
+//! A pure state machine: events go in, the [`Action`]s that follow from them come out, in the order in which they are
+//! to be done. Data flows only where both ends exist:
+//!
+//! - *out* (shared memory to network) while a publisher is here and a subscription elsewhere. Of a transient-local
+//!   publisher samples are also taken, and kept for late joiners, while nobody elsewhere listens; they cost no packet.
+//! - *in* (network to shared memory) while a subscription is here and a publisher elsewhere.
+//!
+//! Nothing goes in circles: the gateway's own ports are no local endpoints (whoever calls [`Mirror::set_locals`] leaves
+//! them out), the session's own tokens are no remote ones.
+
+use crate::filter::Filter;
+use crate::graph::{Change, Graph};
+use crate::wire::{Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos, endpoint_gid};
+use std::collections::{BTreeMap, BTreeSet};
+use tautline_transport::{Durability, Gid, History, Reliability};
+
+/// A publisher or subscription on this host.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LocalEndpoint {
+    /// Identifies it on this host; of a publisher, the gid in its samples.
+    pub gid: Gid,
+    /// Publisher or subscription.
+    pub kind: EndpointKind,
+    /// Fully qualified name.
+    pub topic: String,
+    /// What it carries.
+    pub type_id: TypeId,
+    /// Quality of service.
+    pub qos: WireQos,
+    /// The node it belongs to.
+    pub node: NodeName,
+}
+
+/// A publisher whose samples go out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Writer {
+    /// Its gid on this host.
+    pub local_gid: Gid,
+    /// Its gid on the network.
+    pub wire_gid: Gid,
+    /// Quality of service.
+    pub qos: WireQos,
+}
+
+/// How samples are taken from shared memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutQos {
+    /// Length of the gateway's queue, per publisher.
+    pub depth: u64,
+    /// Whether a publisher of the topic serves late joiners.
+    pub durability: Durability,
+}
+
+/// How samples are taken from the network and published here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InQos {
+    /// Samples that late joiners on this host are to get.
+    pub depth: u64,
+    /// Whether any publisher elsewhere serves late joiners and any subscription here is one.
+    pub durability: Durability,
+    /// Whether any publisher elsewhere is reliable.
+    pub reliability: Reliability,
+}
+
+/// Something to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Declare a liveliness token.
+    Declare(Token),
+    /// Withdraw it.
+    Undeclare(Token),
+    /// Begin to take a topic's samples from shared memory. Followed by the topic's `OpenWriter`s.
+    StartOut(TopicKey, OutQos),
+    /// Send this publisher's samples.
+    OpenWriter(TopicKey, Writer),
+    /// No longer.
+    CloseWriter(TopicKey, Gid),
+    /// Stop taking, and close what writers are left.
+    StopOut(TopicKey),
+    /// Begin to take a topic's samples from the network.
+    StartIn(TopicKey, InQos),
+    /// Stop.
+    StopIn(TopicKey),
+    /// Ask for all tokens again: some were refused and there is room now.
+    Resync,
+}
+
+/// The state: what exists, and what is being mirrored.
+pub struct Mirror {
+    graph: Graph,
+    filter: Filter,
+    zid: u128,
+    domain: u32,
+    next_id: u64,
+    nodes: BTreeMap<NodeName, Token>,
+    locals: BTreeMap<Gid, Local>,
+    out: BTreeMap<TopicKey, (OutQos, BTreeSet<Gid>)>,
+    inward: BTreeMap<TopicKey, InQos>,
+}
+
+struct Local {
+    endpoint: LocalEndpoint,
+    key: TopicKey,
+    token: Token,
+    wire_gid: Gid,
+}
+
+impl Mirror {
+    /// Nothing exists yet. `graph` is of the same domain and session.
+    pub fn new(domain: u32, zid: u128, graph: Graph, filter: Filter) -> Self {
+        Mirror {
+            graph,
+            filter,
+            zid,
+            domain,
+            next_id: 0,
+            nodes: BTreeMap::new(),
+            locals: BTreeMap::new(),
+            out: BTreeMap::new(),
+            inward: BTreeMap::new(),
+        }
+    }
+
+    /// What is known of other hosts.
+    pub fn graph(&self) -> &Graph {
+        &self.graph
+    }
+
+    /// Topics of this host that others have under the same name with another type or hash, and what it is there.
+    pub fn mismatches(&self) -> BTreeMap<String, String> {
+        let mut found = BTreeMap::new();
+        let here: BTreeMap<&str, &TypeId> =
+            self.locals.values().map(|local| (&*local.key.topic, &local.key.type_id)).collect();
+        for key in self.graph.topics() {
+            if let Some(type_id) = here.get(&*key.topic).filter(|type_id| ***type_id != key.type_id) {
+                let (here, there) = (&type_id.name, &key.type_id.name);
+                let reason = if here == there {
+                    format!("another host has {there} with another definition (hash {})", key.type_id.hash)
+                } else {
+                    format!("it carries {here}, on another host {there}")
+                };
+                found.insert(key.topic.clone(), reason);
+            }
+        }
+        found
+    }
+
+    /// A token appeared on the network.
+    pub fn token_up(&mut self, key: &str) -> Vec<Action> {
+        let change = self.graph.insert(key);
+        self.after(change)
+    }
+
+    /// A token is gone.
+    pub fn token_down(&mut self, key: &str) -> Vec<Action> {
+        let change = self.graph.remove(key);
+        let mut actions = self.after(change);
+        if self.graph.wants_resync() {
+            actions.push(Action::Resync);
+        }
+        actions
+    }
+
+    fn after(&mut self, change: Change) -> Vec<Action> {
+        let mut actions = Vec::new();
+        if let Change::Topic(key) = change {
+            self.reconcile(&key, &mut actions);
+        }
+        actions
+    }
+
+    /// What nodes, publishers and subscriptions exist on this host now, without the gateway's own.
+    pub fn set_locals(&mut self, nodes: &[NodeName], endpoints: Vec<LocalEndpoint>) -> Vec<Action> {
+        let mut actions = Vec::new();
+        let mut touched = BTreeSet::new();
+        let mut now: BTreeMap<Gid, LocalEndpoint> = endpoints.into_iter().map(|e| (e.gid, e)).collect();
+        now.retain(|_, endpoint| self.filter.allows(&endpoint.topic));
+        let used: BTreeSet<&NodeName> = nodes.iter().chain(now.values().map(|e| &e.node)).collect();
+
+        for node in &used {
+            if !self.nodes.contains_key(*node) {
+                let token = self.node_token(node);
+                actions.push(Action::Declare(token.clone()));
+                self.nodes.insert((*node).clone(), token);
+            }
+        }
+        let gone: Vec<Gid> = (self.locals.iter())
+            .filter(|(gid, local)| now.get(*gid) != Some(&local.endpoint))
+            .map(|(gid, _)| *gid)
+            .collect();
+        // Ends before beginnings: an endpoint that changed is one that ended and one that began.
+        let mut withdrawn = Vec::new();
+        for gid in gone {
+            if let Some(local) = self.locals.remove(&gid) {
+                withdrawn.push(Action::Undeclare(local.token));
+                touched.insert(local.key);
+            }
+        }
+        for key in &touched {
+            self.reconcile(key, &mut actions);
+        }
+        actions.append(&mut withdrawn);
+        for (gid, endpoint) in &now {
+            if !self.locals.contains_key(gid) {
+                let local = self.local(endpoint.clone());
+                actions.push(Action::Declare(local.token.clone()));
+                touched.insert(local.key.clone());
+                self.locals.insert(*gid, local);
+            }
+        }
+        for key in &touched {
+            self.reconcile(key, &mut actions);
+        }
+        let unused: Vec<NodeName> = self.nodes.keys().filter(|node| !used.contains(node)).cloned().collect();
+        actions.extend(unused.into_iter().filter_map(|node| self.nodes.remove(&node).map(Action::Undeclare)));
+        actions
+    }
+
+    /// Stops everything and withdraws every token.
+    pub fn close(&mut self) -> Vec<Action> {
+        self.set_locals(&[], Vec::new())
+    }
+
+    fn id(&mut self) -> u64 {
+        self.next_id += 1;
+        self.next_id - 1
+    }
+
+    fn node_token(&mut self, node: &NodeName) -> Token {
+        Token { domain: self.domain, zid: self.zid, node_id: self.id(), node: node.clone(), endpoint: None }
+    }
+
+    fn local(&mut self, endpoint: LocalEndpoint) -> Local {
+        let LocalEndpoint { kind, topic, type_id, qos, node, .. } = endpoint.clone();
+        let node_id = self.nodes.get(&node).map_or(0, |token| token.node_id);
+        let key = TopicKey { domain: self.domain, topic: topic.clone(), type_id: type_id.clone() };
+        let described = Endpoint { id: self.id(), kind, name: topic, type_id, qos };
+        let token = Token { domain: self.domain, zid: self.zid, node_id, node, endpoint: Some(described) };
+        Local { endpoint, key, wire_gid: endpoint_gid(&token), token }
+    }
+
+    fn local_ends<'a>(&'a self, key: &'a TopicKey, kind: EndpointKind) -> impl Iterator<Item = &'a Local> {
+        self.locals.values().filter(move |local| local.endpoint.kind == kind && local.key == *key)
+    }
+
+    /// Brings what is mirrored of a topic in line with what exists.
+    fn reconcile(&mut self, key: &TopicKey, actions: &mut Vec<Action>) {
+        self.reconcile_out(key, actions);
+        self.reconcile_in(key, actions);
+    }
+
+    fn reconcile_out(&mut self, key: &TopicKey, actions: &mut Vec<Action>) {
+        let writers: BTreeMap<Gid, Writer> = (self.local_ends(key, EndpointKind::Publisher))
+            .map(|local| {
+                let (local_gid, qos) = (local.endpoint.gid, local.endpoint.qos);
+                (local_gid, Writer { local_gid, wire_gid: local.wire_gid, qos })
+            })
+            .collect();
+        let readers = self.graph.subscriptions(key);
+        let is_kept = writers.values().any(|writer| writer.qos.durability == Durability::TransientLocal);
+        let wanted = (!writers.is_empty() && (is_kept || !readers.is_empty())).then(|| OutQos {
+            depth: writers.values().map(|writer| depth(&writer.qos)).max().unwrap_or(1),
+            durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
+        });
+        let running = self.out.get(key).map(|(qos, _)| *qos);
+        if running.is_some() && running != wanted {
+            self.out.remove(key);
+            actions.push(Action::StopOut(key.clone()));
+        }
+        let Some(qos) = wanted else { return };
+        if !self.out.contains_key(key) {
+            actions.push(Action::StartOut(key.clone(), qos));
+        }
+        let (_, open) = self.out.entry(key.clone()).or_insert_with(|| (qos, BTreeSet::new()));
+        open.retain(|gid| {
+            let stays = writers.contains_key(gid);
+            if !stays {
+                actions.push(Action::CloseWriter(key.clone(), *gid));
+            }
+            stays
+        });
+        for (gid, writer) in writers {
+            if open.insert(gid) {
+                actions.push(Action::OpenWriter(key.clone(), writer));
+            }
+        }
+    }
+
+    fn reconcile_in(&mut self, key: &TopicKey, actions: &mut Vec<Action>) {
+        let publishers = self.graph.publishers(key);
+        let has_readers = self.local_ends(key, EndpointKind::Subscription).next().is_some();
+        let late_joiners = (self.local_ends(key, EndpointKind::Subscription))
+            .any(|local| local.endpoint.qos.durability == Durability::TransientLocal);
+        let keepers = || {
+            let qos = publishers.iter().map(|publisher| &publisher.endpoint.qos);
+            qos.filter(|qos| qos.durability == Durability::TransientLocal)
+        };
+        let is_kept = late_joiners && keepers().next().is_some();
+        let is_reliable = publishers.iter().any(|p| p.endpoint.qos.reliability == Reliability::Reliable);
+        let wanted = (has_readers && !publishers.is_empty()).then(|| InQos {
+            depth: if is_kept { keepers().map(depth).fold(0, u64::saturating_add) } else { 1 },
+            durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
+            reliability: if is_reliable { Reliability::Reliable } else { Reliability::BestEffort },
+        });
+        let running = self.inward.get(key).copied();
+        if running == wanted {
+            return;
+        }
+        if running.is_some() {
+            self.inward.remove(key);
+            actions.push(Action::StopIn(key.clone()));
+        }
+        if let Some(qos) = wanted {
+            self.inward.insert(key.clone(), qos);
+            actions.push(Action::StartIn(key.clone(), qos));
+        }
+    }
+}
+
+/// Samples that an endpoint keeps; keep-all has no number and gets a large one.
+fn depth(qos: &WireQos) -> u64 {
+    const KEEP_ALL: u64 = 1000;
+    if qos.history == History::KeepAll { qos.depth.max(KEEP_ALL) } else { qos.depth.max(1) }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,258 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Events in, actions out; and a simulated network of hosts, for loops and duplicates.
+
+use super::*;
+use crate::graph::GraphLimits;
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
+
+const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+const ZID: u128 = 0xAA;
+
+fn mirror(zid: u128, filter: Filter) -> Mirror {
+    Mirror::new(5, zid, Graph::new(5, zid, GraphLimits::default()), filter)
+}
+
+fn key(topic: &str) -> TopicKey {
+    TopicKey::parse(&format!("5/{topic}/std_msgs::msg::dds_::String_/{HASH}")).unwrap()
+}
+
+fn local(gid: u8, kind: EndpointKind, topic: &str) -> LocalEndpoint {
+    LocalEndpoint {
+        gid: Gid([gid; 16]),
+        kind,
+        topic: format!("/{topic}"),
+        type_id: key(topic).type_id,
+        qos: WireQos { depth: 10, ..WireQos::default() },
+        node: NodeName::new("/", "n"),
+    }
+}
+
+fn publisher(gid: u8, topic: &str) -> LocalEndpoint {
+    local(gid, EndpointKind::Publisher, topic)
+}
+
+fn subscription(gid: u8, topic: &str) -> LocalEndpoint {
+    local(gid, EndpointKind::Subscription, topic)
+}
+
+fn late_joining(mut endpoint: LocalEndpoint) -> LocalEndpoint {
+    endpoint.qos.durability = Durability::TransientLocal;
+    endpoint
+}
+
+fn remote(zid: u128, id: u64, kind: &str, topic: &str, qos: &str) -> String {
+    format!("@ros2_lv/5/{zid:x}/0/{id}/{kind}/%/%/n/%{topic}/std_msgs::msg::dds_::String_/{HASH}/{qos}")
+}
+
+/// Actions as short text: what is compared.
+fn said(actions: &[Action]) -> Vec<String> {
+    let name = |key: &TopicKey| key.topic.clone();
+    let token = |token: &Token| match &token.endpoint {
+        None => format!("node {}", token.node.full_name()),
+        Some(endpoint) => format!("{:?} {}", endpoint.kind, endpoint.name),
+    };
+    let one = |action: &Action| match action {
+        Action::Declare(t) => format!("declare {}", token(t)),
+        Action::Undeclare(t) => format!("undeclare {}", token(t)),
+        Action::StartOut(key, qos) => format!("start out {} {:?} {}", name(key), qos.durability, qos.depth),
+        Action::OpenWriter(key, writer) => format!("open {} {}", name(key), writer.local_gid.0[0]),
+        Action::CloseWriter(key, gid) => format!("close {} {}", name(key), gid.0[0]),
+        Action::StopOut(key) => format!("stop out {}", name(key)),
+        Action::StartIn(key, qos) => format!("start in {} {:?} {}", name(key), qos.durability, qos.depth),
+        Action::StopIn(key) => format!("stop in {}", name(key)),
+        Action::Resync => "resync".into(),
+    };
+    actions.iter().map(one).collect()
+}
+
+const NOTHING: [&str; 0] = [];
+const QOS: &str = "::,10:,:,:,,";
+
+#[test]
+fn samples_go_out_while_both_ends_exist() {
+    let mut m = mirror(ZID, Filter::default());
+    assert_eq!(
+        said(&m.set_locals(&[], vec![publisher(1, "x")])),
+        ["declare node /n", "declare Publisher /x"]
+    );
+    assert_eq!(said(&m.set_locals(&[], vec![publisher(1, "x")])), NOTHING);
+    let reader = remote(1, 7, "MS", "x", QOS);
+    assert_eq!(said(&m.token_up(&reader)), ["start out /x Volatile 10", "open /x 1"]);
+    assert_eq!(said(&m.token_up(&remote(2, 7, "MS", "x", QOS))), NOTHING, "one put serves both");
+    assert_eq!(said(&m.token_up(&remote(2, 8, "MP", "x", QOS))), NOTHING, "nobody here listens");
+    let two = vec![publisher(1, "x"), publisher(2, "x")];
+    assert_eq!(said(&m.set_locals(&[], two)), ["declare Publisher /x", "open /x 2"]);
+    assert_eq!(said(&m.set_locals(&[], vec![publisher(2, "x")])), ["close /x 1", "undeclare Publisher /x"]);
+    assert_eq!(said(&m.token_down(&reader)), NOTHING);
+    assert_eq!(said(&m.token_down(&remote(2, 7, "MS", "x", QOS))), ["stop out /x"]);
+    assert_eq!(said(&m.close()), ["undeclare Publisher /x", "undeclare node /n"]);
+}
+
+#[test]
+fn samples_come_in_while_both_ends_exist() {
+    let mut m = mirror(ZID, Filter::default());
+    let writer = remote(1, 7, "MP", "x", QOS);
+    assert_eq!(said(&m.token_up(&writer)), NOTHING);
+    let locals = vec![subscription(1, "x"), subscription(2, "x")];
+    let began =
+        ["declare node /n", "declare Subscription /x", "declare Subscription /x", "start in /x Volatile 1"];
+    assert_eq!(said(&m.set_locals(&[], locals)), began, "once for all subscriptions of the host");
+    assert_eq!(said(&m.token_up(&remote(2, 7, "MP", "x", QOS))), NOTHING);
+    assert_eq!(said(&m.token_down(&writer)), NOTHING);
+    let ended = ["stop in /x", "undeclare Subscription /x", "undeclare Subscription /x", "undeclare node /n"];
+    assert_eq!(said(&m.set_locals(&[], vec![])), ended);
+}
+
+#[test]
+fn another_type_or_hash_is_another_topic() {
+    let mut m = mirror(ZID, Filter::default());
+    m.set_locals(&[], vec![publisher(1, "x"), subscription(2, "x")]);
+    let other_hash = remote(1, 7, "MS", "x", QOS).replace("RIHS01_df", "RIHS01_00");
+    assert_eq!(said(&m.token_up(&other_hash)), NOTHING);
+    assert!(m.mismatches()["/x"].contains("RIHS01_00"));
+    assert_eq!(said(&m.token_up(&remote(1, 8, "MP", "x", QOS).replace("String_", "Bool_"))), NOTHING);
+    assert!(m.mismatches()["/x"].contains("std_msgs"));
+}
+
+#[test]
+fn transient_local_samples_are_kept_before_anybody_listens() {
+    let mut m = mirror(ZID, Filter::default());
+    let began =
+        ["declare node /n", "declare Publisher /map", "start out /map TransientLocal 10", "open /map 1"];
+    assert_eq!(said(&m.set_locals(&[], vec![late_joining(publisher(1, "map"))])), began);
+    assert_eq!(said(&m.token_up(&remote(1, 7, "MS", "map", ":1:,1:,:,:,,"))), NOTHING);
+    // A volatile one that also publishes changes nothing; that alone is left is another matter.
+    let both = vec![late_joining(publisher(1, "map")), publisher(2, "map")];
+    assert_eq!(said(&m.set_locals(&[], both)), ["declare Publisher /map", "open /map 2"]);
+    let again = ["stop out /map", "start out /map Volatile 10", "open /map 2", "undeclare Publisher /map"];
+    assert_eq!(said(&m.set_locals(&[], vec![publisher(2, "map")])), again);
+}
+
+#[test]
+fn history_is_asked_for_if_both_ends_are_transient_local() {
+    let mut m = mirror(ZID, Filter::default());
+    m.set_locals(&[], vec![late_joining(subscription(1, "map"))]);
+    let keeper = remote(1, 7, "MP", "map", ":1:,3:,:,:,,");
+    assert_eq!(said(&m.token_up(&keeper)), ["start in /map TransientLocal 3"]);
+    let more = remote(1, 8, "MP", "map", ":1:,5:,:,:,,");
+    assert_eq!(said(&m.token_up(&more)), ["stop in /map", "start in /map TransientLocal 8"]);
+    let volatile = vec![subscription(1, "map")];
+    let changed = [
+        "stop in /map",
+        "undeclare Subscription /map",
+        "declare Subscription /map",
+        "start in /map Volatile 1",
+    ];
+    assert_eq!(said(&m.set_locals(&[], volatile)), changed);
+}
+
+#[test]
+fn keep_all_and_odd_depths() {
+    let mut m = mirror(ZID, Filter::default());
+    m.set_locals(&[], vec![late_joining(subscription(1, "map"))]);
+    assert_eq!(
+        said(&m.token_up(&remote(1, 7, "MP", "map", ":1:2,0:,:,:,,"))),
+        ["start in /map TransientLocal 1000"]
+    );
+    let mut endless = publisher(2, "log");
+    endless.qos = WireQos { history: History::KeepAll, depth: 5000, ..endless.qos };
+    m.set_locals(&[], vec![endless]);
+    assert_eq!(
+        said(&m.token_up(&remote(1, 9, "MS", "log", "::,0:,:,:,,")))[0],
+        "start out /log Volatile 5000"
+    );
+}
+
+#[test]
+fn denied_topics_are_neither_mirrored_nor_announced() {
+    let mut m = mirror(ZID, Filter::new(&[], &["/secret/**".into()]).unwrap());
+    m.token_up(&remote(1, 7, "MS", "secret%x", QOS));
+    let locals = vec![publisher(1, "secret/x")];
+    assert_eq!(said(&m.set_locals(&[NodeName::new("/a", "node")], locals)), ["declare node /a/node"]);
+}
+
+#[test]
+fn nodes_without_endpoints_are_announced() {
+    let mut m = mirror(ZID, Filter::default());
+    assert_eq!(said(&m.set_locals(&[NodeName::new("/", "n")], vec![])), ["declare node /n"]);
+    assert_eq!(
+        said(&m.set_locals(&[NodeName::new("/", "n")], vec![publisher(1, "x")])),
+        ["declare Publisher /x"]
+    );
+    assert_eq!(said(&m.set_locals(&[NodeName::new("/", "n")], vec![])), ["undeclare Publisher /x"]);
+    assert_eq!(said(&m.close()), ["undeclare node /n"]);
+}
+
+#[test]
+fn ids_are_never_used_twice() {
+    let mut m = mirror(ZID, Filter::default());
+    let mut ids = BTreeSet::new();
+    for n in 0..100 {
+        for action in m.set_locals(&[], vec![publisher(n, "x")]) {
+            if let Action::Declare(token) = action {
+                assert!(ids.insert(token.endpoint.map_or(token.node_id, |endpoint| endpoint.id)));
+            }
+        }
+    }
+}
+
+/// Hosts whose gateways see each other's tokens, as any Zenoh network of whatever shape lets them: what is published on
+/// one arrives once on each that listens, and never comes back.
+#[test]
+fn a_network_of_hosts_neither_loops_nor_duplicates() {
+    let seed =
+        std::env::var("TAUT_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or_else(rand::random);
+    println!("TAUT_SEED={seed}");
+    let mut random = SmallRng::seed_from_u64(seed);
+    for _ in 0..200 {
+        let hosts: u8 = random.random_range(2..5);
+        let mut mirrors: Vec<Mirror> =
+            (0..hosts).map(|n| mirror(u128::from(n) + 1, Filter::default())).collect();
+        let mut ends = vec![(0, 0); usize::from(hosts)];
+        let mut flows = vec![(BTreeSet::<Gid>::new(), false); usize::from(hosts)];
+        for _ in 0..40 {
+            // Somebody's endpoints change; the tokens reach everybody, the session's own ones included.
+            let host = random.random_range(0..usize::from(hosts));
+            ends[host] = (random.random_range(0..3), random.random_range(0..3));
+            let (publishers, subscriptions) = ends[host];
+            let gid = |n: u8| host as u8 * 16 + n;
+            let mut locals: Vec<_> = (0..publishers).map(|n| publisher(gid(n), "x")).collect();
+            locals.extend((0..subscriptions).map(|n| subscription(gid(8 + n), "x")));
+            let mut pending: Vec<(usize, Action)> =
+                mirrors[host].set_locals(&[], locals).into_iter().map(|action| (host, action)).collect();
+            while !pending.is_empty() {
+                let (at, action) = pending.remove(0);
+                let (out, inward) = &mut flows[at];
+                match &action {
+                    Action::StartIn(..) => *inward = true,
+                    Action::StopIn(..) => *inward = false,
+                    Action::OpenWriter(_, writer) => assert!(out.insert(writer.local_gid)),
+                    Action::CloseWriter(_, gid) => assert!(out.remove(gid)),
+                    Action::StopOut(..) => out.clear(),
+                    _ => {}
+                }
+                for (to, mirror) in mirrors.iter_mut().enumerate() {
+                    let follow = match &action {
+                        Action::Declare(token) => mirror.token_up(&token.to_string()),
+                        Action::Undeclare(token) => mirror.token_down(&token.to_string()),
+                        _ => continue,
+                    };
+                    pending.extend(follow.into_iter().map(|action| (to, action)));
+                }
+            }
+            for (here, &(publishers, subscriptions)) in ends.iter().enumerate() {
+                let others = || ends.iter().enumerate().filter(move |(there, _)| *there != here);
+                let listened = others().any(|(_, &(_, subscriptions))| subscriptions > 0);
+                let spoken = others().any(|(_, &(publishers, _))| publishers > 0);
+                let (out, inward) = &flows[here];
+                assert_eq!(out.len(), if listened { usize::from(publishers) } else { 0 }, "{ends:?}");
+                assert!(
+                    out.iter().all(|gid| usize::from(gid.0[0] / 16) == here),
+                    "only what is from here goes out"
+                );
+                assert_eq!(*inward, subscriptions > 0 && spoken, "{ends:?}");
+            }
+        }
+    }
+}

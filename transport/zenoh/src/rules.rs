@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! In which order samples go over a link that is busy: a rule for the topic, else by size. Small ones go first, so that
+//! an image never delays a command.
+
+use crate::filter::{Filter, PatternError};
+use std::str::FromStr;
+use zenoh::qos::Priority;
+
+/// How a topic's samples are sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Urgency {
+    /// Zenoh's priority: what waits in a higher one goes first.
+    pub priority: Priority,
+    /// Sent at once instead of together with what follows within a millisecond.
+    pub express: bool,
+}
+
+/// Bodies up to this are small: they fit into one packet with their headers.
+pub const SMALL_BYTES: usize = 1024;
+/// Bodies from this on are bulk: they are split into fragments.
+pub const BULK_BYTES: usize = 64 << 10;
+
+impl Urgency {
+    /// By the size of a body.
+    pub fn by_size(bytes: usize) -> Self {
+        match bytes {
+            // Not express: an idle link sends at once anyway, and a busy one holds more of what is sent together.
+            0..=SMALL_BYTES => Urgency { priority: Priority::InteractiveHigh, express: false },
+            BULK_BYTES.. => Urgency { priority: Priority::DataLow, express: false },
+            _ => Urgency { priority: Priority::Data, express: false },
+        }
+    }
+}
+
+/// `PATTERN=PRIORITY[,express]`: topics of the pattern are sent so, whatever their size.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rule {
+    topics: Filter,
+    urgency: Urgency,
+}
+
+/// A rule that cannot be one.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RuleError {
+    /// No `=`, or no such priority.
+    #[error(
+        "'{0}' is no rule: write PATTERN=PRIORITY or PATTERN=PRIORITY,express with real_time, interactive_high, interactive_low, data_high, data, data_low or background"
+    )]
+    Form(String),
+    /// The pattern.
+    #[error(transparent)]
+    Pattern(#[from] PatternError),
+}
+
+impl FromStr for Rule {
+    type Err = RuleError;
+
+    fn from_str(text: &str) -> Result<Self, RuleError> {
+        let malformed = || RuleError::Form(text.into());
+        let (pattern, how) = text.rsplit_once('=').ok_or_else(malformed)?;
+        let (name, express) = how.strip_suffix(",express").map_or((how, false), |name| (name, true));
+        let priority = match name {
+            "real_time" => Priority::RealTime,
+            "interactive_high" => Priority::InteractiveHigh,
+            "interactive_low" => Priority::InteractiveLow,
+            "data_high" => Priority::DataHigh,
+            "data" => Priority::Data,
+            "data_low" => Priority::DataLow,
+            "background" => Priority::Background,
+            _ => return Err(malformed()),
+        };
+        Ok(Rule { topics: Filter::new(&[pattern.into()], &[])?, urgency: Urgency { priority, express } })
+    }
+}
+
+/// The first rule that speaks of `topic`.
+pub(crate) fn ruled(rules: &[Rule], topic: &str) -> Option<Urgency> {
+    rules.iter().find(|rule| rule.topics.allows(topic)).map(|rule| rule.urgency)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_rule_counts_and_else_the_size() {
+        let rules: Vec<Rule> = ["/imu=real_time,express", "/camera/**=background", "/**=data"]
+            .map(|text| text.parse().unwrap())
+            .into();
+        let urgency = |priority, express| Some(Urgency { priority, express });
+        assert_eq!(ruled(&rules, "/imu"), urgency(Priority::RealTime, true));
+        assert_eq!(ruled(&rules, "/camera/left/image"), urgency(Priority::Background, false));
+        assert_eq!(ruled(&rules, "/odom"), urgency(Priority::Data, false));
+        assert_eq!(ruled(&rules[..2], "/odom"), None);
+        let order = [0, SMALL_BYTES, SMALL_BYTES + 1, BULK_BYTES - 1, BULK_BYTES, usize::MAX];
+        let priorities = order.map(|bytes| Urgency::by_size(bytes).priority as u8);
+        assert!(priorities.is_sorted() && priorities[0] < priorities[2] && priorities[3] < priorities[4]);
+    }
+
+    #[test]
+    fn rules_that_are_none() {
+        for text in ["", "/imu", "/imu=", "/imu=fast", "/imu=data,expres", "imu=data"] {
+            let error = text.parse::<Rule>().unwrap_err().to_string();
+            assert!(error.contains("imu") || text.is_empty(), "{error}");
+        }
+    }
+}

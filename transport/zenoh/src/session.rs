@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Opening Zenoh with threads of the priority asked for. Zenoh has no setting for it: its threads inherit the policy of
+//! the one that starts them, so the session is opened from a thread of that policy, and what came of it is read back.
+
+use crate::config::SessionConfig;
+use tautline_rt::{CoreSet, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
+use zenoh::{Session, Wait};
+
+/// Why there is no session.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SessionError {
+    /// The thread that opens it could not get its priority.
+    #[error("the network's threads: {0}")]
+    Threads(#[from] RtError),
+    /// Zenoh refused.
+    #[error("Zenoh does not start: {reason}; listening on {listen:?}")]
+    Open {
+        /// Zenoh's word for it.
+        reason: String,
+        /// Where it was to listen.
+        listen: Vec<String>,
+    },
+}
+
+/// Opens a session whose threads have `policy`.
+///
+/// # Errors
+/// [`SessionError`].
+pub(crate) fn open(
+    config: SessionConfig,
+    policy: Policy,
+    realtime: Realtime,
+    cores: Option<CoreSet>,
+) -> Result<Session, SessionError> {
+    let SessionConfig { zenoh: zenoh_config, listen, .. } = config;
+    let open = move || {
+        zenoh::open(zenoh_config)
+            .wait()
+            .map_err(|error| SessionError::Open { reason: error.to_string(), listen })
+    };
+    // Zenoh's builders are deep.
+    let builder = ThreadBuilder { cores, ..ThreadBuilder::new("gw-open") }
+        .policy(policy)
+        .realtime(realtime)
+        .stack_bytes(4 << 20);
+    builder.spawn(move || open)?.join()?
+}
+
+/// The threads of Zenoh in this process, as the kernel reports them.
+///
+/// # Errors
+/// [`RtError`] if `/proc` cannot be read.
+pub fn network_threads() -> Result<Vec<ThreadInfo>, RtError> {
+    let mut threads = tautline_rt::threads()?;
+    threads.retain(|thread| is_network_thread(&thread.name));
+    Ok(threads)
+}
+
+/// `app-0`, `acc-0`, `net-1`, `rx-0`, `tx-0`: the names of Zenoh's runtimes.
+fn is_network_thread(name: &str) -> bool {
+    let Some((runtime, number)) = name.split_once('-') else { return false };
+    let is_number = !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit());
+    matches!(runtime, "app" | "acc" | "net" | "rx" | "tx") && is_number
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{MAX_MESSAGE_BYTES, Network};
+    use std::time::Duration;
+
+    fn config(listen: &str, connect: &str) -> SessionConfig {
+        let network =
+            Network { listen: vec![listen.into()], connect: vec![connect.into()], ..Network::default() };
+        network.session_config(|_| None, MAX_MESSAGE_BYTES).unwrap()
+    }
+
+    #[test]
+    fn names() {
+        assert!(["app-0", "acc-1", "rx-12"].into_iter().all(is_network_thread));
+        assert!(!["app", "rx-", "rx-x", "gw-open", "main"].into_iter().any(is_network_thread));
+    }
+
+    /// The pool is the process's: one test for all that is to be known of it.
+    #[test]
+    fn threads_have_the_policy_asked_for() {
+        if let Err(error) = tautline_rt::permission::realtime_permitted(40) {
+            assert!(std::env::var_os("CI").is_none(), "{error}");
+            println!("skipped: {error}");
+            return;
+        }
+        let refused =
+            open(config("tcp/192.0.2.1:1", "tcp/127.0.0.1:1"), Policy::Fifo(40), Realtime::Required, None);
+        assert!(refused.unwrap_err().to_string().contains("192.0.2.1"));
+        let first = open(
+            config("tcp/127.0.0.1:17460", "tcp/127.0.0.1:1"),
+            Policy::Fifo(40),
+            Realtime::Required,
+            None,
+        );
+        let first = first.unwrap();
+        // Threads for links appear with the first link.
+        let second = config("tcp/127.0.0.1:0", "tcp/127.0.0.1:17460");
+        let second = open(second, Policy::Fifo(40), Realtime::Required, None).unwrap();
+        while second.info().peers_zid().wait().count() == 0 {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let threads = network_threads().unwrap();
+        assert!(threads.iter().any(|thread| thread.name.starts_with("rx-")), "{threads:?}");
+        assert!(threads.iter().all(|thread| thread.policy == Policy::Fifo(40)), "{threads:?}");
+        second.close().wait().unwrap();
+        first.close().wait().unwrap();
+    }
+}

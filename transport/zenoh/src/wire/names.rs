@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Names as the wire writes them: ROS names with `/` as `%`, type names as DDS mangles them.
+
+use super::{MAX_NAME_BYTES, Malformed};
+use std::fmt;
+use tautline_schema::{Kind, TypeHash, TypeName};
+
+/// What a topic carries: the type's name and its hash. Topics meet only if both are equal.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TypeId {
+    /// `std_msgs/msg/String`; for a service, the service's name.
+    pub name: TypeName,
+    /// RIHS01.
+    pub hash: TypeHash,
+}
+
+impl TypeId {
+    pub(super) fn parse(name: &str, hash: &str) -> Result<Self, Malformed> {
+        Ok(TypeId { name: type_name(name)?, hash: hash.parse().map_err(|_| Malformed::TypeHash)? })
+    }
+
+    /// `std_msgs::msg::dds_::String_`.
+    pub(super) fn dds_name(&self) -> impl fmt::Display {
+        DdsName(&self.name)
+    }
+}
+
+struct DdsName<'a>(&'a TypeName);
+
+impl fmt::Display for DdsName<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}::{}::dds_::{}_", self.0.package(), self.0.kind().as_str(), self.0.name())
+    }
+}
+
+fn type_name(dds: &str) -> Result<TypeName, Malformed> {
+    if dds.len() > MAX_NAME_BYTES {
+        return Err(Malformed::TypeName);
+    }
+    let mut parts = dds.split("::");
+    let mut next = || parts.next().ok_or(Malformed::TypeName);
+    let (package, kind, dds_, name) = (next()?, next()?, next()?, next()?);
+    let kind = Kind::from_name(kind).ok_or(Malformed::TypeName)?;
+    let name = name.strip_suffix('_').ok_or(Malformed::TypeName)?;
+    if dds_ != "dds_" || parts.next().is_some() {
+        return Err(Malformed::TypeName);
+    }
+    TypeName::new(package, kind, name).map_err(|_| Malformed::TypeName)
+}
+
+/// Writes `/` as `%`.
+pub(super) struct Mangled<'a>(pub(super) &'a str);
+
+impl fmt::Display for Mangled<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut parts = self.0.split('/');
+        f.write_str(parts.next().unwrap_or_default())?;
+        parts.try_for_each(|part| write!(f, "%{part}"))
+    }
+}
+
+/// A namespace or an enclave: `%` when it is empty or `/`, as rmw_zenoh writes both.
+pub(super) fn mangled_namespace(namespace: &str) -> Mangled<'_> {
+    if namespace.is_empty() { Mangled("/") } else { Mangled(namespace) }
+}
+
+/// Reads what [`mangled_namespace`] wrote; empty and `/` are the same: `/`.
+pub(super) fn namespace(mangled: &str) -> Result<String, Malformed> {
+    if mangled == "%" {
+        return Ok("/".into());
+    }
+    let name = mangled.replace('%', "/");
+    if is_absolute(&name) { Ok(name) } else { Err(Malformed::NodeName) }
+}
+
+/// Reads a fully qualified topic or service name.
+pub(super) fn topic(mangled: &str) -> Result<String, Malformed> {
+    let name = mangled.replace('%', "/");
+    if is_absolute(&name) { Ok(name) } else { Err(Malformed::TopicName) }
+}
+
+/// Whether this is `/a/b`, of ROS tokens.
+pub(super) fn is_absolute(name: &str) -> bool {
+    name.len() <= MAX_NAME_BYTES && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token))
+}
+
+/// Letters, digits and underscores. ROS 2 lets no token begin with a digit, but peers that do not check it exist
+/// (hidden names of actions and services have none); nothing here depends on it, so a digit is let through.
+pub(super) fn is_token(token: &str) -> bool {
+    !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+}

@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The encapsulation before a body: which CDR it is. In shared memory bodies have none.
+
+use super::Malformed;
+
+/// XCDR1, little-endian, no options: what goes before every body that is sent.
+pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+
+/// Checks the first bytes of a payload. The options, its last two bytes, may be anything: DDS says in them how many
+/// bytes of padding follow the body.
+///
+/// # Errors
+/// [`Malformed::PayloadTooShort`], or [`Malformed::Encapsulation`] for big-endian, XCDR2 and parameter lists.
+pub fn check_encapsulation(payload: &[u8]) -> Result<(), Malformed> {
+    match payload {
+        [0, 1, _, _, ..] => Ok(()),
+        [_, _, _, _, ..] => Err(Malformed::Encapsulation),
+        _ => Err(Malformed::PayloadTooShort),
+    }
+}

@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Two and three hosts: bytes, header fields, no loops, no traffic that nobody wants.
+
+mod support;
+
+use std::collections::HashSet;
+use support::{Host, connect, image_type, string_type, take, until};
+use tautline_gateway::{Direction, TopicStats};
+use tautline_transport::Qos;
+
+fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
+    host.stats().topics.into_iter().find(|stats| stats.topic == topic && stats.direction == direction)
+}
+
+#[test]
+fn bytes_of_every_size_arrive_as_they_were() {
+    let a = Host::first(165, 165);
+    let b = Host::beside(&a, 166);
+    let qos = Qos::keep_last(4);
+    let subscription = b.subscription("/image", &image_type(), qos);
+    let publisher = a.publisher("/image", &image_type(), qos);
+    connect(&publisher, &[&subscription], b"probe");
+    for size in [0, 1, 3, 4, 64, 1000, 1024, 4096, 65_535, 1 << 20, 8 << 20] {
+        let body: Vec<u8> = (0..size).map(|n: usize| (n * 7 + size) as u8).collect();
+        publisher.publish(&body).unwrap();
+        let sample = take(&subscription);
+        assert!(sample.body() == body, "{size} bytes differ");
+    }
+    let out = stats(&a, "/image", Direction::Out);
+    until("the statistics", || {
+        stats(&b, "/image", Direction::In).is_some_and(|stats| stats.reading.samples > 10)
+    });
+    let inward = stats(&b, "/image", Direction::In).unwrap();
+    assert_eq!(inward.reading.lost, 0, "{inward:?}");
+    assert!(inward.reading.latency_us.is_some() && inward.reading.dropped.is_empty(), "{inward:?}");
+    assert!(out.is_none_or(|out| out.active && out.reading.dropped.is_empty()));
+}
+
+#[test]
+fn header_fields_survive() {
+    let a = Host::first(167, 167);
+    let b = Host::beside(&a, 168);
+    let near = a.subscription("/chatter", &string_type(), Qos::keep_last(100));
+    let far = b.subscription("/chatter", &string_type(), Qos::keep_last(100));
+    let publisher = a.publisher("/chatter", &string_type(), Qos::keep_last(100));
+    connect(&publisher, &[&near, &far], b"probe");
+    let mut gids = HashSet::new();
+    for n in 0..20u8 {
+        publisher.publish(&[n; 12]).unwrap();
+        let (near, far) = (take(&near), take(&far));
+        assert_eq!((near.body(), far.body()), ([n; 12].as_slice(), [n; 12].as_slice()));
+        assert_eq!(support::origin(near.info()), support::origin(far.info()));
+        assert!(far.info().released_ns > near.info().released_ns);
+        gids.insert(far.info().publisher_gid);
+    }
+    // On the network a publisher is known by the hash of its token, which is what the graph says there.
+    let announced = b.gateway().remote();
+    let announced: Vec<_> = announced.iter().filter(|token| token.endpoint.is_some()).collect();
+    let of_publisher = announced.iter().map(|token| tautline_gateway::wire::endpoint_gid(token));
+    let of_publisher: HashSet<_> = of_publisher.collect();
+    assert_eq!(gids.len(), 1);
+    assert!(gids.is_subset(&of_publisher), "{gids:?} {announced:?}");
+}
+
+#[test]
+fn three_hosts_neither_loop_nor_duplicate() {
+    let a = Host::first(169, 169);
+    let b = Host::beside(&a, 170);
+    let c = Host::new(171, 169, |options| {
+        // A ring: each is linked to both others.
+        options.network.connect = vec![a.locator(), b.locator()];
+    });
+    let hosts = [&a, &b, &c];
+    let qos = Qos::keep_last(1000);
+    // All publish and subscribe on one topic.
+    let subscriptions: Vec<_> =
+        hosts.iter().map(|host| host.subscription("/ring", &string_type(), qos)).collect();
+    let publishers: Vec<_> = hosts.iter().map(|host| host.publisher("/ring", &string_type(), qos)).collect();
+    let refs: Vec<_> = subscriptions.iter().collect();
+    for publisher in &publishers {
+        connect(publisher, &refs, b"probe");
+    }
+    for round in 0..100u8 {
+        for (host, publisher) in publishers.iter().enumerate() {
+            publisher.publish(&[host as u8, round]).unwrap();
+        }
+    }
+    for subscription in &subscriptions {
+        let mut seen = HashSet::new();
+        while seen.len() < 300 {
+            let sample = take(subscription);
+            let body: [u8; 2] = sample.body().try_into().unwrap();
+            assert!(seen.insert(body), "{body:?} came twice");
+        }
+        assert!(subscription.try_take().unwrap().is_none());
+    }
+    for host in hosts {
+        until("statistics", || {
+            stats(host, "/ring", Direction::Out).is_some_and(|out| out.reading.samples >= 100)
+        });
+        let (out, inward) = (stats(host, "/ring", Direction::Out), stats(host, "/ring", Direction::In));
+        assert!(out.unwrap().reading.dropped.is_empty());
+        assert!(inward.unwrap().reading.dropped.is_empty());
+    }
+}
+
+#[test]
+fn what_nobody_wants_is_not_sent() {
+    let a = Host::first(172, 172);
+    let b = Host::beside(&a, 173);
+    let publisher = a.publisher("/alone", &string_type(), Qos::keep_last(10));
+    let wanted = a.publisher("/wanted", &string_type(), Qos::keep_last(10));
+    let subscription = b.subscription("/wanted", &string_type(), Qos::keep_last(10));
+    for _ in 0..100 {
+        publisher.publish(b"to nobody").unwrap();
+    }
+    connect(&wanted, &[&subscription], b"probe");
+    until("statistics", || stats(&a, "/wanted", Direction::Out).is_some_and(|out| out.reading.samples > 0));
+    assert_eq!(stats(&a, "/alone", Direction::Out), None, "not even taken");
+    drop(subscription);
+    until("the end of the subscription", || {
+        stats(&a, "/wanted", Direction::Out).is_some_and(|out| !out.active)
+    });
+    let before = stats(&a, "/wanted", Direction::Out).unwrap().reading.samples;
+    for _ in 0..100 {
+        wanted.publish(b"to nobody").unwrap();
+    }
+    assert_eq!(stats(&a, "/wanted", Direction::Out).unwrap().reading.samples, before);
+}
+
+#[test]
+fn late_joiners_on_another_host_get_what_was_kept() {
+    let a = Host::first(174, 174);
+    let publisher = a.publisher("/map", &string_type(), Qos::keep_last(3).transient_local());
+    for n in 0..5u8 {
+        publisher.publish(&[n; 4]).unwrap();
+    }
+    let b = Host::beside(&a, 176);
+    let subscription = b.subscription("/map", &string_type(), Qos::keep_last(3).transient_local());
+    for n in 2..5 {
+        assert_eq!(take(&subscription).body(), [n; 4]);
+    }
+    publisher.publish(&[9; 4]).unwrap();
+    assert_eq!(take(&subscription).body(), [9; 4]);
+    assert!(subscription.try_take().unwrap().is_none());
+    // A second one on that host is served there.
+    let second = b.subscription("/map", &string_type(), Qos::keep_last(3).transient_local());
+    for n in [3, 4, 9] {
+        assert_eq!(take(&second).body(), [n; 4]);
+    }
+}
