@@ -11,6 +11,7 @@
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
+//! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `r2r` | what it takes to build a program of r2r's |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
@@ -19,6 +20,7 @@ mod examples;
 mod fuzz;
 mod lttng;
 mod machine;
+mod peers;
 mod paper;
 mod r2r;
 mod readme;
@@ -56,6 +58,8 @@ enum Verb {
     },
     /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
     Ros,
+    /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers)
+    Peers,
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
@@ -146,6 +150,7 @@ fn main() -> ExitCode {
             steps.finish()
         }
         Verb::Ros => ros::run(),
+        Verb::Peers => peers::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
             steps::run(bench("wake", quick, json.as_deref()).args(arguments))
         }

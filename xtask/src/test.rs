@@ -4,7 +4,7 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, fuzz, lttng, paper as evaluation, ros, stress_doorbell};
+use crate::{bench, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -25,12 +25,13 @@ pub fn run(quick: bool) -> ExitCode {
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 8] = [
+    let slow: [(&str, Step); 9] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: wake", wake),
         ("bench: messages", messages),
         ("bench: paper", paper),
+        ("peers", peers::test),
         ("loom", loom),
         ("miri", miri),
         ("fuzz", |steps| fuzz::all(steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS)),
