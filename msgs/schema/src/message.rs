@@ -92,12 +92,20 @@ impl DynamicMessage {
     /// [`MessageError::Decode`], as [`from_cdr`](Self::from_cdr).
     pub fn from_body(schema: &Arc<Schema>, body: &[u8], endian: Endian) -> Result<Self, MessageError> {
         let reader = Reader::new(schema, body, endian == Endian::Big);
-        let error = |Failure { path, offset, fault }| {
-            let type_name = schema.name().to_string();
-            MessageError::Decode { type_name, path, offset, fault }
-        };
-        let (fields, trailing) = reader.message().map_err(error)?;
+        let (fields, trailing) = reader.message().map_err(|failure| decode_error(schema, failure))?;
         Ok(Self { schema: schema.clone(), fields, trailing })
+    }
+
+    /// Whether a body is a message of this type, without decoding it: what [`from_body`](Self::from_body) would say. Nothing
+    /// is allocated but for what a `wstring` holds. Returns how many bytes follow the last field.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError::Decode`], as [`from_cdr`](Self::from_cdr).
+    pub fn validate(schema: &Schema, body: &[u8], endian: Endian) -> Result<usize, MessageError> {
+        Reader::new(schema, body, endian == Endian::Big)
+            .validate()
+            .map_err(|failure| decode_error(schema, failure))
     }
 
     /// How many bytes followed the last field when this was decoded. ROS 2 may append up to 8, and up to 8 more for
@@ -137,6 +145,10 @@ impl fmt::Debug for DynamicMessage {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{} {}", self.schema.name(), self.to_json())
     }
+}
+
+fn decode_error(schema: &Schema, Failure { path, offset, fault }: Failure) -> MessageError {
+    MessageError::Decode { type_name: schema.name().to_string(), path, offset, fault }
 }
 
 /// The fields of a new message of type `index`.

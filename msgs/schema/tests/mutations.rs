@@ -7,8 +7,8 @@ use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use tautline_schema::{
-    DynamicMessage, Endian, HashedTypeDescription, Layout, Schema, TypeName, parse_action, parse_message,
-    parse_service,
+    DynamicMessage, Endian, HashedTypeDescription, Layout, MessageError, Schema, TypeName, parse_action,
+    parse_message, parse_service,
 };
 
 /// Inputs per parser and decoder.
@@ -167,8 +167,15 @@ fn bytes() {
     let mut accepted = 0;
     mutate("bytes", &inputs, &[b"\0\0\0\0", b"\x01\0\0\0", b"\xff\xff\xff\xff"], |input| {
         let _ = DynamicMessage::from_cdr(&schema, input);
-        let _ = DynamicMessage::from_body(&schema, input, Endian::Big);
-        if let Ok(message) = DynamicMessage::from_body(&schema, input, Endian::Little) {
+        let validated = |endian, decoded: &Result<DynamicMessage, MessageError>| {
+            let trailing = decoded.as_ref().map(DynamicMessage::trailing_bytes).map_err(ToString::to_string);
+            let validated = DynamicMessage::validate(&schema, input, endian);
+            assert_eq!(validated.map_err(|error| error.to_string()), trailing);
+        };
+        validated(Endian::Big, &DynamicMessage::from_body(&schema, input, Endian::Big));
+        let decoded = DynamicMessage::from_body(&schema, input, Endian::Little);
+        validated(Endian::Little, &decoded);
+        if let Ok(message) = decoded {
             let body = message.to_body();
             let again = DynamicMessage::from_body(&schema, &body, Endian::Little).unwrap();
             assert_eq!((again.to_json(), again.trailing_bytes()), (message.to_json(), 0));

@@ -6,6 +6,7 @@
 //! unit in *four* bytes and no zero: what Fast CDR of ROS 2 Jazzy writes. A sequence is its length, then its elements.
 
 mod read;
+mod validate;
 mod write;
 
 pub(crate) use read::{Failure, Reader};

@@ -13,34 +13,34 @@ pub struct Failure {
 }
 
 impl Failure {
-    fn in_field(mut self, name: &str) -> Self {
+    pub(super) fn in_field(mut self, name: &str) -> Self {
         let dot = if self.path.is_empty() || self.path.starts_with('[') { "" } else { "." };
         self.path = format!("{name}{dot}{}", self.path);
         self
     }
 
-    fn in_element(mut self, index: usize) -> Self {
+    pub(super) fn in_element(mut self, index: usize) -> Self {
         let dot = if self.path.is_empty() { "" } else { "." };
         self.path = format!("[{index}]{dot}{}", self.path);
         self
     }
 }
 
-type Result<T> = std::result::Result<T, Failure>;
+pub(super) type Result<T> = std::result::Result<T, Failure>;
 
 /// What may follow a message at its end, and as much again for every empty sequence of 8-byte numbers and every
 /// `wstring`: when ROS 2 computes the length of a message, it aligns elements that are not there and counts a zero at
 /// the end of a `wstring`, and then sends that many bytes.
-const SLACK: usize = 8;
+pub(super) const SLACK: usize = 8;
 
 /// A body and how far it was read.
 pub struct Reader<'a> {
-    schema: &'a Schema,
+    pub(super) schema: &'a Schema,
     body: &'a [u8],
-    at: usize,
+    pub(super) at: usize,
     big_endian: bool,
     /// How many bytes may follow the last field.
-    slack: usize,
+    pub(super) slack: usize,
 }
 
 impl<'a> Reader<'a> {
@@ -51,12 +51,17 @@ impl<'a> Reader<'a> {
     /// The whole message, and how many bytes follow it.
     pub fn message(mut self) -> Result<(Vec<Value>, usize)> {
         let fields = self.structure(0)?;
+        self.end().map(|trailing| (fields, trailing))
+    }
+
+    /// How many bytes are left after the last field.
+    pub(super) fn end(&self) -> Result<usize> {
         match self.left() {
             len if len > self.slack => {
                 let most = self.slack;
                 Err(self.failure(DecodeFault::Trailing { len, most }))
             }
-            len => Ok((fields, len)),
+            len => Ok(len),
         }
     }
 
@@ -189,6 +194,10 @@ impl<'a> Reader<'a> {
     }
 
     fn string(&mut self, bound: Option<u32>) -> Result<String> {
+        self.text(bound).map(str::to_owned)
+    }
+
+    pub(super) fn text(&mut self, bound: Option<u32>) -> Result<&'a str> {
         let len = self.length()?;
         let start = self.at;
         let bytes = self.take(len)?;
@@ -203,10 +212,10 @@ impl<'a> Reader<'a> {
             self.failure(DecodeFault::Unicode)
         })?;
         self.check_bound(text, bound, start)?;
-        Ok(text.to_owned())
+        Ok(text)
     }
 
-    fn wide_string(&mut self, bound: Option<u32>) -> Result<String> {
+    pub(super) fn wide_string(&mut self, bound: Option<u32>) -> Result<String> {
         let len = self.length()?;
         let start = self.at;
         let bytes = self.take(len.saturating_mul(4))?;
@@ -236,22 +245,22 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn length(&mut self) -> Result<usize> {
+    pub(super) fn length(&mut self) -> Result<usize> {
         self.align(4);
         let bytes: [u8; 4] = self.take(4)?.try_into().unwrap_or_default();
         let len = if self.big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) };
         Ok(len as usize)
     }
 
-    fn align(&mut self, size: usize) {
+    pub(super) fn align(&mut self, size: usize) {
         self.at = self.at.next_multiple_of(size);
     }
 
-    fn left(&self) -> usize {
+    pub(super) fn left(&self) -> usize {
         self.body.len().saturating_sub(self.at)
     }
 
-    fn take(&mut self, len: usize) -> Result<&'a [u8]> {
+    pub(super) fn take(&mut self, len: usize) -> Result<&'a [u8]> {
         let end = self.at.saturating_add(len);
         match self.body.get(self.at..end) {
             Some(bytes) => {
@@ -262,7 +271,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn failure(&self, fault: DecodeFault) -> Failure {
+    pub(super) fn failure(&self, fault: DecodeFault) -> Failure {
         Failure { path: String::new(), offset: self.at, fault }
     }
 }
