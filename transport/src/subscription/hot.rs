@@ -29,6 +29,7 @@ pub struct RawSample {
     body_bytes: usize,
     info: MessageInfo,
     port_gid: Gid,
+    port_sequence_number: u64,
     _lent: Lent<IoxSample>,
 }
 
@@ -66,6 +67,11 @@ impl RawSample {
     /// another host.
     pub fn port_gid(&self) -> Gid {
         self.port_gid
+    }
+
+    /// Counts what went through that port, from 1, whoever published it first.
+    pub fn port_sequence_number(&self) -> u64 {
+        self.port_sequence_number
     }
 }
 
@@ -203,7 +209,15 @@ impl RawSubscription {
         let payload = NonNull::from(payload);
         let lent = shelf.lend(sample).ok_or(TakeError::TooManyHeld)?;
         tautline_trace::take(self.trace.id(), &header.trace_id(payload.addr().get()));
-        Ok(RawSample { payload, body_bytes, info: header.info(), port_gid: header.gid, _lent: lent })
+        let (port_gid, port_sequence_number) = (header.gid, header.sequence_number);
+        Ok(RawSample {
+            payload,
+            body_bytes,
+            info: header.info(),
+            port_gid,
+            port_sequence_number,
+            _lent: lent,
+        })
     }
 
     /// Counts a sample that is not a message of the type that its reader expects.

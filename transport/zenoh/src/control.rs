@@ -4,18 +4,19 @@
 use crate::filter::Filter;
 use crate::gateway::{Options, Shared};
 use crate::graph::Graph;
-use crate::incoming::{Incoming, Inlet, OwnGids, port_qos};
+use crate::incoming::{Checks, Incoming, Inlet, OwnGids, port_qos};
 use crate::locals;
 use crate::mirror::{Action, InQos, Mirror, OutQos, Writer};
 use crate::outgoing::{Outgoing, Sender};
 use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
+use crate::types::Types;
 use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
-use tautline_schema::TypeHash;
-use tautline_transport::{Gid, Limits, Participant, Qos, TopicType, TransportError};
+use tautline_schema::{Packages, TypeHash, TypeName};
+use tautline_transport::{Gid, Limits, Participant, Qos, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Reply;
 use zenoh::sample::{Sample, SampleKind};
@@ -48,7 +49,11 @@ pub(crate) fn tokens_to(events: mpsc::SyncSender<Event>) -> impl Fn(Sample) + Se
 
 /// What is too long for any honest key is cut, so that it is refused for its length without being kept.
 fn cut(key: &str) -> String {
-    key.get(..=MAX_KEY_BYTES).unwrap_or(key).to_owned()
+    let mut end = key.len().min(MAX_KEY_BYTES + 1);
+    while !key.is_char_boundary(end) {
+        end += 1;
+    }
+    key[..end].to_owned()
 }
 
 /// Whether an event found no room. Of whichever gateway of the process: looking once too often does no harm.
@@ -60,6 +65,8 @@ const PERIOD: Duration = Duration::from_secs(1);
 const BATCH: Duration = Duration::from_millis(20);
 /// How long others are waited for when all tokens are asked for.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
+/// Topics whose numbers are kept after they ended, besides those that are mirrored.
+const MAX_COUNTED: usize = 4096;
 
 pub(crate) struct Control {
     options: Options,
@@ -69,15 +76,19 @@ pub(crate) struct Control {
     shared: Arc<Shared>,
     mirror: Mirror,
     own: OwnGids,
-    /// Own gids by the local publisher's.
-    gids: HashMap<Gid, Gid>,
+    /// Own gids by the local publisher's, with its topic.
+    gids: HashMap<Gid, (TopicKey, Gid)>,
     tokens: HashMap<String, LivelinessToken>,
+    /// Each with the gid of its port.
     incoming: BTreeMap<TopicKey, (Incoming, Gid)>,
     counters: BTreeMap<(TopicKey, Direction), Arc<Counters>>,
     active: BTreeSet<(TopicKey, Direction)>,
     /// Topics that could not be started, with what is to be done and why it failed.
     failed: BTreeMap<(TopicKey, Direction), (Vec<Action>, String)>,
+    /// What is being tried again, and why it failed the last time.
+    retried: Option<((TopicKey, Direction), String)>,
     refused: BTreeMap<String, String>,
+    types: Types,
     /// Whether the graph changed since it was last shown.
     is_unseen: bool,
     shown: Instant,
@@ -110,7 +121,9 @@ impl Control {
             counters: BTreeMap::new(),
             active: BTreeSet::new(),
             failed: BTreeMap::new(),
+            retried: None,
             refused: BTreeMap::new(),
+            types: Types::new(SchemaStore::of_user(), Packages::from_env()),
             is_unseen: false,
             shown: Instant::now(),
             started: Instant::now(),
@@ -153,7 +166,10 @@ impl Control {
 
     fn list_locals(&mut self) {
         let graph = self.mirror.graph();
-        match locals::list(&self.participant, |topic, type_name| adopted_hash(graph, topic, type_name)) {
+        let types = &mut self.types;
+        let hash_of =
+            |topic: &str, name: &TypeName| types.hash_of(name).or_else(|| adopted_hash(graph, topic, name));
+        match locals::list(&self.participant, hash_of) {
             Ok(locals) => {
                 self.refused = locals.refused;
                 let actions = self.mirror.set_locals(&locals.nodes, locals.endpoints);
@@ -174,13 +190,16 @@ impl Control {
             Action::Declare(token) => self.declare(&token),
             Action::Undeclare(token) => drop(self.tokens.remove(&token.to_string())),
             Action::StartOut(key, qos) => {
-                if let Err(error) = self.start_out(&key, qos) {
-                    self.fail(key.clone(), Direction::Out, Action::StartOut(key, qos), error.to_string());
+                let id = (key, Direction::Out);
+                if let Some(first) = self.failed.get_mut(&id).and_then(|(actions, _)| actions.first_mut()) {
+                    *first = Action::StartOut(id.0, qos);
+                } else if let Err(error) = self.start_out(&id.0, qos) {
+                    self.fail(id.0.clone(), Direction::Out, Action::StartOut(id.0, qos), error.to_string());
                 }
             }
             Action::OpenWriter(key, writer) => {
                 self.own.write().unwrap_or_else(PoisonError::into_inner).insert(writer.wire_gid);
-                self.gids.insert(writer.local_gid, writer.wire_gid);
+                self.gids.insert(writer.local_gid, (key.clone(), writer.wire_gid));
                 let id = (key, Direction::Out);
                 match self.failed.get_mut(&id) {
                     Some((actions, _)) => actions.push(Action::OpenWriter(id.0, writer)),
@@ -195,6 +214,10 @@ impl Control {
             Action::StopOut(key) => {
                 self.active.remove(&(key.clone(), Direction::Out));
                 self.failed.remove(&(key.clone(), Direction::Out));
+                let of_topic = self.gids.iter().filter(|(_, (topic, _))| *topic == key).map(|(gid, _)| *gid);
+                for gid in of_topic.collect::<Vec<_>>() {
+                    self.forget(gid);
+                }
                 self.outgoing.stop_topic(key);
             }
             Action::StartIn(key, qos) => {
@@ -203,12 +226,8 @@ impl Control {
                 }
             }
             Action::StopIn(key) => {
-                self.active.remove(&(key.clone(), Direction::In));
                 self.failed.remove(&(key.clone(), Direction::In));
-                if let Some((incoming, port)) = self.incoming.remove(&key) {
-                    drop(incoming);
-                    self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).remove(&port);
-                }
+                self.stop_in(&key);
             }
             Action::Resync => self.resync(),
         }
@@ -255,6 +274,8 @@ impl Control {
     }
 
     fn start_in(&mut self, key: &TopicKey, qos: InQos) -> Result<(), String> {
+        // Of one that runs: what is kept is asked for again, so that the new port has it for late joiners on this host.
+        self.stop_in(key);
         let mut wanted = port_qos(qos, Limits::MAX_DEPTH);
         let publisher = loop {
             match self.participant.create_raw_publisher(
@@ -269,25 +290,55 @@ impl Control {
                 outcome => break outcome.map_err(|error| error.to_string())?,
             }
         };
-        let port = publisher.gid();
-        self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).insert(port);
+        let gid = publisher.gid();
+        self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).insert(gid);
         let counters = self.counters(key, Direction::In);
-        let inlet = Inlet::new(publisher, counters, self.own.clone(), self.options.max_message_bytes);
-        let incoming = Incoming::start(&self.session, key, qos, inlet).map_err(|error| error.to_string())?;
-        self.incoming.insert(key.clone(), (incoming, port));
+        let checks = Checks {
+            own: self.own.clone(),
+            max_bytes: self.options.max_message_bytes,
+            schema: self.types.schema(&key.type_id),
+        };
+        let inlet = Inlet::new(publisher, counters, checks);
+        match Incoming::start(&self.session, key, qos, inlet) {
+            Ok(incoming) => drop(self.incoming.insert(key.clone(), (incoming, gid))),
+            Err(error) => {
+                self.close_port(gid);
+                return Err(error.to_string());
+            }
+        }
         self.active.insert((key.clone(), Direction::In));
         Ok(())
     }
 
+    fn stop_in(&mut self, key: &TopicKey) {
+        self.active.remove(&(key.clone(), Direction::In));
+        if let Some((incoming, port)) = self.incoming.remove(key) {
+            drop(incoming);
+            self.close_port(port);
+        }
+    }
+
+    fn close_port(&self, gid: Gid) {
+        self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).remove(&gid);
+    }
+
     fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
+        if self.counters.len() >= MAX_COUNTED {
+            self.counters.retain(|id, _| self.active.contains(id));
+        }
         self.counters.entry((key.clone(), direction)).or_insert_with(|| Arc::new(Counters::new())).clone()
     }
 
     fn fail(&mut self, key: TopicKey, direction: Direction, action: Action, reason: String) {
-        if !self.failed.contains_key(&(key.clone(), direction)) {
-            tracing::warn!("topic '{}' is not mirrored: {reason}", key.topic);
+        let id = (key, direction);
+        if self.active.contains(&id) {
+            // It goes on as it was.
+            return tracing::warn!("topic '{}': what is kept of it does not grow: {reason}", id.0.topic);
         }
-        self.failed.insert((key, direction), (vec![action], reason));
+        if self.retried.as_ref().is_none_or(|(retried, before)| (retried, before) != (&id, &reason)) {
+            tracing::warn!("topic '{}' is not mirrored: {reason}", id.0.topic);
+        }
+        self.failed.insert(id, (vec![action], reason));
     }
 
     fn drop_failed_writer(&mut self, key: &TopicKey, gid: Gid) {
@@ -298,30 +349,37 @@ impl Control {
     }
 
     fn forget(&mut self, local: Gid) {
-        if let Some(wire) = self.gids.remove(&local) {
+        if let Some((_, wire)) = self.gids.remove(&local) {
             self.own.write().unwrap_or_else(PoisonError::into_inner).remove(&wire);
         }
     }
 
     /// What failed may be possible now: a limit, memory, another process's type.
     fn try_again(&mut self) {
-        for (_, (actions, _)) in std::mem::take(&mut self.failed) {
+        for (id, (actions, reason)) in std::mem::take(&mut self.failed) {
+            self.retried = Some((id, reason));
             self.act(actions);
+            self.retried = None;
         }
     }
 
     /// Asks for all tokens, for some were missed or refused.
     fn resync(&mut self) {
         let wildcard = token_wildcard(self.options.network_domain.unwrap_or(self.options.domain));
-        // As many as the graph can hold: the rest would be refused. Not Zenoh's own queue, which is short and would have
-        // the answers that this session gives itself wait for their reader, who is still asking.
+        // This session's own, and twice as many as the graph can hold: most of the rest would be refused. Not Zenoh's own
+        // queue, which is short and would have the answers that this session gives itself wait for their reader, who is
+        // still asking.
         let (answers, keys) = mpsc::channel();
-        let room = AtomicUsize::new(self.options.limits.tokens);
-        let answer = move |reply: Reply| {
-            let Ok(sample) = reply.result() else { return };
-            let count = |room: usize| room.checked_sub(1);
-            if room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count).is_ok() {
-                let _ = answers.send(cut(sample.key_expr().as_str()));
+        let most = self.options.limits.tokens.saturating_mul(2).saturating_add(self.tokens.len());
+        let room = Arc::new(AtomicUsize::new(most));
+        let answer = {
+            let room = room.clone();
+            move |reply: Reply| {
+                let Ok(sample) = reply.result() else { return };
+                let count = |room: usize| room.checked_sub(1);
+                if room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count).is_ok() {
+                    let _ = answers.send(cut(sample.key_expr().as_str()));
+                }
             }
         };
         let get = self.session.liveliness().get(wildcard).timeout(RESYNC_TIMEOUT).callback(answer);
@@ -330,8 +388,10 @@ impl Control {
         }
         // Ends when Zenoh lets go of the other end, after the timeout at the latest.
         let there: BTreeSet<String> = keys.iter().collect();
-        let gone = self.mirror.graph().keys().filter(|key| !there.contains(*key)).map(String::from);
-        for key in gone.collect::<Vec<_>>() {
+        // In a flood an honest peer's may be among those without room: nothing of what is known is taken for gone then.
+        let is_complete = room.load(Ordering::Relaxed) > 0;
+        let gone = self.mirror.graph().keys().filter(|key| is_complete && !there.contains(*key));
+        for key in gone.map(String::from).collect::<Vec<_>>() {
             let actions = self.mirror.token_down(&key);
             // Not again, from within itself.
             self.act(actions.into_iter().filter(|action| *action != Action::Resync).collect());
@@ -388,8 +448,8 @@ fn topic_type(key: &TopicKey) -> TopicType {
 }
 
 /// Where this host knows a type by its name only, the hash that another host states for the same name on the same topic.
-fn adopted_hash(graph: &Graph, topic: &str, type_name: &str) -> Option<TypeHash> {
-    let mut keys = graph.topics().filter(|key| key.topic == topic && key.type_id.name.as_str() == type_name);
+fn adopted_hash(graph: &Graph, topic: &str, name: &TypeName) -> Option<TypeHash> {
+    let mut keys = graph.topics().filter(|key| key.topic == topic && key.type_id.name == *name);
     let hash = keys.next()?.type_id.hash;
     // Of two that differ, neither can be believed.
     keys.all(|key| key.type_id.hash == hash).then_some(hash)

@@ -269,8 +269,13 @@ fn watch_domain(participant: &Participant, events: &mpsc::SyncSender<Event>, sha
     let mut seen = participant.graph_epoch().wrapping_sub(1);
     while !shared.stop.load(Ordering::Acquire) {
         let epoch = participant.wait_for_graph_change(seen, PATIENCE);
-        if epoch != seen && events.try_send(Event::Locals).is_ok() {
-            seen = epoch;
+        if epoch == seen {
+            continue;
+        }
+        match events.try_send(Event::Locals) {
+            Ok(()) => seen = epoch,
+            // The control thread has much to do, at this thread's priority: let it.
+            Err(_) => std::thread::sleep(Duration::from_millis(20)),
         }
     }
 }

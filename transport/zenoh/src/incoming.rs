@@ -11,6 +11,7 @@ use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsul
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
+use tautline_schema::{DynamicMessage, Endian, Schema};
 use tautline_transport::{
     Durability, Gid, History, LoanError, MessageInfo, PublishError, RawPublisher, Reliability,
 };
@@ -44,6 +45,8 @@ pub(crate) enum Dropped {
     Time,
     #[error("length differs from the type's")]
     Length,
+    #[error("not a message of its type")]
+    Invalid,
     #[error("{0}")]
     Loan(#[from] LoanError),
     #[error("{0}")]
@@ -79,26 +82,28 @@ impl Incoming {
     }
 }
 
+/// What a sample has to pass.
+pub(crate) struct Checks {
+    pub(crate) own: OwnGids,
+    pub(crate) max_bytes: usize,
+    /// Of a type that this host has a definition of.
+    pub(crate) schema: Option<Arc<Schema>>,
+}
+
 /// Where samples go, and what they are checked against.
 pub(crate) struct Inlet {
     /// Samples of one topic come from several links' threads.
-    publisher: Mutex<RawPublisher>,
+    port: Mutex<RawPublisher>,
     counters: Arc<Counters>,
-    own: OwnGids,
-    max_bytes: usize,
+    checks: Checks,
     /// Of a type whose size is fixed and known.
     body_bytes: Option<usize>,
 }
 
 impl Inlet {
-    pub(crate) fn new(
-        publisher: RawPublisher,
-        counters: Arc<Counters>,
-        own: OwnGids,
-        max_bytes: usize,
-    ) -> Self {
-        let body_bytes = publisher.topic_type().body_bytes;
-        Inlet { publisher: Mutex::new(publisher), counters, own, max_bytes, body_bytes }
+    pub(crate) fn new(port: RawPublisher, counters: Arc<Counters>, checks: Checks) -> Self {
+        let body_bytes = port.topic_type().body_bytes;
+        Inlet { port: Mutex::new(port), counters, checks, body_bytes }
     }
 
     fn receive(&self, sample: &Sample) {
@@ -112,7 +117,7 @@ impl Inlet {
 
     fn take(&self, payload: &ZBytes, attachment: Option<&ZBytes>) -> Result<(), Dropped> {
         let attachment = parse_attachment(attachment)?;
-        if self.own.read().unwrap_or_else(PoisonError::into_inner).contains(&attachment.gid) {
+        if self.checks.own.read().unwrap_or_else(PoisonError::into_inner).contains(&attachment.gid) {
             return Err(Dropped::Own);
         }
         let sequence_number = u64::try_from(attachment.sequence_number).map_err(|_| Dropped::Sequence)?;
@@ -122,9 +127,12 @@ impl Inlet {
         }
         let len_bytes = self.body_len(payload)?;
         {
-            let publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
+            let publisher = self.port.lock().unwrap_or_else(PoisonError::into_inner);
             let mut loan = publisher.loan(len_bytes)?;
             copy_body(payload, &mut loan);
+            if let Some(schema) = &self.checks.schema {
+                DynamicMessage::validate(schema, &loan, Endian::Little).map_err(|_| Dropped::Invalid)?;
+            }
             let source = MessageInfo {
                 sequence_number,
                 source_timestamp_ns,
@@ -144,7 +152,7 @@ impl Inlet {
         let copied = copy(payload.slices(), 0, &mut head);
         check_encapsulation(head.get(..copied).unwrap_or_default())?;
         let len_bytes = payload.len() - ENCAPSULATION.len();
-        if len_bytes > self.max_bytes {
+        if len_bytes > self.checks.max_bytes {
             return Err(Malformed::PayloadTooLong.into());
         }
         match self.body_bytes {
@@ -203,6 +211,31 @@ pub(crate) fn port_qos(qos: InQos, max_depth: usize) -> tautline_transport::Qos 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tautline_transport::{Limits, Participant, Qos, TopicType};
+
+    #[test]
+    fn what_is_no_message_of_its_type_is_dropped() {
+        let participant = Participant::new(216).unwrap();
+        let schema = Schema::from_text(&"std_msgs/msg/String".parse().unwrap(), "string data\n").unwrap();
+        let topic_type = TopicType::new("std_msgs/msg/String").with_hash(schema.hash().to_string());
+        let (qos, limits) = (Qos::keep_last(10), Limits::default());
+        let subscription = participant.create_raw_subscription("/x", &topic_type, qos, limits).unwrap();
+        let port = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
+        let checks = Checks { own: OwnGids::default(), max_bytes: 100, schema: Some(Arc::new(schema)) };
+        let inlet = Inlet::new(port, Arc::new(Counters::new()), checks);
+        let attachment = Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
+        let attachment = ZBytes::from(attachment.encode());
+        let take =
+            |body: &[u8]| inlet.take(&ZBytes::from([&ENCAPSULATION[..], body].concat()), Some(&attachment));
+        let claimed = [0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
+        for body in [&claimed[..], &[], &[3, 0, 0, 0, b'a', b'b'], &[2, 0, 0, 0, 0xFF, 0], &[0; 40]] {
+            assert_eq!(take(body), Err(Dropped::Invalid), "{body:?}");
+        }
+        assert!(subscription.try_take().unwrap().is_none());
+        let body = [3, 0, 0, 0, b'a', b'b', 0];
+        assert_eq!(take(&body), Ok(()));
+        assert_eq!(subscription.try_take().unwrap().unwrap().body(), body);
+    }
 
     #[test]
     fn bodies_are_gathered_from_slices() {

@@ -15,6 +15,7 @@ mod rules;
 mod seat;
 mod session;
 mod stats;
+mod types;
 pub mod wire;
 
 pub use budget::Budget;

@@ -4,7 +4,7 @@
 use crate::mirror::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
-use tautline_schema::TypeHash;
+use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{EndpointInfo, Participant, Qos, TopicInfo, TransportError};
 
 /// The endpoints that can be mirrored, and the topics that cannot, with the reason.
@@ -18,7 +18,7 @@ pub(crate) struct Locals {
 /// Lists them. `hash_of` finds the hash of a type that a topic does not state, from its topic's and type's name.
 pub(crate) fn list(
     participant: &Participant,
-    hash_of: impl Fn(&str, &str) -> Option<TypeHash>,
+    mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Result<Locals, TransportError> {
     let mut locals = Locals::default();
     let mut names = HashMap::new();
@@ -27,7 +27,7 @@ pub(crate) fn list(
         if ends.clone().all(|end| end.is_own) {
             continue;
         }
-        match type_id(&topic, &hash_of) {
+        match type_id(&topic, &mut hash_of) {
             Err(reason) => drop(locals.refused.insert(topic.name.clone(), reason)),
             Ok(type_id) => {
                 let mut add = |end: &EndpointInfo, kind| {
@@ -46,12 +46,16 @@ pub(crate) fn list(
     Ok(locals)
 }
 
-fn type_id(topic: &TopicInfo, hash_of: &impl Fn(&str, &str) -> Option<TypeHash>) -> Result<TypeId, String> {
+fn type_id(
+    topic: &TopicInfo,
+    hash_of: &mut impl FnMut(&str, &TypeName) -> Option<TypeHash>,
+) -> Result<TypeId, String> {
     let stated = &topic.topic_type;
-    let name = stated.name.parse().map_err(|_| format!("'{}' is no ROS 2 type name", stated.name))?;
+    let name: TypeName =
+        stated.name.parse().map_err(|_| format!("'{}' is no ROS 2 type name", stated.name))?;
     let hash = match &stated.hash {
         Some(text) => text.parse().ok(),
-        None => hash_of(&topic.name, &stated.name),
+        None => hash_of(&topic.name, &name),
     };
     let hash = hash.ok_or_else(|| {
         format!("no hash is known of type {name}: give the message type one, or set AMENT_PREFIX_PATH to where it is defined")

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut-gateway`: what `taut gateway` runs.
 #![forbid(unsafe_code)]
+#![allow(rustdoc::broken_intra_doc_links, reason = "what args.rs says is text for a terminal")]
 
 mod args;
 mod status;

@@ -54,6 +54,15 @@ pub struct OutQos {
     pub durability: Durability,
 }
 
+impl OutQos {
+    /// What runs only grows, for a change costs samples or has them come twice.
+    fn grown(self, wanted: Self) -> Self {
+        let is_kept = [self, wanted].iter().any(|qos| qos.durability == Durability::TransientLocal);
+        let durability = if is_kept { Durability::TransientLocal } else { Durability::Volatile };
+        OutQos { depth: self.depth.max(wanted.depth), durability }
+    }
+}
+
 /// How samples are taken from the network and published here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InQos {
@@ -65,6 +74,26 @@ pub struct InQos {
     pub reliability: Reliability,
 }
 
+impl InQos {
+    /// As [`OutQos::grown`]. The depth of what is kept doubles at least, so that changes are few.
+    fn grown(self, wanted: Self) -> Self {
+        let either = [self, wanted];
+        let is_kept = either.iter().any(|qos| qos.durability == Durability::TransientLocal);
+        let is_reliable = either.iter().any(|qos| qos.reliability == Reliability::Reliable);
+        let was_kept = self.durability == Durability::TransientLocal;
+        InQos {
+            depth: match wanted.depth > self.depth {
+                true if was_kept => wanted.depth.max(self.depth.saturating_mul(2)),
+                true => wanted.depth,
+                false => self.depth,
+            },
+            durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
+            // Of what is not kept, whoever is already heard stays so without an interruption.
+            reliability: if is_kept && is_reliable { Reliability::Reliable } else { self.reliability },
+        }
+    }
+}
+
 /// Something to do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
@@ -72,7 +101,8 @@ pub enum Action {
     Declare(Token),
     /// Withdraw it.
     Undeclare(Token),
-    /// Begin to take a topic's samples from shared memory. Followed by the topic's `OpenWriter`s.
+    /// Begin to take a topic's samples from shared memory; of one that is being taken, do so with more from now on, its
+    /// writers stay. Followed by the new `OpenWriter`s.
     StartOut(TopicKey, OutQos),
     /// Send this publisher's samples.
     OpenWriter(TopicKey, Writer),
@@ -80,7 +110,7 @@ pub enum Action {
     CloseWriter(TopicKey, Gid),
     /// Stop taking, and close what writers are left.
     StopOut(TopicKey),
-    /// Begin to take a topic's samples from the network.
+    /// Begin to take a topic's samples from the network; of one that is being taken, begin anew: what is kept comes again.
     StartIn(TopicKey, InQos),
     /// Stop.
     StopIn(TopicKey),
@@ -266,15 +296,18 @@ impl Mirror {
             durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
         });
         let running = self.out.get(key).map(|(qos, _)| *qos);
-        if running.is_some() && running != wanted {
-            self.out.remove(key);
-            actions.push(Action::StopOut(key.clone()));
-        }
-        let Some(qos) = wanted else { return };
-        if !self.out.contains_key(key) {
+        let Some(wanted) = wanted else {
+            if self.out.remove(key).is_some() {
+                actions.push(Action::StopOut(key.clone()));
+            }
+            return;
+        };
+        let qos = running.map_or(wanted, |running| running.grown(wanted));
+        if running != Some(qos) {
             actions.push(Action::StartOut(key.clone(), qos));
         }
-        let (_, open) = self.out.entry(key.clone()).or_insert_with(|| (qos, BTreeSet::new()));
+        let (now, open) = self.out.entry(key.clone()).or_insert_with(|| (qos, BTreeSet::new()));
+        *now = qos;
         open.retain(|gid| {
             let stays = writers.contains_key(gid);
             if !stays {
@@ -306,14 +339,14 @@ impl Mirror {
             reliability: if is_reliable { Reliability::Reliable } else { Reliability::BestEffort },
         });
         let running = self.inward.get(key).copied();
-        if running == wanted {
+        let Some(wanted) = wanted else {
+            if self.inward.remove(key).is_some() {
+                actions.push(Action::StopIn(key.clone()));
+            }
             return;
-        }
-        if running.is_some() {
-            self.inward.remove(key);
-            actions.push(Action::StopIn(key.clone()));
-        }
-        if let Some(qos) = wanted {
+        };
+        let qos = running.map_or(wanted, |running| running.grown(wanted));
+        if running != Some(qos) {
             self.inward.insert(key.clone(), qos);
             actions.push(Action::StartIn(key.clone(), qos));
         }

@@ -47,10 +47,13 @@ const EARLY_TIME: Duration = Duration::from_secs(2);
 /// As rmw_zenoh's.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
-pub(crate) const THREADS: [&str; 3] = ["gw-out", "gw-wait", "gw-bulk"];
+/// The gateway's own threads: those that send, and those that hear of changes. A flood, of samples or of tokens, keeps
+/// them busy; so the budget is for all of them.
+pub(crate) const THREADS: [&str; 5] = ["gw-out", "gw-wait", "gw-bulk", "gw-control", "gw-watch"];
 
 /// What the control thread tells the one that sends.
 enum Command {
+    /// Also of a topic that is being taken: by this subscription from now on.
     Start(TopicKey, RawSubscription, Arc<Counters>),
     Open(TopicKey, Gid, Sender),
     Close(TopicKey, Gid),
@@ -156,6 +159,8 @@ pub(crate) struct Sender {
     is_guess: bool,
     /// Whether a large sample has come: all later ones follow it, to keep their order.
     is_bulk: bool,
+    /// The last sample's number at its port: a subscription that takes over sees some again.
+    last: u64,
 }
 
 enum AnyPublisher {
@@ -180,7 +185,7 @@ impl Sender {
         let publisher = Arc::new(declare(session, key, writer, urgency, is_bulk)?);
         let is_guess = rule.is_none() && body_bytes.is_none();
         let (session, key, writer) = (session.clone(), key.clone(), writer.clone());
-        Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk })
+        Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last: 0 })
     }
 
     /// Samples tell how large they are.
@@ -307,6 +312,7 @@ struct Route {
 /// A sample whose publisher is not known yet.
 struct Early {
     port: Gid,
+    number: u64,
     info: MessageInfo,
     body: Vec<u8>,
     since: Instant,
@@ -377,6 +383,13 @@ impl Loop {
     fn obey(&mut self, command: Command) {
         match command {
             Command::Start(key, subscription, counters) => {
+                if let Some(route) = self.routes.get_mut(&key) {
+                    // The new one has been there for a while: first what came before, then what came to both once.
+                    route.serve_all(&self.waiting, &self.own_ports);
+                    route.look();
+                    (route.subscription, route.lost) = (subscription, 0);
+                    return route.flag.is_set.store(true, Ordering::SeqCst);
+                }
                 let flag = Arc::new(Flag { is_set: AtomicBool::new(true), waker: self.waker.clone() });
                 let (senders, early) = (HashMap::new(), VecDeque::new());
                 let route = Route { subscription, counters, senders, early, early_bytes: 0, lost: 0, flag };
@@ -429,12 +442,17 @@ impl Route {
 
     fn send(&mut self, sample: RawSample, waiting: &Queues, own_ports: &Mutex<HashSet<Gid>>) {
         let port = sample.port_gid();
+        let number = sample.port_sequence_number();
         let Some(sender) = self.senders.get_mut(&port) else {
             if !own_ports.lock().unwrap_or_else(PoisonError::into_inner).contains(&port) {
                 self.keep_early(port, &sample);
             }
             return;
         };
+        if number <= sender.last {
+            return;
+        }
+        sender.last = number;
         let (info, len_bytes) = (sample.info(), sample.body().len());
         sender.settle(len_bytes);
         // What may outlive the put is copied: a subscription can lend few samples.
@@ -445,13 +463,16 @@ impl Route {
     }
 
     fn keep_early(&mut self, port: Gid, sample: &RawSample) {
-        let body = sample.body();
+        let (body, number) = (sample.body(), sample.port_sequence_number());
+        if self.early.iter().any(|early| early.port == port && early.number >= number) {
+            return;
+        }
         if self.early.len() >= EARLY_SAMPLES || self.early_bytes + body.len() > EARLY_BYTES {
             return self.counters.dropped("publisher not announced yet");
         }
         self.early_bytes += body.len();
         let (info, body) = (sample.info(), body.to_vec());
-        self.early.push_back(Early { port, info, body, since: Instant::now() });
+        self.early.push_back(Early { port, number, info, body, since: Instant::now() });
     }
 
     /// A publisher is known: what it sent before goes first.
@@ -460,6 +481,7 @@ impl Route {
             if early.port == local {
                 self.early_bytes -= early.body.len();
                 sender.settle(early.body.len());
+                sender.last = early.number;
                 let payload = copied(&early.body);
                 put(&sender, payload, &early.info, early.body.len(), waiting, &self.counters);
             } else {

@@ -149,3 +149,38 @@ fn late_joiners_on_another_host_get_what_was_kept() {
         assert_eq!(take(&second).body(), [n; 4]);
     }
 }
+
+/// Publishers that come later make both gateways keep more. What was there is sent once all the same, and nothing of it
+/// is missing for who comes last. (On the receiving host it may come again.)
+#[test]
+fn more_publishers_that_keep_samples() {
+    let a = Host::first(212, 212);
+    let b = Host::beside(&a, 213);
+    let kept = |depth| Qos::keep_last(depth).transient_local();
+    let subscription = b.subscription("/tf_static", &string_type(), kept(50));
+    let mut publishers = Vec::new();
+    let mut here = HashSet::new();
+    let all = |subscription, got: &mut HashSet<Vec<u8>>, count| {
+        while got.len() < count {
+            got.insert(take(subscription).body().to_vec());
+        }
+    };
+    for n in 1..6u8 {
+        // Deeper and deeper.
+        let publisher = a.publisher("/tf_static", &string_type(), kept(usize::from(n) * 3));
+        publisher.publish(&[n, 1]).unwrap();
+        publisher.publish(&[n, 2]).unwrap();
+        publishers.push(publisher);
+        all(&subscription, &mut here, usize::from(n) * 2);
+    }
+    for (n, publisher) in publishers.iter().enumerate() {
+        publisher.publish(&[n as u8, 3]).unwrap();
+    }
+    all(&subscription, &mut here, 15);
+    let late = b.subscription("/tf_static", &string_type(), kept(50));
+    all(&late, &mut HashSet::new(), 15);
+    until("the statistics", || {
+        stats(&a, "/tf_static", Direction::Out).is_some_and(|out| out.reading.samples >= 15)
+    });
+    assert_eq!(stats(&a, "/tf_static", Direction::Out).unwrap().reading.samples, 15);
+}

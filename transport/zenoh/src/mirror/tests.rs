@@ -122,11 +122,33 @@ fn transient_local_samples_are_kept_before_anybody_listens() {
         ["declare node /n", "declare Publisher /map", "start out /map TransientLocal 10", "open /map 1"];
     assert_eq!(said(&m.set_locals(&[], vec![late_joining(publisher(1, "map"))])), began);
     assert_eq!(said(&m.token_up(&remote(1, 7, "MS", "map", ":1:,1:,:,:,,"))), NOTHING);
-    // A volatile one that also publishes changes nothing; that alone is left is another matter.
+    // A volatile one that also publishes changes nothing, nor that it alone is left.
     let both = vec![late_joining(publisher(1, "map")), publisher(2, "map")];
     assert_eq!(said(&m.set_locals(&[], both)), ["declare Publisher /map", "open /map 2"]);
-    let again = ["stop out /map", "start out /map Volatile 10", "open /map 2", "undeclare Publisher /map"];
-    assert_eq!(said(&m.set_locals(&[], vec![publisher(2, "map")])), again);
+    let fewer = ["close /map 1", "undeclare Publisher /map"];
+    assert_eq!(said(&m.set_locals(&[], vec![publisher(2, "map")])), fewer);
+    assert_eq!(said(&m.token_down(&remote(1, 7, "MS", "map", ":1:,1:,:,:,,"))), ["stop out /map"]);
+}
+
+#[test]
+fn what_runs_grows_without_a_stop() {
+    let mut m = mirror(ZID, Filter::default());
+    m.set_locals(&[], vec![publisher(1, "x")]);
+    m.token_up(&remote(1, 7, "MS", "x", QOS));
+    let mut deeper = publisher(2, "x");
+    deeper.qos.depth = 50;
+    let grown = ["declare Publisher /x", "start out /x Volatile 50", "open /x 2"];
+    assert_eq!(said(&m.set_locals(&[], vec![publisher(1, "x"), deeper.clone()])), grown);
+    let fewer = ["close /x 2", "undeclare Publisher /x"];
+    assert_eq!(said(&m.set_locals(&[], vec![publisher(1, "x")])), fewer);
+    assert_eq!(
+        said(&m.set_locals(&[], vec![publisher(1, "x"), deeper])),
+        ["declare Publisher /x", "open /x 2"]
+    );
+    let keeping = vec![publisher(1, "x"), late_joining(publisher(3, "x"))];
+    let kept = &said(&m.set_locals(&[], keeping))[..];
+    assert!(kept.contains(&"start out /x TransientLocal 50".into()), "{kept:?}");
+    assert!(!kept.iter().any(|action| action.starts_with("stop")), "{kept:?}");
 }
 
 #[test]
@@ -136,7 +158,14 @@ fn history_is_asked_for_if_both_ends_are_transient_local() {
     let keeper = remote(1, 7, "MP", "map", ":1:,3:,:,:,,");
     assert_eq!(said(&m.token_up(&keeper)), ["start in /map TransientLocal 3"]);
     let more = remote(1, 8, "MP", "map", ":1:,5:,:,:,,");
-    assert_eq!(said(&m.token_up(&more)), ["stop in /map", "start in /map TransientLocal 8"]);
+    assert_eq!(said(&m.token_up(&more)), ["start in /map TransientLocal 8"]);
+    assert_eq!(said(&m.token_down(&more)), NOTHING);
+    assert_eq!(said(&m.token_up(&more)), NOTHING);
+    assert_eq!(
+        said(&m.token_up(&remote(2, 9, "MP", "map", ":1:,1:,:,:,,"))),
+        ["start in /map TransientLocal 16"],
+        "by doubling, so that changes are few"
+    );
     let volatile = vec![subscription(1, "map")];
     let changed = [
         "stop in /map",

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A flood takes the network's threads their priority, and its end gives it back. Zenoh's threads are the process's: a
+//! program of its own.
+
+mod support;
+
+use support::{Host, connect, image_type, until};
+use tautline_gateway::{Budget, Options, network_threads};
+use tautline_rt::{Policy, Realtime};
+use tautline_transport::Qos;
+
+#[test]
+fn a_flood_runs_without_priority() {
+    if let Err(error) = tautline_rt::permission::realtime_permitted(Options::PRIORITY + 1) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        println!("skipped: {error}");
+        return;
+    }
+    let a = Host::new(219, 219, |options| {
+        options.network.listen = vec!["tcp/127.0.0.1:0".into()];
+        options.realtime = Realtime::Required;
+        options.budget = Some(Budget { percent: 5 });
+    });
+    let b = Host::beside(&a, 220);
+    let subscription = a.subscription("/flood", &image_type(), Qos::keep_last(10));
+    let publisher = b.publisher("/flood", &image_type(), Qos::keep_last(10));
+    connect(&publisher, &[&subscription], b"probe");
+    let body = vec![7; 1 << 20];
+    let flood = || {
+        publisher.publish(&body).unwrap();
+        while subscription.try_take_valid().unwrap().is_some() {}
+    };
+    let policies = || network_threads().unwrap().into_iter().map(|thread| thread.policy).collect::<Vec<_>>();
+    until("ordinary threads", || {
+        flood();
+        policies().iter().all(|policy| matches!(policy, Policy::Other { .. }))
+    });
+    assert!(a.stats().throttled > 0);
+    until("their priority", || policies().iter().all(|policy| *policy == Policy::Fifo(Options::PRIORITY)));
+}
