@@ -6,16 +6,10 @@
 
 use std::process::ExitCode;
 use tautline::rt::permission::realtime_permitted;
-use tautline::{Context, ContextBuilder, ExecutorError, Message, Realtime};
+use tautline::{Context, ContextBuilder, ExecutorError, Realtime};
 
-/// The message of the small examples.
-#[derive(Message, Clone, Copy, Debug, PartialEq)]
-#[repr(C)]
-#[message(name = "std_msgs/msg/UInt64")]
-pub struct UInt64 {
-    /// A number.
-    pub data: u64,
-}
+/// The message of the small examples: one of ROS 2's own, so that other hosts know it, too.
+pub use tautline::std_msgs::msg::UInt64;
 
 /// The exit code of an example that cannot run here, for want of a privilege or a core; test runners know it as 'skipped'.
 pub const SKIPPED: u8 = 77;

@@ -20,8 +20,8 @@ mod examples;
 mod fuzz;
 mod lttng;
 mod machine;
-mod peers;
 mod paper;
+mod peers;
 mod r2r;
 mod readme;
 mod reports;
@@ -58,7 +58,7 @@ enum Verb {
     },
     /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
     Ros,
-    /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers)
+    /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build, no part of `test`
     Peers,
     /// Measures
     #[command(subcommand)]

@@ -9,15 +9,10 @@ use std::process::{Command, ExitCode};
 
 const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 
-/// Makes the environment and runs the tests.
+/// Makes the environment and runs the tests. No part of `cargo xtask test`: it builds hiroz, which brings all of Zenoh
+/// once more. Without a network the Python peer is left out, but not in CI.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
-    test(&mut steps);
-    steps.finish()
-}
-
-/// Without a network the Python peer is left out, but not in CI.
-pub fn test(steps: &mut Steps) {
     steps.step("peers: zenoh-ros2-sdk", || match prepare() {
         Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
         other => other,
@@ -26,6 +21,7 @@ pub fn test(steps: &mut Steps) {
     tests.env("CARGO_TARGET_DIR", machine::target_dir().join("peers/build"));
     tests.env("TAUT_PEERS_VENV", machine::target_dir().join("peers/venv"));
     steps.command("peers: tests", &mut tests);
+    steps.finish()
 }
 
 /// Makes the environment unless it is there already: some 60 MB from PyPI.

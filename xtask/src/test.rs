@@ -4,7 +4,7 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell};
+use crate::{bench, examples, fuzz, lttng, paper as evaluation, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -24,14 +24,14 @@ pub fn run(quick: bool) -> ExitCode {
     let built = steps.command("build", &mut cargo(binaries));
     demo(&mut steps);
     examples::run(&mut steps, built, false);
+    two_hosts(&mut steps, built);
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 9] = [
+    let slow: [(&str, Step); 8] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: wake", wake),
         ("bench: messages", messages),
         ("bench: paper", paper),
-        ("peers", peers::test),
         ("loom", loom),
         ("miri", miri),
         ("fuzz", |steps| fuzz::all(steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS)),
@@ -73,16 +73,20 @@ fn ros(steps: &mut Steps) {
 
 fn tests(steps: &mut Steps) {
     let nextest = machine::cargo_has("nextest --version").is_ok();
-    let all = if nextest {
-        "nextest run --workspace --no-fail-fast"
-    } else {
-        "test --workspace --all-targets --no-fail-fast"
+    let run = |packages: &str| {
+        if nextest {
+            cargo(&format!("nextest run {packages} --no-fail-fast"))
+        } else {
+            cargo(&format!("test {packages} --all-targets --no-fail-fast"))
+        }
     };
-    let mut tests = cargo(all);
+    let mut tests = run("--workspace --exclude tautline-gateway");
     if machine::is_ci() {
         tests.env("TAUT_LEAK_CYCLES", "1000");
     }
     steps.command("tests", &mut tests);
+    // By itself: it mirrors whatever else is in its domains, and its build of Zenoh takes the longest of all.
+    steps.command("tests: gateway", &mut run("-p tautline-gateway"));
     steps.command("doc tests", &mut cargo("test --workspace --doc --no-fail-fast"));
 }
 
@@ -111,6 +115,22 @@ fn demo(steps: &mut Steps) {
     } else {
         steps.skip("demo: sampler below the callbacks", "real-time priorities are not permitted");
     }
+}
+
+/// Talker and listener with a gateway each, as `tests` built it: a release build of Zenoh takes minutes.
+fn two_hosts(steps: &mut Steps, built: bool) {
+    let (target, name) = (machine::target_dir(), "example two_hosts");
+    let gateway = target.join("debug/taut-gateway");
+    if !built || !gateway.exists() {
+        return steps.skip(name, "not built");
+    }
+    let mut command = Command::new("timeout");
+    command.arg("60").arg(machine::root().join("examples/two_hosts.sh")).arg("5");
+    command.env("TAUT_GATEWAY", gateway).env("TAUT_BUILT", target.join("release"));
+    if !machine::is_ci() && !machine::realtime_permitted() {
+        command.env("TAUT_REALTIME", "off");
+    }
+    steps.command(name, &mut command);
 }
 
 /// Sets the system's clock by an hour for some milliseconds, which is nothing to do on somebody's own machine.
