@@ -15,7 +15,7 @@ use tautline_transport::{Durability, Participant, TopicInfo};
 /// Lists topics; prints messages.
 ///
 /// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Types need not be compiled in: processes leave their definitions
-/// in /tmp/tautline_<uid>/schemas.
+/// in /tmp/tautline_UID/schemas.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut topic list
