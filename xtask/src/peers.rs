@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Peers of the gateway that are not ours: hiroz in a workspace of its own, zenoh-ros2-sdk in a Python environment under
-//! the target directory.
+//! The gateway with others: hosts in network namespaces, hostile peers, and peers that are not ours: hiroz in a workspace
+//! of its own, zenoh-ros2-sdk in a Python environment under the target directory.
 
 use crate::machine;
 use crate::steps::{Outcome, Steps, announce, cargo, execute};
@@ -9,10 +9,15 @@ use std::process::{Command, ExitCode};
 
 const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 
-/// Makes the environment and runs the tests. No part of `cargo xtask test`: it builds hiroz, which brings all of Zenoh
-/// once more. Without a network the Python peer is left out, but not in CI.
+/// Makes the environment and runs the tests, one at a time: hosts of different tests must not find each other. No part of
+/// `cargo xtask test`: it builds hiroz, which brings all of Zenoh once more. Without a network the Python peer is left out,
+/// but not in CI.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
+    steps.command(
+        "peers: hosts",
+        &mut cargo("test -p tautline-gateway --tests --no-fail-fast -- --test-threads=1"),
+    );
     steps.step("peers: zenoh-ros2-sdk", || match prepare() {
         Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
         other => other,
