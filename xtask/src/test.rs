@@ -80,7 +80,8 @@ fn tests(steps: &mut Steps) {
             cargo(&format!("test {packages} --all-targets --no-fail-fast"))
         }
     };
-    let mut tests = run("--workspace --exclude tautline-gateway");
+    // Every bundled message, not only those of the default packages.
+    let mut tests = run("--workspace --exclude tautline-gateway --features tautline-ros-msgs/all");
     if machine::is_ci() {
         tests.env("TAUT_LEAK_CYCLES", "1000");
     }
