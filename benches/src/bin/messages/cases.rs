@@ -111,7 +111,7 @@ fn in_place<T: Message + Fill>(
     Ok(Way::new(implementation, move || {
         byte = byte.wrapping_add(1);
         topic.write(sizes, |writer| write(byte, writer))?;
-        Ok(read(topic.take()?.view()))
+        topic.read(|sample| read(sample.view()))
     }))
 }
 
@@ -120,9 +120,10 @@ fn plain<T: Message + Plain>(message: T) -> Result<Way> {
     let topic = Topic::<T>::open()?;
     Ok(Way::new(IN_PLACE, move || {
         topic.write_plain(&message)?;
-        let sample = topic.take()?;
-        std::hint::black_box(&*sample);
-        Ok(sample.info().sequence_number)
+        topic.read(|sample| {
+            std::hint::black_box(&**sample);
+            sample.info().sequence_number
+        })
     }))
 }
 

@@ -52,9 +52,16 @@ impl<T: Message> Topic<T> {
         sent(loan.publish())
     }
 
-    /// The message that arrived.
-    pub fn take(&self) -> Result<Sample<T>> {
-        Ok(self.subscription.try_take()?.ok_or("nothing arrived")?)
+    /// Reads the message that arrived, and then looks for another one, as a callback's stream does before it sleeps: this is
+    /// when the memory goes back to the publisher.
+    pub fn read(&self, read: impl FnOnce(&Sample<T>) -> u64) -> Result<u64> {
+        let sample = self.subscription.try_take()?.ok_or("nothing arrived")?;
+        let value = read(&sample);
+        drop(sample);
+        match self.subscription.try_take()? {
+            None => Ok(value),
+            Some(_) => Err("a message arrived twice".into()),
+        }
     }
 }
 
