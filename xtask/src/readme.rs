@@ -293,7 +293,11 @@ fn messages_table(run: &Value) -> String {
             rows.iter().find(|row| row["case"] == case && row["implementation"] == implementation)
         };
         let bytes = find(implementations[0]).map_or(&Value::Null, |row| &row["bytes"]);
-        let times = implementations.iter().map(|name| find(name).map_or("-".into(), |row| us(row, "p50_us")));
+        let time = |row: &&Value| match row["p50_us"].as_f64() {
+            Some(us) if us < 1.0 => format!("{us:.3}"),
+            _ => us(row, "p50_us"),
+        };
+        let times = implementations.iter().map(|name| find(name).map_or("-".into(), time));
         let _ = writeln!(out, "| {case} | {bytes} | {} |", times.collect::<Vec<_>>().join(" | "));
     }
     let _ =
