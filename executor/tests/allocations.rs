@@ -119,25 +119,27 @@ fn watched(told: &Arc<AtomicU64>) -> CallbackOptions {
         })
 }
 
-/// Both tests are traced; what is traced is the process's, so one after the other.
+/// Both tests are traced. What is traced is the process's, so one after the other where they share one; each has a domain
+/// of its own, for a domain has one recorder.
 struct Traced {
     _turn: MutexGuard<'static, ()>,
+    domain: u32,
     membership: Option<tautline_trace::Membership>,
 }
 
-fn traced() -> Traced {
+/// No domain of ROS 2's: no topic is opened.
+fn traced(domain: u32) -> Traced {
     static TURN: Mutex<()> = Mutex::new(());
     let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
     tautline_trace::configure(tautline_trace::TraceMode::On.into());
-    // No domain of ROS 2's: no topic is opened.
-    Traced { _turn: turn, membership: Some(tautline_trace::join(1206).unwrap()) }
+    Traced { _turn: turn, domain, membership: Some(tautline_trace::join(domain).unwrap()) }
 }
 
 impl Drop for Traced {
     fn drop(&mut self) {
         drop(self.membership.take());
         let mut lost = 0;
-        tautline_trace::Recorder::start(1206).unwrap().finish(&mut |record| {
+        tautline_trace::Recorder::start(self.domain).unwrap().finish(&mut |record| {
             if let tautline_trace::Record::Lost { events, .. } = record {
                 lost += events;
             }
@@ -148,7 +150,7 @@ impl Drop for Traced {
 
 #[test]
 fn waking_and_polling_a_callback() {
-    let _traced = traced();
+    let _traced = traced(1206);
     let told = Arc::new(AtomicU64::new(0));
     let watched = watched(&told);
     for options in [CallbackOptions::other(), CallbackOptions::other().execution_time(false), watched] {
@@ -178,7 +180,7 @@ fn waking_and_polling_a_callback() {
 
 #[test]
 fn turns_of_a_group() {
-    let _traced = traced();
+    let _traced = traced(1230);
     let bells = [Bell::new(), Bell::new(), Bell::new()];
     let mut group = CallbackGroup::new();
     let mut stats = Vec::new();
