@@ -7,6 +7,7 @@
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
+//! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in, but for iceoryx2's.
 //! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
 //!
 //! Everything except [`clock`] and the use of [`Words`] is set-up: it allocates, reads files and makes syscalls. No other crate of the
@@ -38,6 +39,7 @@ mod words;
 pub mod clock;
 pub mod host;
 pub mod permission;
+pub mod shm;
 
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;

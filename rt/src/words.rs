@@ -1,21 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Blocks of 64-bit words that one thread writes and others read, of this process or of another.
 
-use std::ffi::c_void;
 use std::fmt;
 use std::io;
 use std::ops::Deref;
-use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
-use std::ptr::{NonNull, null_mut};
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags};
-use rustix::mm::{MapFlags, ProtFlags};
 use rustix::param::page_size;
 
-const DIRECTORY: &str = "/dev/shm";
+use crate::shm::{self, Mapping, OwnFile, PeerFile};
+
 const WORD_BYTES: usize = size_of::<AtomicU64>();
 
 /// A block of words: private, or in a file that other processes read. All zeros at first.
@@ -25,7 +21,7 @@ pub struct Words {
 
 enum Memory {
     Private(Box<[AtomicU64]>),
-    Shared(Mapping),
+    Shared(Mapping, usize),
 }
 
 impl Words {
@@ -46,7 +42,7 @@ impl Deref for Words {
             Memory::Private(words) => words,
             // SAFETY: the mapping is writable and lives as long as `self`; its pages belong to the file, which only grows.
             // Every bit pattern is a valid AtomicU64.
-            Memory::Shared(map) => unsafe { slice::from_raw_parts(map.start.as_ptr().cast(), map.len) },
+            Memory::Shared(map, len) => unsafe { slice::from_raw_parts(map.start().as_ptr().cast(), *len) },
         }
     }
 }
@@ -61,8 +57,7 @@ impl fmt::Debug for Words {
 /// it was killed, whoever can lock the file may remove it.
 #[derive(Debug)]
 pub struct WordsFile {
-    path: PathBuf,
-    file: OwnedFd,
+    file: OwnFile,
 }
 
 impl WordsFile {
@@ -71,30 +66,17 @@ impl WordsFile {
     /// # Errors
     /// What the system said, with the path.
     pub fn create(prefix: &str) -> io::Result<WordsFile> {
-        loop {
-            let path = Path::new(DIRECTORY).join(format!("{prefix}{:016x}", random()));
-            let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)
-                .map_err(|errno| with_path(&path, errno.into()))?;
-            let made = WordsFile { path, file };
-            // Waits: a reader that looks whether this file's owner lives may hold the lock for a moment.
-            rustix::fs::flock(&made.file, FlockOperation::LockExclusive)?;
-            // Not if it was taken for a dead owner's before it was locked.
-            if rustix::fs::fstat(&made.file)?.st_nlink > 0 {
-                return Ok(made);
-            }
-        }
+        Ok(WordsFile { file: OwnFile::create(prefix)? })
     }
 
     /// Where it is.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.file.path()
     }
 
     /// Removes the file and unlocks it, before the last of its words goes: to readers its owner has ended.
     pub fn retire(&self) {
-        let _ = rustix::fs::unlink(&self.path);
-        let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
+        self.file.retire();
     }
 
     /// Maps `len` words that begin `at` words into the file, a multiple of [`page_words`]; the file grows if need be.
@@ -105,14 +87,11 @@ impl WordsFile {
     /// # Errors
     /// What the system said, with the path.
     pub fn map(&self, at: usize, len: usize) -> io::Result<Words> {
-        let map = || -> io::Result<Words> {
-            // Claims the memory: a full /dev/shm is an error here, not a SIGBUS later.
-            let (start_bytes, len_bytes) = ((at * WORD_BYTES) as u64, (len * WORD_BYTES) as u64);
-            rustix::fs::fallocate(&self.file, FallocateFlags::empty(), start_bytes, len_bytes)?;
-            let map = Mapping::new(&self.file, at, len, ProtFlags::READ | ProtFlags::WRITE)?;
-            Ok(Words { memory: Memory::Shared(map) })
-        };
-        let words = map().map_err(|error| with_path(&self.path, error))?;
+        let (start_bytes, len_bytes) = (at * WORD_BYTES, len * WORD_BYTES);
+        self.file.claim(start_bytes as u64, len_bytes as u64)?;
+        let map = Mapping::new(&self.file, start_bytes as u64, len_bytes, true)
+            .map_err(|error| with_path(self.path(), error))?;
+        let words = Words { memory: Memory::Shared(map, len) };
         for word in words.iter().step_by(page_words()) {
             // A locked instruction writes, whatever the word holds, and changes nothing.
             word.fetch_add(0, Ordering::Relaxed);
@@ -130,8 +109,7 @@ impl Drop for WordsFile {
 /// Another process's file, to be read. What it holds are claims. It stays readable when that process has ended.
 #[derive(Debug)]
 pub struct ForeignWords {
-    path: PathBuf,
-    file: OwnedFd,
+    file: PeerFile,
 }
 
 impl ForeignWords {
@@ -140,48 +118,24 @@ impl ForeignWords {
     /// # Errors
     /// If /dev/shm cannot be read.
     pub fn list(prefix: &str) -> io::Result<Vec<ForeignWords>> {
-        let mut paths: Vec<PathBuf> = std::fs::read_dir(DIRECTORY)
-            .map_err(|error| with_path(Path::new(DIRECTORY), error))?
-            .flatten()
-            .filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix))
-            .map(|entry| entry.path())
-            .collect();
-        paths.sort();
-        let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-        // One that cannot be opened has just gone. One that is somebody else's could be cut short while it is read, which
-        // would kill the reader.
-        let user = rustix::process::geteuid().as_raw();
-        let open = |path: PathBuf| {
-            let file = rustix::fs::open(&path, flags, Mode::empty()).ok()?;
-            let is_own = rustix::fs::fstat(&file).ok()?.st_uid == user;
-            is_own.then_some(ForeignWords { path, file })
-        };
-        Ok(paths.into_iter().filter_map(open).collect())
+        // One that cannot be opened has just gone, or is another user's.
+        let open = |path: PathBuf| Some(ForeignWords { file: PeerFile::open(path, false).ok()? });
+        Ok(shm::list(prefix)?.into_iter().filter_map(open).collect())
     }
 
     /// Where it is, or was.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.file.path()
     }
 
-    /// Whether the process that made it lives. Its lock says so: process numbers repeat.
+    /// Whether the process that made it lives.
     pub fn is_owned(&self) -> bool {
-        let free = rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockShared).is_ok();
-        if free {
-            let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
-        }
-        !free
+        self.file.is_owned()
     }
 
     /// Removes the file of a process that was killed. Does nothing if its owner lives.
     pub fn remove_if_orphaned(&self) -> bool {
-        if rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockExclusive).is_err() {
-            return false;
-        }
-        // Not locked: its owner died, or has not come to lock it and will then make another one.
-        let removed = rustix::fs::unlink(&self.path).is_ok();
-        let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
-        removed
+        self.file.remove_if_orphaned()
     }
 
     /// How many words the file has now.
@@ -189,8 +143,7 @@ impl ForeignWords {
     /// # Errors
     /// What the system said, with the path.
     pub fn size_words(&self) -> io::Result<usize> {
-        let bytes = size_bytes(&self.file).map_err(|error| with_path(&self.path, error))?;
-        Ok(usize::try_from(bytes).unwrap_or(0) / WORD_BYTES)
+        Ok(usize::try_from(self.file.size_bytes()?).unwrap_or(0) / WORD_BYTES)
     }
 
     /// Copies `len` words that begin `at` words into the file, a multiple of [`page_words`], each as it is when it is
@@ -201,14 +154,14 @@ impl ForeignWords {
     pub fn read(&self, at: usize, len: usize) -> io::Result<Vec<u64>> {
         if self.size_words()? < at + len {
             let error = io::Error::other("shorter than it should be: made by another version of Tautline?");
-            return Err(with_path(&self.path, error));
+            return Err(with_path(self.path(), error));
         }
-        let map = Mapping::new(&self.file, at, len, ProtFlags::READ)
-            .map_err(|error| with_path(&self.path, error))?;
+        let map = Mapping::new(&self.file, (at * WORD_BYTES) as u64, len * WORD_BYTES, false)
+            .map_err(|error| with_path(self.path(), error))?;
         let word = |index: usize| {
             // SAFETY: the index is within the mapping, which is readable; a load does not write. Acquire: pairs with
             // the writer's Release stores.
-            unsafe { (*map.start.as_ptr().cast::<AtomicU64>().add(index)).load(Ordering::Acquire) }
+            unsafe { (*map.start().as_ptr().cast::<AtomicU64>().add(index)).load(Ordering::Acquire) }
         };
         Ok((0..len).map(word).collect())
     }
@@ -219,47 +172,8 @@ pub fn page_words() -> usize {
     page_size() / WORD_BYTES
 }
 
-/// Part of a file, in memory.
-struct Mapping {
-    start: NonNull<c_void>,
-    len: usize,
-}
-
-// SAFETY: a mapping is memory of the process, not of a thread, and holds atomics only.
-unsafe impl Send for Mapping {}
-// SAFETY: as above: shared access is through atomics.
-unsafe impl Sync for Mapping {}
-
-impl Mapping {
-    fn new(file: &OwnedFd, at: usize, len: usize, access: ProtFlags) -> io::Result<Mapping> {
-        let (bytes, offset) = (len * WORD_BYTES, (at * WORD_BYTES) as u64);
-        // SAFETY: a new shared mapping at an address of the kernel's choice; it refuses a length of zero and an offset
-        // within a page.
-        let address = unsafe { rustix::mm::mmap(null_mut(), bytes, access, MapFlags::SHARED, file, offset) }?;
-        let start = NonNull::new(address).ok_or_else(|| io::Error::other("mapped at address zero"))?;
-        Ok(Mapping { start, len })
-    }
-}
-
-impl Drop for Mapping {
-    fn drop(&mut self) {
-        // SAFETY: it came from mmap with this length, and nothing borrows from a dropped Mapping.
-        let _ = unsafe { rustix::mm::munmap(self.start.as_ptr(), self.len * WORD_BYTES) };
-    }
-}
-
-fn size_bytes(file: &OwnedFd) -> io::Result<u64> {
-    Ok(u64::try_from(rustix::fs::fstat(file)?.st_size).unwrap_or(0))
-}
-
 fn with_path(path: &Path, error: io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("{}: {error}", path.display()))
-}
-
-/// Random enough for a name: the seeds of the standard library's hash maps.
-fn random() -> u64 {
-    use std::hash::{BuildHasher, Hasher};
-    std::collections::hash_map::RandomState::new().build_hasher().finish()
 }
 
 #[cfg(test)]
@@ -287,19 +201,6 @@ mod tests {
         assert!(!found.is_owned() && !found.path().exists());
         assert_eq!(found.read(page_words(), 3).unwrap(), [0, 0, u64::MAX]);
         assert!(ForeignWords::list(&prefix).unwrap().is_empty());
-    }
-
-    #[test]
-    fn a_killed_owners_file_can_be_removed() {
-        let prefix = prefix("orphan");
-        let file = WordsFile::create(&prefix).unwrap();
-        let path = file.path().to_owned();
-        let _words = file.map(0, 8).unwrap();
-        // As the kernel does it when a process is killed: the lock goes, the file stays.
-        let WordsFile { file: lock, .. } = &file;
-        rustix::fs::flock(lock, FlockOperation::Unlock).unwrap();
-        let found = ForeignWords::list(&prefix).unwrap();
-        assert!(!found[0].is_owned() && found[0].remove_if_orphaned() && !path.exists());
     }
 
     #[test]

@@ -7,11 +7,11 @@ use crate::error::TraceError;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use tautline_rt::shm::{self, PeerFile, has_name};
 
-const DIRECTORY: &str = "/dev/shm";
 const ON: &[u8] = b"1";
 const OFF: &[u8] = b"0";
 
@@ -27,48 +27,23 @@ pub(crate) enum Asked {
 }
 
 /// Starts the names of a domain's trace files, which are private to their user.
-pub(crate) fn file_prefix(domain: u32) -> String {
+fn file_prefix(domain: u32) -> String {
     format!("taut_{domain}_{}_trace_", rustix::process::getuid().as_raw())
 }
 
-pub(crate) fn path_of(domain: u32, name: &str) -> PathBuf {
-    Path::new(DIRECTORY).join(format!("{}{name}", file_prefix(domain)))
-}
-
-/// The trace files of a domain's processes.
-pub(crate) fn process_files(domain: u32) -> Vec<PathBuf> {
-    let prefix = format!("{}p", file_prefix(domain));
-    let Ok(entries) = std::fs::read_dir(DIRECTORY) else { return Vec::new() };
-    let of_domain =
-        entries.flatten().filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
-    of_domain.map(|entry| entry.path()).collect()
+/// Starts the names of the files of processes.
+pub(crate) fn process_prefix(domain: u32) -> String {
+    format!("{}p", file_prefix(domain))
 }
 
 fn path(domain: u32) -> PathBuf {
-    path_of(domain, "control")
-}
-
-/// Whether a file is this user's. `/dev/shm` is everybody's: what others put there under our names could be cut short while
-/// it is mapped, and then kills who reads it.
-pub(crate) fn is_own(file: impl AsFd) -> bool {
-    rustix::fs::fstat(file).is_ok_and(|stat| stat.st_uid == rustix::process::geteuid().as_raw())
-}
-
-fn has_name(file: impl AsFd) -> bool {
-    rustix::fs::fstat(file).is_ok_and(|stat| stat.st_nlink != 0)
+    Path::new(shm::DIRECTORY).join(format!("{}control", file_prefix(domain)))
 }
 
 /// Looks whether a recorder is there.
 pub(crate) fn asked(domain: u32) -> Asked {
     let path = path(domain);
-    let Ok(file) =
-        rustix::fs::open(&path, OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())
-    else {
-        return Asked::Nothing;
-    };
-    if !is_own(&file) {
-        return Asked::Nothing;
-    }
+    let Ok(file) = PeerFile::open(path.clone(), false) else { return Asked::Nothing };
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
         // Its recorder was killed, or has not come to lock it and will look whether it still has a name. Who locks it alone
         // while it has one unlinks this file, and not the next recorder's of the same name.
@@ -100,9 +75,7 @@ impl Control {
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR).map_err(refuse)?;
-            if !is_own(&file) {
-                return Err(refuse(Errno::PERM));
-            }
+            shm::check_owner(&file).map_err(|source| TraceError::File { path: path.clone(), source })?;
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) if has_name(&file) => {
                     let control = Control { path: path.clone(), file };

@@ -3,6 +3,13 @@
 
 use std::io;
 use std::path::PathBuf;
+use tautline_rt::shm::ShmError;
+
+impl From<ShmError> for TraceError {
+    fn from(ShmError { path, source }: ShmError) -> TraceError {
+        TraceError::File { path, source }
+    }
+}
 
 /// Why nothing can be traced.
 #[derive(Debug, thiserror::Error)]

@@ -14,12 +14,8 @@ use crate::ring::Ring;
 use crate::settings::{TraceMode, TraceSettings};
 use crate::sync::Ordering;
 use crate::thread;
-use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags};
-use std::hash::{BuildHasher, Hasher};
-use std::io;
-use std::os::fd::OwnedFd;
-use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use tautline_rt::shm::{OwnFile, ShmError};
 
 static PROCESS: Mutex<Process> = Mutex::new(Process {
     settings: None,
@@ -44,8 +40,7 @@ struct Process {
 /// The file while there is a membership. Its lock says that its owner lives.
 struct Own {
     domain: u32,
-    path: PathBuf,
-    file: OwnedFd,
+    file: OwnFile,
     map: Map,
     mode: TraceMode,
 }
@@ -114,11 +109,7 @@ pub fn attend() {
 
 impl Process {
     fn open(&mut self, domain: u32, settings: TraceSettings) -> Result<(), TraceError> {
-        let own = loop {
-            if let Some(own) = Own::create(domain, settings, self.region)? {
-                break own;
-            }
-        };
+        let own = Own::create(domain, settings, self.region)?;
         self.region = Some(own.map);
         self.free = FreeEntries::all();
         own.prepare_rings(SPARE_RINGS);
@@ -135,26 +126,26 @@ impl Process {
 }
 
 impl Own {
-    /// `None` if the file was taken for a dead owner's between its creation and its locking.
-    fn create(domain: u32, settings: TraceSettings, region: Option<Map>) -> Result<Option<Own>, TraceError> {
-        let path = control::path_of(domain, &format!("p{:016x}", random()));
-        let make = || -> io::Result<Option<Own>> {
-            let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-            rustix::fs::flock(&file, FlockOperation::LockExclusive)?;
-            if rustix::fs::fstat(&file)?.st_nlink == 0 {
-                return Ok(None);
+    fn create(domain: u32, settings: TraceSettings, region: Option<Map>) -> Result<Own, TraceError> {
+        let file = OwnFile::create(&control::process_prefix(domain))?;
+        let made = (|| -> Result<Map, ShmError> {
+            file.set_len(Map::bytes(settings.ring_events) as u64)?;
+            for (offset, len) in Map::fixed_ranges() {
+                file.claim(offset, len)?;
             }
-            rustix::fs::ftruncate(&file, Map::bytes(settings.ring_events) as u64)?;
-            for range in Map::fixed_ranges() {
-                claim(&file, range)?;
+            Map::of_file(&file, settings.ring_events, region)
+                .map_err(|source| ShmError { path: file.path().to_owned(), source })
+        })();
+        let map = match made {
+            Ok(map) => map,
+            Err(error) => {
+                file.retire();
+                return Err(error.into());
             }
-            let map = Map::of_file(&file, settings.ring_events, region)?;
-            let name = std::fs::read("/proc/self/comm").unwrap_or_default();
-            map.claim(std::process::id(), name_to_words(name.strip_suffix(b"\n").unwrap_or(&name)));
-            Ok(Some(Own { domain, path: path.clone(), file, map, mode: settings.mode }))
         };
-        make().map_err(|source| TraceError::File { path: path.clone(), source })
+        let name = std::fs::read("/proc/self/comm").unwrap_or_default();
+        map.claim(std::process::id(), name_to_words(name.strip_suffix(b"\n").unwrap_or(&name)));
+        Ok(Own { domain, file, map, mode: settings.mode })
     }
 
     fn attend(&self) {
@@ -215,7 +206,8 @@ impl Own {
         let ready = |ring: &Ring| ring.head.ready.load(Ordering::Relaxed) != 0;
         let missing = spare.saturating_sub(rings().filter(|(_, ring)| ready(ring) && is_free(ring)).count());
         for (index, ring) in rings().filter(|(_, ring)| !ready(ring)).take(missing) {
-            if claim(&self.file, self.map.ring_range(index)).is_err() {
+            let (offset, len) = self.map.ring_range(index);
+            if self.file.claim(offset, len).is_err() {
                 return;
             }
             ring.touch();
@@ -229,16 +221,11 @@ impl Own {
         hot::switch(false);
         let wanted = self.mode == TraceMode::On || control::asked(self.domain) != Asked::Nothing;
         if !wanted || self.map.is_drained() {
-            let _ = rustix::fs::unlink(&self.path);
+            self.file.retire();
         }
         // Should this fail, the pages stay until the process ends.
         let _ = self.map.forget_file();
     }
-}
-
-/// Memory for a part of the file, now: written to without it, a full /dev/shm would kill the process.
-fn claim(file: &OwnedFd, (offset, length): (u64, u64)) -> rustix::io::Result<()> {
-    rustix::fs::fallocate(file, FallocateFlags::empty(), offset, length)
 }
 
 // ---- Objects ----
@@ -253,7 +240,10 @@ pub(crate) struct Entry {
 pub(crate) fn describe(object: &Description) -> Option<Entry> {
     let mut process = process();
     let Process { file: Some(own), free, .. } = &mut *process else { return None };
-    let index = free.take().filter(|index| claim(&own.file, own.map.object_range(*index)).is_ok());
+    let index = free.take().filter(|index| {
+        let (offset, len) = own.map.object_range(*index);
+        own.file.claim(offset, len).is_ok()
+    });
     let Some(index) = index else {
         own.map.undescribed().fetch_add(1, Ordering::Relaxed);
         return None;
@@ -269,9 +259,4 @@ pub(crate) fn forget(entry: Entry) {
     if process.file.is_some() && entry.generation == thread::generation() {
         process.free.give_back(entry.index);
     }
-}
-
-/// Random enough for a name: the seeds of the standard library's hash maps.
-fn random() -> u64 {
-    std::collections::hash_map::RandomState::new().build_hasher().finish()
 }

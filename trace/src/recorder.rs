@@ -7,11 +7,11 @@ use crate::event::Event;
 use crate::layout::{Map, RINGS, state, words_to_name};
 use crate::object::{self, Description};
 use crate::sync::Ordering;
-use rustix::fs::{FlockOperation, Mode, OFlags};
 use std::collections::{HashMap, HashSet};
-use std::os::fd::OwnedFd;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use tautline_rt::shm::{self, PeerFile};
 
 /// What a recorder found. Of a process everything comes after its [`Process`](Record::Process), the events of a thread after
 /// its [`Thread`](Record::Thread).
@@ -170,7 +170,7 @@ impl Recorder {
     }
 
     fn scan(&mut self, sink: &mut impl FnMut(Record<'_>)) {
-        for path in control::process_files(self.domain) {
+        for path in shm::list(&control::process_prefix(self.domain)).unwrap_or_default() {
             if self.processes.contains_key(&path) || self.refused.contains(&path) {
                 continue;
             }
@@ -192,13 +192,13 @@ impl Recorder {
 
     /// Removes the files of processes that have ended.
     fn bury(&mut self, sink: &mut impl FnMut(Record<'_>)) {
-        self.processes.retain(|path, peer| {
+        self.processes.retain(|_, peer| {
             // Not locked: its owner died, or needs it no more.
-            if rustix::fs::flock(&peer.file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            if peer.file.is_owned() {
                 return true;
             }
             peer.fetch(sink);
-            let _ = rustix::fs::unlink(path);
+            peer.file.remove_if_orphaned();
             sink(Record::Ended { process: peer.number });
             false
         });
@@ -210,7 +210,7 @@ impl Recorder {
 struct Peer {
     number: u32,
     map: Map,
-    file: OwnedFd,
+    file: PeerFile,
     /// The turn of each entry of the table that was reported.
     turns: HashMap<usize, u64>,
     /// Who owned each ring, and under which name, when it was last reported.
@@ -223,22 +223,20 @@ struct Peer {
 impl Peer {
     /// `None` if the file is not complete yet, or gone.
     fn open(path: &Path, number: u32) -> Result<Option<Peer>, String> {
-        let flags = OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-        let Ok(file) = rustix::fs::open(path, flags, Mode::empty()) else { return Ok(None) };
-        if !control::is_own(&file) {
-            return Err("it belongs to another user".to_owned());
-        }
+        let file = match PeerFile::open(path.to_owned(), true) {
+            Ok(file) => file,
+            Err(error) if error.source.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error.source.to_string()),
+        };
         let mut first = [0; 64];
         let read = rustix::io::pread(&file, &mut first, 0).map_err(|errno| errno.to_string())?;
         if first.iter().take(8).all(|byte| *byte == 0) {
             // Its owner is about to write the header, or died before.
-            if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
-                let _ = rustix::fs::unlink(path);
-            }
+            file.remove_if_orphaned();
             return Ok(None);
         }
-        let size = rustix::fs::fstat(&file).map_err(|errno| errno.to_string())?.st_size;
-        let events = Map::check_header(first.get(..read).unwrap_or_default(), size.cast_unsigned())?;
+        let size = file.size_bytes().map_err(|error| error.source.to_string())?;
+        let events = Map::check_header(first.get(..read).unwrap_or_default(), size)?;
         let map = Map::of_file(&file, events, None).map_err(|error| error.to_string())?;
         let (turns, owners) = (HashMap::new(), HashMap::new());
         Ok(Some(Peer { number, map, file, turns, owners, described: 0, unrecorded: 0, undescribed: 0 }))
@@ -320,23 +318,17 @@ impl Drop for Peer {
 /// Removes the files of a domain's dead processes that hold nothing a recorder would want. While there is a recorder it does
 /// that itself.
 pub fn remove_dead_files(domain: u32) {
-    let mut files = control::process_files(domain);
-    files.retain(|path| {
-        let file = rustix::fs::open(path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty());
-        let is_free =
-            |file: &OwnedFd| rustix::fs::flock(file, FlockOperation::NonBlockingLockExclusive).is_ok();
-        file.is_ok_and(|file| control::is_own(&file) && is_free(&file))
-    });
+    let mut files = shm::list(&control::process_prefix(domain)).unwrap_or_default();
+    files.retain(|path| PeerFile::open(path.clone(), true).is_ok_and(|file| !file.is_owned()));
     if files.is_empty() || control::asked(domain) != Asked::Nothing {
         return;
     }
     for path in files {
         // Opening it removes a file whose owner died before it wrote a header.
         if let Ok(Some(peer)) = Peer::open(&path, 0)
-            && rustix::fs::flock(&peer.file, FlockOperation::NonBlockingLockExclusive).is_ok()
             && peer.map.is_drained()
         {
-            let _ = rustix::fs::unlink(&path);
+            peer.file.remove_if_orphaned();
         }
     }
 }

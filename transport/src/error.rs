@@ -20,6 +20,14 @@ pub enum TransportError {
     /// What the environment says about tracing is not understood, or there is no memory for it.
     #[error(transparent)]
     Trace(#[from] tautline_trace::TraceError),
+    /// The file that says when a domain's topics change could not be made or mapped.
+    #[error("{} cannot be used: {source}; check that /dev/shm is writable and not full; if the file is another user's, remove it", path.display())]
+    Graph {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
     /// A context has no slot left.
     #[error(
         "this context already has {limit} subscriptions, publishers, timers and guard conditions, its limit; make a second Context for more"

@@ -4,17 +4,15 @@
 //! Who wants to know of changes compares it with what it read before it looked, or sleeps on it. A port that ends with its
 //! killed process moves it when a janitor cleans up. The file stays when nobody is left, as iceoryx2's own per domain does.
 
-use crate::doorbell::check_owner;
 use crate::error::TransportError;
 use crate::sync::{FutexWord, Ordering};
-use rustix::fs::{FallocateFlags, Mode, OFlags};
-use rustix::mm::{MapFlags, ProtFlags};
+use rustix::fs::{Mode, OFlags};
 use std::io;
 use std::path::Path;
-use std::ptr::NonNull;
 use std::sync::Arc;
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
+use tautline_rt::shm::{self, Mapping};
 
 /// What lies in the file: an atomic whose every value is valid.
 #[repr(C)]
@@ -24,40 +22,31 @@ struct Layout {
 
 const FILE_BYTES: usize = 4096;
 
-/// The mapped word. Unmapped when dropped.
+/// The mapped word.
 pub(crate) struct Graph {
-    map: NonNull<Layout>,
+    map: Mapping,
 }
-
-// SAFETY: the mapping holds an atomic only and stays until the last owner drops the Graph.
-unsafe impl Send for Graph {}
-// SAFETY: as above: shared access is through the atomic.
-unsafe impl Sync for Graph {}
 
 impl Graph {
     /// Maps the word of `domain`; the first one makes its file.
     pub(crate) fn open(domain: u32) -> Result<Arc<Self>, TransportError> {
-        let path = Path::new("/dev/shm").join(format!("{}graph1", crate::participant::file_prefix(domain)));
-        let make = || -> io::Result<NonNull<Layout>> {
+        let path =
+            Path::new(shm::DIRECTORY).join(format!("{}graph1", crate::participant::file_prefix(domain)));
+        let make = || -> io::Result<Mapping> {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-            check_owner(&rustix::fs::fstat(&file)?)?;
-            // Whoever comes later does the same, which changes nothing. Claims the memory: a full /dev/shm is an error here,
-            // not a SIGBUS later.
-            rustix::fs::fallocate(&file, FallocateFlags::empty(), 0, FILE_BYTES as u64)?;
-            let (access, shared) = (ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED);
-            // SAFETY: a new shared mapping at an address of the kernel's choice; the length is not zero.
-            let address =
-                unsafe { rustix::mm::mmap(std::ptr::null_mut(), FILE_BYTES, access, shared, &file, 0) }?;
-            NonNull::new(address.cast()).ok_or_else(|| io::Error::other("mapped at address zero"))
+            shm::check_owner(&file)?;
+            // Whoever comes later does the same, which changes nothing.
+            shm::claim(&file, 0, FILE_BYTES as u64)?;
+            Mapping::new(&file, 0, FILE_BYTES, true)
         };
-        let map = make().map_err(|source| TransportError::Arena { path: path.clone(), source })?;
+        let map = make().map_err(|source| TransportError::Graph { path: path.clone(), source })?;
         Ok(Arc::new(Graph { map }))
     }
 
     fn word(&self) -> &FutexWord {
         // SAFETY: `map` is a live, page-aligned mapping that is longer than a Layout, of which every bit pattern is valid.
-        unsafe { &self.map.as_ref().epoch }
+        unsafe { &self.map.start().cast::<Layout>().as_ref().epoch }
     }
 
     pub(crate) fn epoch(&self) -> u32 {
@@ -78,13 +67,6 @@ impl Graph {
             self.word().wait(since, Some(end_ns));
         }
         self.epoch()
-    }
-}
-
-impl Drop for Graph {
-    fn drop(&mut self) {
-        // SAFETY: `map` came from mmap with this length and nothing borrows from a dropped Graph.
-        let _ = unsafe { rustix::mm::munmap(self.map.as_ptr().cast(), FILE_BYTES) };
     }
 }
 

@@ -6,20 +6,16 @@ use super::hot::Bell;
 use crate::error::TransportError;
 use crate::header::Gid;
 use crate::sync::{AtomicU32, AtomicU64, FutexWord, Ordering};
-use rustix::fs::{FlockOperation, Mode, OFlags};
-use rustix::mm::{MapFlags, ProtFlags};
 use std::fmt;
-use std::hash::{BuildHasher, Hasher};
 use std::io;
-use std::os::fd::OwnedFd;
+use std::mem::offset_of;
 use std::path::{Path, PathBuf};
-use std::ptr::NonNull;
+use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, ShmError};
 
 /// Publishers that one subscription can tell apart: the most publishers of a topic.
 pub(crate) const LINKS: usize = 64;
 const MAGIC: u64 = u64::from_le_bytes(*b"tautline");
 const VERSION: u32 = 1;
-const DIRECTORY: &str = "/dev/shm";
 
 /// Meaning of a slot's flag word.
 pub(crate) mod slot_flags {
@@ -167,69 +163,44 @@ impl Owner {
 /// A mapped arena: this process's own, or a peer's. Unmapped when dropped; the owner's file is removed as well.
 pub(crate) struct Arena {
     id: ArenaId,
-    map: NonNull<Layout>,
-    /// The owner holds the lock on the file as long as it lives; a peer needs no descriptor.
-    owned: Option<(PathBuf, OwnedFd)>,
-}
-
-// SAFETY: the mapping holds atomics only and stays until the last owner drops the Arena.
-unsafe impl Send for Arena {}
-// SAFETY: as above: shared access is through atomics.
-unsafe impl Sync for Arena {}
-
-/// Anybody may put files into /dev/shm. One of another user could be cut short while it is mapped here.
-pub(crate) fn check_owner(stat: &rustix::fs::Stat) -> io::Result<()> {
-    if stat.st_uid == rustix::process::geteuid().as_raw() {
-        return Ok(());
-    }
-    Err(io::Error::other(format!("it belongs to user {}: remove it", stat.st_uid)))
+    map: Mapping,
+    /// The owner's; a peer needs no descriptor.
+    own: Option<OwnFile>,
 }
 
 impl Arena {
+    /// Claims memory for all but the links, which most slots never have: see [`claim_slot`](Self::claim_slot).
     pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
-        loop {
-            if let Some(arena) = Self::try_create(domain, ArenaId(random()))? {
-                return Ok(arena);
-            }
-        }
-    }
-
-    /// `None` if a janitor took the file for a dead owner's, between its creation and its locking.
-    fn try_create(domain: u32, id: ArenaId) -> Result<Option<Self>, TransportError> {
-        let path = path(domain, id);
-        let make = || -> io::Result<Option<Arena>> {
-            let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-            // Waits: a janitor that looks whether this file's owner lives may hold the lock for a moment.
-            rustix::fs::flock(&file, FlockOperation::LockExclusive)?;
-            if rustix::fs::fstat(&file)?.st_nlink == 0 {
-                return Ok(None);
-            }
-            rustix::fs::ftruncate(&file, size_of::<Layout>() as u64)?;
-            let map = map(&file)?;
-            let arena = Arena { id, map, owned: Some((path.clone(), file)) };
-            arena.layout().version.store(VERSION, Ordering::Relaxed);
-            // Release: pairs with the Acquire in `open`; the version is there when the magic is.
-            arena.layout().magic.store(MAGIC, Ordering::Release);
-            Ok(Some(arena))
+        let own = OwnFile::create(&file_prefix(domain)).map_err(arena_error)?;
+        let make = || -> Result<Mapping, ShmError> {
+            own.set_len(size_of::<Layout>() as u64)?;
+            own.claim(0, offset_of!(Layout, links) as u64)?;
+            map(&own).map_err(|source| ShmError { path: own.path().to_owned(), source })
         };
-        make().map_err(|source| TransportError::Arena { path: path.clone(), source })
+        let map = match make() {
+            Ok(map) => map,
+            Err(error) => {
+                own.retire();
+                return Err(arena_error(error));
+            }
+        };
+        let arena = Arena { id: ArenaId(own.id()), map, own: Some(own) };
+        arena.layout().version.store(VERSION, Ordering::Relaxed);
+        // Release: pairs with the Acquire in `open`; the version is there when the magic is.
+        arena.layout().magic.store(MAGIC, Ordering::Release);
+        Ok(arena)
     }
 
     /// Maps a peer's arena. What it holds are claims: indices are checked wherever they are used.
     pub(crate) fn open(domain: u32, id: ArenaId) -> Result<Self, TransportError> {
-        let path = path(domain, id);
-        let refuse = |source: io::Error| TransportError::Arena { path: path.clone(), source };
-        let file = rustix::fs::open(&path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())
-            .map_err(|errno| refuse(errno.into()))?;
-        let stat = rustix::fs::fstat(&file).map_err(|errno| refuse(errno.into()))?;
-        check_owner(&stat).map_err(refuse)?;
-        if stat.st_size < size_of::<Layout>() as i64 {
+        let file = PeerFile::open(path(domain, id), true).map_err(arena_error)?;
+        let refuse = |source| TransportError::Arena { path: file.path().to_owned(), source };
+        if file.size_bytes().map_err(arena_error)? < size_of::<Layout>() as u64 {
             return Err(refuse(io::Error::other(
                 "shorter than an arena: made by another version of Tautline?",
             )));
         }
-        let arena = Arena { id, map: map(&file).map_err(refuse)?, owned: None };
+        let arena = Arena { id, map: map(&file).map_err(refuse)?, own: None };
         let layout = arena.layout();
         if layout.magic.load(Ordering::Acquire) != MAGIC || layout.version.load(Ordering::Relaxed) != VERSION
         {
@@ -238,14 +209,25 @@ impl Arena {
         Ok(arena)
     }
 
+    /// Gives a slot of this process's own arena memory for its links, and makes it look never used.
+    pub(crate) fn claim_slot(&self, slot: usize) -> Result<(), TransportError> {
+        if let Some(own) = &self.own {
+            let links = size_of::<[Link; LINKS]>();
+            let start = offset_of!(Layout, links) + slot * links;
+            own.claim(start as u64, links as u64).map_err(arena_error)?;
+        }
+        self.reset(slot);
+        Ok(())
+    }
+
     pub(crate) fn id(&self) -> ArenaId {
         self.id
     }
 
     fn layout(&self) -> &Layout {
-        // SAFETY: `map` is a live mapping of at least size_of::<Layout>() bytes, page-aligned, and every bit pattern of
-        // a Layout is valid (atomics only).
-        unsafe { self.map.as_ref() }
+        // SAFETY: `map` is a live mapping of size_of::<Layout>() bytes of a file that is at least as long, page-aligned, and
+        // every bit pattern of a Layout is valid (atomics only).
+        unsafe { self.map.start().cast().as_ref() }
     }
 
     pub(crate) fn bell(&self) -> &Bell {
@@ -302,7 +284,7 @@ impl Arena {
     }
 
     /// Makes a slot look never used.
-    pub(crate) fn reset(&self, slot: usize) {
+    fn reset(&self, slot: usize) {
         self.set_flags(slot, 0);
         for link in self.links(slot).iter().filter(|link| link.out.owner.load(Ordering::Relaxed) != FREE) {
             link.out.gid[0].store(0, Ordering::Relaxed);
@@ -314,61 +296,34 @@ impl Arena {
 
 impl Drop for Arena {
     fn drop(&mut self) {
-        if let Some((path, _lock)) = &self.owned {
-            let _ = rustix::fs::unlink(path);
+        if let Some(own) = &self.own {
+            own.retire();
         }
-        // SAFETY: `map` came from mmap with this length and nothing borrows from a dropped Arena.
-        let _ = unsafe { rustix::mm::munmap(self.map.as_ptr().cast(), size_of::<Layout>()) };
     }
 }
 
-/// Removes the arenas of `domain` whose owners died: the kernel dropped their locks.
+/// Removes the arenas of `domain` whose owners died.
 pub(crate) fn remove_stale_arenas(domain: u32) {
-    let Ok(entries) = std::fs::read_dir(DIRECTORY) else { return };
-    let prefix = file_prefix(domain);
-    for entry in entries.flatten() {
-        if !entry.file_name().to_string_lossy().starts_with(&prefix) {
-            continue;
-        }
-        let path = entry.path();
-        let Ok(file) =
-            rustix::fs::open(&path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())
-        else {
-            continue;
-        };
-        // Not locked: its owner died, or has not come to lock it and will then make another one.
-        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
-            let _ = rustix::fs::unlink(&path);
-        }
+    let paths = shm::list(&file_prefix(domain)).unwrap_or_default();
+    for file in paths.into_iter().filter_map(|path| PeerFile::open(path, true).ok()) {
+        file.remove_if_orphaned();
     }
 }
 
-fn map(file: &OwnedFd) -> io::Result<NonNull<Layout>> {
-    // SAFETY: a new shared mapping at an address of the kernel's choice; the length is not zero.
-    let address = unsafe {
-        rustix::mm::mmap(
-            std::ptr::null_mut(),
-            size_of::<Layout>(),
-            ProtFlags::READ | ProtFlags::WRITE,
-            MapFlags::SHARED,
-            file,
-            0,
-        )
-    }?;
-    NonNull::new(address.cast()).ok_or_else(|| io::Error::other("mapped at address zero"))
+fn arena_error(ShmError { path, source }: ShmError) -> TransportError {
+    TransportError::Arena { path, source }
+}
+
+fn map(file: impl std::os::fd::AsFd) -> io::Result<Mapping> {
+    Mapping::new(file, 0, size_of::<Layout>(), true)
 }
 
 fn path(domain: u32, id: ArenaId) -> PathBuf {
-    Path::new(DIRECTORY).join(format!("{}{id}", file_prefix(domain)))
+    Path::new(shm::DIRECTORY).join(format!("{}{id}", file_prefix(domain)))
 }
 
 fn file_prefix(domain: u32) -> String {
     format!("{}arena_", crate::participant::file_prefix(domain))
-}
-
-/// Random enough for a name: the seeds of the standard library's hash maps.
-fn random() -> u64 {
-    std::collections::hash_map::RandomState::new().build_hasher().finish() | 1
 }
 
 #[cfg(all(test, not(taut_loom)))]
@@ -405,11 +360,11 @@ mod tests {
 
     #[test]
     fn a_file_that_is_no_arena_is_refused() {
-        for (id, len_bytes) in [(ArenaId(random()), 16), (ArenaId(random()), size_of::<Layout>() as u64)] {
-            let path = path(DOMAIN, id);
-            std::fs::File::create(&path).unwrap().set_len(len_bytes).unwrap();
-            let refused = Arena::open(DOMAIN, id).is_err();
-            std::fs::remove_file(path).unwrap();
+        for len_bytes in [16, size_of::<Layout>() as u64] {
+            let file = OwnFile::create(&file_prefix(DOMAIN)).unwrap();
+            file.set_len(len_bytes).unwrap();
+            let refused = Arena::open(DOMAIN, ArenaId(file.id())).is_err();
+            file.retire();
             assert!(refused, "{len_bytes} bytes");
         }
     }

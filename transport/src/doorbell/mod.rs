@@ -17,7 +17,7 @@ mod loom;
 #[cfg(all(test, not(taut_loom)))]
 mod stress;
 
-pub(crate) use arena::{Arena, ArenaId, LINKS, Link, Owner, check_owner, remove_stale_arenas, slot_flags};
+pub(crate) use arena::{Arena, ArenaId, LINKS, Link, Owner, remove_stale_arenas, slot_flags};
 
 use crate::error::TransportError;
 use crate::sync::Ordering;
@@ -65,7 +65,10 @@ impl Doorbell {
     pub fn claim(self: &Arc<Self>) -> Result<Slot, TransportError> {
         let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let index = free.take().ok_or(TransportError::Slots { limit: SLOTS })?;
-        self.arena.reset(index);
+        if let Err(error) = self.arena.claim_slot(index) {
+            free.give_back(index);
+            return Err(error);
+        }
         Ok(Slot { doorbell: self.clone(), index })
     }
 

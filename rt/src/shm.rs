@@ -1,0 +1,313 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Files in /dev/shm: private to their user, made and owned by one process, mapped by others.
+//!
+//! The owner holds the lock of its file as long as it lives. The kernel drops the lock when the owner dies, so who can lock
+//! a file may remove it. Anybody may put files into /dev/shm, under any name: one of another user could be cut short while it
+//! is mapped here, which kills who reads it. So these are not opened.
+
+use std::ffi::c_void;
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::path::{Path, PathBuf};
+use std::ptr::{NonNull, null_mut};
+
+use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags};
+use rustix::mm::{MapFlags, ProtFlags};
+
+/// Where shared memory has names.
+pub const DIRECTORY: &str = "/dev/shm";
+
+/// What the system said of a file.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+pub struct ShmError {
+    /// The file.
+    pub path: PathBuf,
+    /// Why.
+    pub source: io::Error,
+}
+
+impl ShmError {
+    fn of(path: &Path) -> impl Fn(io::Error) -> ShmError {
+        move |source| ShmError { path: path.to_owned(), source }
+    }
+}
+
+impl From<ShmError> for io::Error {
+    fn from(error: ShmError) -> io::Error {
+        io::Error::new(error.source.kind(), error)
+    }
+}
+
+/// A file that this process made. It stays when this is dropped: see [`retire`](Self::retire).
+#[derive(Debug)]
+pub struct OwnFile {
+    path: PathBuf,
+    id: u64,
+    file: OwnedFd,
+}
+
+impl OwnFile {
+    /// Makes an empty file whose name is `prefix` and a random number in 16 hexadecimal digits.
+    ///
+    /// # Real-time
+    /// Setup only: may wait for a reader that looks whether the owner lives.
+    ///
+    /// # Errors
+    /// [`ShmError`].
+    pub fn create(prefix: &str) -> Result<OwnFile, ShmError> {
+        loop {
+            let id = random();
+            let path = Path::new(DIRECTORY).join(format!("{prefix}{id:016x}"));
+            let make = || -> io::Result<OwnedFd> {
+                let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+                let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+                rustix::fs::flock(&file, FlockOperation::LockExclusive)?;
+                Ok(file)
+            };
+            let file = make().map_err(ShmError::of(&path))?;
+            // Not if it was taken for a dead owner's before it was locked.
+            if has_name(&file) {
+                return Ok(OwnFile { path, id, file });
+            }
+        }
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The number in its name; not 0.
+    pub fn id(&self) -> u64 {
+        self.id
+    }
+
+    /// Claims memory for `len` bytes from `offset` on; the file grows if need be. Written to without it, a full /dev/shm
+    /// would kill the process: here it is an error.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`ShmError`].
+    pub fn claim(&self, offset: u64, len: u64) -> Result<(), ShmError> {
+        claim(&self.file, offset, len).map_err(ShmError::of(&self.path))
+    }
+
+    /// Makes the file `len` bytes long without claiming memory for it.
+    ///
+    /// # Errors
+    /// [`ShmError`].
+    pub fn set_len(&self, len: u64) -> Result<(), ShmError> {
+        rustix::fs::ftruncate(&self.file, len).map_err(|errno| ShmError::of(&self.path)(errno.into()))
+    }
+
+    /// Removes the file and unlocks it: to others, its owner has ended. Who has mapped it keeps what was in it.
+    pub fn retire(&self) {
+        let _ = rustix::fs::unlink(&self.path);
+        let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
+    }
+}
+
+impl AsFd for OwnFile {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.file.as_fd()
+    }
+}
+
+/// Another process's file. What it holds are claims. It stays readable when that process has ended.
+#[derive(Debug)]
+pub struct PeerFile {
+    path: PathBuf,
+    file: OwnedFd,
+}
+
+impl PeerFile {
+    /// Opens a file of this user's for reading, and for writing too if `writable`.
+    ///
+    /// # Errors
+    /// [`ShmError`]; one of another user is an error.
+    pub fn open(path: PathBuf, writable: bool) -> Result<PeerFile, ShmError> {
+        let access = if writable { OFlags::RDWR } else { OFlags::RDONLY };
+        let open = || -> io::Result<OwnedFd> {
+            let file = rustix::fs::open(&path, access | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())?;
+            check_owner(&file)?;
+            Ok(file)
+        };
+        match open() {
+            Ok(file) => Ok(PeerFile { path, file }),
+            Err(source) => Err(ShmError { path, source }),
+        }
+    }
+
+    /// Where it is, or was.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// How long it is now.
+    ///
+    /// # Errors
+    /// [`ShmError`].
+    pub fn size_bytes(&self) -> Result<u64, ShmError> {
+        let stat = rustix::fs::fstat(&self.file).map_err(|errno| ShmError::of(&self.path)(errno.into()))?;
+        Ok(u64::try_from(stat.st_size).unwrap_or(0))
+    }
+
+    /// Whether the process that made it lives. Its lock says so: process numbers repeat.
+    pub fn is_owned(&self) -> bool {
+        let free = rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockShared).is_ok();
+        if free {
+            let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
+        }
+        !free
+    }
+
+    /// Removes the file of a process that was killed. Does nothing if its owner lives.
+    pub fn remove_if_orphaned(&self) -> bool {
+        if rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            return false;
+        }
+        // Not locked: its owner died, or has not come to lock it and will then make another one.
+        let removed = rustix::fs::unlink(&self.path).is_ok();
+        let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
+        removed
+    }
+}
+
+impl AsFd for PeerFile {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.file.as_fd()
+    }
+}
+
+/// The files whose names begin with `prefix`, in the order of their names.
+///
+/// # Errors
+/// [`ShmError`] if /dev/shm cannot be read.
+pub fn list(prefix: &str) -> Result<Vec<PathBuf>, ShmError> {
+    let mut paths: Vec<PathBuf> = std::fs::read_dir(DIRECTORY)
+        .map_err(ShmError::of(Path::new(DIRECTORY)))?
+        .flatten()
+        .filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix))
+        .map(|entry| entry.path())
+        .collect();
+    paths.sort();
+    Ok(paths)
+}
+
+/// Whether a file is this user's.
+///
+/// # Errors
+/// Names the user that it belongs to.
+pub fn check_owner(file: impl AsFd) -> io::Result<()> {
+    let user = rustix::fs::fstat(file)?.st_uid;
+    if user == rustix::process::geteuid().as_raw() {
+        return Ok(());
+    }
+    Err(io::Error::other(format!("it belongs to user {user}")))
+}
+
+/// Whether a file has not been removed.
+pub fn has_name(file: impl AsFd) -> bool {
+    rustix::fs::fstat(file).is_ok_and(|stat| stat.st_nlink != 0)
+}
+
+/// As [`OwnFile::claim`], for a file that several processes make together.
+///
+/// # Errors
+/// What the system said.
+pub fn claim(file: impl AsFd, offset: u64, len: u64) -> io::Result<()> {
+    Ok(rustix::fs::fallocate(file, FallocateFlags::empty(), offset, len)?)
+}
+
+/// Part of a file, in memory. What lies there may change at any time: it is to be read and written as atomics only.
+#[derive(Debug)]
+pub struct Mapping {
+    start: NonNull<c_void>,
+    len_bytes: usize,
+}
+
+// SAFETY: a mapping is memory of the process, not of a thread; who makes references into it answers for them.
+unsafe impl Send for Mapping {}
+// SAFETY: as above.
+unsafe impl Sync for Mapping {}
+
+impl Mapping {
+    /// Maps `len_bytes` from `offset` on, a multiple of the page size.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// What the system said: a length of zero, an offset within a page.
+    pub fn new(file: impl AsFd, offset: u64, len_bytes: usize, writable: bool) -> io::Result<Mapping> {
+        let access = if writable { ProtFlags::READ | ProtFlags::WRITE } else { ProtFlags::READ };
+        // SAFETY: a new shared mapping at an address of the kernel's choice.
+        let address =
+            unsafe { rustix::mm::mmap(null_mut(), len_bytes, access, MapFlags::SHARED, file, offset) }?;
+        let start = NonNull::new(address).ok_or_else(|| io::Error::other("mapped at address zero"))?;
+        Ok(Mapping { start, len_bytes })
+    }
+
+    /// Where it starts: the start of a page. Mapped as long as this lives.
+    pub fn start(&self) -> NonNull<c_void> {
+        self.start
+    }
+}
+
+impl Drop for Mapping {
+    fn drop(&mut self) {
+        // SAFETY: it came from mmap with this length, and nothing borrows from a dropped Mapping.
+        let _ = unsafe { rustix::mm::munmap(self.start.as_ptr(), self.len_bytes) };
+    }
+}
+
+/// Random enough for a name: the seeds of the standard library's hash maps.
+fn random() -> u64 {
+    use std::hash::{BuildHasher, Hasher};
+    std::collections::hash_map::RandomState::new().build_hasher().finish() | 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn prefix(name: &str) -> String {
+        format!("taut_rt_test_{}_{name}_", std::process::id())
+    }
+
+    #[test]
+    fn who_owns_a_file_is_known_by_its_lock() {
+        let prefix = prefix("lock");
+        let own = OwnFile::create(&prefix).unwrap();
+        assert_eq!(list(&prefix).unwrap(), [own.path()]);
+        assert!(own.id() != 0 && own.path().to_string_lossy().ends_with(&format!("{:016x}", own.id())));
+        let peer = PeerFile::open(own.path().to_owned(), false).unwrap();
+        assert!(peer.is_owned() && !peer.remove_if_orphaned());
+        // As if it was killed: the lock goes, the name stays.
+        drop(own);
+        assert!(!peer.is_owned() && peer.remove_if_orphaned());
+        assert!(!has_name(&peer) && list(&prefix).unwrap().is_empty());
+        own_is_gone(&peer);
+    }
+
+    fn own_is_gone(peer: &PeerFile) {
+        let error = PeerFile::open(peer.path().to_owned(), false).unwrap_err();
+        assert_eq!(error.source.kind(), io::ErrorKind::NotFound);
+        assert!(error.to_string().starts_with("/dev/shm/taut_rt_test_"), "{error}");
+    }
+
+    #[test]
+    fn a_file_of_another_user_is_not_opened() {
+        let own = OwnFile::create(&prefix("user")).unwrap();
+        if std::os::unix::fs::chown(own.path(), Some(65534), None).is_err() {
+            eprintln!("skipped: only root gives files away");
+            return own.retire();
+        }
+        let error = PeerFile::open(own.path().to_owned(), true).unwrap_err();
+        own.retire();
+        assert!(error.to_string().ends_with("it belongs to user 65534"), "{error}");
+    }
+}
