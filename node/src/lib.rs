@@ -34,6 +34,7 @@ mod context;
 mod error;
 mod names;
 mod node;
+mod qos_events;
 mod statistics;
 mod subscription;
 mod system;
@@ -47,6 +48,9 @@ pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use node::Node;
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use qos_events::{
+    DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
+};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;
@@ -70,8 +74,9 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishCdrError, PublishError, Publisher,
-    PublisherCounters, Sample, TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
+    Counters, Gate, Gid, IncompatibleQos, Limits, LivelinessChanged, Loan, LoanError, Matched, MessageInfo,
+    MessageLost, PublishCdrError, PublishError, Publisher, PublisherCounters, QosPolicyKind, Sample,
+    TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
 };
 
 /// The README's program compiles.

@@ -84,7 +84,7 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<PublisherUntyped> {
         let schema = self.schema_of(topic, topic_type)?;
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let participant = &self.context.shared.participant;
         let qos = qos_profile.to_transport();
@@ -105,7 +105,7 @@ impl Node {
         topic_type: &TopicType,
         qos_profile: QosProfile,
     ) -> Result<RawSubscription> {
-        let (topic, limits): (String, Limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits): (String, Limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let participant = &self.context.shared.participant;
         Ok(participant.create_raw_subscription(&topic, topic_type, qos_profile.to_transport(), limits)?)
