@@ -14,9 +14,10 @@ use std::future::Future;
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, Publisher, TransportError};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TransportError};
 
-/// A node. Its publishers, subscriptions and timers live on when it is dropped; its context lives as long as it does.
+/// A node. Its publishers, subscriptions and timers live on when it is dropped, and as long as one of the first two does,
+/// others see the node; its context lives as long as it does.
 ///
 /// A program can be as one of r2r's: one thread that serves events and runs a pool.
 ///
@@ -51,6 +52,9 @@ use tautline_transport::{Limits, Publisher, TransportError};
 /// ```
 pub struct Node {
     pub(crate) context: Context,
+    handle: NodeHandle,
+    /// Makes publishers and subscriptions of this node.
+    pub(crate) participant: Participant,
     name: String,
     namespace: String,
     remap: RemapRules,
@@ -87,10 +91,11 @@ impl Default for NodeOptions {
 }
 
 impl Node {
-    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise.
+    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise. That there is
+    /// another node of the same name is allowed, and logged as a warning, as in ROS 2.
     ///
     /// # Errors
-    /// [`Error::Name`] with the rule that a name breaks.
+    /// [`Error::Name`] with the rule that a name breaks; [`Error::Transport`] if others cannot be told of it.
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
         Node::create_with_options(ctx, name, namespace, NodeOptions::default())
     }
@@ -112,8 +117,18 @@ impl Node {
         }
         let name = remap.node_name(name).to_owned();
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
-        let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), &name, &namespace);
-        Ok(Node { context: ctx, name, namespace, remap, limits: HashMap::new(), trace })
+        let participant = &ctx.shared.participant;
+        let handle = participant.create_node(&name, &namespace)?;
+        if participant.nodes().iter().filter(|node| node.name == *handle.name()).count() > 1 {
+            tracing::warn!(
+                "there is another node called {}: who asks for it by its name may get either; rename one with __node or __ns",
+                handle.name()
+            );
+        }
+        let trace = tautline_trace::node_init(participant.trace_id(), &name, &namespace);
+        let participant = participant.for_node(&handle);
+        let limits = HashMap::new();
+        Ok(Node { context: ctx, handle, participant, name, namespace, remap, limits, trace })
     }
 
     /// The node's name.
@@ -138,6 +153,11 @@ impl Node {
     /// None; the result is r2r's.
     pub fn fully_qualified_name(&self) -> Result<String> {
         Ok(format!("{}/{}", self.namespace.trim_end_matches('/'), self.name))
+    }
+
+    /// What others see of this node, to say there which services and clients are its own.
+    pub fn handle(&self) -> &NodeHandle {
+        &self.handle
     }
 
     /// The node's context.
@@ -191,7 +211,7 @@ impl Node {
     ) -> Result<Publisher<T>> {
         let (topic, limits) = self.resolve(topic, qos_profile)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.context.shared.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
+        Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
     /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
@@ -217,9 +237,9 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic, qos_profile)?;
-        let participant = &self.context.shared.participant;
         let _node = tautline_trace::in_node(self.trace.id());
-        let subscription = participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
+        let subscription =
+            self.participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
         Ok(Subscription::new(subscription))
     }
 
