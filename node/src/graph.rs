@@ -65,7 +65,7 @@ impl Node {
         Ok(self.participant.graph()?)
     }
 
-    /// The fully qualified names of the domain's nodes, sorted. A name that two nodes have is there twice.
+    /// The fully qualified names of the domain's nodes, sorted by namespace. A name that two nodes have is there twice.
     ///
     /// # Errors
     /// None; the result is as that of the other questions.

@@ -124,7 +124,7 @@ pub struct ServiceEndpoint {
 /// publishers and subscriptions is left out: those are listed themselves.
 #[derive(Clone, Debug, Default)]
 pub struct GraphSnapshot {
-    /// Nodes, sorted.
+    /// Nodes, sorted by namespace and name.
     pub nodes: Vec<NodeInfo>,
     /// Publishers and subscriptions, sorted by topic.
     pub endpoints: Vec<TopicEndpoint>,
@@ -214,7 +214,7 @@ impl Participant {
         Participant { shared: self.shared.clone(), node: Some(node.entry.clone()) }
     }
 
-    /// The nodes of the domain, sorted, those of other hosts too.
+    /// The nodes of the domain, sorted by namespace and name, those of other hosts too.
     ///
     /// # Real-time
     /// Not for real-time threads: reads files.
