@@ -8,7 +8,7 @@ use tautline_transport::{
     TopicEndpoint, TopicType,
 };
 
-const DOMAIN: u32 = 181;
+const DOMAIN: u32 = 112;
 
 fn taut(args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));

@@ -43,7 +43,7 @@ pub struct TopicEndpointInfo {
 /// use futures::executor::block_on;
 /// use tautline::{Context, Node, QosProfile, Realtime, std_msgs::msg::String as Text};
 ///
-/// let ctx = Context::builder().domain(165).realtime(Realtime::Off).build()?;
+/// let ctx = Context::builder().domain(108).realtime(Realtime::Off).build()?;
 /// let mut talker = Node::create(ctx.clone(), "talker", "/robot")?;
 /// let listener = Node::create(ctx, "listener", "/robot")?;
 /// let found = listener.wait_for_publishers("chatter", 1)?;

@@ -15,7 +15,7 @@ fn map(pairs: &[(&str, &str)]) -> HashMap<String, Vec<String>> {
 
 #[test]
 fn a_node_sees_what_others_have() {
-    let ctx = context(167);
+    let ctx = context(109);
     let mut talker = Node::create(ctx.clone(), "talker", "/robot").unwrap();
     let mut listener = Node::create(ctx, "listener", "").unwrap();
     let qos = QosProfile::default().keep_last(7).best_effort().transient_local();
@@ -73,7 +73,7 @@ fn a_node_sees_what_others_have() {
 
 #[test]
 fn a_node_waits_for_others() {
-    let node = Node::create(context(168), "waits", "").unwrap();
+    let node = Node::create(context(110), "waits", "").unwrap();
     let there = node.wait_for_node("/robot/comes").unwrap();
     let publishers = node.wait_for_publishers("/robot/count", 2).unwrap();
     let subscribers = node.wait_for_subscribers("/robot/count", 1).unwrap();
@@ -82,7 +82,7 @@ fn a_node_waits_for_others() {
     assert!((&mut all).now_or_never().is_none());
 
     let comes = std::thread::spawn(|| {
-        let mut node = Node::create(context(168), "comes", "/robot").unwrap();
+        let mut node = Node::create(context(110), "comes", "/robot").unwrap();
         let publishers =
             [(); 2].map(|()| node.create_publisher::<Number>("count", QosProfile::default()).unwrap());
         let subscription = node.subscribe_loaned::<Number>("count", QosProfile::default()).unwrap();
@@ -100,7 +100,7 @@ fn a_node_waits_for_others() {
 #[test]
 fn nodes_are_remapped_from_end_to_end() {
     let rules = RemapRules::parse(&["__ns:=/robot", "first:__node:=renamed", "count:=/all/count"]).unwrap();
-    let ctx = Context::builder().domain(169).realtime(Realtime::Off).remap(rules).build().unwrap();
+    let ctx = Context::builder().domain(111).realtime(Realtime::Off).remap(rules).build().unwrap();
     let mut first = Node::create(ctx.clone(), "first", "/ignored").unwrap();
     assert_eq!(first.fully_qualified_name().unwrap(), "/robot/renamed");
     let publisher = first.create_publisher::<Number>("count", QosProfile::default()).unwrap();

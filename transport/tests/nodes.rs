@@ -50,7 +50,7 @@ fn names(graph: &GraphSnapshot) -> Vec<String> {
 
 #[test]
 fn nodes_and_what_is_theirs_are_seen_until_they_end() {
-    let domain = domain(122);
+    let domain = domain(102);
     clean(domain);
     let participant = Participant::new(domain).unwrap();
     let observer = Participant::new(domain).unwrap();
@@ -116,7 +116,7 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
 
 #[test]
 fn what_no_node_can_be_called_is_refused() {
-    let participant = Participant::new(domain(124)).unwrap();
+    let participant = Participant::new(domain(103)).unwrap();
     for (namespace, name) in [("", "n"), ("/", ""), ("/", "a/b"), ("/x/", "n"), ("x", "n"), ("/", "a-b")] {
         let error = participant.create_node(name, namespace).unwrap_err();
         assert!(matches!(error, TransportError::NodeName { .. }), "{namespace} {name}: {error}");
@@ -136,7 +136,7 @@ fn what_no_node_can_be_called_is_refused() {
 
 #[test]
 fn nodes_of_a_killed_process_are_gone_and_those_of_others_stay() {
-    let domain = domain(125);
+    let domain = domain(104);
     clean(domain);
     let participant = Participant::new(domain).unwrap();
     let _node = participant.create_node("here", "/").unwrap();
@@ -165,7 +165,7 @@ fn nodes_of_a_killed_process_are_gone_and_those_of_others_stay() {
 
 #[test]
 fn what_is_read_while_it_changes_is_whole() {
-    let domain = domain(126);
+    let domain = domain(105);
     clean(domain);
     let participant = Participant::new(domain).unwrap();
     for _ in 0..5 {
@@ -187,7 +187,7 @@ fn what_is_read_while_it_changes_is_whole() {
 
 #[test]
 fn events_come_for_every_change_and_end_with_the_participant() {
-    let domain = domain(129);
+    let domain = domain(106);
     let participant = Participant::new(domain).unwrap();
     let other = Participant::new(domain).unwrap();
     let mut events = participant.graph_events().unwrap();
@@ -211,7 +211,7 @@ fn events_come_for_every_change_and_end_with_the_participant() {
 
 #[test]
 fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
-    let domain = domain(154);
+    let domain = domain(107);
     clean(domain);
     let gateway = Participant::new(domain).unwrap();
     let observer = Participant::new(domain).unwrap();

@@ -14,15 +14,16 @@
 
 use std::io;
 use std::sync::atomic::{Ordering, fence};
-use tautline_rt::{ForeignWords, Words, WordsFile, page_words};
+use tautline_rt::{ForeignMap, ForeignWords, Words, WordsFile, page_words};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautnod1");
 const HEAD_WORDS: usize = 6;
 const GENERATION: usize = 1;
 /// Longest text that is written and read: the graph of a gateway whose peers declare all they may, with the longest names.
 const MAX_BYTES: usize = 32 << 20;
-/// A reader that is disturbed so often gives up until the next change.
-const ATTEMPTS: usize = 100;
+/// A reader that is disturbed so often gives up until the next change. It takes two changes during the microseconds of one
+/// look to disturb it.
+const ATTEMPTS: usize = 10_000;
 
 /// The owner's side. The file is removed at its end.
 pub(super) struct TextFile {
@@ -83,30 +84,39 @@ impl TextFile {
 
 /// The valid text of another process's file; `None` if it is none, or changes too fast.
 pub(super) fn read(file: &ForeignWords) -> Option<Vec<u8>> {
+    let mut map = file.map(0, file.size_words().ok()?).ok()?;
     for _ in 0..ATTEMPTS {
-        // In ascending order: the generation before what it says is valid.
-        let head = file.read(0, HEAD_WORDS).ok()?;
-        if head[0] != MAGIC || head[GENERATION] == 0 {
+        if map.load(0)? != MAGIC {
             return None;
         }
-        let slot = 2 + 2 * (head[GENERATION] & 1) as usize;
-        let text = read_slot(file, head[slot], head[slot + 1]);
-        if file.read(0, HEAD_WORDS).ok()?[GENERATION] == head[GENERATION] {
-            return text;
+        // The generation before what it says is valid.
+        let generation = map.load(GENERATION)?;
+        let slot = 2 + 2 * (generation & 1) as usize;
+        let (at, len) = (map.load(slot)?, map.load(slot + 1)?);
+        let text = read_text(&map, at, len);
+        if map.load(GENERATION)? != generation {
+            continue;
         }
-        std::thread::yield_now();
+        let size_words = file.size_words().ok()?;
+        if text.is_none() && size_words > map.len() {
+            // It grew for this text.
+            map = file.map(0, size_words).ok()?;
+            continue;
+        }
+        return text.filter(|_| generation != 0);
     }
     None
 }
 
-fn read_slot(file: &ForeignWords, at_words: u64, len_bytes: u64) -> Option<Vec<u8>> {
+/// What is said of where it lies is a claim; what lies beyond the end of the file is no text.
+fn read_text(map: &ForeignMap, at_words: u64, len_bytes: u64) -> Option<Vec<u8>> {
     let (at, len) = (usize::try_from(at_words).ok()?, usize::try_from(len_bytes).ok()?);
-    // Claims: within the file's own size, which `read` checks, and at the start of a page.
-    if len > MAX_BYTES || len == 0 || !at.is_multiple_of(page_words()) || at > file.size_words().ok()? {
+    let end = at.checked_add(len.div_ceil(8)).filter(|end| *end <= map.len())?;
+    if len == 0 || len > MAX_BYTES {
         return None;
     }
-    let words = file.read(at, len.div_ceil(8)).ok()?;
-    let mut bytes: Vec<u8> = words.into_iter().flat_map(u64::to_le_bytes).collect();
+    let words = (at..end).map_while(|index| map.load(index));
+    let mut bytes: Vec<u8> = words.flat_map(u64::to_le_bytes).collect();
     bytes.truncate(len);
     Some(bytes)
 }
@@ -202,12 +212,12 @@ mod tests {
         for (word, lie) in [
             (0, 1),
             (GENERATION, 0),
-            (4, 1),
             (4, u64::MAX),
             (4, 1 << 40),
             (5, 0),
             (5, u64::MAX),
             (5, MAX_BYTES as u64),
+            (5, MAX_BYTES as u64 + 1),
         ] {
             let truth = file.head[word].swap(lie, Ordering::Relaxed);
             assert_eq!(read(&peer), None, "word {word} = {lie}");
