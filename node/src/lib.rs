@@ -32,8 +32,10 @@
 
 mod context;
 mod error;
+mod graph;
 mod names;
 mod node;
+mod remap;
 mod statistics;
 mod subscription;
 mod system;
@@ -45,8 +47,10 @@ pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
-pub use node::Node;
+pub use graph::TopicEndpointInfo;
+pub use node::{Node, NodeOptions};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use remap::RemapRules;
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;
@@ -70,8 +74,10 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishCdrError, PublishError, Publisher,
-    PublisherCounters, Sample, TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
+    Counters, EndpointKind, Gid, GraphEvents, GraphSnapshot, Limits, Loan, LoanError, MessageInfo,
+    NodeHandle, NodeInfo, NodeName, PublishCdrError, PublishError, Publisher, PublisherCounters, Sample,
+    ServiceEndpoint, ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError,
+    Unpublished, Unwritten, topic_memory,
 };
 
 /// The README's program compiles.
