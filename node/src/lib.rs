@@ -32,9 +32,11 @@
 
 mod context;
 mod error;
+mod graph;
 mod names;
 mod node;
 mod qos_events;
+mod remap;
 mod statistics;
 mod subscription;
 mod system;
@@ -46,11 +48,13 @@ pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
-pub use node::Node;
+pub use graph::TopicEndpointInfo;
+pub use node::{Node, NodeOptions};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
 };
+pub use remap::RemapRules;
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;
@@ -74,9 +78,11 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, Gate, Gid, IncompatibleQos, Limits, LivelinessChanged, Loan, LoanError, Matched, MessageInfo,
-    MessageLost, PublishCdrError, PublishError, Publisher, PublisherCounters, QosPolicyKind, Sample,
-    TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
+    Counters, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, IncompatibleQos, Limits,
+    LivelinessChanged, Loan, LoanError, Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName,
+    PublishCdrError, PublishError, Publisher, PublisherCounters, QosPolicyKind, Sample, ServiceEndpoint,
+    ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError, Unpublished,
+    Unwritten, topic_memory,
 };
 
 /// The README's program compiles.

@@ -5,6 +5,7 @@ use crate::context::Context;
 use crate::error::{Error, Result};
 use crate::names;
 use crate::qos::QosProfile;
+use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
 use crate::timer::Timer;
 use futures::{Stream, StreamExt};
@@ -13,9 +14,10 @@ use std::future::Future;
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, Publisher};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher};
 
-/// A node. Its publishers, subscriptions and timers live on when it is dropped; its context lives as long as it does.
+/// A node. Its publishers, subscriptions and timers live on when it is dropped, and as long as one of the first two does,
+/// others see the node; its context lives as long as it does.
 ///
 /// A program can be as one of r2r's: one thread that serves events and runs a pool.
 ///
@@ -50,22 +52,83 @@ use tautline_transport::{Limits, Publisher};
 /// ```
 pub struct Node {
     pub(crate) context: Context,
+    handle: NodeHandle,
+    /// Makes publishers and subscriptions of this node.
+    pub(crate) participant: Participant,
     name: String,
     namespace: String,
+    remap: RemapRules,
     limits: HashMap<String, Limits>,
     pub(crate) trace: tautline_trace::Object,
 }
 
+/// What a node is to have of its own, beside its context's.
+#[derive(Clone, Debug)]
+#[must_use = "give it to Node::create_with_options"]
+pub struct NodeOptions {
+    remap: RemapRules,
+    use_global_arguments: bool,
+}
+
+impl NodeOptions {
+    /// Rules for this node only, which come before the context's.
+    pub fn remap(mut self, rules: RemapRules) -> Self {
+        self.remap = rules;
+        self
+    }
+
+    /// Whether the context's rules are for this node too. On by default.
+    pub fn use_global_arguments(mut self, use_global_arguments: bool) -> Self {
+        self.use_global_arguments = use_global_arguments;
+        self
+    }
+}
+
+impl Default for NodeOptions {
+    fn default() -> Self {
+        NodeOptions { remap: RemapRules::default(), use_global_arguments: true }
+    }
+}
+
 impl Node {
-    /// Creates a node called `name` in `namespace` (`""` is `/`).
+    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise. That there is
+    /// another node of the same name is allowed, and logged as a warning, as in ROS 2.
     ///
     /// # Errors
-    /// [`Error::Name`] with the rule that a name breaks.
+    /// [`Error::Name`] with the rule that a name breaks; [`Error::Transport`] if others cannot be told of it.
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
+        Node::create_with_options(ctx, name, namespace, NodeOptions::default())
+    }
+
+    /// As [`create`](Self::create), with options.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn create_with_options(
+        ctx: Context,
+        name: &str,
+        namespace: &str,
+        options: NodeOptions,
+    ) -> Result<Node> {
         names::check_node(name)?;
-        let namespace = names::absolute_namespace(namespace)?;
-        let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), name, &namespace);
-        Ok(Node { context: ctx, name: name.into(), namespace, limits: HashMap::new(), trace })
+        let mut remap = options.remap;
+        if options.use_global_arguments {
+            remap = remap.then(ctx.remap_rules());
+        }
+        let name = remap.node_name(name).to_owned();
+        let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
+        let participant = &ctx.shared.participant;
+        let handle = participant.create_node(&name, &namespace)?;
+        if participant.nodes().iter().filter(|node| node.name == *handle.name()).count() > 1 {
+            tracing::warn!(
+                "there is another node called {}: who asks for it by its name may get either; rename one with __node or __ns",
+                handle.name()
+            );
+        }
+        let trace = tautline_trace::node_init(participant.trace_id(), &name, &namespace);
+        let participant = participant.for_node(&handle);
+        let limits = HashMap::new();
+        Ok(Node { context: ctx, handle, participant, name, namespace, remap, limits, trace })
     }
 
     /// The node's name.
@@ -92,12 +155,17 @@ impl Node {
         Ok(format!("{}/{}", self.namespace.trim_end_matches('/'), self.name))
     }
 
+    /// What others see of this node, to say there which services and clients are its own.
+    pub fn handle(&self) -> &NodeHandle {
+        &self.handle
+    }
+
     /// The node's context.
     pub fn context(&self) -> &Context {
         &self.context
     }
 
-    /// The fully qualified name that `topic` stands for in this node.
+    /// The fully qualified name that `topic` stands for in this node, before remapping.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -105,12 +173,29 @@ impl Node {
         names::expand_topic(topic, &self.name, &self.namespace)
     }
 
+    /// The fully qualified name of the topic that `topic` is in this node, once remapping rules have been applied: the one
+    /// that publishers and subscriptions get.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn resolve_topic_name(&self, topic: &str) -> Result<String> {
+        self.remap.name(self.expand_topic_name(topic)?, NameKind::Topic, &self.name, &self.namespace)
+    }
+
+    /// As [`resolve_topic_name`](Self::resolve_topic_name), of a service.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn resolve_service_name(&self, service: &str) -> Result<String> {
+        self.remap.name(self.expand_topic_name(service)?, NameKind::Service, &self.name, &self.namespace)
+    }
+
     /// Sets the limits that this node gives `topic` if it is the first to open it. Call it before.
     ///
     /// # Errors
     /// [`Error::Name`].
     pub fn set_topic_limits(&mut self, topic: &str, limits: Limits) -> Result<()> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         self.limits.insert(topic, limits);
         Ok(())
     }
@@ -126,7 +211,7 @@ impl Node {
     ) -> Result<Publisher<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.context.shared.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
+        Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
     /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
@@ -152,14 +237,14 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic)?;
-        let participant = &self.context.shared.participant;
         let _node = tautline_trace::in_node(self.trace.id());
-        let subscription = participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
+        let subscription =
+            self.participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
         Ok(Subscription::new(subscription))
     }
 
     pub(crate) fn resolve(&self, topic: &str) -> Result<(String, Limits)> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         let limits = self.limits.get(&topic).copied().unwrap_or_default();
         Ok((topic, limits))
     }

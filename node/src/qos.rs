@@ -223,7 +223,7 @@ impl QosProfile {
         QosProfile { avoid_ros_namespace_conventions, ..self }
     }
 
-    /// The transport's view of this profile. What is not enforced stays set there, and is refused.
+    /// The transport's view of this profile.
     pub(crate) fn to_transport(self) -> Qos {
         let set = |duration: Duration| (duration != Duration::ZERO).then_some(duration);
         let (history, default_depth) = match self.history {
@@ -248,6 +248,33 @@ impl QosProfile {
                 LivelinessPolicy::Automatic | LivelinessPolicy::SystemDefault => Liveliness::Automatic,
             },
             liveliness_lease_duration: set(self.liveliness_lease_duration),
+        }
+    }
+
+    /// The profile that [`to_transport`](Self::to_transport) makes `qos` of.
+    pub(crate) fn from_transport(qos: &Qos) -> Self {
+        QosProfile {
+            history: match qos.history {
+                History::KeepAll => HistoryPolicy::KeepAll,
+                History::KeepLast => HistoryPolicy::KeepLast,
+            },
+            depth: qos.depth,
+            reliability: match qos.reliability {
+                Reliability::BestEffort => ReliabilityPolicy::BestEffort,
+                Reliability::Reliable => ReliabilityPolicy::Reliable,
+            },
+            durability: match qos.durability {
+                Durability::TransientLocal => DurabilityPolicy::TransientLocal,
+                Durability::Volatile => DurabilityPolicy::Volatile,
+            },
+            deadline: qos.deadline.unwrap_or_default(),
+            lifespan: qos.lifespan.unwrap_or_default(),
+            liveliness: match qos.liveliness {
+                Liveliness::ManualByTopic => LivelinessPolicy::ManualByTopic,
+                Liveliness::Automatic => LivelinessPolicy::Automatic,
+            },
+            liveliness_lease_duration: qos.liveliness_lease_duration.unwrap_or_default(),
+            ..Self::common()
         }
     }
 }

@@ -45,6 +45,7 @@ mod janitor;
 mod lending;
 mod memory;
 mod monitor;
+mod nodes;
 mod participant;
 mod ports;
 mod publisher;
@@ -65,6 +66,10 @@ pub use memory::{TopicMemory, topic_memory};
 pub use monitor::{
     IncompatibleQos, LivelinessChanged, Matched, MessageLost, PublisherChanges, PublisherMonitor,
     SubscriptionChanges, SubscriptionMonitor,
+};
+pub use nodes::{
+    EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, RemoteGraph, ServiceEndpoint,
+    ServiceKind, ServiceRegistration, TopicEndpoint,
 };
 pub use participant::{MAX_DOMAIN, Participant, file_prefix};
 pub use publisher::{Gate, PublisherCounters, RawLoan, RawPublisher, Unpublished};

@@ -16,7 +16,7 @@ use crate::header::{Gid, NEVER};
 use crate::history::Keeper;
 use crate::janitor::Watch;
 use crate::memory;
-use crate::participant::Shared;
+use crate::participant::{Participant, Shared};
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Liveliness, Qos, nanoseconds};
 use crate::topic::{IoxPublisher, Topic, padded};
@@ -93,13 +93,14 @@ unsafe impl Send for RawPublisher {}
 
 impl RawPublisher {
     pub(crate) fn create(
-        shared: Arc<Shared>,
+        participant: &Participant,
         topic: &str,
         topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
         is_relay: bool,
     ) -> Result<Self, TransportError> {
+        let shared = participant.shared.clone();
         let topic = Arc::new(Topic::open(&shared.node, topic, topic_type, qos, limits, false)?);
         let transient = qos.durability == Durability::TransientLocal;
         let slot = Arc::new(shared.doorbell.claim()?);
@@ -113,6 +114,7 @@ impl RawPublisher {
             .publisher_port(&topic.factory, &address.to_port_name(), topic.limits)
             .map_err(|error| create_error(&topic, error))?;
         let gid = ports::gid(port.id().value());
+        let owner = participant.own(gid)?;
         if transient {
             let keeper = Keeper::new(shared.domain, &shared.doorbell, &topic, gid, qos.depth, slot.index())?;
             shared.janitor.keep(slot.index(), keeper);
@@ -147,7 +149,7 @@ impl RawPublisher {
             slot,
             _departure: Departure { topic: topic.clone(), shared: shared.clone() },
             topic,
-            _presence: Presence::new(&shared.graph),
+            _presence: Presence::new(&shared.graph, owner),
             shared,
         };
         publisher.peers.borrow_mut().refresh(&publisher.topic, &publisher.slot, gid);

@@ -16,7 +16,6 @@ mod seat;
 mod session;
 mod stats;
 mod types;
-pub mod wire;
 
 pub use budget::Budget;
 pub use config::{ConfigError, MAX_MESSAGE_BYTES, Mode, Network, SessionConfig};
@@ -28,3 +27,4 @@ pub use rules::{Rule, RuleError, Urgency};
 pub use seat::{Seat, SeatError};
 pub use session::{SessionError, network_threads};
 pub use stats::{Direction, Latency, Reading, Stats, TopicStats};
+pub use tautline_wire as wire;
