@@ -44,11 +44,15 @@ mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
 
+#[cfg(feature = "lifecycle_msgs")]
+pub mod lifecycle;
 pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use graph::TopicEndpointInfo;
+#[cfg(feature = "lifecycle_msgs")]
+pub use lifecycle::{LifecycleCallbacks, LifecycleNode, ManagedNode};
 pub use node::{Node, NodeOptions};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use qos_events::{

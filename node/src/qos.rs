@@ -271,7 +271,7 @@ impl QosProfile {
             lifespan: qos.lifespan.unwrap_or_default(),
             liveliness: match qos.liveliness {
                 Liveliness::ManualByTopic => LivelinessPolicy::ManualByTopic,
-                Liveliness::Automatic => LivelinessPolicy::Automatic,
+                Liveliness::Automatic => LivelinessPolicy::SystemDefault,
             },
             liveliness_lease_duration: qos.liveliness_lease_duration.unwrap_or_default(),
             ..Self::common()
