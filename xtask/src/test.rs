@@ -81,7 +81,8 @@ fn tests(steps: &mut Steps) {
     let nextest = machine::cargo_has("nextest --version").is_ok();
     let run = |packages: &str| {
         if nextest {
-            cargo(&format!("nextest run {packages} --no-fail-fast"))
+            let profile = if machine::is_ci() { "ci" } else { "default" };
+            cargo(&format!("nextest run --profile {profile} {packages} --no-fail-fast"))
         } else {
             cargo(&format!("test {packages} --all-targets --no-fail-fast"))
         }
