@@ -25,6 +25,7 @@ pub fn run(quick: bool) -> ExitCode {
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     two_hosts(&mut steps, built);
+    systemd(&mut steps);
     if quick {
         steps.skip("peers", "--quick");
     } else {
@@ -80,7 +81,8 @@ fn tests(steps: &mut Steps) {
     let nextest = machine::cargo_has("nextest --version").is_ok();
     let run = |packages: &str| {
         if nextest {
-            cargo(&format!("nextest run {packages} --no-fail-fast"))
+            let profile = if machine::is_ci() { "ci" } else { "default" };
+            cargo(&format!("nextest run --profile {profile} {packages} --no-fail-fast"))
         } else {
             cargo(&format!("test {packages} --all-targets --no-fail-fast"))
         }
@@ -137,6 +139,26 @@ fn two_hosts(steps: &mut Steps, built: bool) {
             command.env("TAUT_REALTIME", "off");
         }
         steps.command(name, &mut command);
+    }
+}
+
+/// What systemd says of the gateway's unit, with this build's program in it.
+fn systemd(steps: &mut Steps) {
+    let name = "systemd unit";
+    if Command::new("systemd-analyze").arg("--version").output().is_err() {
+        return steps.skip(name, "no systemd-analyze here");
+    }
+    let target = machine::target_dir();
+    let write = || -> std::io::Result<std::path::PathBuf> {
+        let unit = std::fs::read_to_string(machine::root().join("docs/systemd/taut-gateway@.service"))?;
+        let program = target.join("debug/taut-gateway").display().to_string();
+        let path = target.join("taut-gateway@0.service");
+        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))?;
+        Ok(path)
+    };
+    match write() {
+        Ok(path) => drop(steps.command(name, Command::new("systemd-analyze").arg("verify").arg(path))),
+        Err(error) => drop(steps.step(name, || Outcome::Failed(error.to_string()))),
     }
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway: topics of a host mirrored over Zenoh, on the rmw_zenoh wire.
 
+mod access;
 mod budget;
 mod config;
 mod control;
@@ -17,6 +18,7 @@ mod session;
 mod stats;
 mod types;
 
+pub use access::access_layer;
 pub use budget::Budget;
 pub use config::{ConfigError, MAX_MESSAGE_BYTES, Mode, Network, SessionConfig};
 pub use filter::{Filter, PatternError};
