@@ -104,7 +104,7 @@ fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Resul
     }
     let context = Context::builder().realtime(Realtime::Off).build()?;
     let mut node = Node::create(context, "taut_topic_echo", "")?;
-    let topic = node.expand_topic_name(topic)?;
+    let topic = node.resolve_topic_name(topic)?;
     let mut waits = false;
     let info = loop {
         let seen = participant.graph_epoch();

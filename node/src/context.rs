@@ -3,6 +3,7 @@
 
 use crate::error::{Error, Result};
 use crate::qos::QosProfile;
+use crate::remap::RemapRules;
 use crate::statistics::statistics_prefix;
 use crate::system::LoadedSystem;
 use std::path::PathBuf;
@@ -73,6 +74,7 @@ pub struct ContextBuilder {
     host: Option<String>,
     share_statistics: bool,
     trace: Option<TraceSettings>,
+    remap: RemapRules,
 }
 
 impl ContextBuilder {
@@ -150,6 +152,13 @@ impl ContextBuilder {
         self
     }
 
+    /// Rules that give every node of this context, and its topics and services, other names; a node's own, in
+    /// [`NodeOptions`](crate::NodeOptions), come first.
+    pub fn remap(mut self, rules: RemapRules) -> Self {
+        self.remap = rules;
+        self
+    }
+
     /// Joins the domain.
     ///
     /// # Errors
@@ -209,6 +218,7 @@ impl Default for ContextBuilder {
             host: None,
             share_statistics: true,
             trace: None,
+            remap: RemapRules::default(),
         }
     }
 }
@@ -295,6 +305,10 @@ impl Context {
     /// As [`callback`](Self::callback); [`Error::NoCapacity`] if the callback has no bound.
     pub fn callback_qos(&self, name: &str) -> Result<QosProfile> {
         self.system_for(name)?.qos(name)
+    }
+
+    pub(crate) fn remap_rules(&self) -> &RemapRules {
+        &self.shared.settings.remap
     }
 
     fn system_for(&self, name: &str) -> Result<&LoadedSystem> {

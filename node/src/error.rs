@@ -20,6 +20,16 @@ pub enum Error {
         /// The rule that it breaks.
         reason: String,
     },
+    /// A remapping rule is none.
+    #[error(
+        "'{rule}' is not a remapping rule: {reason}; write from:=to, [node:]__node:=name or [node:]__ns:=/namespace"
+    )]
+    Remap {
+        /// The rule as given.
+        rule: String,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// An environment variable does not say what it should.
     #[error("{variable}={value} is not understood: {expected}")]
     Environment {

@@ -34,6 +34,7 @@ mod context;
 mod error;
 mod names;
 mod node;
+mod remap;
 mod statistics;
 mod subscription;
 mod system;
@@ -45,8 +46,9 @@ pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
-pub use node::Node;
+pub use node::{Node, NodeOptions};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use remap::RemapRules;
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;

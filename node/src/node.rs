@@ -5,6 +5,7 @@ use crate::context::Context;
 use crate::error::{Error, Result};
 use crate::names;
 use crate::qos::QosProfile;
+use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
 use crate::timer::Timer;
 use futures::{Stream, StreamExt};
@@ -52,20 +53,67 @@ pub struct Node {
     pub(crate) context: Context,
     name: String,
     namespace: String,
+    remap: RemapRules,
     limits: HashMap<String, Limits>,
     pub(crate) trace: tautline_trace::Object,
 }
 
+/// What a node is to have of its own, beside its context's.
+#[derive(Clone, Debug)]
+#[must_use = "give it to Node::create_with_options"]
+pub struct NodeOptions {
+    remap: RemapRules,
+    use_global_arguments: bool,
+}
+
+impl NodeOptions {
+    /// Rules for this node only, which come before the context's.
+    pub fn remap(mut self, rules: RemapRules) -> Self {
+        self.remap = rules;
+        self
+    }
+
+    /// Whether the context's rules are for this node too. On by default.
+    pub fn use_global_arguments(mut self, use_global_arguments: bool) -> Self {
+        self.use_global_arguments = use_global_arguments;
+        self
+    }
+}
+
+impl Default for NodeOptions {
+    fn default() -> Self {
+        NodeOptions { remap: RemapRules::default(), use_global_arguments: true }
+    }
+}
+
 impl Node {
-    /// Creates a node called `name` in `namespace` (`""` is `/`).
+    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise.
     ///
     /// # Errors
     /// [`Error::Name`] with the rule that a name breaks.
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
+        Node::create_with_options(ctx, name, namespace, NodeOptions::default())
+    }
+
+    /// As [`create`](Self::create), with options.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn create_with_options(
+        ctx: Context,
+        name: &str,
+        namespace: &str,
+        options: NodeOptions,
+    ) -> Result<Node> {
         names::check_node(name)?;
-        let namespace = names::absolute_namespace(namespace)?;
-        let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), name, &namespace);
-        Ok(Node { context: ctx, name: name.into(), namespace, limits: HashMap::new(), trace })
+        let mut remap = options.remap;
+        if options.use_global_arguments {
+            remap = remap.then(ctx.remap_rules());
+        }
+        let name = remap.node_name(name).to_owned();
+        let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
+        let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), &name, &namespace);
+        Ok(Node { context: ctx, name, namespace, remap, limits: HashMap::new(), trace })
     }
 
     /// The node's name.
@@ -97,7 +145,7 @@ impl Node {
         &self.context
     }
 
-    /// The fully qualified name that `topic` stands for in this node.
+    /// The fully qualified name that `topic` stands for in this node, before remapping.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -105,12 +153,29 @@ impl Node {
         names::expand_topic(topic, &self.name, &self.namespace)
     }
 
+    /// The fully qualified name of the topic that `topic` is in this node, once remapping rules have been applied: the one
+    /// that publishers and subscriptions get.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn resolve_topic_name(&self, topic: &str) -> Result<String> {
+        self.remap.name(self.expand_topic_name(topic)?, NameKind::Topic, &self.name, &self.namespace)
+    }
+
+    /// As [`resolve_topic_name`](Self::resolve_topic_name), of a service.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn resolve_service_name(&self, service: &str) -> Result<String> {
+        self.remap.name(self.expand_topic_name(service)?, NameKind::Service, &self.name, &self.namespace)
+    }
+
     /// Sets the limits that this node gives `topic` if it is the first to open it. Call it before.
     ///
     /// # Errors
     /// [`Error::Name`].
     pub fn set_topic_limits(&mut self, topic: &str, limits: Limits) -> Result<()> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         self.limits.insert(topic, limits);
         Ok(())
     }
@@ -159,7 +224,7 @@ impl Node {
     }
 
     pub(crate) fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         if let Some(setting) = qos_profile.unsupported_liveliness() {
             return Err(TransportError::Unsupported { topic, setting }.into());
         }

@@ -93,7 +93,7 @@ impl Node {
     }
 
     fn schema_of(&self, topic: &str, type_name: &str) -> Result<Arc<Schema>> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         let name: TypeName = type_name.parse()?;
         let existing = self.context.shared.participant.topic_type(&topic);
         find_schema(&topic, &name, existing.as_ref())
