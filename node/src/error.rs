@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use crate::parameters::ParameterError;
 use std::path::PathBuf;
 use tautline_executor::ExecutorError;
 use tautline_msgs::cdr::{DecodeError, WriteError};
@@ -30,6 +31,17 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
+    /// An argument of the command line.
+    #[error("'{argument}' is not understood: {reason}")]
+    Argument {
+        /// The argument, with its value.
+        argument: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A parameter was not declared, read or set, or a parameter file is not understood.
+    #[error(transparent)]
+    Parameter(Box<ParameterError>),
     /// An environment variable does not say what it should.
     #[error("{variable}={value} is not understood: {expected}")]
     Environment {
@@ -158,6 +170,12 @@ pub enum Error {
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),
+}
+
+impl From<ParameterError> for Error {
+    fn from(error: ParameterError) -> Self {
+        Error::Parameter(error.into())
+    }
 }
 
 #[cfg(feature = "untyped")]

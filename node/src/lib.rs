@@ -30,10 +30,12 @@
 //! The names are those of `r2r`, whose programs compile with a changed `use` line where a feature exists here.
 #![forbid(unsafe_code)]
 
+mod args;
 mod context;
 mod error;
 mod names;
 mod node;
+mod parameters;
 mod remap;
 mod statistics;
 mod subscription;
@@ -42,11 +44,17 @@ mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
 
+pub mod logging;
 pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
+pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
+pub use parameters::{
+    OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
+    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
+};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use remap::RemapRules;
 pub use statistics::shared_statistics;
@@ -55,6 +63,8 @@ pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema};
 
+pub use indexmap;
+pub use tautline_derive::RosParams;
 pub use tautline_trace::{TraceMode, TraceSettings};
 
 pub use tautline_executor::{
@@ -75,6 +85,13 @@ pub use tautline_transport::{
     Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishCdrError, PublishError, Publisher,
     PublisherCounters, Sample, TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
 };
+
+/// What the macros' code calls.
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::logging::Site;
+    pub use crate::parameters::{field, no_field};
+}
 
 /// The README's program compiles.
 #[cfg(doctest)]

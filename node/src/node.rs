@@ -3,14 +3,18 @@
 
 use crate::context::Context;
 use crate::error::{Error, Result};
+use crate::logging::{self, Logger};
 use crate::names;
+use crate::parameters::{self, Parameter, ParameterEvents, ParameterValue, Parameters};
 use crate::qos::QosProfile;
 use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
 use crate::timer::Timer;
 use futures::{Stream, StreamExt};
+use indexmap::IndexMap;
 use std::collections::HashMap;
 use std::future::Future;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
@@ -56,6 +60,11 @@ pub struct Node {
     remap: RemapRules,
     limits: HashMap<String, Limits>,
     pub(crate) trace: tautline_trace::Object,
+    pub(crate) parameters: Parameters,
+    logger: Logger,
+    /// The parameters that were declared, or given by the command line. What is put here directly, as r2r's programs do, is
+    /// neither checked nor seen by readers: others use [`set_parameter`](Self::set_parameter).
+    pub params: Arc<Mutex<IndexMap<String, Parameter>>>,
 }
 
 /// What a node is to have of its own, beside its context's.
@@ -64,6 +73,7 @@ pub struct Node {
 pub struct NodeOptions {
     remap: RemapRules,
     use_global_arguments: bool,
+    parameter_overrides: Vec<(String, ParameterValue)>,
 }
 
 impl NodeOptions {
@@ -73,7 +83,17 @@ impl NodeOptions {
         self
     }
 
-    /// Whether the context's rules are for this node too. On by default.
+    /// Values for this node's parameters, which come before those of the command line.
+    pub fn parameter_overrides(
+        mut self,
+        overrides: impl IntoIterator<Item = (impl Into<String>, impl Into<ParameterValue>)>,
+    ) -> Self {
+        self.parameter_overrides =
+            overrides.into_iter().map(|(name, value)| (name.into(), value.into())).collect();
+        self
+    }
+
+    /// Whether the context's rules, and the parameters that its command line gives, are for this node too. On by default.
     pub fn use_global_arguments(mut self, use_global_arguments: bool) -> Self {
         self.use_global_arguments = use_global_arguments;
         self
@@ -82,7 +102,11 @@ impl NodeOptions {
 
 impl Default for NodeOptions {
     fn default() -> Self {
-        NodeOptions { remap: RemapRules::default(), use_global_arguments: true }
+        NodeOptions {
+            remap: RemapRules::default(),
+            use_global_arguments: true,
+            parameter_overrides: Vec::new(),
+        }
     }
 }
 
@@ -113,7 +137,19 @@ impl Node {
         let name = remap.node_name(name).to_owned();
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
         let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), &name, &namespace);
-        Ok(Node { context: ctx, name, namespace, remap, limits: HashMap::new(), trace })
+        let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
+        let rules = &ctx.shared.arguments.parameters;
+        let rules = if options.use_global_arguments { &rules[..] } else { &[] };
+        let given = parameters::given(rules, &options.parameter_overrides, &full_name);
+        let params = Arc::new(Mutex::new(given));
+        let events = ParameterEvents::new(full_name.clone(), ctx.shared.parameter_events.clone());
+        let parameters = Parameters::new(params.clone(), events);
+        let logger = Logger::of_node(&full_name);
+        if ctx.shared.arguments.outputs.rosout != Some(false) {
+            logging::add_topic(&logger, Arc::downgrade(&ctx.shared.rosout));
+        }
+        let limits = HashMap::new();
+        Ok(Node { context: ctx, name, namespace, remap, limits, trace, parameters, logger, params })
     }
 
     /// The node's name.
@@ -138,6 +174,15 @@ impl Node {
     /// None; the result is r2r's.
     pub fn fully_qualified_name(&self) -> Result<String> {
         Ok(format!("{}/{}", self.namespace.trim_end_matches('/'), self.name))
+    }
+
+    /// The node's logger: its name is the node's, with `.` for `/`. For the log macros.
+    ///
+    /// # Real-time
+    /// Setup only: starts the thread that writes what real-time threads log. Logging is wait-free in these.
+    pub fn logger(&self) -> &Logger {
+        logging::start();
+        &self.logger
     }
 
     /// The node's context.
@@ -263,7 +308,7 @@ impl Node {
         options: CallbackOptions,
         future: impl Future<Output = ()> + Send + 'static,
     ) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_callback(options, future)?)
     }
 
@@ -276,7 +321,7 @@ impl Node {
         options: CallbackOptions,
         make: impl FnOnce() -> F + Send + 'static,
     ) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_local(options, make)?)
     }
 
@@ -285,8 +330,14 @@ impl Node {
     /// # Errors
     /// As [`spawn_callback`](Self::spawn_callback).
     pub fn spawn_group(&self, options: CallbackOptions, group: CallbackGroup) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_group(options, group)?)
+    }
+
+    fn prepare_thread(&self, options: &CallbackOptions) {
+        self.context.warn_if_above_sampler(options);
+        // It may log by a name, without anybody having asked for a logger.
+        logging::start();
     }
 
     /// Turns the calling thread into the sampler: see [`Context::spin`].
