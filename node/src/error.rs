@@ -55,6 +55,17 @@ pub enum Error {
     /// A timer that would be due without end.
     #[error("a timer cannot have a period of zero: give it the time between two releases")]
     ZeroPeriod,
+    /// A clock that shows no ROS time was used as if it did.
+    #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
+    ClockTypeNotRosTime,
+    /// Too many timers and sleeps on one node's ROS clock.
+    #[error(
+        "{max} timers and sleeps are on this node's ROS clock already: use another node, or a wall timer"
+    )]
+    ClockUsers {
+        /// Most there can be.
+        max: usize,
+    },
     /// The system file cannot be read, or is wrong: everything that is, with line and column.
     #[error(transparent)]
     System(#[from] tautline_analysis::file::FileError),

@@ -40,6 +40,8 @@ mod remap;
 mod statistics;
 mod subscription;
 mod system;
+#[cfg(feature = "rosgraph_msgs")]
+mod time;
 mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
@@ -59,6 +61,8 @@ pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, Rel
 pub use remap::RemapRules;
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
+#[cfg(feature = "rosgraph_msgs")]
+pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema};

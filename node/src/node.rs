@@ -9,6 +9,8 @@ use crate::parameters::{self, Parameter, ParameterEvents, ParameterValue, Parame
 use crate::qos::QosProfile;
 use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
+#[cfg(feature = "rosgraph_msgs")]
+use crate::time::{Clock, TimeSource};
 use crate::timer::Timer;
 use futures::{Stream, StreamExt};
 use indexmap::IndexMap;
@@ -62,6 +64,10 @@ pub struct Node {
     pub(crate) trace: tautline_trace::Object,
     pub(crate) parameters: Parameters,
     logger: Logger,
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) time_source: TimeSource,
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) ros_clock: Arc<Mutex<Clock>>,
     /// The parameters that were declared, or given by the command line. What is put here directly, as r2r's programs do, is
     /// neither checked nor seen by readers: others use [`set_parameter`](Self::set_parameter).
     pub params: Arc<Mutex<IndexMap<String, Parameter>>>,
@@ -149,7 +155,29 @@ impl Node {
             logging::add_topic(&logger, Arc::downgrade(&ctx.shared.rosout));
         }
         let limits = HashMap::new();
-        Ok(Node { context: ctx, name, namespace, remap, limits, trace, parameters, logger, params })
+        #[cfg(feature = "rosgraph_msgs")]
+        let time_source = {
+            let clock = names::expand_topic("/clock", &name, &namespace)?;
+            let topic = remap.name(clock, NameKind::Topic, &name, &namespace)?;
+            let source = TimeSource::new(ctx.shared.participant.clone(), topic);
+            source.set_enabled(parameters.declare_use_sim_time(&source)?)?;
+            source
+        };
+        Ok(Node {
+            context: ctx,
+            name,
+            namespace,
+            remap,
+            limits,
+            trace,
+            parameters,
+            logger,
+            #[cfg(feature = "rosgraph_msgs")]
+            ros_clock: Arc::new(Mutex::new(Clock::of_source(time_source.clone()))),
+            #[cfg(feature = "rosgraph_msgs")]
+            time_source,
+            params,
+        })
     }
 
     /// The node's name.
@@ -351,6 +379,9 @@ impl Node {
     /// Serves what is ready, waiting up to `timeout`: see [`Context::spin_once`].
     pub fn spin_once(&mut self, timeout: Duration) {
         self.context.spin_once(timeout);
+        // For callbacks that want to know of jumps.
+        #[cfg(feature = "rosgraph_msgs")]
+        self.time_source.update();
     }
 }
 

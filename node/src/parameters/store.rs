@@ -8,9 +8,14 @@ use super::{
     ParameterVariant, RosParams, WrongParameterType,
 };
 use crate::error::Result;
+#[cfg(feature = "rosgraph_msgs")]
+use crate::time::TimeSource;
 use indexmap::IndexMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::ThreadId;
+
+/// Every node has it, if it has clocks.
+const USE_SIM_TIME: &str = "use_sim_time";
 
 /// By name, in the order in which they were given or declared.
 pub(crate) type ParameterMap = IndexMap<String, Parameter>;
@@ -28,8 +33,8 @@ struct Shared {
     map: Arc<Mutex<ParameterMap>>,
     /// Held during all of a change: one after the other.
     hooks: Mutex<Hooks>,
-    /// The thread in which callbacks check a change.
-    checking: Mutex<Option<ThreadId>>,
+    /// The thread in which callbacks check a change, or follow it.
+    changing: Mutex<Option<ThreadId>>,
 }
 
 type Check = Arc<dyn Fn(&[(String, ParameterValue)]) -> std::result::Result<(), String> + Send + Sync>;
@@ -63,7 +68,7 @@ fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Parameters {
     pub(crate) fn new(map: Arc<Mutex<ParameterMap>>, events: ParameterEvents) -> Parameters {
         let hooks = Hooks { checks: Vec::new(), next_check: 0, feeds: Vec::new(), of_struct: None, events };
-        let shared = Shared { map, hooks: Mutex::new(hooks), checking: Mutex::new(None) };
+        let shared = Shared { map, hooks: Mutex::new(hooks), changing: Mutex::new(None) };
         Parameters { shared: Arc::new(shared) }
     }
 
@@ -107,6 +112,29 @@ impl Parameters {
         lock(&self.shared.map).insert(name.to_owned(), parameter);
         hooks.events.publish(Change::New, &change);
         Ok(hooks.reader(name, first))
+    }
+
+    /// Declares `use_sim_time`, which every node has and follows, and gives its value.
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) fn declare_use_sim_time(&self, source: &TimeSource) -> Result<bool> {
+        let given = lock(&self.shared.map).get(USE_SIM_TIME).map(|parameter| parameter.value.clone());
+        let value = given.unwrap_or(ParameterValue::Bool(false));
+        let ParameterValue::Bool(enabled) = value else {
+            return Err(ParameterError::wrong_type(USE_SIM_TIME, ParameterType::Bool, &value).into());
+        };
+        let descriptor =
+            ParameterDescriptor::new().description("Whether the ROS clock shows the time of /clock");
+        let parameter = Parameter { value, descriptor, declared: true };
+        lock(&self.shared.map).insert(USE_SIM_TIME.into(), parameter);
+        let source = source.clone();
+        let follow = move |value: &ParameterValue| {
+            if let Err(error) = source.set_enabled(*value == ParameterValue::Bool(true)) {
+                tracing::warn!("the clock shows the time that it has shown: {error}");
+            }
+            true
+        };
+        lock(&self.shared.hooks).feeds.push((USE_SIM_TIME.into(), Box::new(follow)));
+        Ok(enabled)
     }
 
     /// A further reader of a parameter.
@@ -184,7 +212,8 @@ impl Parameters {
         let mut new = Vec::new();
         {
             let map = lock(&self.shared.map);
-            let takes_any = !map.values().any(|parameter| parameter.declared);
+            let mut others = map.iter().filter(|(name, _)| *name != USE_SIM_TIME);
+            let takes_any = !others.any(|(_, parameter)| parameter.declared);
             for (name, value) in &mut values {
                 let Some(parameter) = map.get(name) else {
                     if !takes_any {
@@ -217,7 +246,9 @@ impl Parameters {
                 }
             }
         }
+        *lock(&self.shared.changing) = Some(std::thread::current().id());
         hooks.feed(&changed);
+        *lock(&self.shared.changing) = None;
         let (new, old): (Vec<_>, Vec<_>) = values.into_iter().partition(|(name, _)| new.contains(name));
         hooks.events.publish(Change::New, &new);
         hooks.events.publish(Change::Changed, &old);
@@ -307,7 +338,7 @@ impl Parameters {
 
     /// For a change of `name`.
     fn hooks(&self, name: &str) -> Result<MutexGuard<'_, Hooks>> {
-        if *lock(&self.shared.checking) == Some(std::thread::current().id()) {
+        if *lock(&self.shared.changing) == Some(std::thread::current().id()) {
             return Err(ParameterError::InCallback { name: name.to_owned() }.into());
         }
         Ok(lock(&self.shared.hooks))
@@ -318,9 +349,9 @@ impl Parameters {
         hooks: &Hooks,
         values: &[(String, ParameterValue)],
     ) -> std::result::Result<(), ParameterError> {
-        *lock(&self.shared.checking) = Some(std::thread::current().id());
+        *lock(&self.shared.changing) = Some(std::thread::current().id());
         let refused = hooks.checks.iter().find_map(|(_, check)| check(values).err());
-        *lock(&self.shared.checking) = None;
+        *lock(&self.shared.changing) = None;
         refused.map_or(Ok(()), |reason| Err(ParameterError::Rejected { reason }))
     }
 }
