@@ -33,6 +33,7 @@
 mod args;
 mod context;
 mod error;
+mod graph;
 mod names;
 mod node;
 mod parameters;
@@ -51,6 +52,7 @@ pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
+pub use graph::TopicEndpointInfo;
 pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
 pub use parameters::{
@@ -86,8 +88,10 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishCdrError, PublishError, Publisher,
-    PublisherCounters, Sample, TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
+    Counters, EndpointKind, Gid, GraphEvents, GraphSnapshot, Limits, Loan, LoanError, MessageInfo,
+    NodeHandle, NodeInfo, NodeName, PublishCdrError, PublishError, Publisher, PublisherCounters, Sample,
+    ServiceEndpoint, ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError,
+    Unpublished, Unwritten, topic_memory,
 };
 
 /// What the macros' code calls.

@@ -20,9 +20,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, Publisher, TransportError};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TransportError};
 
-/// A node. Its publishers, subscriptions and timers live on when it is dropped; its context lives as long as it does.
+/// A node. Its publishers, subscriptions and timers live on when it is dropped, and as long as one of the first two does,
+/// others see the node; its context lives as long as it does.
 ///
 /// A program can be as one of r2r's: one thread that serves events and runs a pool.
 ///
@@ -57,6 +58,9 @@ use tautline_transport::{Limits, Publisher, TransportError};
 /// ```
 pub struct Node {
     pub(crate) context: Context,
+    handle: NodeHandle,
+    /// Makes publishers and subscriptions of this node.
+    pub(crate) participant: Participant,
     name: String,
     namespace: String,
     remap: RemapRules,
@@ -117,10 +121,11 @@ impl Default for NodeOptions {
 }
 
 impl Node {
-    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise.
+    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise. That there is
+    /// another node of the same name is allowed, and logged as a warning, as in ROS 2.
     ///
     /// # Errors
-    /// [`Error::Name`] with the rule that a name breaks.
+    /// [`Error::Name`] with the rule that a name breaks; [`Error::Transport`] if others cannot be told of it.
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
         Node::create_with_options(ctx, name, namespace, NodeOptions::default())
     }
@@ -142,7 +147,16 @@ impl Node {
         }
         let name = remap.node_name(name).to_owned();
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
-        let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), &name, &namespace);
+        let participant = &ctx.shared.participant;
+        let handle = participant.create_node(&name, &namespace)?;
+        if participant.nodes().iter().filter(|node| node.name == *handle.name()).count() > 1 {
+            tracing::warn!(
+                "there is another node called {}: who asks for it by its name may get either; rename one with __node or __ns",
+                handle.name()
+            );
+        }
+        let trace = tautline_trace::node_init(participant.trace_id(), &name, &namespace);
+        let participant = participant.for_node(&handle);
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
         let rules = &ctx.shared.arguments.parameters;
         let rules = if options.use_global_arguments { &rules[..] } else { &[] };
@@ -159,12 +173,14 @@ impl Node {
         let time_source = {
             let clock = names::expand_topic("/clock", &name, &namespace)?;
             let topic = remap.name(clock, NameKind::Topic, &name, &namespace)?;
-            let source = TimeSource::new(ctx.shared.participant.clone(), topic);
+            let source = TimeSource::new(participant.clone(), topic);
             source.set_enabled(parameters.declare_use_sim_time(&source)?)?;
             source
         };
         Ok(Node {
             context: ctx,
+            handle,
+            participant,
             name,
             namespace,
             remap,
@@ -211,6 +227,11 @@ impl Node {
     pub fn logger(&self) -> &Logger {
         logging::start();
         &self.logger
+    }
+
+    /// What others see of this node, to say there which services and clients are its own.
+    pub fn handle(&self) -> &NodeHandle {
+        &self.handle
     }
 
     /// The node's context.
@@ -264,7 +285,7 @@ impl Node {
     ) -> Result<Publisher<T>> {
         let (topic, limits) = self.resolve(topic, qos_profile)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.context.shared.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
+        Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
     /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
@@ -290,9 +311,9 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic, qos_profile)?;
-        let participant = &self.context.shared.participant;
         let _node = tautline_trace::in_node(self.trace.id());
-        let subscription = participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
+        let subscription =
+            self.participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
         Ok(Subscription::new(subscription))
     }
 

@@ -20,7 +20,7 @@ use crate::names;
 /// use tautline::{Context, Node, Realtime, RemapRules};
 ///
 /// let rules = RemapRules::parse(&["__ns:=/robot", "camera:~/image:=/front"])?;
-/// let ctx = Context::builder().domain(121).realtime(Realtime::Off).remap(rules).build()?;
+/// let ctx = Context::builder().domain(101).realtime(Realtime::Off).remap(rules).build()?;
 /// let node = Node::create(ctx, "camera", "")?;
 /// assert_eq!(node.fully_qualified_name()?, "/robot/camera");
 /// assert_eq!(node.resolve_topic_name("~/image")?, "/front");

@@ -52,4 +52,4 @@ pub use memory::{MemoryLock, PageFaults, lock_memory, page_faults, prefault_stac
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads};
-pub use words::{ForeignWords, Words, WordsFile, page_words};
+pub use words::{ForeignMap, ForeignWords, Words, WordsFile, page_words};
