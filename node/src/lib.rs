@@ -30,22 +30,27 @@
 //! The names are those of `r2r`, whose programs compile with a changed `use` line where a feature exists here.
 #![forbid(unsafe_code)]
 
+mod args;
 mod context;
 mod error;
 mod graph;
 mod names;
 mod node;
+mod parameters;
 mod qos_events;
 mod remap;
 mod statistics;
 mod subscription;
 mod system;
+#[cfg(feature = "rosgraph_msgs")]
+mod time;
 mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
 
 #[cfg(feature = "lifecycle_msgs")]
 pub mod lifecycle;
+pub mod logging;
 pub mod qos;
 
 pub use context::{Context, ContextBuilder};
@@ -53,7 +58,12 @@ pub use error::{Error, Result};
 pub use graph::TopicEndpointInfo;
 #[cfg(feature = "lifecycle_msgs")]
 pub use lifecycle::{LifecycleCallbacks, LifecycleNode, ManagedNode};
+pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
+pub use parameters::{
+    OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
+    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
+};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
@@ -61,10 +71,14 @@ pub use qos_events::{
 pub use remap::RemapRules;
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
+#[cfg(feature = "rosgraph_msgs")]
+pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema};
 
+pub use indexmap;
+pub use tautline_derive::RosParams;
 pub use tautline_trace::{TraceMode, TraceSettings};
 
 pub use tautline_executor::{
@@ -88,6 +102,13 @@ pub use tautline_transport::{
     ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError, Unpublished,
     Unwritten, topic_memory,
 };
+
+/// What the macros' code calls.
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::logging::Site;
+    pub use crate::parameters::{field, no_field};
+}
 
 /// The README's program compiles.
 #[cfg(doctest)]
