@@ -178,6 +178,10 @@ pub enum Error {
     #[cfg(feature = "untyped")]
     #[error(transparent)]
     Message(Box<tautline_schema::MessageError>),
+    /// A managed node did not begin a transition.
+    #[cfg(feature = "lifecycle_msgs")]
+    #[error(transparent)]
+    Lifecycle(#[from] crate::lifecycle::LifecycleError),
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),

@@ -37,6 +37,7 @@ mod graph;
 mod names;
 mod node;
 mod parameters;
+mod qos_events;
 mod remap;
 mod statistics;
 mod subscription;
@@ -47,12 +48,16 @@ mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
 
+#[cfg(feature = "lifecycle_msgs")]
+pub mod lifecycle;
 pub mod logging;
 pub mod qos;
 
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use graph::TopicEndpointInfo;
+#[cfg(feature = "lifecycle_msgs")]
+pub use lifecycle::{LifecycleCallbacks, LifecycleNode, ManagedNode};
 pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
 pub use parameters::{
@@ -60,6 +65,9 @@ pub use parameters::{
     ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
 };
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use qos_events::{
+    DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
+};
 pub use remap::RemapRules;
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
@@ -88,10 +96,11 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, EndpointKind, Gid, GraphEvents, GraphSnapshot, Limits, Loan, LoanError, MessageInfo,
-    NodeHandle, NodeInfo, NodeName, PublishCdrError, PublishError, Publisher, PublisherCounters, Sample,
-    ServiceEndpoint, ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError,
-    Unpublished, Unwritten, topic_memory,
+    Counters, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, IncompatibleQos, Limits,
+    LivelinessChanged, Loan, LoanError, Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName,
+    PublishCdrError, PublishError, Publisher, PublisherCounters, QosPolicyKind, Sample, ServiceEndpoint,
+    ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError, Unpublished,
+    Unwritten, topic_memory,
 };
 
 /// What the macros' code calls.

@@ -246,7 +246,7 @@ impl Control {
         let mut wanted =
             Qos { durability: qos.durability, ..Qos::keep_last(depth.clamp(1, Limits::MAX_DEPTH)) };
         let subscription = loop {
-            match self.participant.create_raw_subscription(
+            match self.participant.create_relay_subscription(
                 &key.topic,
                 &topic_type(key),
                 wanted,
@@ -278,7 +278,7 @@ impl Control {
         self.stop_in(key);
         let mut wanted = port_qos(qos, Limits::MAX_DEPTH);
         let publisher = loop {
-            match self.participant.create_raw_publisher(
+            match self.participant.create_relay_publisher(
                 &key.topic,
                 &topic_type(key),
                 wanted,
