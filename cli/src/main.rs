@@ -10,6 +10,7 @@ mod msg;
 mod node;
 mod report;
 mod service;
+mod sibling;
 mod table;
 mod topic;
 mod trace;
