@@ -15,7 +15,7 @@ const NODES: usize = 20;
 
 #[test]
 fn a_message_goes_through_twenty_nodes_on_one_sampler() {
-    let context = context(230);
+    let context = context(119);
     let arrived: Arc<Log<(usize, u64)>> = Arc::new(Log::new());
     let mut nodes: Vec<Node> = (0..NODES)
         .map(|n| Node::create(context.clone(), &format!("node_{n}"), "/composed").unwrap())
@@ -44,7 +44,7 @@ fn a_message_goes_through_twenty_nodes_on_one_sampler() {
 
 #[test]
 fn what_one_node_writes_another_of_the_process_reads_in_place() {
-    let context = context(230);
+    let context = context(119);
     let [mut writer, mut reader] =
         ["writer", "reader"].map(|name| Node::create(context.clone(), name, "/placed").unwrap());
     let publisher = writer.create_publisher::<Number>("place", QosProfile::default()).unwrap();

@@ -245,7 +245,7 @@ fn two_hundred_topics_at_100_hz_on_one_sampler() {
 fn liveliness_is_lost_after_kill_9_of_the_publisher() {
     // The child publishes, and is killed by itself.
     if std::env::var_os("TAUT_TEST_CHILD").is_some() {
-        let mut node = Node::create(common::context(217), "victim", "").unwrap();
+        let mut node = Node::create(common::context(118), "victim", "").unwrap();
         let _publisher = node.create_publisher::<Number>("/victim", QosProfile::default()).unwrap();
         let subscription = node.subscribe_loaned::<Number>("/go", QosProfile::default()).unwrap();
         while subscription.try_take().unwrap().is_none() {
@@ -253,7 +253,7 @@ fn liveliness_is_lost_after_kill_9_of_the_publisher() {
         }
         rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL).unwrap();
     }
-    let context = tautline::Context::builder().domain(217).realtime(Realtime::Off).build().unwrap();
+    let context = tautline::Context::builder().domain(118).realtime(Realtime::Off).build().unwrap();
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "watcher", "").unwrap();
     let subscription = node.subscribe_loaned::<Number>("/victim", QosProfile::default()).unwrap();

@@ -22,7 +22,7 @@ fn poll(watchdog: &mut Watchdog) -> Poll<Expiry> {
 
 #[test]
 fn two_hundred_topics_of_which_every_second_is_fed() {
-    let participant = Participant::new(support::domain(170)).unwrap();
+    let participant = Participant::new(support::domain(115)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let slots: Vec<Slot> = (0..200).map(|_| participant.claim_slot().unwrap()).collect();
     let start = monotonic_ns() + 1000 * MS;
@@ -57,7 +57,7 @@ fn two_hundred_topics_of_which_every_second_is_fed() {
 
 #[test]
 fn silence_expires_once_in_each_period_and_nothing_before_the_first_sign() {
-    let participant = Participant::new(support::domain(170)).unwrap();
+    let participant = Participant::new(support::domain(115)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let slot = participant.claim_slot().unwrap();
     let (pulse, period_ns) = (slot.pulse(PulseOf::Liveliness), 2 * MS);
@@ -83,7 +83,7 @@ fn silence_expires_once_in_each_period_and_nothing_before_the_first_sign() {
 
 #[test]
 fn an_alarm_rings_when_it_is_set_to_and_can_be_set_anew() {
-    let participant = Participant::new(support::domain(170)).unwrap();
+    let participant = Participant::new(support::domain(115)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let mut alarm = sampler.events().alarm().unwrap();
     let mut rung = |alarm: &tautline_sampler::Alarm| {

@@ -43,7 +43,7 @@ fn subscription(participant: &Participant, topic: &str, qos: Qos) -> Subscriptio
 
 #[test]
 fn who_does_not_fit_gets_nothing_whoever_came_first() {
-    let participant = Participant::new(domain(128)).unwrap();
+    let participant = Participant::new(domain(113)).unwrap();
     let reliable = subscription(&participant, "/mixed", Qos::default());
     let any = subscription(&participant, "/mixed", Qos::default().best_effort());
     let late_first = subscription(&participant, "/mixed", Qos::default().transient_local());
@@ -67,7 +67,7 @@ fn who_does_not_fit_gets_nothing_whoever_came_first() {
 
 #[test]
 fn a_full_queue_that_does_not_fit_holds_nobody_up() {
-    let participant = Participant::new(domain(128)).unwrap();
+    let participant = Participant::new(domain(113)).unwrap();
     let _full = subscription(&participant, "/apart", Qos::keep_all(2));
     let publisher = publisher(&participant, "/apart", Qos::keep_all(2).best_effort());
     for n in 0..10 {
@@ -77,7 +77,7 @@ fn a_full_queue_that_does_not_fit_holds_nobody_up() {
 
 #[test]
 fn relays_fit_everybody() {
-    let participant = Participant::new(domain(128)).unwrap();
+    let participant = Participant::new(domain(113)).unwrap();
     let topic_type = TopicType::of::<Count>();
     let [sensor, plain] =
         [Qos::default().best_effort(), Qos::default()].map(|qos| publisher(&participant, "/relayed", qos));
@@ -102,7 +102,7 @@ fn relays_fit_everybody() {
 
 #[test]
 fn all_of_it_is_listed() {
-    let [one, other] = [(); 2].map(|()| Participant::new(domain(128)).unwrap());
+    let [one, other] = [(); 2].map(|()| Participant::new(domain(113)).unwrap());
     let times = |n| Some(Duration::new(n, 123_456_789));
     let qos = Qos {
         deadline: times(1),
@@ -120,7 +120,7 @@ fn all_of_it_is_listed() {
 
 #[test]
 fn what_is_too_old_is_not_delivered_but_counted() {
-    let participant = Participant::new(domain(128)).unwrap();
+    let participant = Participant::new(domain(113)).unwrap();
     let long = publisher(&participant, "/old", Qos { lifespan: HOUR, ..Qos::default() });
     let short = Qos { lifespan: Some(Duration::from_nanos(1)), ..Qos::default().transient_local() };
     let short = publisher(&participant, "/old", short);
@@ -143,7 +143,7 @@ fn what_is_too_old_is_not_delivered_but_counted() {
 
 #[test]
 fn monitors_tell_of_matches() {
-    let participant = Participant::new(domain(128)).unwrap();
+    let participant = Participant::new(domain(113)).unwrap();
     let events = participant.claim_slot().unwrap();
     let publisher = publisher(&participant, "/matches", Qos { deadline: HOUR, ..Qos::default() });
     let mut monitor = publisher.raw().monitor(&events);
@@ -192,7 +192,7 @@ fn monitors_tell_of_matches() {
 
 #[test]
 fn losses_are_told() {
-    let participant = Participant::new(domain(128)).unwrap();
+    let participant = Participant::new(domain(113)).unwrap();
     let events = participant.claim_slot().unwrap();
     let subscription = subscription(&participant, "/losses", Qos::keep_last(2));
     let publisher = publisher(&participant, "/losses", Qos::keep_last(1));
@@ -211,7 +211,7 @@ fn losses_are_told() {
 
 #[test]
 fn a_lease_is_kept_by_publishing_or_by_word() {
-    let participant = Participant::new(domain(128)).unwrap();
+    let participant = Participant::new(domain(113)).unwrap();
     let events = participant.claim_slot().unwrap();
     let lease = Duration::from_secs(3600);
     let manual = Qos {
@@ -246,12 +246,12 @@ fn a_lease_is_kept_by_publishing_or_by_word() {
 
 #[test]
 fn a_killed_publisher_is_told_from_one_that_went() {
-    let participant = Participant::new(domain(230)).unwrap();
+    let participant = Participant::new(domain(114)).unwrap();
     let events = participant.claim_slot().unwrap();
     let subscription = subscription(&participant, "/killed", Qos::default());
     let mut monitor = subscription.raw().monitor(&events);
     for cycle in 0..3 {
-        let mut part = Part::start("publisher", 230);
+        let mut part = Part::start("publisher", 114);
         assert_eq!(part.hear(), "ready");
         let look =
             |monitor: &mut tautline_transport::SubscriptionMonitor| monitor.look(monotonic_ns()).liveliness;
@@ -270,5 +270,5 @@ fn a_killed_publisher_is_told_from_one_that_went() {
         assert_eq!((lost.alive_count_change, lost.not_alive_count_change), (-1, 1), "cycle {cycle}");
     }
     drop((monitor, subscription, events, participant));
-    clean(230);
+    clean(114);
 }

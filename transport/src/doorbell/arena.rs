@@ -432,7 +432,7 @@ fn file_prefix(domain: u32) -> String {
 mod tests {
     use super::*;
 
-    const DOMAIN: u32 = 191;
+    const DOMAIN: u32 = 116;
 
     #[test]
     fn a_link_is_released_by_its_owner_alone() {
