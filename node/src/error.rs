@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use std::path::PathBuf;
+use std::time::Duration;
 use tautline_executor::ExecutorError;
 use tautline_msgs::cdr::{DecodeError, WriteError};
 use tautline_rt::RtError;
-use tautline_transport::{LoanError, PublishCdrError, PublishError, TakeError, TransportError, Unpublished};
+use tautline_transport::{
+    LoanError, PublishCdrError, PublishError, ServiceError, TakeError, TransportError, Unpublished, Unsent,
+};
 
 /// What can go wrong while a node is set up or publishes. Each message names the thing, the limit and the fix.
 #[derive(thiserror::Error)]
@@ -145,6 +148,17 @@ pub enum Error {
     #[cfg(feature = "untyped")]
     #[error(transparent)]
     Message(Box<tautline_schema::MessageError>),
+    /// A request was not sent or not answered, or a response not sent.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
+    /// A response did not come in the time that the request allowed.
+    #[error("service '{service}': no response within {timeout:?}")]
+    ServiceTimeout {
+        /// The service.
+        service: String,
+        /// The time.
+        timeout: Duration,
+    },
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),
@@ -176,6 +190,13 @@ impl From<PublishCdrError> for Error {
 impl From<LoanError> for Error {
     fn from(error: LoanError) -> Self {
         Error::Publish(error.into())
+    }
+}
+
+/// The loan is dropped: take it from [`Unsent::loan`] to keep it.
+impl<L> From<Unsent<L>> for Error {
+    fn from(unsent: Unsent<L>) -> Self {
+        Error::Service(unsent.error)
     }
 }
 

@@ -34,6 +34,7 @@ mod context;
 mod error;
 mod names;
 mod node;
+mod service;
 mod statistics;
 mod subscription;
 mod system;
@@ -47,6 +48,9 @@ pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use node::Node;
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
+#[cfg(feature = "untyped")]
+pub use service::{ClientUntyped, ServiceRequestUntyped};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use timer::Timer;
@@ -61,7 +65,11 @@ pub use tautline_executor::{
     Policy, ProcessInfo, ProcessSnapshot, Realtime, assign,
 };
 pub use tautline_msgs as msgs;
-pub use tautline_msgs::{Message, Plain};
+pub use tautline_msgs::{Action, Message, Plain, Service};
+/// By r2r's names.
+pub use tautline_msgs::{
+    Action as WrappedActionTypeSupport, Message as WrappedTypesupport, Service as WrappedServiceTypeSupport,
+};
 #[cfg(feature = "ros_msgs")]
 #[doc(no_inline)]
 pub use tautline_ros_msgs::*;
@@ -70,8 +78,10 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishCdrError, PublishError, Publisher,
-    PublisherCounters, Sample, TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
+    Client as ClientLoaned, Counters, Gid, Limits, Loan, LoanError, MAX_PENDING_REQUESTS, MessageInfo,
+    PendingResponse, PublishCdrError, PublishError, Publisher, PublisherCounters, Request, RequestId,
+    Response, Sample, ServiceError, TakeError, TopicMemory, TransportError, Unpublished, Unsent, Unwritten,
+    UnwrittenResponse, topic_memory,
 };
 
 /// The README's program compiles.

@@ -159,11 +159,21 @@ impl Node {
     }
 
     pub(crate) fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
+        self.resolve_or(topic, qos_profile, Limits::default())
+    }
+
+    /// The full name of a topic or a service, and the limits that were set for it, or else these.
+    pub(crate) fn resolve_or(
+        &self,
+        topic: &str,
+        qos_profile: QosProfile,
+        limits: Limits,
+    ) -> Result<(String, Limits)> {
         let topic = self.expand_topic_name(topic)?;
         if let Some(setting) = qos_profile.unsupported_liveliness() {
             return Err(TransportError::Unsupported { topic, setting }.into());
         }
-        let limits = self.limits.get(&topic).copied().unwrap_or_default();
+        let limits = self.limits.get(&topic).copied().unwrap_or(limits);
         Ok((topic, limits))
     }
 

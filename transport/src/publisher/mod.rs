@@ -147,6 +147,15 @@ impl RawPublisher {
         &self.topic.topic_type
     }
 
+    /// Its slot, which is rung when the topic's ports change.
+    pub(crate) fn slot(&self) -> &Slot {
+        &self.slot
+    }
+
+    pub(crate) fn factory(&self) -> &crate::topic::Factory {
+        &self.topic.factory
+    }
+
     /// The counters, to be read from any thread.
     pub fn counters(&self) -> Arc<PublisherCounters> {
         self.counters.clone()
