@@ -159,6 +159,34 @@ pub enum Error {
         /// The time.
         timeout: Duration,
     },
+    /// The action's server did not accept a goal.
+    #[error("action '{action}': the server rejected the goal")]
+    GoalRejected {
+        /// The action.
+        action: String,
+    },
+    /// A goal is in a state in which this cannot happen to it.
+    #[cfg(feature = "action_msgs")]
+    #[error("action '{action}': goal {goal} is {status}: that cannot happen to it any more, or not yet")]
+    Goal {
+        /// The action.
+        action: String,
+        /// The goal's id.
+        goal: String,
+        /// The state.
+        status: crate::action::GoalStatus,
+    },
+    /// The action's server goes on with a goal that was to be cancelled.
+    #[error("the action's server rejected the request to cancel the goal")]
+    GoalCancelRejected,
+    /// The action's server does not know the goal, or has forgotten it.
+    #[error(
+        "the action's server does not know the goal that is to be cancelled: its result has expired, or it is another server's"
+    )]
+    GoalCancelUnknownGoalID,
+    /// The goal that is to be cancelled has ended.
+    #[error("the goal that is to be cancelled has ended already: await its result")]
+    GoalCancelAlreadyTerminated,
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),

@@ -30,6 +30,8 @@
 //! The names are those of `r2r`, whose programs compile with a changed `use` line where a feature exists here.
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "action_msgs")]
+mod action;
 mod context;
 mod error;
 mod names;
@@ -44,6 +46,13 @@ mod untyped;
 
 pub mod qos;
 
+#[cfg(feature = "action_msgs")]
+pub use action::{
+    ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
+    ActionServerOptions, GoalStatus,
+};
+#[cfg(all(feature = "action_msgs", feature = "untyped"))]
+pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use node::Node;

@@ -136,7 +136,7 @@ fn a_server_that_ends_ends_its_requests() {
     let client = node.create_client::<AddTwoInts::Service>("ending", QOS()).unwrap();
     let _spinning = spin(&ctx);
     let mut requests = node.create_service::<AddTwoInts::Service>("ending", QOS()).unwrap();
-    // Of a server that ends before the client has connected to it, even answers are lost.
+    // Connected: what was answered comes before the end, although nobody takes it meanwhile.
     let first = client.request(&question(0, 0)).unwrap();
     block_on(requests.next()).unwrap().respond(AddTwoInts::Response { sum: 0 }).unwrap();
     block_on(first).unwrap();

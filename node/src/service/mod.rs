@@ -7,6 +7,8 @@ mod server;
 mod untyped;
 
 pub use client::{Client, IsAvailablePollable, ResponseFuture};
+#[cfg(feature = "action_msgs")]
+pub(crate) use server::Reply;
 pub use server::{ServiceLoaned, ServiceRequest};
 #[cfg(feature = "untyped")]
 pub use untyped::{ClientUntyped, ServiceRequestUntyped};

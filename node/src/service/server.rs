@@ -171,7 +171,8 @@ impl<T: Service> Stream for Requests<T> {
         let mut service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
         service.requests.poll_next(context).map(|request| {
             let message = request.message().to_owned();
-            Some(ServiceRequest { message, id: request.id(), service: self.service.clone() })
+            let reply = Reply { id: request.id(), service: self.service.clone() };
+            Some(ServiceRequest { message, reply })
         })
     }
 }
@@ -180,9 +181,7 @@ impl<T: Service> Stream for Requests<T> {
 pub struct ServiceRequest<T: Service> {
     /// What is asked.
     pub message: T::Request,
-    id: RequestId,
-    /// Held while a response is written and sent, and while requests are taken.
-    service: Arc<Mutex<ServiceLoaned<T>>>,
+    reply: Reply<T>,
 }
 
 impl<T: Service> ServiceRequest<T> {
@@ -195,16 +194,18 @@ impl<T: Service> ServiceRequest<T> {
     /// # Errors
     /// [`Error::Service`](crate::Error::Service): the client's queue is full, the response cannot be written.
     pub fn respond(self, msg: T::Response) -> Result<()> {
-        let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
-        match service.server().respond(self.id, &msg) {
-            Err(ServiceError::ClientGone { .. }) => Ok(()),
-            responded => Ok(responded?),
-        }
+        self.reply.respond(&msg)
     }
 
     /// Which request of which client this is.
     pub fn id(&self) -> RequestId {
-        self.id
+        self.reply.id
+    }
+
+    /// What is asked, and the means to answer.
+    #[cfg(feature = "action_msgs")]
+    pub(crate) fn into_parts(self) -> (T::Request, Reply<T>) {
+        (self.message, self.reply)
     }
 }
 
@@ -213,13 +214,31 @@ where
     T::Request: Clone,
 {
     fn clone(&self) -> Self {
-        ServiceRequest { message: self.message.clone(), id: self.id, service: self.service.clone() }
+        let Reply { id, service } = &self.reply;
+        ServiceRequest { message: self.message.clone(), reply: Reply { id: *id, service: service.clone() } }
+    }
+}
+
+/// The means to answer one request.
+pub(crate) struct Reply<T: Service> {
+    id: RequestId,
+    /// Held while a response is written and sent, and while requests are taken.
+    service: Arc<Mutex<ServiceLoaned<T>>>,
+}
+
+impl<T: Service> Reply<T> {
+    pub(crate) fn respond(self, msg: &T::Response) -> Result<()> {
+        let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
+        match service.server().respond(self.id, msg) {
+            Err(ServiceError::ClientGone { .. }) => Ok(()),
+            responded => Ok(responded?),
+        }
     }
 }
 
 impl<T: Service> std::fmt::Debug for ServiceRequest<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ServiceRequest").field("id", &self.id).finish_non_exhaustive()
+        f.debug_struct("ServiceRequest").field("id", &self.id()).finish_non_exhaustive()
     }
 }
 

@@ -12,7 +12,12 @@ use crate::topic_type::TopicType;
 use std::fmt;
 use std::sync::Arc;
 use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
 
+/// How long the end of a server waits for clients that have not taken their answers, of which they could then not learn.
+const FAREWELL: Duration = Duration::from_millis(100);
+/// How often it looks.
+const FAREWELL_PERIOD: Duration = Duration::from_micros(200);
 /// The stack on which a publisher is made: what the main thread of a test has.
 const OPENING_STACK_BYTES: usize = 2 << 20;
 
@@ -156,6 +161,16 @@ impl Responders {
     /// Whether nobody has asked yet.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty()
+    }
+}
+
+impl Drop for Responders {
+    /// Waits up to 100 ms for clients that have not taken their answers.
+    fn drop(&mut self) {
+        let end = Instant::now() + FAREWELL;
+        while !self.list.iter().all(|responder| responder.publisher.is_taken()) && Instant::now() < end {
+            std::thread::sleep(FAREWELL_PERIOD);
+        }
     }
 }
 
