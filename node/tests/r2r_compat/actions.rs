@@ -24,7 +24,7 @@ async fn run_goal(
     g.publish_feedback(feedback_msg.clone()).expect("fail");
     let order = g.goal.order as usize;
     for i in 1..order {
-        feedback_msg.sequence.push(feedback_msg.sequence[i] + feedback_msg.sequence[i - 1]);
+        feedback_msg.sequence.push(feedback_msg.sequence[i].wrapping_add(feedback_msg.sequence[i - 1]));
         g.publish_feedback(feedback_msg.clone()).expect("fail");
         timer.tick().await.unwrap();
     }
