@@ -7,7 +7,9 @@ mod demo;
 mod gateway;
 mod init;
 mod msg;
+mod node;
 mod report;
+mod service;
 mod table;
 mod topic;
 mod trace;
@@ -31,6 +33,8 @@ enum Verb {
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
     Topic(topic::TopicArgs),
+    Node(node::NodeArgs),
+    Service(service::ServiceArgs),
     Trace(trace::TraceArgs),
     Gateway(gateway::GatewayArgs),
 }
@@ -49,6 +53,8 @@ fn main() -> ExitCode {
         Verb::Report(args) => Ok(report::run(&args)),
         Verb::Trace(args) => trace::run(args).map_err(|error| error.to_string()),
         Verb::Topic(args) => topic::run(args).map_err(|error| error.to_string()),
+        Verb::Node(args) => node::run(&args).map_err(|error| error.to_string()),
+        Verb::Service(args) => service::run(&args).map_err(|error| error.to_string()),
         Verb::Gateway(args) => gateway::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };

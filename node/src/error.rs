@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use crate::parameters::ParameterError;
 use std::path::PathBuf;
 use std::time::Duration;
 use tautline_executor::ExecutorError;
@@ -23,6 +24,27 @@ pub enum Error {
         /// The rule that it breaks.
         reason: String,
     },
+    /// A remapping rule is none.
+    #[error(
+        "'{rule}' is not a remapping rule: {reason}; write from:=to, [node:]__node:=name or [node:]__ns:=/namespace"
+    )]
+    Remap {
+        /// The rule as given.
+        rule: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// An argument of the command line.
+    #[error("'{argument}' is not understood: {reason}")]
+    Argument {
+        /// The argument, with its value.
+        argument: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A parameter was not declared, read or set, or a parameter file is not understood.
+    #[error(transparent)]
+    Parameter(Box<ParameterError>),
     /// An environment variable does not say what it should.
     #[error("{variable}={value} is not understood: {expected}")]
     Environment {
@@ -36,6 +58,17 @@ pub enum Error {
     /// A timer that would be due without end.
     #[error("a timer cannot have a period of zero: give it the time between two releases")]
     ZeroPeriod,
+    /// A clock that shows no ROS time was used as if it did.
+    #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
+    ClockTypeNotRosTime,
+    /// Too many timers and sleeps on one node's ROS clock.
+    #[error(
+        "{max} timers and sleeps are on this node's ROS clock already: use another node, or a wall timer"
+    )]
+    ClockUsers {
+        /// Most there can be.
+        max: usize,
+    },
     /// The system file cannot be read, or is wrong: everything that is, with line and column.
     #[error(transparent)]
     System(#[from] tautline_analysis::file::FileError),
@@ -190,6 +223,12 @@ pub enum Error {
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),
+}
+
+impl From<ParameterError> for Error {
+    fn from(error: ParameterError) -> Self {
+        Error::Parameter(error.into())
+    }
 }
 
 #[cfg(feature = "untyped")]

@@ -32,18 +32,25 @@
 
 #[cfg(feature = "action_msgs")]
 mod action;
+mod args;
 mod context;
 mod error;
+mod graph;
 mod names;
 mod node;
+mod parameters;
+mod remap;
 mod service;
 mod statistics;
 mod subscription;
 mod system;
+#[cfg(feature = "rosgraph_msgs")]
+mod time;
 mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
 
+pub mod logging;
 pub mod qos;
 
 #[cfg(feature = "action_msgs")]
@@ -55,17 +62,28 @@ pub use action::{
 pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
-pub use node::Node;
+pub use graph::TopicEndpointInfo;
+pub use logging::{LogSeverity, Logger};
+pub use node::{Node, NodeOptions};
+pub use parameters::{
+    OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
+    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
+};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use remap::RemapRules;
 pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
 #[cfg(feature = "untyped")]
 pub use service::{ClientUntyped, ServiceRequestUntyped};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
+#[cfg(feature = "rosgraph_msgs")]
+pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema};
 
+pub use indexmap;
+pub use tautline_derive::RosParams;
 pub use tautline_trace::{TraceMode, TraceSettings};
 
 pub use tautline_executor::{
@@ -87,11 +105,19 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Client as ClientLoaned, Counters, Gid, Limits, Loan, LoanError, MAX_PENDING_REQUESTS, MessageInfo,
-    PendingResponse, PublishCdrError, PublishError, Publisher, PublisherCounters, Request, RequestId,
-    Response, Sample, ServiceError, TakeError, TopicMemory, TransportError, Unpublished, Unsent, Unwritten,
-    UnwrittenResponse, topic_memory,
+    Client as ClientLoaned, Counters, EndpointKind, Gid, GraphEvents, GraphSnapshot, Limits, Loan, LoanError,
+    MAX_PENDING_REQUESTS, MessageInfo, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError,
+    PublishError, Publisher, PublisherCounters, Request, RequestId, Response, Sample, ServiceEndpoint,
+    ServiceError, ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError,
+    Unpublished, Unsent, Unwritten, UnwrittenResponse, topic_memory,
 };
+
+/// What the macros' code calls.
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::logging::Site;
+    pub use crate::parameters::{field, no_field};
+}
 
 /// The README's program compiles.
 #[cfg(doctest)]

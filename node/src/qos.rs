@@ -246,6 +246,28 @@ impl QosProfile {
         }
     }
 
+    /// The profile that [`to_transport`](Self::to_transport) makes `qos` of.
+    pub(crate) fn from_transport(qos: &Qos) -> Self {
+        QosProfile {
+            history: match qos.history {
+                History::KeepAll => HistoryPolicy::KeepAll,
+                History::KeepLast => HistoryPolicy::KeepLast,
+            },
+            depth: qos.depth,
+            reliability: match qos.reliability {
+                Reliability::BestEffort => ReliabilityPolicy::BestEffort,
+                Reliability::Reliable => ReliabilityPolicy::Reliable,
+            },
+            durability: match qos.durability {
+                Durability::TransientLocal => DurabilityPolicy::TransientLocal,
+                Durability::Volatile => DurabilityPolicy::Volatile,
+            },
+            deadline: qos.deadline.unwrap_or_default(),
+            lifespan: qos.lifespan.unwrap_or_default(),
+            ..Self::common()
+        }
+    }
+
     /// The name of a liveliness setting that is not enforced, if one is made.
     pub(crate) fn unsupported_liveliness(self) -> Option<&'static str> {
         if self.liveliness == LivelinessPolicy::ManualByTopic {

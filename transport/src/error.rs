@@ -20,7 +20,7 @@ pub enum TransportError {
     /// What the environment says about tracing is not understood, or there is no memory for it.
     #[error(transparent)]
     Trace(#[from] tautline_trace::TraceError),
-    /// The file that says when a domain's topics change could not be made or mapped.
+    /// A file that says what the domain has, or when that changed, could not be made or mapped.
     #[error("{} cannot be used: {source}; check that /dev/shm is writable and not full; if the file is another user's, remove it", path.display())]
     Graph {
         /// The file.
@@ -56,6 +56,22 @@ pub enum TransportError {
         domain: u32,
         /// The greatest one.
         max: u32,
+    },
+    /// The name cannot be a node's.
+    #[error(
+        "'{name}' cannot be a node's name: it is letters, digits and '_' in a namespace that begins with '/'"
+    )]
+    NodeName {
+        /// The name, with its namespace.
+        name: String,
+    },
+    /// The name cannot be a service's, or the type not its type.
+    #[error("'{service}' cannot be a service: {reason}")]
+    ServiceName {
+        /// The name.
+        service: String,
+        /// Why not.
+        reason: &'static str,
     },
     /// The name cannot be a topic's.
     #[error("'{topic}' cannot be a topic name: {reason}")]
@@ -131,7 +147,7 @@ pub enum TransportError {
         reason: String,
     },
     /// A low-priority thread could not be started.
-    #[error("the janitor thread could not be started: {0}")]
+    #[error("a thread of low priority could not be started: {0}")]
     Janitor(#[source] tautline_rt::RtError),
 }
 

@@ -43,6 +43,7 @@ mod history;
 mod janitor;
 mod lending;
 mod memory;
+mod nodes;
 mod participant;
 mod ports;
 mod publisher;
@@ -60,6 +61,10 @@ pub use doorbell::{Doorbell, SLOTS, SamplerSeat, Slot};
 pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
 pub use header::{Gid, MessageInfo};
 pub use memory::{TopicMemory, topic_memory};
+pub use nodes::{
+    EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, RemoteGraph, ServiceEndpoint,
+    ServiceKind, ServiceRegistration, TopicEndpoint,
+};
 pub use participant::{MAX_DOMAIN, Participant, file_prefix};
 pub use publisher::{PublisherCounters, RawLoan, RawPublisher, Unpublished};
 pub use qos::{Durability, History, Limits, Qos, Reliability};

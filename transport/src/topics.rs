@@ -2,9 +2,11 @@
 //! Listing the topics of a domain with their publishers and subscriptions: for tools, the gateway and bridges.
 
 use crate::address::{Address, Role};
+use crate::doorbell::ArenaId;
 use crate::error::TransportError;
 use crate::header::Gid;
 use crate::janitor::remove_dead_nodes;
+use crate::nodes::remote_topic_type;
 use crate::participant::Participant;
 use crate::ports;
 use crate::qos::Qos;
@@ -43,6 +45,8 @@ pub struct EndpointInfo {
     pub pid: Option<u32>,
     /// Whether it belongs to the participant that made the list.
     pub is_own: bool,
+    /// Of its participant.
+    pub(crate) arena: ArenaId,
 }
 
 impl Participant {
@@ -98,7 +102,7 @@ impl Participant {
         let endpoint = |id: u128, name: &str, node: &UniqueNodeId| {
             let Address { role, arena, qos, .. } = Address::parse(name)?;
             let pid = node.pid::<ipc::Service>().ok().and_then(|pid| u32::try_from(pid.value()).ok());
-            Some((role, EndpointInfo { gid: ports::gid(id), qos, pid, is_own: arena == own }))
+            Some((role, EndpointInfo { gid: ports::gid(id), qos, pid, is_own: arena == own, arena }))
         };
         let (mut publishers, mut subscriptions) = (Vec::new(), Vec::new());
         factory.dynamic_config().list_publishers(|details| {
@@ -116,16 +120,19 @@ impl Participant {
         (publishers, subscriptions)
     }
 
-    /// The type of a topic, as far as whoever made it knew it; `None` if there is no such topic.
+    /// The type of a topic, as far as whoever made it knew it, on this host or else on another; `None` if there is no such
+    /// topic.
     ///
     /// # Real-time
     /// Not for real-time threads: opens the topic, with files and allocations.
     pub fn topic_type(&self, topic: &str) -> Option<TopicType> {
-        TopicType::from_attributes(open_existing(&self.shared.node, topic)?.attributes())
+        let factory = open_existing(&self.shared.node, topic);
+        let here = factory.and_then(|factory| TopicType::from_attributes(factory.attributes()));
+        here.or_else(|| remote_topic_type(self.domain(), topic))
     }
 
-    /// A number that changes when a publisher or a subscription of the domain appears or goes. Read it before
-    /// [`topics`](Self::topics): if it is the same later, so is the list.
+    /// A number that changes when a node, publisher, subscription, service or client of the domain appears or goes. Read it
+    /// before [`graph`](Self::graph) or [`topics`](Self::topics): if it is the same later, so is the list.
     ///
     /// # Real-time
     /// Wait-free; no syscall.

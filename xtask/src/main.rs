@@ -58,8 +58,7 @@ enum Verb {
     },
     /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
     Ros,
-    /// Tests the gateway with hosts in network namespaces, and against hiroz and zenoh-ros2-sdk (made under target/peers);
-    /// minutes to build, no part of `test`
+    /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
     /// Measures
     #[command(subcommand)]

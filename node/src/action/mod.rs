@@ -80,7 +80,7 @@ impl Node {
         action_name: &str,
         options: ActionServerOptions,
     ) -> Result<impl Stream<Item = ActionServerGoalRequest<T>> + Unpin + Send + use<T>> {
-        let name = self.expand_topic_name(action_name)?;
+        let name = self.resolve_topic_name(action_name)?;
         server::create(self, &name, options)
     }
 
@@ -89,7 +89,7 @@ impl Node {
     /// # Errors
     /// As [`create_client`](Self::create_client); as [`spawn_callback`](Self::spawn_callback).
     pub fn create_action_client<T: Action>(&mut self, action_name: &str) -> Result<ActionClient<T>> {
-        let name = self.expand_topic_name(action_name)?;
+        let name = self.resolve_topic_name(action_name)?;
         ActionClient::create(self, &name)
     }
 }

@@ -27,7 +27,7 @@ impl Node {
         action_name: &str,
         action_type: &str,
     ) -> Result<ActionClientUntyped> {
-        let action = self.expand_topic_name(action_name)?;
+        let action = self.resolve_topic_name(action_name)?;
         let names = Names::of(&action);
         let part = |part: &str| format!("{action_type}_{part}");
         let send_goal = self.create_client_untyped(&names.send_goal, &part("SendGoal"), qos())?;

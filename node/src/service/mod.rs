@@ -21,11 +21,10 @@ use crate::qos::QosProfile;
 use futures::{FutureExt, Stream};
 use std::future::Future;
 use tautline_msgs::Service;
-use tautline_transport::Limits;
+use tautline_transport::{Limits, TransportError};
 
 /// A service's queues keep all: of the quality of service the depth counts, which is how many requests of one client can
-/// wait at a server. [`set_topic_limits`](Node::set_topic_limits) with the service's name sets how many clients
-/// (`publishers`) and servers (`subscribers`) it can have, and `message_bytes` for requests and responses.
+/// wait at a server.
 ///
 /// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error, where r2r
 /// would wait for ever: wait with [`is_available`](Node::is_available) first. If all servers that got it end or are
@@ -84,7 +83,7 @@ impl Node {
         let (name, limits) = self.resolve_service(service_name, qos_profile)?;
         let depth = qos_profile.to_transport().depth;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(ServiceLoaned::new(self.context.shared.participant.create_server(&name, depth, limits)?))
+        Ok(ServiceLoaned::new(self.participant.create_server(&name, depth, limits)?))
     }
 
     /// Creates a client of a service.
@@ -111,7 +110,19 @@ impl Node {
     ) -> Result<tautline_transport::Client<T>> {
         let (name, limits) = self.resolve_service(service_name, qos_profile)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.context.shared.participant.create_client(&name, limits)?)
+        Ok(self.participant.create_client(&name, limits)?)
+    }
+
+    /// Sets the limits that this node gives a service if it is the first to open it: how many clients (`publishers`) and
+    /// servers (`subscribers`) it can have, and `message_bytes` for requests and responses. Call it before.
+    /// [`Limits::SERVICE`] otherwise.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn set_service_limits(&mut self, service_name: &str, limits: Limits) -> Result<()> {
+        let name = self.resolve_service_name(service_name)?;
+        self.service_limits.insert(name, limits);
+        Ok(())
     }
 
     /// Waits until the client's service, or all that the client's action consists of, has a server. The wait counts as a
@@ -131,6 +142,11 @@ impl Node {
         service_name: &str,
         qos_profile: QosProfile,
     ) -> Result<(String, Limits)> {
-        self.resolve_or(service_name, qos_profile, Limits::SERVICE)
+        let name = self.resolve_service_name(service_name)?;
+        if let Some(setting) = qos_profile.unsupported_liveliness() {
+            return Err(TransportError::Unsupported { topic: name, setting }.into());
+        }
+        let limits = self.service_limits.get(&name).copied().unwrap_or(Limits::SERVICE);
+        Ok((name, limits))
     }
 }

@@ -55,7 +55,7 @@ impl Node {
         let (name, limits) = self.resolve_service(service_name, qos_profile)?;
         let definitions = self.service_definitions(&name, service_type)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let participant = &self.context.shared.participant;
+        let participant = &self.participant;
         let client = participant.create_raw_client(&name, &definitions.service_type(), limits)?;
         Ok(ClientUntyped { client: Mutex::new(client), definitions, events: self.context.events().clone() })
     }
@@ -74,7 +74,7 @@ impl Node {
         let definitions = self.service_definitions(&name, service_type)?;
         let depth = qos_profile.to_transport().depth;
         let _node = tautline_trace::in_node(self.trace.id());
-        let participant = &self.context.shared.participant;
+        let participant = &self.participant;
         let server = participant.create_raw_server(&name, &definitions.service_type(), depth, limits)?;
         let server = Arc::new(Mutex::new(Samples::new(server)));
         Ok(RequestsUntyped { server, definitions })
@@ -82,7 +82,7 @@ impl Node {
 
     fn service_definitions(&self, service: &str, type_name: &str) -> Result<Definitions> {
         let name: TypeName = type_name.parse()?;
-        let existing = self.context.shared.participant.service_type(service);
+        let existing = self.participant.service_type(service);
         let schema = find_schema(service, &name, existing.as_ref())?;
         let part = |suffix: &str| -> Result<Arc<Schema>> {
             Ok(schema.of_part(&format!("{type_name}_{suffix}").parse()?)?.into())

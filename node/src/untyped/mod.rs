@@ -86,16 +86,15 @@ impl Node {
         let schema = self.schema_of(topic, topic_type)?;
         let (topic, limits) = self.resolve(topic, qos_profile)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let participant = &self.context.shared.participant;
         let qos = qos_profile.to_transport();
-        let raw = participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
+        let raw = self.participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
         Ok(PublisherUntyped::new(raw, schema))
     }
 
     fn schema_of(&self, topic: &str, type_name: &str) -> Result<Arc<Schema>> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         let name: TypeName = type_name.parse()?;
-        let existing = self.context.shared.participant.topic_type(&topic);
+        let existing = self.participant.topic_type(&topic);
         find_schema(&topic, &name, existing.as_ref())
     }
 
@@ -107,8 +106,12 @@ impl Node {
     ) -> Result<RawSubscription> {
         let (topic, limits): (String, Limits) = self.resolve(topic, qos_profile)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let participant = &self.context.shared.participant;
-        Ok(participant.create_raw_subscription(&topic, topic_type, qos_profile.to_transport(), limits)?)
+        Ok(self.participant.create_raw_subscription(
+            &topic,
+            topic_type,
+            qos_profile.to_transport(),
+            limits,
+        )?)
     }
 }
 

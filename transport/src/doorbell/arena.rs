@@ -33,7 +33,7 @@ const FREE: u64 = 0;
 const ENDED: u64 = 1;
 
 /// Identifies an arena among all of a domain. Random: process ids repeat, and containers share `/dev/shm`.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ArenaId(pub(crate) u64);
 
 impl fmt::Display for ArenaId {

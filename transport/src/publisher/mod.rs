@@ -14,7 +14,7 @@ use crate::header::Gid;
 use crate::history::Keeper;
 use crate::janitor::Watch;
 use crate::memory;
-use crate::participant::Shared;
+use crate::participant::{Participant, Shared};
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
 use crate::topic::{IoxPublisher, Topic, padded};
@@ -65,12 +65,13 @@ unsafe impl Send for RawPublisher {}
 
 impl RawPublisher {
     pub(crate) fn create(
-        shared: Arc<Shared>,
+        participant: &Participant,
         topic: &str,
         topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
+        let shared = participant.shared.clone();
         let topic = Arc::new(Topic::open(&shared.node, topic, topic_type, qos, limits, false)?);
         let transient = qos.durability == Durability::TransientLocal;
         let slot = shared.doorbell.claim()?;
@@ -83,6 +84,7 @@ impl RawPublisher {
             .publisher_port(&topic.factory, &address.to_port_name(), topic.limits)
             .map_err(|error| create_error(&topic, error))?;
         let gid = ports::gid(port.id().value());
+        let owner = participant.own(gid)?;
         if transient {
             let keeper = Keeper::new(shared.domain, &shared.doorbell, &topic, gid, qos.depth, slot.index())?;
             shared.janitor.keep(slot.index(), keeper);
@@ -110,7 +112,7 @@ impl RawPublisher {
             counters: Arc::default(),
             slot,
             topic,
-            _presence: Presence::new(&shared.graph),
+            _presence: Presence::new(&shared.graph, owner),
             shared,
         };
         let mut peers = publisher.peers.borrow_mut();

@@ -6,6 +6,7 @@ use super::{RESPONSES_DEPTH, ServiceError, ServiceType, request_topic, response_
 use crate::doorbell::Slot;
 use crate::error::TransportError;
 use crate::header::Gid;
+use crate::nodes::{ServiceKind, ServiceRegistration};
 use crate::participant::Participant;
 use crate::ports;
 use crate::publisher::RawPublisher;
@@ -86,6 +87,7 @@ pub(super) struct Shared {
     pub(super) alive: AtomicU64,
     /// Wakes every task that waits.
     pub(super) waker: Waker,
+    _registration: Option<ServiceRegistration>,
 }
 
 /// What comes in.
@@ -195,6 +197,7 @@ impl Participant {
             table,
             alive: AtomicU64::new(0),
             waker,
+            _registration: self.register(ServiceKind::Client, service, service_type)?,
         };
         let client = RawClient { shared: Arc::new(shared), sequence_number: Cell::new(0) };
         client.shared.collect();

@@ -22,6 +22,7 @@ pub use typed::{Client, PendingResponse, Request, Response, Server, UnwrittenRes
 
 use crate::error::{LoanError, TransportError};
 use crate::header::Gid;
+use crate::nodes::{NodeHandle, ServiceKind, ServiceRegistration};
 use crate::participant::Participant;
 use crate::qos::Limits;
 use crate::topic_type::TopicType;
@@ -119,6 +120,23 @@ pub struct ServiceInfo {
 }
 
 impl Participant {
+    /// Says which node has this end of the service, if this participant is a node's.
+    fn register(
+        &self,
+        kind: ServiceKind,
+        service: &str,
+        service_type: &ServiceType,
+    ) -> Result<Option<ServiceRegistration>, TransportError> {
+        let Some(entry) = &self.node else { return Ok(None) };
+        let (node, TopicType { name, hash, .. }) =
+            (NodeHandle { entry: entry.clone() }, &service_type.request);
+        let register = match kind {
+            ServiceKind::Server => NodeHandle::register_service,
+            ServiceKind::Client => NodeHandle::register_client,
+        };
+        register(&node, service, name, hash.as_deref()).map(Some)
+    }
+
     /// The services of the domain, sorted by name, with their servers and clients.
     ///
     /// # Real-time

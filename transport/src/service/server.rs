@@ -4,6 +4,7 @@
 use super::{ServiceType, request_topic, response_limits, response_topic};
 use crate::error::{TakeError, TransportError};
 use crate::header::{Gid, MessageInfo};
+use crate::nodes::{ServiceKind, ServiceRegistration};
 use crate::participant::Participant;
 use crate::publisher::{RawLoan, RawPublisher};
 use crate::qos::{Limits, Qos};
@@ -54,6 +55,7 @@ pub struct Responders {
     pub(super) list: Vec<Responder>,
     /// The epoch of the request topic's ports up to which clients that went were forgotten.
     epoch: u32,
+    _registration: Option<ServiceRegistration>,
 }
 
 pub(super) struct Responder {
@@ -90,7 +92,7 @@ impl Participant {
             Qos::keep_all(depth),
             limits,
         )?;
-        let responders = Responders::new(self, service, &service_type.response, limits, &requests);
+        let responders = Responders::new(self, service, service_type, limits, &requests)?;
         Ok(RawServer { requests, responders })
     }
 }
@@ -99,22 +101,23 @@ impl Responders {
     pub(super) fn new(
         participant: &Participant,
         service: &str,
-        response_type: &TopicType,
+        service_type: &ServiceType,
         limits: Limits,
         requests: &RawSubscription,
-    ) -> Self {
+    ) -> Result<Self, TransportError> {
         // Those of the service as it is, but this server's own sizes.
         let of_service = requests.limits();
         let (publishers, subscribers) = (of_service.publishers, of_service.subscribers);
         let limits = Limits { publishers, subscribers, ..limits };
-        Responders {
+        Ok(Responders {
             participant: participant.clone(),
             service: service.into(),
-            response_type: response_type.clone(),
+            response_type: service_type.response.clone(),
             limits: response_limits(limits),
             list: Vec::with_capacity(limits.publishers),
             epoch: requests.ports_epoch(),
-        }
+            _registration: participant.register(ServiceKind::Server, service, service_type)?,
+        })
     }
 
     /// Makes sure that the client of a request that was taken from `requests` can be answered. Only the first time for each

@@ -99,10 +99,11 @@ impl Participant {
         depth: usize,
         limits: Limits,
     ) -> Result<Server<S>, TransportError> {
-        let ServiceType { request, response } = ServiceType::of::<S>();
+        let service_type = ServiceType::of::<S>();
+        let request = &service_type.request;
         let requests =
-            self.create_raw_subscription(&request_topic(service), &request, Qos::keep_all(depth), limits)?;
-        let responders = Responders::new(self, service, &response, limits, &requests);
+            self.create_raw_subscription(&request_topic(service), request, Qos::keep_all(depth), limits)?;
+        let responders = Responders::new(self, service, &service_type, limits, &requests)?;
         Ok(Server { requests: Subscription::of_raw(requests), responders })
     }
 }

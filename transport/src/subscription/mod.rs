@@ -14,7 +14,7 @@ use crate::graph::Presence;
 use crate::history::Catch;
 use crate::janitor::Watch;
 use crate::lending::{Shelf, Sole};
-use crate::participant::Shared;
+use crate::participant::{Participant, Shared};
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
 use crate::topic::{IoxSample, IoxSubscriber, Topic};
@@ -91,12 +91,13 @@ impl Counters {
 
 impl RawSubscription {
     pub(crate) fn create(
-        shared: Arc<Shared>,
+        participant: &Participant,
         topic: &str,
         topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
+        let shared = participant.shared.clone();
         let topic = Arc::new(Topic::open(&shared.node, topic, topic_type, qos, limits, true)?);
         let transient = qos.durability == Durability::TransientLocal;
         let limit = topic.limits.subscribers;
@@ -118,6 +119,7 @@ impl RawSubscription {
             .set_degradation_handler(topic.warn_of_degradation())
             .create()
             .map_err(|error| create_error(&topic, error))?;
+        let owner = participant.own(ports::gid(port.id().value()))?;
         let catch = if transient { Catch::open(&topic, address, qos.depth)? } else { None };
         // Publishers learn of the new queue; what they sent before that is found by the first take.
         ports::announce(shared.domain, &shared.doorbell, &topic, catch.is_some());
@@ -135,7 +137,7 @@ impl RawSubscription {
         };
         shared.janitor.watch(watch);
         let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);
-        let presence = Presence::new(&shared.graph);
+        let presence = Presence::new(&shared.graph, owner);
         Ok(RawSubscription {
             port: Sole::new(port),
             shelf: Shelf::new(topic.limits.held),

@@ -410,6 +410,7 @@ impl Control {
         stats.remote_nodes = graph.tokens().filter(|token| token.endpoint.is_none()).count();
         stats.remote_endpoints = graph.tokens().count() - stats.remote_nodes;
         stats.refused_tokens = refused_by_reason(graph.refused());
+        stats.unauthorized = crate::access::refused();
         stats.not_mirrored = self.refused.clone();
         let failed = self.failed.iter().map(|((key, _), (_, reason))| (key.topic.clone(), reason.clone()));
         stats.not_mirrored.extend(failed);
