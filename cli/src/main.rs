@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod check;
+mod component;
 mod demo;
 mod gateway;
 mod init;
@@ -38,6 +39,7 @@ enum Verb {
     Service(service::ServiceArgs),
     Trace(trace::TraceArgs),
     Gateway(gateway::GatewayArgs),
+    Component(component::ComponentArgs),
 }
 
 fn main() -> ExitCode {
@@ -57,6 +59,7 @@ fn main() -> ExitCode {
         Verb::Node(args) => node::run(&args).map_err(|error| error.to_string()),
         Verb::Service(args) => service::run(&args).map_err(|error| error.to_string()),
         Verb::Gateway(args) => gateway::run(args).map_err(|error| error.to_string()),
+        Verb::Component(args) => component::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {

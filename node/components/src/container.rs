@@ -7,7 +7,7 @@ use crate::stamp::{self, SYMBOL};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use tautline::{CallbackHandle, Context, Node};
+use tautline::{CallbackHandle, Context, Node, NodeOptions, RemapRules};
 
 /// Loads components into this process. They share its context, and with it one sampler; what they publish to each other is read
 /// where it was written.
@@ -37,6 +37,8 @@ pub struct Load {
     pub name: String,
     /// The node's namespace.
     pub namespace: String,
+    /// Rules for this node alone.
+    pub remap: RemapRules,
 }
 
 impl Container {
@@ -57,7 +59,8 @@ impl Container {
         let name = if load.name.is_empty() { short } else { load.name.clone() };
         let component = || plugin.name.to_owned();
         let create = || -> tautline::Result<(String, Vec<CallbackHandle>)> {
-            let node = Node::create(self.context.clone(), &name, &load.namespace)?;
+            let options = NodeOptions::default().remap(load.remap.clone());
+            let node = Node::create_with_options(self.context.clone(), &name, &load.namespace, options)?;
             let full_name = node.fully_qualified_name()?;
             Ok((full_name, (plugin.create)(node)?))
         };

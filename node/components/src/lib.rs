@@ -12,9 +12,11 @@
 mod container;
 mod entry;
 mod error;
+mod services;
 mod stamp;
 
 pub use container::{Container, Load};
 pub use entry::{Create, Library, Plugin};
 pub use error::ComponentError;
+pub use services::{SharedContainer, serve};
 pub use stamp::{STAMP, STAMP_BYTES};

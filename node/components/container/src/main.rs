@@ -8,7 +8,8 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use tautline::{Context, Realtime};
+use std::sync::{Arc, Mutex};
+use tautline::{CallbackOptions, Context, Node, Realtime};
 use tautline_components::{Container, Load};
 use tautline_dylib as _;
 
@@ -19,16 +20,19 @@ use tautline_dylib as _;
 #[derive(Parser, Debug)]
 #[command(
     version,
-    after_help = "Examples:\n  taut-container libdemo.so:demo::Counter libdemo.so:demo::Doubler\n  \
+    after_help = "Load, unload and list while it runs with `taut component`.\n\nExamples:\n  taut-container libdemo.so:demo::Counter libdemo.so:demo::Doubler\n  \
                   taut-container --no-rt --namespace /robot libdrive.so"
 )]
 struct Args {
     /// What to load: a library, or LIBRARY:COMPONENT if it has several.
-    #[arg(required = true, value_name = "LIBRARY[:COMPONENT]")]
+    #[arg(value_name = "LIBRARY[:COMPONENT]")]
     load: Vec<String>,
     /// The namespace of the components' nodes.
     #[arg(long, default_value = "")]
     namespace: String,
+    /// The name of the container's own node, by whose services components are loaded and unloaded.
+    #[arg(long, default_value = "ComponentManager")]
+    name: String,
     /// Without real-time priorities.
     #[arg(long)]
     no_rt: bool,
@@ -50,6 +54,7 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         settings = settings.realtime(Realtime::Off);
     }
     let context = settings.build()?;
+    let mut node = Node::create(context.clone(), &args.name, "")?;
     let mut container = Container::new(context.clone());
     for load in &args.load {
         // The component's name has colons, too.
@@ -59,6 +64,10 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         let id = container.load(&load)?;
         println!("{id} {}", container.full_name(id).unwrap_or_default());
     }
+    let container = Arc::new(Mutex::new(container));
+    let serve = tautline_components::serve(&container, &mut node)?;
+    // Below every callback: making a component is no real-time work.
+    let services = node.spawn_callback(CallbackOptions::other().name("container"), serve)?;
     let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
     let events = context.events().clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {
@@ -66,5 +75,7 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         events.stop();
     })?;
     context.spin()?;
+    services.stop();
+    services.join()?;
     Ok(())
 }

@@ -6,6 +6,7 @@ use futures::executor::block_on;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
 use tautline::std_msgs::msg::UInt64;
 use tautline::{Context, Node, QosProfile, Realtime};
 use tautline_components::{ComponentError, Container, Load, STAMP};
@@ -131,4 +132,63 @@ fn a_process_that_does_not_share_its_tautline_loads_nothing() {
     }
     assert_eq!(container.list().count(), 0);
     assert!(matches!(container.unload(1), Err(ComponentError::NoSuchId { id: 1 })));
+}
+
+#[test]
+fn components_come_and_go_by_service() {
+    let context = Context::builder().domain(230).realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context.clone(), "manager", "").unwrap();
+    let qos = QosProfile::services_default();
+    let [load, unload, list] = ["load", "unload", "list"]
+        .map(|verb| format!("/served/_container/{verb}_node").replace("list_node", "list_nodes"));
+    let load = node.create_client::<LoadNode::Service>(&load, qos).unwrap();
+    let unload = node.create_client::<UnloadNode::Service>(&unload, qos).unwrap();
+    let list = node.create_client::<ListNodes::Service>(&list, qos).unwrap();
+    let counts = node.subscribe_loaned::<UInt64>("/moved/count", QosProfile::default()).unwrap();
+    let spinning = std::thread::spawn(move || context.spin().map(|()| context));
+
+    let mut command = container(230, &[]);
+    let running = Running(command.args(["--name", "served"]).spawn().unwrap());
+    block_on(Node::is_available(&list).unwrap()).unwrap();
+    let ask = |plugin: &str, rules: &[&str], level: u8| {
+        let request = LoadNode::Request {
+            package_name: demo().to_str().unwrap().into(),
+            plugin_name: plugin.into(),
+            node_name: "mine".into(),
+            node_namespace: "/robot".into(),
+            remap_rules: rules.iter().map(|rule| (*rule).into()).collect(),
+            log_level: level,
+            ..Default::default()
+        };
+        block_on(load.request(&request).unwrap()).unwrap()
+    };
+    let names = || block_on(list.request(&Default::default()).unwrap()).unwrap().full_node_names;
+    let end = |unique_id| block_on(unload.request(&UnloadNode::Request { unique_id }).unwrap()).unwrap();
+
+    assert!(names().is_empty());
+    let loaded = ask("demo::Counter", &["count:=/moved/count"], 0);
+    assert_eq!((loaded.success, &*loaded.full_node_name, loaded.unique_id), (true, "/robot/mine", 1));
+    assert_eq!(names(), ["/robot/mine"]);
+    let values: Vec<u64> = block_on(counts.take(3).map(|message| message.data).collect());
+    assert!(values.is_sorted());
+    for (refused, reason) in [
+        (ask("demo::Nothing", &[], 0), "no component 'demo::Nothing'"),
+        (ask("demo::Broken", &[], 0), "panicked"),
+        (ask("demo::Counter", &["no rule"], 0), "no rule"),
+        (ask("demo::Counter", &[], 10), "'log_level' of a load request is not supported"),
+    ] {
+        assert!(!refused.success && refused.error_message.contains(reason), "{}", refused.error_message);
+    }
+    assert_eq!(names(), ["/robot/mine"], "what is refused changes nothing");
+    assert!(end(1).success);
+    assert!(names().is_empty());
+    let again = end(1);
+    assert!(
+        !again.success && again.error_message.contains("no component has number 1"),
+        "{}",
+        again.error_message
+    );
+    drop(running);
+    node.context().shutdown();
+    drop(spinning.join().unwrap().unwrap());
 }
