@@ -14,7 +14,9 @@ use tautline_ros_msgs::lifecycle_msgs::{msg, srv};
 impl LifecycleNode {
     /// Offers the node's services, as in ROS 2: `~/change_state`, `~/get_state`, `~/get_available_states`,
     /// `~/get_available_transitions` and `~/get_transition_graph`. They answer as long as the future is polled, which never ends:
-    /// give it a callback of its own. Callbacks of transitions run there when they are asked for by service.
+    /// give it a callback of its own. Callbacks of transitions run there when they are asked for by service: if they make
+    /// topics, it needs a stack as large as a program's own
+    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)).
     ///
     /// # Errors
     /// [`LifecycleError::Busy`]; [`Error::Transport`](crate::Error::Transport) if a service cannot be had.
