@@ -14,7 +14,7 @@ use hiroz::node::ZNode;
 use hiroz::pubsub::ZPub;
 use hiroz::{Builder, ZBuf};
 use hiroz_msgs::std_msgs::ByteMultiArray;
-use tautline_bench_network::{
+use tautline_exchange::{
     Answer, Arrivals, Exchange, Job, Line, Link, Result, Role, drive, on_network_thread, say, stop_flag,
 };
 use zenoh_buffers::ZSlice;

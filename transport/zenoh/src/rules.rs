@@ -124,7 +124,7 @@ mod tests {
             priorities.concat()
         );
         let rules = Rule::of_system(&SystemFile::parse(&text).unwrap()).unwrap();
-        let of = |topic| ruled(&rules, topic);
+        let of = |topic: &str| ruled(&rules, topic);
         assert_eq!(of("/imu"), Some(Urgency { priority: Priority::Data, express: false }));
         assert_eq!(of("/odom"), None);
         let order = LinkPriority::ALL.map(|priority| of(&format!("/{}", priority.as_str())).unwrap());

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use serde::Serialize;
-use tautline_bench_network::Exchange;
+use tautline_exchange::Exchange;
 
 use crate::{Options, Result};
 

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use tautline_bench_network::{
+use tautline_exchange::{
     Answer, Arrivals, Exchange, Job, Line, Link, Result, Role, drive, on_network_thread, say, stop_flag,
 };
 use zenoh::bytes::ZBytes;
@@ -19,7 +19,7 @@ use zenoh::{Config, Session, Wait};
 /// Runs one end to its end.
 pub fn run(job: &Job) -> Result<()> {
     let own = job.clone();
-    let session = on_network_thread(job, move || Ok(zenoh::open(config(&own)?).wait().map_err(text)?))?;
+    let session = on_network_thread(job, move || zenoh::open(config(&own)?).wait().map_err(text))?;
     let own = job.clone();
     job.as_application(move || match own.role {
         Role::Near => near(&session, &own),
@@ -39,7 +39,7 @@ fn config(job: &Job) -> Result<Config> {
     Config::from_json5(&config).map_err(text)
 }
 
-fn text(error: zenoh::Error) -> tautline_bench_network::Error {
+fn text(error: zenoh::Error) -> tautline_exchange::Error {
     error.to_string().into()
 }
 

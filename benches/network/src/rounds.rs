@@ -6,8 +6,8 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use tautline_bench_network::{Exchange, Job, Line, Measured, Role};
 use tautline_benches::{Distribution, Process};
+use tautline_exchange::{Exchange, Job, Line, Measured, Role};
 
 use crate::Result;
 use crate::gateways::{DOMAINS, Gateways, Setting};

@@ -13,7 +13,7 @@ use ::tautline::{
 };
 use futures::StreamExt;
 use futures::future::{Either, select};
-use tautline_bench_network::{
+use tautline_exchange::{
     APPLICATION_PRIORITY, Answer, Arrivals, Exchange, Job, Line, Result, Role, RoundTrips, Window, say,
     stop_flag,
 };

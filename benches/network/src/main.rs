@@ -32,8 +32,8 @@ use clap::Parser;
 use plan::{Experiment, Plan, System};
 use report::Report;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tautline_bench_network::{Job, NETWORK_PRIORITY};
 use tautline_benches::Disturbance;
+use tautline_exchange::{Job, NETWORK_PRIORITY};
 use tautline_rt::{CoreSet, permission};
 
 /// What nobody handles but the person who reads it.
@@ -102,7 +102,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn child(system: &str, job: &str) -> tautline_bench_network::Result<()> {
+fn child(system: &str, job: &str) -> tautline_exchange::Result<()> {
     let job = Job::begin(job)?;
     match system {
         "tautline" => tautline::run(&job),

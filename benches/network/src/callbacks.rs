@@ -10,8 +10,8 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use serde_json::Value;
-use tautline_bench_network::{Exchange, Job, Line, Measured, Role};
 use tautline_benches::Process;
+use tautline_exchange::{Exchange, Job, Line, Measured, Role};
 
 use crate::Result;
 use crate::gateways::{DOMAINS, Gateways, Setting};

@@ -7,8 +7,8 @@ use std::path::Path;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{Cell, CellAlignment, Table};
 use serde::Serialize;
-use tautline_bench_network::{APPLICATION_PRIORITY, NETWORK_PRIORITY};
 use tautline_benches::{machine, version_of};
+use tautline_exchange::{APPLICATION_PRIORITY, NETWORK_PRIORITY};
 
 use crate::Result;
 use crate::plan::{Experiment, Plan, System};
@@ -159,7 +159,7 @@ pub fn payload(bytes: usize) -> String {
 
 fn versions() -> String {
     let version = |package| version_of(package).unwrap_or("?");
-    let hiroz = include_str!("../../../../network-hiroz/Cargo.toml");
+    let hiroz = include_str!("../../network-hiroz/Cargo.toml");
     let hiroz = hiroz.split_once("hiroz = \"=").and_then(|(_, rest)| rest.split('"').next()).unwrap_or("?");
     format!("tautline {}, zenoh {}, hiroz {hiroz}", version("tautline"), version("zenoh"))
 }
