@@ -4,13 +4,15 @@
 
 mod common;
 
-use common::{Log, Number, context};
+use common::{Log, Number, context, spin};
+use futures::executor::block_on;
 use std::sync::{Arc, Mutex};
 use tautline::lifecycle::{
     CallbackReturn, LifecycleCallbacks, LifecycleError, LifecycleNode, ManagedNode, State, Transitioned,
 };
 use tautline::lifecycle_msgs::msg::TransitionEvent;
-use tautline::{Node, Publisher, QosProfile};
+use tautline::lifecycle_msgs::srv::{ChangeState, GetAvailableStates, GetAvailableTransitions, GetState};
+use tautline::{CallbackOptions, Node, Publisher, QosProfile};
 
 const DOMAIN: u32 = 217;
 
@@ -207,4 +209,53 @@ fn a_panic_is_an_error_and_a_transition_in_a_transition_is_refused() {
     assert!(seen[0].starts_with("configuring: the node is in state 'configuring'"), "{}", seen[0]);
     assert_eq!(seen[1], "error of configuring");
     own.lock().unwrap().take();
+}
+
+#[test]
+fn its_services_are_ros_2s() {
+    let context = context(DOMAIN);
+    let _sampler = spin(&context);
+    let script = Script::default();
+    let node = LifecycleNode::create(context.clone(), "served", "", script.clone()).unwrap();
+    let serve = node.serve().unwrap();
+    let callback =
+        node.with_node(|node| node.spawn_callback(CallbackOptions::other(), serve)).unwrap().unwrap();
+
+    let mut other = Node::create(context.clone(), "manager", "").unwrap();
+    let qos = QosProfile::services_default();
+    let change = other.create_client::<ChangeState::Service>("/served/change_state", qos).unwrap();
+    let state = other.create_client::<GetState::Service>("/served/get_state", qos).unwrap();
+    let states =
+        other.create_client::<GetAvailableStates::Service>("/served/get_available_states", qos).unwrap();
+    let [transitions, graph] = ["available_transitions", "transition_graph"].map(|name| {
+        other.create_client::<GetAvailableTransitions::Service>(&format!("/served/get_{name}"), qos).unwrap()
+    });
+    block_on(Node::is_available(&change).unwrap()).unwrap();
+    let ask = |id: u8, label: &str| {
+        let mut request = ChangeState::Request::default();
+        (request.transition.id, request.transition.label) = (id, label.to_owned());
+        block_on(change.request(&request).unwrap()).unwrap().success
+    };
+    let now = || block_on(state.request(&GetState::Request::default()).unwrap()).unwrap().current_state.label;
+    let possible = |client: &tautline::Client<GetAvailableTransitions::Service>| {
+        let response = block_on(client.request(&Default::default()).unwrap()).unwrap();
+        response.available_transitions.into_iter().map(|found| found.transition.label).collect::<Vec<_>>()
+    };
+    assert!(!ask(3, ""), "not from here");
+    assert_eq!(now(), "unconfigured");
+    assert!(ask(1, ""));
+    assert_eq!(
+        (now(), possible(&transitions)),
+        ("inactive".into(), vec!["cleanup".into(), "activate".into(), "shutdown".into()])
+    );
+    assert!(ask(0, "activate"), "by name");
+    script.returns("deactivate", CallbackReturn::Failure);
+    assert!(!ask(4, ""), "its callback failed");
+    assert_eq!((now(), node.state()), ("active".into(), State::Active));
+    assert_eq!(possible(&graph).len(), 25);
+    let known = block_on(states.request(&Default::default()).unwrap()).unwrap().available_states;
+    assert_eq!(known.len(), 11);
+    assert_eq!(script.calls(), ["configure", "activate", "deactivate"]);
+    callback.stop();
+    callback.join().unwrap();
 }

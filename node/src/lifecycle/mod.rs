@@ -3,6 +3,7 @@
 
 mod machine;
 mod node;
+mod services;
 
 pub use machine::{CallbackReturn, InvalidTransition, State, StateMachine, Transition};
 pub use node::{LifecycleCallbacks, LifecycleError, LifecycleNode, ManagedNode, Transitioned};

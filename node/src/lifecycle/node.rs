@@ -324,7 +324,7 @@ impl Inner {
 }
 
 /// A state as its message.
-fn described(state: State) -> msg::State {
+pub(super) fn described(state: State) -> msg::State {
     msg::State { id: state.id(), label: state.label().into() }
 }
 
