@@ -34,6 +34,7 @@ pub(super) struct ServiceRecord {
     name: String,
     type_name: String,
     type_hash: Option<String>,
+    gid: Gid,
 }
 
 /// A publisher or subscription of another host.
@@ -79,6 +80,7 @@ impl Record {
             name: record.name.clone(),
             type_name: record.type_name.clone(),
             type_hash: record.type_hash.clone(),
+            gid: record.gid,
             node: self.nodes.get(&record.node)?.clone(),
             pid: (!self.is_relay).then_some(self.pid),
             is_remote: self.is_relay,
@@ -115,19 +117,14 @@ impl Record {
 }
 
 impl ServiceRecord {
-    pub(super) fn new(
-        node: u64,
-        kind: ServiceKind,
-        name: &str,
-        type_name: &str,
-        type_hash: Option<&str>,
-    ) -> Self {
+    pub(super) fn new(node: u64, end: &ServiceEndpoint) -> Self {
         ServiceRecord {
             node,
-            is_server: kind == ServiceKind::Server,
-            name: name.into(),
-            type_name: type_name.into(),
-            type_hash: type_hash.map(Into::into),
+            is_server: end.kind == ServiceKind::Server,
+            name: end.name.clone(),
+            type_name: end.type_name.clone(),
+            type_hash: end.type_hash.clone(),
+            gid: end.gid,
         }
     }
 
@@ -207,7 +204,17 @@ mod tests {
 
     fn record() -> Record {
         let node = NodeName { namespace: "/robot".into(), name: "n".into() };
-        let service = ServiceRecord::new(1, ServiceKind::Server, "/robot/add", "a/srv/B", None);
+        let service = ServiceEndpoint {
+            kind: ServiceKind::Server,
+            name: "/robot/add".into(),
+            type_name: "a/srv/B".into(),
+            type_hash: None,
+            gid: Gid([5; 16]),
+            node: node.clone(),
+            pid: None,
+            is_remote: true,
+        };
+        let service = ServiceRecord::new(1, &service);
         let end = TopicEndpoint {
             kind: EndpointKind::Subscription,
             topic: "/x".into(),
