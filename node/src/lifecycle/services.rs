@@ -7,7 +7,7 @@ use crate::error;
 use crate::qos::QosProfile;
 use crate::service::ServiceRequest;
 use futures::StreamExt;
-use std::future::{Future, ready};
+use std::future::{Future, Ready, ready};
 use tautline_msgs::Service;
 use tautline_ros_msgs::lifecycle_msgs::{msg, srv};
 
@@ -42,22 +42,23 @@ impl LifecycleNode {
                 if let Err(error) = &done {
                     tracing::warn!("{error}");
                 }
-                ready(respond(request, changed(&done)))
+                respond(request, changed(&done))
             });
-            let states = states.for_each(|request| ready(respond(request, state(node.state()))));
-            let all_states = all_states.for_each(|request| ready(respond(request, available_states())));
-            let available = available
-                .for_each(|request| ready(respond(request, transitions(node.available_transitions()))));
-            let graphs = graphs.for_each(|request| ready(respond(request, transitions(Transition::ALL))));
+            let states = states.for_each(|request| respond(request, state(node.state())));
+            let all_states = all_states.for_each(|request| respond(request, available_states()));
+            let available =
+                available.for_each(|request| respond(request, transitions(node.available_transitions())));
+            let graphs = graphs.for_each(|request| respond(request, transitions(Transition::ALL)));
             futures::join!(changes, states, all_states, available, graphs);
         })
     }
 }
 
-fn respond<T: Service>(request: ServiceRequest<T>, response: T::Response) {
+fn respond<T: Service>(request: ServiceRequest<T>, response: T::Response) -> Ready<()> {
     if let Err(error) = request.respond(response) {
         tracing::warn!("a lifecycle service did not answer: {error}");
     }
+    ready(())
 }
 
 /// As in rclcpp: a transition whose number is 0 is looked for by its name.
