@@ -32,9 +32,10 @@ pub fn run(quick: bool) -> ExitCode {
         peers::test(&mut steps, built);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 8] = [
+    let slow: [(&str, Step); 9] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
+        ("bench: parameters", parameters),
         ("bench: wake", wake),
         ("bench: messages", messages),
         ("bench: paper", paper),
@@ -202,6 +203,13 @@ fn trace(steps: &mut Steps) {
     steps.command("bench: trace", &mut bench("trace", true, None));
 }
 
+/// As [`trace`].
+fn parameters(steps: &mut Steps) {
+    let domain = Domain::unused();
+    let mut command = bench("parameters", true, None);
+    steps.command("bench: parameters", command.env("TAUT_DOMAIN", domain.number.to_string()));
+}
+
 /// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
 /// minute to build.
 fn paper(steps: &mut Steps) {
@@ -237,7 +245,8 @@ fn stress(steps: &mut Steps) {
 
 /// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
 fn loom(steps: &mut Steps) {
-    let mut command = cargo("test --release -p tautline-rt -p tautline-transport -p tautline-trace --lib loom");
+    let mut command =
+        cargo("test --release -p tautline-rt -p tautline-transport -p tautline-trace --lib loom");
     command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
     steps.command("loom", &mut command);
 }
