@@ -93,6 +93,15 @@ enum Verb {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it
+    Parameters {
+        /// Fewer rounds: some seconds
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// What a trace event costs, recorded and not
     Trace {
         /// Fewer rounds: a second
@@ -175,6 +184,9 @@ fn main() -> ExitCode {
         }
         Verb::Bench(Bench::Services { quick, json, arguments }) => {
             steps::run(bench("services", quick, json.as_deref()).args(arguments))
+        }
+        Verb::Bench(Bench::Parameters { quick, json }) => {
+            steps::run(&mut bench("parameters", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Network(options)) => network::run(&options),

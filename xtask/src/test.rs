@@ -32,9 +32,10 @@ pub fn run(quick: bool) -> ExitCode {
         peers::test(&mut steps, built);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 9] = [
+    let slow: [(&str, Step); 10] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
+        ("bench: parameters", parameters),
         ("bench: wake", wake),
         ("bench: messages", messages),
         ("bench: network", network),
@@ -225,6 +226,13 @@ fn network(steps: &mut Steps) {
 /// It runs; what it says belongs to the machine.
 fn trace(steps: &mut Steps) {
     steps.command("bench: trace", &mut bench("trace", true, None));
+}
+
+/// As [`trace`].
+fn parameters(steps: &mut Steps) {
+    let domain = Domain::unused();
+    let mut command = bench("parameters", true, None);
+    steps.command("bench: parameters", command.env("TAUT_DOMAIN", domain.number.to_string()));
 }
 
 /// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
