@@ -30,6 +30,8 @@
 //! The names are those of `r2r`, whose programs compile with a changed `use` line where a feature exists here.
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "action_msgs")]
+mod action;
 mod args;
 mod context;
 mod error;
@@ -38,6 +40,7 @@ mod names;
 mod node;
 mod parameters;
 mod remap;
+mod service;
 mod statistics;
 mod subscription;
 mod system;
@@ -50,6 +53,13 @@ mod untyped;
 pub mod logging;
 pub mod qos;
 
+#[cfg(feature = "action_msgs")]
+pub use action::{
+    ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
+    ActionServerOptions, GoalStatus,
+};
+#[cfg(all(feature = "action_msgs", feature = "untyped"))]
+pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use graph::TopicEndpointInfo;
@@ -61,6 +71,9 @@ pub use parameters::{
 };
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use remap::RemapRules;
+pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
+#[cfg(feature = "untyped")]
+pub use service::{ClientUntyped, ServiceRequestUntyped};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 #[cfg(feature = "rosgraph_msgs")]
@@ -79,7 +92,11 @@ pub use tautline_executor::{
     Policy, ProcessInfo, ProcessSnapshot, Realtime, assign,
 };
 pub use tautline_msgs as msgs;
-pub use tautline_msgs::{Message, Plain};
+pub use tautline_msgs::{Action, Message, Plain, Service};
+/// By r2r's names.
+pub use tautline_msgs::{
+    Action as WrappedActionTypeSupport, Message as WrappedTypesupport, Service as WrappedServiceTypeSupport,
+};
 #[cfg(feature = "ros_msgs")]
 #[doc(no_inline)]
 pub use tautline_ros_msgs::*;
@@ -88,10 +105,11 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, EndpointKind, Gid, GraphEvents, GraphSnapshot, Limits, Loan, LoanError, MessageInfo,
-    NodeHandle, NodeInfo, NodeName, PublishCdrError, PublishError, Publisher, PublisherCounters, Sample,
-    ServiceEndpoint, ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError,
-    Unpublished, Unwritten, topic_memory,
+    Client as ClientLoaned, Counters, EndpointKind, Gid, GraphEvents, GraphSnapshot, Limits, Loan, LoanError,
+    MAX_PENDING_REQUESTS, MessageInfo, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError,
+    PublishError, Publisher, PublisherCounters, Request, RequestId, Response, Sample, ServiceEndpoint,
+    ServiceError, ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError,
+    Unpublished, Unsent, Unwritten, UnwrittenResponse, topic_memory,
 };
 
 /// What the macros' code calls.

@@ -153,7 +153,7 @@ fn limits_are_set_by_the_first_and_exceeding_one_names_it() {
         other => panic!("{other}"),
     };
     let deep = node.subscribe_loaned::<Number>("t", qos.keep_last(5)).err().unwrap();
-    assert!(deep.to_string().contains("raise `Limits::depth` where the topic is opened first"), "{deep}");
+    assert!(deep.to_string().contains("raise `Limits::depth` where it is opened first"), "{deep}");
     assert_eq!(limit(deep), ("depth", 4, 5));
     let subscription = node.subscribe_loaned::<Number>("t", qos).unwrap();
     assert_eq!(limit(node.subscribe_loaned::<Number>("t", qos).err().unwrap()), ("subscribers", 1, 2));

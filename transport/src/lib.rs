@@ -49,6 +49,7 @@ mod ports;
 mod publisher;
 mod qos;
 mod schema_store;
+mod service;
 mod subscription;
 mod sync;
 mod topic;
@@ -68,6 +69,11 @@ pub use participant::{MAX_DOMAIN, Participant, file_prefix};
 pub use publisher::{PublisherCounters, RawLoan, RawPublisher, Unpublished};
 pub use qos::{Durability, History, Limits, Qos, Reliability};
 pub use schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
+pub use service::{
+    Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, RawClient, RawPending, RawResponse,
+    RawServer, Request, RequestId, Responders, Response, Server, ServiceError, ServiceInfo, ServiceType,
+    Unsent, UnwrittenResponse,
+};
 pub use subscription::{Counters, RawSample, RawSubscription};
 pub use topic_type::TopicType;
 pub use topics::{EndpointInfo, TopicInfo};

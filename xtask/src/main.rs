@@ -133,6 +133,18 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// A request and its response, beside a topic each way and iceoryx2's request-response
+    Services {
+        /// Fewer and shorter rounds: some seconds
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Passed on: see `cargo xtask bench services -- --help`
+        #[arg(last = true)]
+        arguments: Vec<String>,
+    },
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),
 }
@@ -168,6 +180,9 @@ fn main() -> ExitCode {
         }
         Verb::Bench(Bench::Parameters { quick, json }) => {
             steps::run(&mut bench("parameters", quick, json.as_deref()))
+        }
+        Verb::Bench(Bench::Services { quick, json, arguments }) => {
+            steps::run(bench("services", quick, json.as_deref()).args(arguments))
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),

@@ -116,7 +116,7 @@ impl Node {
 }
 
 /// All that a topic can know of a type.
-fn type_of(schema: &Schema) -> TopicType {
+pub(crate) fn type_of(schema: &Schema) -> TopicType {
     let topic_type = TopicType::new(schema.name().to_string())
         .with_hash(schema.hash().to_string())
         .with_definition(schema.to_text());

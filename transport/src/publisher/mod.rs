@@ -149,6 +149,25 @@ impl RawPublisher {
         &self.topic.topic_type
     }
 
+    /// Whether every subscription there is has taken all that was sent, as far as it is known.
+    pub(crate) fn is_taken(&self) -> bool {
+        let mut peers = self.peers.borrow_mut();
+        peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
+        let sent = peers.sequence_number;
+        // Acquire: pairs with the Release in the subscription's tracker.
+        let taken = |link: &crate::doorbell::Link| link.taken.0.load(crate::sync::Ordering::Acquire) >= sent;
+        peers.matched.iter().filter_map(|matched| matched.link()).all(taken)
+    }
+
+    /// Its slot, which is rung when the topic's ports change.
+    pub(crate) fn slot(&self) -> &Slot {
+        &self.slot
+    }
+
+    pub(crate) fn factory(&self) -> &crate::topic::Factory {
+        &self.topic.factory
+    }
+
     /// The counters, to be read from any thread.
     pub fn counters(&self) -> Arc<PublisherCounters> {
         self.counters.clone()

@@ -170,6 +170,11 @@ impl RawSubscription {
         &self.departure.topic.topic_type
     }
 
+    /// A number that moves when the topic's ports change.
+    pub(crate) fn ports_epoch(&self) -> u32 {
+        self.departure.slot.epoch()
+    }
+
     /// The counters, to be read from any thread.
     pub fn counters(&self) -> Arc<Counters> {
         self.counters.clone()

@@ -101,8 +101,11 @@ impl<T: Message> Subscription<T> {
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
-        let raw = participant.create_raw_subscription(topic, &TopicType::of::<T>(), qos, limits)?;
-        Ok(Subscription { raw, _message: PhantomData })
+        Ok(Self::of_raw(participant.create_raw_subscription(topic, &TopicType::of::<T>(), qos, limits)?))
+    }
+
+    pub(crate) fn of_raw(raw: RawSubscription) -> Self {
+        Subscription { raw, _message: PhantomData }
     }
 
     /// The subscription to bytes below.
