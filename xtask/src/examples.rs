@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
 /// its first line.
-const RUNS: [&[&str]; 15] = [
+const RUNS: [&[&str]; 18] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
     &["variable_image"],
@@ -23,6 +23,9 @@ const RUNS: [&[&str]; 15] = [
     &["parameters"],
     &["sim_time"],
     &["logging"],
+    &["qos_events"],
+    &["lifecycle"],
+    &["composition"],
     &["priorities"],
     &["callback_group"],
     &["budget"],
