@@ -182,11 +182,11 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Messages { quick, json, arguments }) => {
             steps::run(bench("messages", quick, json.as_deref()).args(arguments))
         }
-        Verb::Bench(Bench::Parameters { quick, json }) => {
-            steps::run(&mut bench("parameters", quick, json.as_deref()))
-        }
         Verb::Bench(Bench::Services { quick, json, arguments }) => {
             steps::run(bench("services", quick, json.as_deref()).args(arguments))
+        }
+        Verb::Bench(Bench::Parameters { quick, json }) => {
+            steps::run(&mut bench("parameters", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Network(options)) => network::run(&options),

@@ -42,7 +42,7 @@ async fn timer_task(
 
 #[test]
 fn a_timer_on_simulated_time() -> Result<(), Box<dyn std::error::Error>> {
-    let ctx = super::context(165);
+    let ctx = super::context(165, "");
     let mut node = r2r::Node::create(ctx, "testnode", "")?;
     let publisher = node.create_publisher("/clock", QosProfile::default().keep_last(1))?;
     let time_source: r2r::TimeSource = node.get_time_source();

@@ -11,7 +11,7 @@ fn helper(logger: &str) {
 #[test]
 fn every_severity_and_any_name() -> Result<(), Box<dyn std::error::Error>> {
     r2r::log_debug!("before_init", "debug msg");
-    let ctx = super::context_with(165, "--ros-args --log-level DEBUG --disable-rosout-logs");
+    let ctx = super::context(165, "--ros-args --log-level DEBUG --disable-rosout-logs");
     let node = r2r::Node::create(ctx, "logger_node", "")?;
     let nl = node.logger();
     for i in 0..5 {

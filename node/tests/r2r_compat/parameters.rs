@@ -60,7 +60,7 @@ fn parameter(name: &str, r#type: u8) -> msg::Parameter {
 #[test]
 fn parameters_without_a_struct() -> Result<(), Box<dyn std::error::Error>> {
     let arguments = "--ros-args -p key1:=[hello,world] -p key2:=5.5 -r __ns:=/demo -r __node:=my_node";
-    let ctx = super::context_with(127, arguments);
+    let ctx = super::context(127, arguments);
     let mut node = r2r::Node::create(ctx, "to_be_replaced", "to_be_replaced")?;
     assert!(node.get_parameter::<String>("serial_interface").is_err());
     let baud_rate: Option<i64> = node.get_parameter("baud_rate")?;
@@ -107,7 +107,7 @@ fn parameters_without_a_struct() -> Result<(), Box<dyn std::error::Error>> {
 
 #[test]
 fn parameters_of_a_struct() -> Result<(), Box<dyn std::error::Error>> {
-    let ctx = super::context_with(126, "--ros-args -p par1:=5.1 -p nested.par4:=42");
+    let ctx = super::context(126, "--ros-args -p par1:=5.1 -p nested.par4:=42");
     let mut node = r2r::Node::create(ctx, "my_node", "/demo")?;
     let params = Arc::new(Mutex::new({
         let mut p = Params::default();
