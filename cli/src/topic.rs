@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline::{Context, EndpointKind, Node, QosProfile, Realtime, find_schema};
+use tautline::{Context, EndpointKind, Node, QosProfile, Realtime};
 use tautline_schema::DynamicMessage;
 use tautline_transport::{Durability, Participant};
 
@@ -136,7 +136,7 @@ fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Resul
         }
         participant.wait_for_graph_change(seen, Duration::from_millis(200));
     };
-    let schema = find_schema(&topic, &topic_type.name.parse()?, Some(&topic_type))?;
+    let schema = node.find_schema(&topic, &topic_type.name)?;
     // What late joiners get is asked for if every publisher has it.
     let latched = |durability| durability == Durability::TransientLocal;
     let all = publishers.iter().all(|publisher| latched(publisher.qos.durability));

@@ -248,8 +248,13 @@ impl Node {
         if let Some(setting) = qos_profile.unsupported_liveliness() {
             return Err(TransportError::Unsupported { topic, setting }.into());
         }
-        let limits = self.limits.get(&topic).copied().unwrap_or_default();
+        let limits = self.limits_of(&topic);
         Ok((topic, limits))
+    }
+
+    /// Those that were set for `topic`, a fully qualified name.
+    pub(crate) fn limits_of(&self, topic: &str) -> Limits {
+        self.limits.get(topic).copied().unwrap_or_default()
     }
 
     /// Creates a timer on the monotonic clock whose first release is one period from now.

@@ -4,6 +4,7 @@
 mod budget;
 mod config;
 mod control;
+mod descriptions;
 mod filter;
 mod gateway;
 mod graph;
