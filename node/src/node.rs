@@ -3,18 +3,24 @@
 
 use crate::context::Context;
 use crate::error::{Error, Result};
+use crate::logging::{self, Logger};
 use crate::names;
+use crate::parameters::{self, Parameter, ParameterEvents, ParameterValue, Parameters};
 use crate::qos::QosProfile;
 use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
+#[cfg(feature = "rosgraph_msgs")]
+use crate::time::{Clock, TimeSource};
 use crate::timer::Timer;
 use futures::{Stream, StreamExt};
+use indexmap::IndexMap;
 use std::collections::HashMap;
 use std::future::Future;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TransportError};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher};
 
 /// A node. Its publishers, subscriptions and timers live on when it is dropped, and as long as one of the first two does,
 /// others see the node; its context lives as long as it does.
@@ -59,7 +65,17 @@ pub struct Node {
     namespace: String,
     remap: RemapRules,
     limits: HashMap<String, Limits>,
+    pub(crate) service_limits: HashMap<String, Limits>,
     pub(crate) trace: tautline_trace::Object,
+    pub(crate) parameters: Parameters,
+    logger: Logger,
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) time_source: TimeSource,
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) ros_clock: Arc<Mutex<Clock>>,
+    /// The parameters that were declared, or given by the command line. What is put here directly, as r2r's programs do, is
+    /// neither checked nor seen by readers: others use [`set_parameter`](Self::set_parameter).
+    pub params: Arc<Mutex<IndexMap<String, Parameter>>>,
 }
 
 /// What a node is to have of its own, beside its context's.
@@ -68,6 +84,7 @@ pub struct Node {
 pub struct NodeOptions {
     remap: RemapRules,
     use_global_arguments: bool,
+    parameter_overrides: Vec<(String, ParameterValue)>,
 }
 
 impl NodeOptions {
@@ -77,7 +94,17 @@ impl NodeOptions {
         self
     }
 
-    /// Whether the context's rules are for this node too. On by default.
+    /// Values for this node's parameters, which come before those of the command line.
+    pub fn parameter_overrides(
+        mut self,
+        overrides: impl IntoIterator<Item = (impl Into<String>, impl Into<ParameterValue>)>,
+    ) -> Self {
+        self.parameter_overrides =
+            overrides.into_iter().map(|(name, value)| (name.into(), value.into())).collect();
+        self
+    }
+
+    /// Whether the context's rules, and the parameters that its command line gives, are for this node too. On by default.
     pub fn use_global_arguments(mut self, use_global_arguments: bool) -> Self {
         self.use_global_arguments = use_global_arguments;
         self
@@ -86,7 +113,11 @@ impl NodeOptions {
 
 impl Default for NodeOptions {
     fn default() -> Self {
-        NodeOptions { remap: RemapRules::default(), use_global_arguments: true }
+        NodeOptions {
+            remap: RemapRules::default(),
+            use_global_arguments: true,
+            parameter_overrides: Vec::new(),
+        }
     }
 }
 
@@ -127,8 +158,44 @@ impl Node {
         }
         let trace = tautline_trace::node_init(participant.trace_id(), &name, &namespace);
         let participant = participant.for_node(&handle);
+        let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
+        let rules = &ctx.shared.arguments.parameters;
+        let rules = if options.use_global_arguments { &rules[..] } else { &[] };
+        let given = parameters::given(rules, &options.parameter_overrides, &full_name);
+        let params = Arc::new(Mutex::new(given));
+        let events = ParameterEvents::new(full_name.clone(), ctx.shared.parameter_events.clone());
+        let parameters = Parameters::new(params.clone(), events);
+        let logger = Logger::of_node(&full_name);
+        if ctx.shared.arguments.outputs.rosout != Some(false) {
+            logging::add_topic(&logger, Arc::downgrade(&ctx.shared.rosout));
+        }
         let limits = HashMap::new();
-        Ok(Node { context: ctx, handle, participant, name, namespace, remap, limits, trace })
+        #[cfg(feature = "rosgraph_msgs")]
+        let time_source = {
+            let clock = names::expand_topic("/clock", &name, &namespace)?;
+            let topic = remap.name(clock, NameKind::Topic, &name, &namespace)?;
+            let source = TimeSource::new(participant.clone(), topic);
+            source.set_enabled(parameters.declare_use_sim_time(&source)?)?;
+            source
+        };
+        Ok(Node {
+            context: ctx,
+            handle,
+            participant,
+            name,
+            namespace,
+            remap,
+            limits,
+            service_limits: HashMap::new(),
+            trace,
+            parameters,
+            logger,
+            #[cfg(feature = "rosgraph_msgs")]
+            ros_clock: Arc::new(Mutex::new(Clock::of_source(time_source.clone()))),
+            #[cfg(feature = "rosgraph_msgs")]
+            time_source,
+            params,
+        })
     }
 
     /// The node's name.
@@ -153,6 +220,15 @@ impl Node {
     /// None; the result is r2r's.
     pub fn fully_qualified_name(&self) -> Result<String> {
         Ok(format!("{}/{}", self.namespace.trim_end_matches('/'), self.name))
+    }
+
+    /// The node's logger: its name is the node's, with `.` for `/`. For the log macros.
+    ///
+    /// # Real-time
+    /// Setup only: starts the thread that writes what real-time threads log. Logging is wait-free in these.
+    pub fn logger(&self) -> &Logger {
+        logging::start();
+        &self.logger
     }
 
     /// What others see of this node, to say there which services and clients are its own.
@@ -203,13 +279,13 @@ impl Node {
     /// Creates a publisher.
     ///
     /// # Errors
-    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that is not enforced.
+    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_publisher<T: Message>(
         &mut self,
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<Publisher<T>> {
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
@@ -236,18 +312,15 @@ impl Node {
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<Subscription<T>> {
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let subscription =
             self.participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
         Ok(Subscription::new(subscription))
     }
 
-    pub(crate) fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
+    pub(crate) fn resolve(&self, topic: &str) -> Result<(String, Limits)> {
         let topic = self.resolve_topic_name(topic)?;
-        if let Some(setting) = qos_profile.unsupported_liveliness() {
-            return Err(TransportError::Unsupported { topic, setting }.into());
-        }
         let limits = self.limits_of(&topic);
         Ok((topic, limits))
     }
@@ -288,7 +361,7 @@ impl Node {
         options: CallbackOptions,
         future: impl Future<Output = ()> + Send + 'static,
     ) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_callback(options, future)?)
     }
 
@@ -301,7 +374,7 @@ impl Node {
         options: CallbackOptions,
         make: impl FnOnce() -> F + Send + 'static,
     ) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_local(options, make)?)
     }
 
@@ -310,8 +383,14 @@ impl Node {
     /// # Errors
     /// As [`spawn_callback`](Self::spawn_callback).
     pub fn spawn_group(&self, options: CallbackOptions, group: CallbackGroup) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_group(options, group)?)
+    }
+
+    fn prepare_thread(&self, options: &CallbackOptions) {
+        self.context.warn_if_above_sampler(options);
+        // It may log by a name, without anybody having asked for a logger.
+        logging::start();
     }
 
     /// Turns the calling thread into the sampler: see [`Context::spin`].
@@ -325,6 +404,9 @@ impl Node {
     /// Serves what is ready, waiting up to `timeout`: see [`Context::spin_once`].
     pub fn spin_once(&mut self, timeout: Duration) {
         self.context.spin_once(timeout);
+        // For callbacks that want to know of jumps.
+        #[cfg(feature = "rosgraph_msgs")]
+        self.time_source.update();
     }
 }
 

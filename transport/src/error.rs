@@ -91,7 +91,8 @@ pub enum TransportError {
     },
     /// The topic exists with another type.
     #[error(
-        "topic '{topic}' carries '{existing}', not '{requested}': rename one of them, or use the same type"
+        "{} carries '{existing}', not '{requested}': rename one of them, or use the same type",
+        named(topic)
     )]
     TypeMismatch {
         /// The topic.
@@ -102,7 +103,7 @@ pub enum TransportError {
         requested: String,
     },
     /// A limit of the topic is below what is asked for.
-    #[error("topic '{topic}' was opened with {limit} = {existing}, but {requested} {}: raise `Limits::{limit}` where the topic is opened first", if *.requested == 1 { "is needed" } else { "are needed" })]
+    #[error("{} was opened with {limit} = {existing}, but {requested} {}: raise `Limits::{limit}` where it is opened first", named(topic), if *.requested == 1 { "is needed" } else { "are needed" })]
     Limit {
         /// The topic.
         topic: String,
@@ -114,7 +115,7 @@ pub enum TransportError {
         requested: usize,
     },
     /// A limit outside what can be set.
-    #[error("topic '{topic}': {limit} = {requested} is outside 1 to {max}")]
+    #[error("{}: {limit} = {requested} is outside 1 to {max}", named(topic))]
     LimitRange {
         /// The topic.
         topic: String,
@@ -125,18 +126,16 @@ pub enum TransportError {
         /// The greatest value.
         max: usize,
     },
-    /// A quality of service that is not enforced yet must not be asked for.
-    #[error(
-        "topic '{topic}': QoS {setting} is not enforced by this version; leave it at its default rather than rely on it"
-    )]
-    Unsupported {
+    /// A time that nothing can keep.
+    #[error("topic '{topic}': QoS {setting} is zero, which nothing can keep; leave it out if there is none")]
+    ZeroDuration {
         /// The topic.
         topic: String,
         /// The field of [`Qos`](crate::Qos).
         setting: &'static str,
     },
     /// iceoryx2 refused.
-    #[error("topic '{topic}': {what} failed in iceoryx2: {reason}")]
+    #[error("{}: {what} failed in iceoryx2: {reason}", named(topic))]
     Iceoryx {
         /// The topic.
         topic: String,
@@ -148,6 +147,14 @@ pub enum TransportError {
     /// A low-priority thread could not be started.
     #[error("a thread of low priority could not be started: {0}")]
     Janitor(#[source] tautline_rt::RtError),
+}
+
+/// What a topic is called: that of a service's requests is the service.
+fn named(topic: &str) -> String {
+    match topic.strip_prefix(crate::topics::REQUESTS) {
+        Some(service) => format!("service '{service}'"),
+        None => format!("topic '{topic}'"),
+    }
 }
 
 /// Why no sample could be loaned.

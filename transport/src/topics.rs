@@ -17,6 +17,10 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern;
 use std::time::Duration;
 
+/// Start the names of the topics that make services. ':' cannot be in a topic's name.
+pub(crate) const REQUESTS: &str = "request:";
+pub(crate) const RESPONSES: &str = "response:";
+
 /// A topic of a domain.
 #[derive(Clone, Debug)]
 pub struct TopicInfo {
@@ -46,8 +50,8 @@ pub struct EndpointInfo {
 }
 
 impl Participant {
-    /// The topics of the domain, sorted by name. What processes that were killed left is removed
-    /// before.
+    /// The topics of the domain, sorted by name, without those that make [services](Self::services). What processes that were
+    /// killed left is removed before.
     ///
     /// # Real-time
     /// Not for real-time threads: opens each topic, with files and allocations.
@@ -55,6 +59,13 @@ impl Participant {
     /// # Errors
     /// [`TransportError::Node`] if the list cannot be read.
     pub fn topics(&self) -> Result<Vec<TopicInfo>, TransportError> {
+        self.list_topics(|name| ![HISTORY, REQUESTS, RESPONSES].iter().any(|hidden| name.starts_with(hidden)))
+    }
+
+    pub(crate) fn list_topics(
+        &self,
+        is_listed: impl Fn(&str) -> bool,
+    ) -> Result<Vec<TopicInfo>, TransportError> {
         let node = &self.shared.node;
         // Opening a topic removes its dead ports too, but without a word to those who wait for changes.
         remove_dead_nodes(node, &self.shared.graph);
@@ -63,7 +74,7 @@ impl Participant {
             let config = &details.static_details;
             let name = config.name().as_str();
             if matches!(config.messaging_pattern(), MessagingPattern::PublishSubscribe(_))
-                && !name.starts_with(HISTORY)
+                && is_listed(name)
                 && let Some(topic_type) = TopicType::from_attributes(config.attributes())
             {
                 names.push((name.to_owned(), topic_type));

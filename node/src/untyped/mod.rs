@@ -91,7 +91,7 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<PublisherUntyped> {
         let schema = self.find_schema(topic, topic_type)?;
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let qos = qos_profile.to_transport();
         let raw = self.participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
@@ -140,7 +140,7 @@ impl Node {
         topic_type: &TopicType,
         qos_profile: QosProfile,
     ) -> Result<RawSubscription> {
-        let (topic, limits): (String, Limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits): (String, Limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         Ok(self.participant.create_raw_subscription(
             &topic,
@@ -152,7 +152,7 @@ impl Node {
 }
 
 /// All that a topic can know of a type.
-fn type_of(schema: &Schema) -> TopicType {
+pub(crate) fn type_of(schema: &Schema) -> TopicType {
     let topic_type = TopicType::new(schema.name().to_string())
         .with_hash(schema.hash().to_string())
         .with_definition(schema.to_text());

@@ -3,7 +3,7 @@
 
 use super::{EndpointKind, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use crate::header::Gid;
-use crate::qos::{Durability, History, Qos, Reliability};
+use crate::qos::{Durability, History, Liveliness, Qos, Reliability};
 use crate::topic_type::TopicType;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -52,6 +52,8 @@ pub(super) struct EndpointRecord {
     depth: u64,
     deadline: Option<Duration>,
     lifespan: Option<Duration>,
+    is_manual: bool,
+    lease: Option<Duration>,
 }
 
 impl Record {
@@ -103,6 +105,8 @@ impl Record {
                 },
                 deadline: record.deadline,
                 lifespan: record.lifespan,
+                liveliness: if record.is_manual { Liveliness::ManualByTopic } else { Liveliness::Automatic },
+                liveliness_lease_duration: record.lease,
             },
             node: Some(self.nodes.get(&record.node)?.clone()),
             pid: None,
@@ -149,6 +153,8 @@ impl EndpointRecord {
             depth: end.qos.depth as u64,
             deadline: end.qos.deadline,
             lifespan: end.qos.lifespan,
+            is_manual: end.qos.liveliness == Liveliness::ManualByTopic,
+            lease: end.qos.liveliness_lease_duration,
         }
     }
 }
@@ -214,7 +220,11 @@ mod tests {
             topic: "/x".into(),
             topic_type: TopicType::new("a/msg/B").with_hash(format!("RIHS01_{:064x}", 7)),
             gid: Gid([9; 16]),
-            qos: Qos::keep_all(3).transient_local().best_effort(),
+            qos: Qos {
+                liveliness: Liveliness::ManualByTopic,
+                liveliness_lease_duration: Some(Duration::from_nanos(5)),
+                ..Qos::keep_all(3).transient_local().best_effort()
+            },
             node: Some(node.clone()),
             pid: None,
             is_remote: true,
@@ -238,7 +248,7 @@ mod tests {
         assert_eq!(Record::parse(&text).unwrap(), record);
         let end = record.endpoint(&record.endpoints[0]).unwrap();
         assert_eq!(EndpointRecord::new(1, &end), record.endpoints[0]);
-        assert_eq!(end.qos, Qos::keep_all(3).transient_local().best_effort());
+        assert_eq!((end.qos.depth, end.qos.liveliness), (3, Liveliness::ManualByTopic));
         let service = record.service(&record.services[&2]).unwrap();
         assert_eq!((service.kind, &*service.name, service.pid), (ServiceKind::Server, "/robot/add", None));
     }

@@ -287,7 +287,7 @@ impl Control {
         let mut wanted =
             Qos { durability: qos.durability, ..Qos::keep_last(depth.clamp(1, Limits::MAX_DEPTH)) };
         let subscription = loop {
-            match self.participant.create_raw_subscription(
+            match self.participant.create_relay_subscription(
                 &key.topic,
                 &topic_type(key),
                 wanted,
@@ -319,7 +319,7 @@ impl Control {
         self.stop_in(key);
         let mut wanted = port_qos(qos, Limits::MAX_DEPTH);
         let publisher = loop {
-            match self.participant.create_raw_publisher(
+            match self.participant.create_relay_publisher(
                 &key.topic,
                 &topic_type(key),
                 wanted,
@@ -454,6 +454,7 @@ impl Control {
         stats.remote_endpoints = graph.tokens().count() - stats.remote_nodes;
         stats.refused_tokens = refused_by_reason(graph.refused());
         stats.type_descriptions = self.descriptions.counts().clone();
+        stats.unauthorized = crate::access::refused();
         stats.not_mirrored = self.refused.clone();
         let failed = self.failed.iter().map(|((key, _), (_, reason))| (key.topic.clone(), reason.clone()));
         stats.not_mirrored.extend(failed);

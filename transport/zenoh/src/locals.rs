@@ -5,7 +5,7 @@ use crate::mirror::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{Participant, Qos, ServiceKind, TransportError};
+use tautline_transport::{Liveliness, Participant, Qos, ServiceKind, TransportError};
 
 /// The nodes; the endpoints that can be mirrored, and the topics and services that cannot, with the reason.
 #[derive(Default)]
@@ -101,13 +101,32 @@ fn wire_qos(qos: &Qos) -> WireQos {
         depth: qos.depth as u64,
         deadline: WireDuration::from_duration(qos.deadline),
         lifespan: WireDuration::from_duration(qos.lifespan),
-        ..WireQos::default()
+        manual_liveliness: qos.liveliness == Liveliness::ManualByTopic,
+        lease: WireDuration::from_duration(qos.liveliness_lease_duration),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn all_that_an_end_states_is_in_its_token() {
+        let seconds = |n| Some(std::time::Duration::from_secs(n));
+        let (deadline, lifespan, liveliness_lease_duration) = (seconds(1), seconds(2), seconds(3));
+        let qos = Qos { deadline, lifespan, liveliness_lease_duration, ..Qos::keep_last(7) };
+        let manual = Qos { liveliness: Liveliness::ManualByTopic, ..qos };
+        assert_eq!(wire_qos(&qos).to_string(), "::,7:1,0:2,0:,3,0");
+        assert_eq!(wire_qos(&manual).to_string(), "::,7:1,0:2,0:3,3,0");
+        assert_eq!(wire_qos(&Qos::keep_last(42)), WireQos::default());
+        // As another process lists it.
+        let [one, other] = [(); 2].map(|()| Participant::new(216).unwrap());
+        let topic_type = tautline_transport::TopicType::new("std_msgs/msg/Empty");
+        let _port = one.create_raw_publisher("/stated", &topic_type, manual, Default::default()).unwrap();
+        let listed = other.topics().unwrap();
+        let listed = listed.iter().find(|topic| topic.name == "/stated").unwrap();
+        assert_eq!(wire_qos(&listed.publishers[0].qos), wire_qos(&manual));
+    }
 
     #[test]
     fn processes_have_names_that_nodes_can_have() {

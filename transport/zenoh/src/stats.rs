@@ -205,6 +205,9 @@ pub struct Stats {
     pub not_mirrored: BTreeMap<String, String>,
     /// How often types were asked for of other hosts or by them, by outcome.
     pub type_descriptions: BTreeMap<String, u64>,
+    /// What access control refused in this process, if [`access_layer`](crate::access_layer) is installed, such as
+    /// `Put (ingress) on /secret`.
+    pub unauthorized: BTreeMap<String, u64>,
     /// How often the processor budget of the network's threads was used up.
     pub throttled: u64,
     /// Every topic that is or was mirrored.
@@ -224,6 +227,7 @@ impl Stats {
             refused_tokens: BTreeMap::new(),
             not_mirrored: BTreeMap::new(),
             type_descriptions: BTreeMap::new(),
+            unauthorized: BTreeMap::new(),
             throttled: 0,
             topics: Vec::new(),
         }

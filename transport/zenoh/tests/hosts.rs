@@ -6,6 +6,9 @@ mod support;
 use std::collections::HashSet;
 use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until, wait};
 use tautline_gateway::{Direction, TopicStats};
+use tautline_ros_msgs::geometry_msgs::msg::Twist;
+use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
+use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
 use tautline_transport::{EndpointKind, Limits, Qos, ServiceKind};
 
 fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
@@ -34,6 +37,50 @@ fn bytes_of_every_size_arrive_as_they_were() {
     assert_eq!(inward.reading.lost, 0, "{inward:?}");
     assert!(inward.reading.latency_us.is_some() && inward.reading.dropped.is_empty(), "{inward:?}");
     assert!(out.is_none_or(|out| out.active && out.reading.dropped.is_empty()));
+}
+
+/// Ends of generated types, plain and of any length: written in place on one host, read in place on the other.
+#[test]
+fn messages_are_written_here_and_read_there() {
+    let a = Host::first(154, 154);
+    let b = Host::beside(&a, 159);
+    let (qos, limits) = (Qos::keep_last(4), Limits::default());
+    let images = a.participant.create_publisher::<Image>("/image", qos, limits).unwrap();
+    let viewer = b.participant.create_subscription::<Image>("/image", qos, limits).unwrap();
+    let twists = b.participant.create_publisher::<Twist>("/cmd_vel", qos, limits).unwrap();
+    let drive = a.participant.create_subscription::<Twist>("/cmd_vel", qos, limits).unwrap();
+
+    let sizes = ImageSizes { header: HeaderSizes { frame_id: 6 }, encoding: 5, data: 640 * 480 };
+    let sample = wait("an image", || {
+        let loan = images.loan_with(sizes).unwrap().write(|image| {
+            image.header.frame_id.set("camera")?;
+            image.encoding.set("mono8")?;
+            image.width.set(640);
+            image.height.set(480);
+            image.data.slice_mut().iter_mut().zip(0u32..).for_each(|(pixel, n)| *pixel = (n % 251) as u8);
+            image.default_rest();
+            Ok(())
+        });
+        loan.unwrap().publish().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(5));
+        viewer.try_take().unwrap()
+    });
+    let image = sample.view();
+    assert_eq!((image.header().frame_id(), image.encoding()), ("camera", "mono8"));
+    assert_eq!((image.width(), image.height(), image.step()), (640, 480, 0));
+    assert!(
+        image.data().len() == 640 * 480
+            && image.data().iter().zip(0u32..).all(|(p, n)| u32::from(*p) == n % 251)
+    );
+
+    let twist = wait("a twist", || {
+        let mut loan = twists.loan().unwrap();
+        (loan.linear.x, loan.angular.z) = (0.5, -2.0);
+        loan.publish().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(5));
+        drive.try_take().unwrap()
+    });
+    assert_eq!((twist.linear.x, twist.angular.z), (0.5, -2.0));
 }
 
 /// By their real names, also those without topics; services; and ends as they are there, not their stand-ins here.
