@@ -354,7 +354,9 @@ impl Control {
 
     fn stop_in(&mut self, key: &TopicKey) {
         self.active.remove(&(key.clone(), Direction::In));
-        self.undescribed.remove(key);
+        if self.undescribed.remove(key) {
+            self.descriptions.forget(&key.type_id);
+        }
         if let Some((incoming, port)) = self.incoming.remove(key) {
             drop(incoming);
             self.close_port(port);

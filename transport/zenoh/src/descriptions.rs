@@ -10,7 +10,8 @@ use crate::mirror::LocalEndpoint;
 use crate::stats::unix_ns;
 use crate::types::Types;
 use crate::wire::{
-    Attachment, ENCAPSULATION, EndpointKind, NodeName, TopicKey, TypeId, WireQos, check_encapsulation,
+    Attachment, ENCAPSULATION, Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos,
+    check_encapsulation, endpoint_gid,
 };
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::{Arc, mpsc};
@@ -156,6 +157,11 @@ impl Descriptions {
         self.pending.insert(id.clone(), Instant::now());
     }
 
+    /// Nobody here wants the type any more. Who does later has all asked anew.
+    pub(crate) fn forget(&mut self, id: &TypeId) {
+        self.asked.retain(|(asked, _)| asked != id);
+    }
+
     fn get(&mut self, session: &Session, domain: u32, service: String, id: &TypeId) -> zenoh::Result<()> {
         let request = serde_json::json!({
             "type_name": id.name.to_string(),
@@ -222,9 +228,12 @@ impl Descriptions {
             |name: &str| endpoints.iter().any(|end| end.kind == EndpointKind::Service && end.topic == name);
         let offer = |node: &NodeName| {
             let topic = service_of(node);
-            let gid = Gid(xxhash_rust::xxh3::xxh3_128(topic.as_bytes()).to_le_bytes());
             let (kind, qos) = (EndpointKind::Service, WireQos { depth: 10, ..WireQos::default() });
-            LocalEndpoint { gid, kind, topic, type_id: self.id.clone(), qos, node: node.clone() }
+            let (node, type_id) = (node.clone(), self.id.clone());
+            // A number that no other has: the hash of what is said of it.
+            let said = Endpoint { id: 0, kind, name: topic.clone(), type_id: type_id.clone(), qos };
+            let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint: Some(said) };
+            LocalEndpoint { gid: endpoint_gid(&said), kind, topic, type_id, qos, node }
         };
         nodes.into_iter().map(offer).filter(|end| !is_own(&end.topic)).collect()
     }

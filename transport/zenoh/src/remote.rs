@@ -2,7 +2,9 @@
 //! What other hosts have, in this host's terms: for the nodes and tools here.
 
 use crate::wire::{Endpoint, EndpointKind, NodeName, Token, WireQos, endpoint_gid};
-use tautline_transport::{Qos, RemoteGraph, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType};
+use tautline_transport::{
+    Liveliness, Qos, RemoteGraph, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
+};
 
 /// The same tokens are the same graph, in whatever order they come.
 pub(crate) fn remote_graph(tokens: &[Token]) -> RemoteGraph {
@@ -66,6 +68,8 @@ fn qos(wire: &WireQos) -> Qos {
         durability: wire.durability,
         deadline: wire.deadline.to_duration(),
         lifespan: wire.lifespan.to_duration(),
+        liveliness: if wire.manual_liveliness { Liveliness::ManualByTopic } else { Liveliness::Automatic },
+        liveliness_lease_duration: wire.lease.to_duration(),
         ..Qos::keep_last(usize::try_from(wire.depth).unwrap_or(usize::MAX))
     }
 }
@@ -82,7 +86,7 @@ mod tests {
         let texts = [
             "@ros2_lv/5/1/0/0/NN/%/%theirs/talker".to_owned(),
             "@ros2_lv/5/1/9/9/NN/%/%/silent".to_owned(),
-            format!("@ros2_lv/5/1/0/1/MP/%/%theirs/talker/%chatter/{string}/2:1:,7:1,5:,:,,"),
+            format!("@ros2_lv/5/1/0/1/MP/%/%theirs/talker/%chatter/{string}/2:1:,7:1,5:,:3,2,0"),
             format!("@ros2_lv/5/1/0/2/MS/%/%theirs/talker/%chatter/{string}/::,10:,:,:,,"),
             format!("@ros2_lv/5/1/0/3/SS/%/%theirs/talker/%add/a::srv::dds_::Add_/{HASH}/::,10:,:,:,,"),
             format!("@ros2_lv/5/1/0/4/SC/%/%theirs/talker/%add/a::srv::dds_::Add_/{HASH}/::,10:,:,:,,"),
@@ -99,7 +103,13 @@ mod tests {
         assert_eq!((&*publisher.topic, &*publisher.topic_type.name), ("/chatter", "std_msgs/msg/String"));
         assert_eq!(publisher.gid, endpoint_gid(&tokens[2]));
         let deadline = Some(std::time::Duration::new(1, 5));
-        assert_eq!(publisher.qos, Qos { deadline, ..Qos::keep_last(7).best_effort().transient_local() });
+        let qos = Qos {
+            deadline,
+            liveliness: Liveliness::ManualByTopic,
+            liveliness_lease_duration: Some(std::time::Duration::from_secs(2)),
+            ..Qos::keep_last(7).best_effort().transient_local()
+        };
+        assert_eq!(publisher.qos, qos);
         let kinds: Vec<_> =
             graph.services.iter().map(|end| (end.kind, &*end.name, &*end.type_name)).collect();
         assert_eq!(
