@@ -94,7 +94,7 @@ pub enum ComponentError {
     #[error(
         "{container} does not answer: {source}; `taut component run` starts a container, `taut node list` prints which nodes there are"
     )]
-    Container { container: String, source: tautline::Error },
+    Container { container: String, source: Box<tautline::Error> },
     #[error("{0}")]
     Refused(String),
     #[error("the result cannot be printed: {0}")]
@@ -155,7 +155,10 @@ fn ask<T: Service>(
     let answer = client.request_timeout(request, PATIENCE).and_then(block_on);
     context.shutdown();
     let _ = sampler.join();
-    answer.map_err(|source| ComponentError::Container { container: target.container.clone(), source })
+    answer.map_err(|source| {
+        let container = target.container.clone();
+        ComponentError::Container { container, source: source.into() }
+    })
 }
 
 fn print(target: &Target, rows: &[(u64, String)]) -> io::Result<()> {

@@ -218,8 +218,10 @@ fn its_services_are_ros_2s() {
     let script = Script::default();
     let node = LifecycleNode::create(context.clone(), "served", "", script.clone()).unwrap();
     let serve = node.serve().unwrap();
-    let callback =
-        node.with_node(|node| node.spawn_callback(CallbackOptions::other(), serve)).unwrap().unwrap();
+    let callback = node
+        .with_node(|node| node.spawn_callback(CallbackOptions::other().stack_bytes(8 << 20), serve))
+        .unwrap()
+        .unwrap();
 
     let mut other = Node::create(context.clone(), "manager", "").unwrap();
     let qos = QosProfile::services_default();

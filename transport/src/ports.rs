@@ -30,7 +30,7 @@ pub(crate) fn subscriptions(factory: &Factory) -> Vec<SubscriptionPort> {
     found
 }
 
-/// As [`subscriptions`], without an allocation of its own.
+/// As [`subscriptions`]; only iceoryx2 allocates.
 pub(crate) fn each_subscription(factory: &Factory, mut each: impl FnMut(SubscriptionPort)) {
     factory.dynamic_config().list_subscribers(|details| {
         if let Some(address) = Address::parse(details.subscriber_name.as_str())
@@ -50,7 +50,7 @@ pub(crate) fn publishers(topic: &Topic) -> Vec<PublisherPort> {
     found
 }
 
-/// As [`publishers`], without an allocation of its own.
+/// As [`publishers`]; only iceoryx2 allocates.
 pub(crate) fn each_publisher(factory: &Factory, mut each: impl FnMut(PublisherPort)) {
     factory.dynamic_config().list_publishers(|details| {
         if let Some(address) = Address::parse(details.publisher_name.as_str()) {

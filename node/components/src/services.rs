@@ -32,15 +32,18 @@ pub fn serve(
         // Who asked is told; if it has gone, nobody is.
         let loads = loads.for_each(|request| {
             let response = load(&mut lock(&container), &request.message);
-            ready(drop(request.respond(response)))
+            let _ = request.respond(response);
+            ready(())
         });
         let unloads = unloads.for_each(|request| {
             let response = unload(&mut lock(&container), &request.message);
-            ready(drop(request.respond(response)))
+            let _ = request.respond(response);
+            ready(())
         });
         let lists = lists.for_each(|request| {
             let response = list(&lock(&container));
-            ready(drop(request.respond(response)))
+            let _ = request.respond(response);
+            ready(())
         });
         futures::join!(loads, unloads, lists);
     })

@@ -7,14 +7,16 @@ use crate::error;
 use crate::qos::QosProfile;
 use crate::service::ServiceRequest;
 use futures::StreamExt;
-use std::future::{Future, ready};
+use std::future::{Future, Ready, ready};
 use tautline_msgs::Service;
 use tautline_ros_msgs::lifecycle_msgs::{msg, srv};
 
 impl LifecycleNode {
     /// Offers the node's services, as in ROS 2: `~/change_state`, `~/get_state`, `~/get_available_states`,
     /// `~/get_available_transitions` and `~/get_transition_graph`. They answer as long as the future is polled, which never ends:
-    /// give it a callback of its own. Callbacks of transitions run there when they are asked for by service.
+    /// give it a callback of its own. Callbacks of transitions run there when they are asked for by service: if they make
+    /// topics, it needs a stack as large as a program's own
+    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)).
     ///
     /// # Errors
     /// [`LifecycleError::Busy`]; [`Error::Transport`](crate::Error::Transport) if a service cannot be had.
@@ -40,22 +42,23 @@ impl LifecycleNode {
                 if let Err(error) = &done {
                     tracing::warn!("{error}");
                 }
-                ready(respond(request, changed(&done)))
+                respond(request, changed(&done))
             });
-            let states = states.for_each(|request| ready(respond(request, state(node.state()))));
-            let all_states = all_states.for_each(|request| ready(respond(request, available_states())));
-            let available = available
-                .for_each(|request| ready(respond(request, transitions(node.available_transitions()))));
-            let graphs = graphs.for_each(|request| ready(respond(request, transitions(Transition::ALL))));
+            let states = states.for_each(|request| respond(request, state(node.state())));
+            let all_states = all_states.for_each(|request| respond(request, available_states()));
+            let available =
+                available.for_each(|request| respond(request, transitions(node.available_transitions())));
+            let graphs = graphs.for_each(|request| respond(request, transitions(Transition::ALL)));
             futures::join!(changes, states, all_states, available, graphs);
         })
     }
 }
 
-fn respond<T: Service>(request: ServiceRequest<T>, response: T::Response) {
+fn respond<T: Service>(request: ServiceRequest<T>, response: T::Response) -> Ready<()> {
     if let Err(error) = request.respond(response) {
         tracing::warn!("a lifecycle service did not answer: {error}");
     }
+    ready(())
 }
 
 /// As in rclcpp: a transition whose number is 0 is looked for by its name.

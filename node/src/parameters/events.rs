@@ -16,17 +16,23 @@ pub(crate) enum Change {
 /// A node's changes, published by its context.
 pub(crate) struct ParameterEvents {
     node: String,
-    topic: Arc<EventTopic>,
+    topic: Option<Arc<EventTopic>>,
 }
 
 impl ParameterEvents {
     pub(crate) fn new(node: String, topic: Arc<EventTopic>) -> ParameterEvents {
-        ParameterEvents { node, topic }
+        ParameterEvents { node, topic: Some(topic) }
+    }
+
+    /// For tests of what needs no topic.
+    #[cfg(all(test, feature = "rcl_interfaces"))]
+    pub(super) fn nowhere() -> ParameterEvents {
+        ParameterEvents { node: String::new(), topic: None }
     }
 
     pub(crate) fn publish(&self, change: Change, values: &[(String, ParameterValue)]) {
-        if !values.is_empty() {
-            self.topic.publish(&self.node, change, values);
+        if let Some(topic) = self.topic.as_ref().filter(|_| !values.is_empty()) {
+            topic.publish(&self.node, change, values);
         }
     }
 }

@@ -5,11 +5,15 @@ mod descriptor;
 mod error;
 mod events;
 #[cfg(feature = "rcl_interfaces")]
+mod handler;
+#[cfg(feature = "rcl_interfaces")]
 mod messages;
 mod node;
 mod parameter;
 mod reader;
 mod ros_params;
+#[cfg(feature = "rcl_interfaces")]
+mod services;
 mod store;
 mod value;
 pub(crate) mod yaml;

@@ -330,6 +330,13 @@ impl Parameters {
         Ok(())
     }
 
+    /// The current values of these parameters, those of a struct as they are there.
+    #[cfg(feature = "rcl_interfaces")]
+    pub(super) fn values(&self, names: &[String]) -> Vec<ParameterValue> {
+        let hooks = lock(&self.shared.hooks);
+        names.iter().map(|name| self.value(&hooks, name).unwrap_or_default()).collect()
+    }
+
     fn value(&self, hooks: &Hooks, name: &str) -> Option<ParameterValue> {
         let of_struct = hooks.of_struct.as_ref();
         let in_struct = of_struct.and_then(|of_struct| lock(&of_struct.value).get_parameter(name).ok());

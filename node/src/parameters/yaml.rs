@@ -355,11 +355,12 @@ mod tests {
             let error = read_value(text).unwrap_err();
             assert!(error.contains(reason), "{text}: {error}");
         }
-        assert!(
-            read_value(&format!("{}1{}", "[".repeat(100), "]".repeat(100)))
-                .unwrap_err()
-                .contains("64 levels")
-        );
+        // However deep: a refusal, not a stack overflow.
+        for (open, close) in [("[", "]"), ("{a: ", "}")] {
+            let nested = |levels| read_value(&format!("{}1{}", open.repeat(levels), close.repeat(levels)));
+            assert!(nested(100).unwrap_err().contains("64 levels"));
+            assert!(nested(100_000).is_err());
+        }
     }
 
     #[test]

@@ -84,7 +84,7 @@ impl Stream for PublisherEvents {
     type Item = PublisherEvent;
 
     /// # Real-time
-    /// No allocation; no syscall. O(subscriptions) when some came or went. Ends with the publisher.
+    /// No allocation; no syscall. When subscriptions came or went: O(subscriptions), allocates. Ends with the publisher.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<PublisherEvent>> {
         if stop_requested() {
             return Poll::Pending;

@@ -54,8 +54,8 @@ impl Stream for SubscriptionEvents {
     type Item = SubscriptionEvent;
 
     /// # Real-time
-    /// O(publishers); no allocation; no syscall, but for at most one futex wake when publishers have leases. Ends with the
-    /// subscription.
+    /// O(publishers); no allocation, unless publishers came or went; no syscall, but for at most one futex wake when publishers have
+    /// leases. Ends with the subscription.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<SubscriptionEvent>> {
         if stop_requested() {
             return Poll::Pending;

@@ -5,6 +5,7 @@
 mod actions;
 mod clocks;
 mod logging;
+mod parameters;
 #[cfg(feature = "example_interfaces")]
 mod services;
 

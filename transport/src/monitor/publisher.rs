@@ -39,7 +39,8 @@ impl PublisherMonitor {
     /// What changed. The first time: since there was nothing.
     ///
     /// # Real-time
-    /// O(1) if the topic's participants have not changed; else O(subscriptions). No allocation; no syscall.
+    /// O(1), no allocation, if the topic's participants have not changed; else O(subscriptions), and iceoryx2's list allocates. No
+    /// syscall.
     pub fn look(&mut self) -> PublisherChanges {
         if !self.watched.has_changed() {
             return PublisherChanges::default();

@@ -66,8 +66,9 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     }
     let container = Arc::new(Mutex::new(container));
     let serve = tautline_components::serve(&container, &mut node)?;
-    // Below every callback: making a component is no real-time work.
-    let services = node.spawn_callback(CallbackOptions::other().name("container"), serve)?;
+    // Below every callback: making a component is no real-time work. It may take as much stack as a program's start.
+    let options = CallbackOptions::other().name("container").stack_bytes(8 << 20);
+    let services = node.spawn_callback(options, serve)?;
     let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
     let events = context.events().clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {

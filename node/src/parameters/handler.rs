@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The six parameter services of a node, as r2r has them.
+
+use super::services::{self, Changed};
+use super::{ParameterValue, RosParams};
+use crate::error::Result;
+use crate::node::Node;
+use crate::qos::QosProfile;
+use futures::channel::mpsc;
+use futures::future::{BoxFuture, join_all, ready};
+use futures::{FutureExt, Stream, StreamExt};
+use std::future::Future;
+use std::sync::{Arc, Mutex};
+use tautline_msgs::Service;
+use tautline_ros_msgs::rcl_interfaces::srv::{
+    DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
+    SetParametersAtomically,
+};
+
+/// Changes that wait in the stream; of more the newest are left out, and that is said in the log.
+const CHANGES: usize = 1000;
+
+impl Node {
+    /// Serves the node's parameters to other nodes: `get_parameters`, `set_parameters` and the others below its name. The
+    /// future answers, on whichever executor it is spawned; the stream has what others changed, name and value. Once per
+    /// node.
+    ///
+    /// # Errors
+    /// [`Error::Transport`](crate::Error::Transport) if a service cannot be made.
+    pub fn make_parameter_handler(
+        &mut self,
+    ) -> Result<(
+        impl Future<Output = ()> + Send + use<>,
+        impl Stream<Item = (String, ParameterValue)> + Send + Unpin + use<>,
+    )> {
+        let (changes, changed) = mpsc::channel(CHANGES);
+        let parameters = self.parameters.clone();
+        let get = parameters.clone();
+        let get = self.answer::<GetParameters::Service>("get_parameters", move |request| {
+            services::get(&get, &request)
+        })?;
+        let types = parameters.clone();
+        let types = self.answer::<GetParameterTypes::Service>("get_parameter_types", move |request| {
+            services::get_types(&types, &request)
+        })?;
+        let describe = parameters.clone();
+        let describe = self.answer::<DescribeParameters::Service>("describe_parameters", move |request| {
+            services::describe(&describe, &request)
+        })?;
+        let list = parameters.clone();
+        let list = self.answer::<ListParameters::Service>("list_parameters", move |request| {
+            services::list(&list, &request)
+        })?;
+        let (set, mut to_stream) = (parameters.clone(), changes.clone());
+        let set = self.answer::<SetParameters::Service>("set_parameters", move |request| {
+            let (response, changed) = services::set(&set, request);
+            tell(&mut to_stream, changed);
+            response
+        })?;
+        let mut to_stream = changes;
+        let atomically =
+            self.answer::<SetParametersAtomically::Service>("set_parameters_atomically", move |request| {
+                let (response, changed) = services::set_atomically(&parameters, request);
+                tell(&mut to_stream, changed);
+                response
+            })?;
+        let answers = join_all([get, types, describe, list, set, atomically]);
+        Ok((answers.map(drop), changed))
+    }
+
+    /// As [`make_parameter_handler`](Self::make_parameter_handler), for a struct whose fields are the parameters. It takes the
+    /// values from the command line now, and what others set later.
+    ///
+    /// # Errors
+    /// As [`make_parameter_handler`](Self::make_parameter_handler); [`Error::Parameter`](crate::Error::Parameter) if a value
+    /// from the command line does not fit.
+    pub fn make_derived_parameter_handler(
+        &mut self,
+        params_struct: Arc<Mutex<dyn RosParams + Send>>,
+    ) -> Result<(
+        impl Future<Output = ()> + Send + use<>,
+        impl Stream<Item = (String, ParameterValue)> + Send + Unpin + use<>,
+    )> {
+        self.parameters.declare_struct(params_struct)?;
+        self.make_parameter_handler()
+    }
+
+    fn answer<S: Service>(
+        &mut self,
+        name: &str,
+        mut answer: impl FnMut(S::Request) -> S::Response + Send + 'static,
+    ) -> Result<BoxFuture<'static, ()>>
+    where
+        S::Request: Clone,
+    {
+        let requests = self.create_service::<S>(&format!("~/{name}"), QosProfile::parameters())?;
+        let answers = requests.for_each(move |request| {
+            let response = answer(request.message.clone());
+            if let Err(error) = request.respond(response) {
+                tracing::warn!("a parameter request is not answered: {error}");
+            }
+            ready(())
+        });
+        Ok(answers.boxed())
+    }
+}
+
+fn tell(stream: &mut mpsc::Sender<(String, ParameterValue)>, changed: Changed) {
+    for change in changed {
+        // Nobody may want them.
+        if stream.try_send(change).is_err_and(|error| error.is_full()) {
+            tracing::warn!(
+                "{CHANGES} changes of parameters wait for whoever has the stream: one is left out of it"
+            );
+        }
+    }
+}
