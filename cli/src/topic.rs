@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline::{Context, EndpointKind, Node, QosProfile, Realtime, find_schema};
+use tautline::{Context, EndpointKind, Node, QosProfile, Realtime};
 use tautline_schema::DynamicMessage;
 use tautline_transport::{Durability, Participant, Qos, Reliability};
 
@@ -136,7 +136,7 @@ fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Resul
         }
         participant.wait_for_graph_change(seen, Duration::from_millis(200));
     };
-    let schema = find_schema(&topic, &topic_type.name.parse()?, Some(&topic_type))?;
+    let schema = node.find_schema(&topic, &topic_type.name)?;
     // What every publisher offers is asked for, and no more, so that none is left out.
     let offered = |policy: fn(&Qos) -> bool| publishers.iter().all(|publisher| policy(&publisher.qos));
     let mut qos = QosProfile::default();

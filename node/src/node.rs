@@ -321,8 +321,13 @@ impl Node {
 
     pub(crate) fn resolve(&self, topic: &str) -> Result<(String, Limits)> {
         let topic = self.resolve_topic_name(topic)?;
-        let limits = self.limits.get(&topic).copied().unwrap_or_default();
+        let limits = self.limits_of(&topic);
         Ok((topic, limits))
+    }
+
+    /// Those that were set for `topic`, a fully qualified name.
+    pub(crate) fn limits_of(&self, topic: &str) -> Limits {
+        self.limits.get(topic).copied().unwrap_or_default()
     }
 
     /// Creates a timer on the monotonic clock whose first release is one period from now.

@@ -128,7 +128,7 @@ impl Participant {
     pub fn topic_type(&self, topic: &str) -> Option<TopicType> {
         let factory = open_existing(&self.shared.node, topic);
         let here = factory.and_then(|factory| TopicType::from_attributes(factory.attributes()));
-        here.or_else(|| remote_topic_type(self.domain(), topic))
+        here.or_else(|| remote_topic_type(&self.shared.registry, topic))
     }
 
     /// A number that changes when a node, publisher, subscription, service or client of the domain appears or goes. Read it

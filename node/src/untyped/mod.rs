@@ -14,12 +14,17 @@ use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::qos::QosProfile;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tautline_schema::{Layout, Schema, Size, TypeName};
-use tautline_transport::{Limits, RawSubscription, TopicType};
+use tautline_transport::{EndpointKind, Limits, Qos, RawSubscription, SchemaStore, TopicEndpoint, TopicType};
+
+/// How long the gateway is waited for to learn a type, and how often it is looked whether it has.
+const PATIENCE: Duration = Duration::from_secs(5);
+const LOOK_PERIOD: Duration = Duration::from_millis(20);
 
 /// Where definitions are looked for, in this order: what was kept for the hash of the topic, if it exists (every process
 /// keeps the definitions of its types in `/tmp/tautline_<uid>/schemas`); the packages of `AMENT_PREFIX_PATH`; those that are
-/// bundled.
+/// bundled; the nodes of other hosts that publish the topic, through this host's gateway.
 impl Node {
     /// Subscribes to a topic of a type that is known by name: a stream of messages as JSON, led by the type's definition.
     /// An item is an error if a message is not of the type.
@@ -47,7 +52,7 @@ impl Node {
         topic_type: &str,
         qos_profile: QosProfile,
     ) -> Result<SubscriptionUntyped> {
-        let schema = self.schema_of(topic, topic_type)?;
+        let schema = self.find_schema(topic, topic_type)?;
         let raw = self.raw_subscription(topic, &type_of(&schema), qos_profile)?;
         Ok(SubscriptionUntyped::new(raw, schema))
     }
@@ -65,9 +70,11 @@ impl Node {
         topic_type: &str,
         qos_profile: QosProfile,
     ) -> Result<SubscriptionRaw> {
-        let topic_type = match self.schema_of(topic, topic_type) {
+        let full = self.resolve_topic_name(topic)?;
+        let existing = self.participant.topic_type(&full).filter(|existing| existing.name == topic_type);
+        let topic_type = match find_schema(&full, &topic_type.parse()?, existing.as_ref()) {
             Ok(schema) => type_of(&schema),
-            Err(Error::UnknownType { type_name, .. }) => TopicType::new(type_name),
+            Err(Error::UnknownType { type_name, .. }) => existing.unwrap_or(TopicType::new(type_name)),
             Err(error) => return Err(error),
         };
         Ok(SubscriptionRaw::new(self.raw_subscription(topic, &topic_type, qos_profile)?))
@@ -83,7 +90,7 @@ impl Node {
         topic_type: &str,
         qos_profile: QosProfile,
     ) -> Result<PublisherUntyped> {
-        let schema = self.schema_of(topic, topic_type)?;
+        let schema = self.find_schema(topic, topic_type)?;
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let qos = qos_profile.to_transport();
@@ -91,11 +98,40 @@ impl Node {
         Ok(PublisherUntyped::new(raw, schema))
     }
 
-    fn schema_of(&self, topic: &str, type_name: &str) -> Result<Arc<Schema>> {
+    /// The definition of the type `topic_type` for `topic`, looked for as [`find_schema`] does. If only nodes of other hosts
+    /// know it, the gateway of this host is had to ask them, and waited for, for a few seconds.
+    ///
+    /// # Errors
+    /// As [`subscribe_untyped`](Self::subscribe_untyped).
+    pub fn find_schema(&self, topic: &str, topic_type: &str) -> Result<Arc<Schema>> {
         let topic = self.resolve_topic_name(topic)?;
-        let name: TypeName = type_name.parse()?;
-        let existing = self.participant.topic_type(&topic);
-        find_schema(&topic, &name, existing.as_ref())
+        let name: TypeName = topic_type.parse()?;
+        let existing = self.participant.topic_type(&topic).filter(|existing| existing.name == name.as_str());
+        match (find_schema(&topic, &name, existing.as_ref()), existing) {
+            (Err(Error::UnknownType { .. }), Some(existing)) if self.is_published_elsewhere(&topic)? => {
+                self.wait_for_definition(&topic, &existing)?;
+                find_schema(&topic, &name, Some(&existing))
+            }
+            (found, _) => found,
+        }
+    }
+
+    fn is_published_elsewhere(&self, topic: &str) -> Result<bool> {
+        let is_it =
+            |end: &TopicEndpoint| end.is_remote && end.topic == topic && end.kind == EndpointKind::Publisher;
+        Ok(self.graph()?.endpoints.iter().any(is_it))
+    }
+
+    /// The gateway asks for the types of what it brings here, which is what somebody subscribes to.
+    fn wait_for_definition(&self, topic: &str, topic_type: &TopicType) -> Result<()> {
+        let Some(hash) = &topic_type.hash else { return Ok(()) };
+        let limits = self.limits_of(topic);
+        let _wanted = self.participant.create_raw_subscription(topic, topic_type, Qos::default(), limits)?;
+        let (store, end) = (SchemaStore::of_user(), Instant::now() + PATIENCE);
+        while Instant::now() < end && !matches!(store.read(hash), Ok(Some(_))) {
+            std::thread::sleep(LOOK_PERIOD);
+        }
+        Ok(())
     }
 
     fn raw_subscription(

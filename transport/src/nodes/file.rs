@@ -13,6 +13,7 @@
 //! | 4, 5 | slot 1 |
 
 use std::io;
+use std::path::Path;
 use std::sync::atomic::{Ordering, fence};
 use tautline_rt::{ForeignMap, ForeignWords, Words, WordsFile, page_words};
 
@@ -46,6 +47,10 @@ impl TextFile {
         let head = file.map(0, HEAD_WORDS)?;
         head[0].store(MAGIC, Ordering::Relaxed);
         Ok(TextFile { head, slots: [None, None], end_words: page_words(), generation: 0, file })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        self.file.path()
     }
 
     /// Replaces the text. If it fails the former one stays.

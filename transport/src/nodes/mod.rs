@@ -221,7 +221,7 @@ impl Participant {
     /// # Real-time
     /// Not for real-time threads: reads files.
     pub fn nodes(&self) -> Vec<NodeInfo> {
-        nodes(&registry::records(self.domain()))
+        nodes(&self.shared.registry.records())
     }
 
     /// Everything that exists in the domain.
@@ -234,7 +234,7 @@ impl Participant {
     pub fn graph(&self) -> Result<GraphSnapshot, TransportError> {
         let topics = self.topics()?;
         // After the topics: a port that is listed has said before whose it is.
-        let records = registry::records(self.domain());
+        let records = self.shared.registry.records();
         let owners: HashMap<Gid, &NodeName> = (records.iter())
             .flat_map(|record| record.owners.iter().map(|(gid, node)| (*gid, record.nodes.get(node))))
             .filter_map(|(gid, node)| Some((gid, node?)))
@@ -298,8 +298,8 @@ impl Participant {
 }
 
 /// The type that a topic has on other hosts, if all agree on it.
-pub(crate) fn remote_topic_type(domain: u32, topic: &str) -> Option<TopicType> {
-    let records = registry::records(domain);
+pub(crate) fn remote_topic_type(registry: &Registry, topic: &str) -> Option<TopicType> {
+    let records = registry.records();
     let ends = records
         .iter()
         .filter(|record| record.is_relay)

@@ -101,6 +101,19 @@ impl Registry {
     }
 }
 
+impl Registry {
+    /// What all living participants of the domain say, this one too.
+    pub(super) fn records(&self) -> Vec<Record> {
+        let (own, path) = {
+            let state = self.state();
+            (state.record.clone(), state.file.as_ref().map(|file| file.path().to_owned()))
+        };
+        let files = ForeignWords::list(&prefix(self.domain)).unwrap_or_default();
+        let others = files.iter().filter(|file| Some(file.path()) != path.as_deref() && file.is_owned());
+        others.filter_map(|file| Record::parse(&read(file)?)).chain([own]).collect()
+    }
+}
+
 impl State {
     fn write(&mut self, domain: u32, record: &Record) -> Result<(), TransportError> {
         let failed = |path: PathBuf| move |source| TransportError::Graph { path, source };
@@ -196,13 +209,6 @@ impl std::fmt::Debug for ServiceRegistration {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("ServiceRegistration").field("node", &self.node.node).finish_non_exhaustive()
     }
-}
-
-/// What all living participants of the domain say, this one's too.
-pub(super) fn records(domain: u32) -> Vec<Record> {
-    let files = ForeignWords::list(&prefix(domain)).unwrap_or_default();
-    let alive = files.iter().filter(|file| file.is_owned());
-    alive.filter_map(|file| Record::parse(&read(file)?)).collect()
 }
 
 /// Removes the files of processes that were killed.

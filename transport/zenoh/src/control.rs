@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The control thread: hears of changes here and elsewhere, asks the mirror what follows, and does it.
 
+use crate::descriptions::Descriptions;
 use crate::filter::Filter;
 use crate::gateway::{Options, Shared};
 use crate::graph::Graph;
@@ -11,7 +12,7 @@ use crate::outgoing::{Outgoing, Sender};
 use crate::remote::remote_graph;
 use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
 use crate::types::Types;
-use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, token_wildcard};
+use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
@@ -19,7 +20,7 @@ use std::time::{Duration, Instant};
 use tautline_schema::{Packages, TypeHash, TypeName};
 use tautline_transport::{Gid, Limits, Participant, Qos, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
-use zenoh::query::Reply;
+use zenoh::query::{Query, Reply};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
@@ -29,6 +30,10 @@ pub(crate) enum Event {
     TokenDown(String),
     /// Publishers or subscriptions of this host appeared or went.
     Locals,
+    /// A node elsewhere answered what this type is; `None` if it says too much.
+    Described(TypeId, Option<Vec<u8>>),
+    /// A node elsewhere asks a node here for a type.
+    Asked(Query),
     Stop,
 }
 
@@ -65,7 +70,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// Changes of the graph are shown together, this long after one another at least.
 const BATCH: Duration = Duration::from_millis(20);
 /// And this much longer for each token, for all are written anew.
-const BATCH_PER_TOKEN: Duration = Duration::from_micros(50);
+const BATCH_PER_TOKEN: Duration = Duration::from_micros(100);
 /// How long others are waited for when all tokens are asked for.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
 /// Topics whose numbers are kept after they ended, besides those that are mirrored.
@@ -92,6 +97,9 @@ pub(crate) struct Control {
     retried: Option<((TopicKey, Direction), String)>,
     refused: BTreeMap<String, String>,
     types: Types,
+    descriptions: Descriptions,
+    /// Topics that come in and whose type is not known here.
+    undescribed: BTreeSet<TopicKey>,
     /// Whether the graph changed since it was last shown.
     is_unseen: bool,
     shown: Instant,
@@ -106,6 +114,7 @@ impl Control {
         outgoing: Outgoing,
         shared: Arc<Shared>,
         zid: u128,
+        descriptions: Descriptions,
     ) -> Self {
         let domain = options.network_domain.unwrap_or(options.domain);
         let filter: Filter = options.filter.clone();
@@ -127,6 +136,8 @@ impl Control {
             retried: None,
             refused: BTreeMap::new(),
             types: Types::new(SchemaStore::of_user(), Packages::from_env()),
+            descriptions,
+            undescribed: BTreeSet::new(),
             is_unseen: false,
             shown: Instant::now(),
             started: Instant::now(),
@@ -142,6 +153,8 @@ impl Control {
                 Ok(Event::TokenUp(key)) => self.remote_changed(|mirror| mirror.token_up(&key)),
                 Ok(Event::TokenDown(key)) => self.remote_changed(|mirror| mirror.token_down(&key)),
                 Ok(Event::Locals) => self.list_locals(),
+                Ok(Event::Described(id, payload)) => self.descriptions.learn(&id, payload.as_deref()),
+                Ok(Event::Asked(query)) => self.descriptions.answer(&query, &mut self.types),
                 Ok(Event::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break,
                 Err(mpsc::RecvTimeoutError::Timeout) => {}
             }
@@ -154,6 +167,7 @@ impl Control {
                     self.resync();
                 }
                 self.try_again();
+                self.ask_for_types();
                 self.read_numbers(PERIOD);
             }
         }
@@ -180,10 +194,29 @@ impl Control {
         match locals::list(&self.participant, hash_of) {
             Ok(locals) => {
                 self.refused = locals.refused;
-                let actions = self.mirror.set_locals(&locals.nodes, locals.endpoints);
+                let mut endpoints = locals.endpoints;
+                let mut offered = self.descriptions.offered(&locals.nodes, &endpoints);
+                offered.retain(|end| self.options.filter.allows(&end.topic));
+                let services = offered.iter().map(|end| end.topic.clone()).collect();
+                self.descriptions.answer_at(&self.session, self.network_domain(), services);
+                endpoints.append(&mut offered);
+                let actions = self.mirror.set_locals(&locals.nodes, endpoints);
                 self.act(actions);
             }
             Err(error) => tracing::warn!("{error}"),
+        }
+    }
+
+    fn network_domain(&self) -> u32 {
+        self.options.network_domain.unwrap_or(self.options.domain)
+    }
+
+    /// The types of topics that come in and are not known here, of whoever has not been asked yet.
+    fn ask_for_types(&mut self) {
+        let types = &mut self.types;
+        self.undescribed.retain(|key| types.schema(&key.type_id).is_none());
+        for key in &self.undescribed {
+            self.descriptions.ask(&self.session, key, self.mirror.graph());
         }
     }
 
@@ -301,11 +334,12 @@ impl Control {
         let gid = publisher.gid();
         self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).insert(gid);
         let counters = self.counters(key, Direction::In);
-        let checks = Checks {
-            own: self.own.clone(),
-            max_bytes: self.options.max_message_bytes,
-            schema: self.types.schema(&key.type_id),
-        };
+        let schema = self.types.schema(&key.type_id);
+        if schema.is_none() {
+            self.undescribed.insert(key.clone());
+            self.descriptions.ask(&self.session, key, self.mirror.graph());
+        }
+        let checks = Checks { own: self.own.clone(), max_bytes: self.options.max_message_bytes, schema };
         let inlet = Inlet::new(publisher, counters, checks);
         match Incoming::start(&self.session, key, qos, inlet) {
             Ok(incoming) => drop(self.incoming.insert(key.clone(), (incoming, gid))),
@@ -320,6 +354,9 @@ impl Control {
 
     fn stop_in(&mut self, key: &TopicKey) {
         self.active.remove(&(key.clone(), Direction::In));
+        if self.undescribed.remove(key) {
+            self.descriptions.forget(&key.type_id);
+        }
         if let Some((incoming, port)) = self.incoming.remove(key) {
             drop(incoming);
             self.close_port(port);
@@ -373,7 +410,7 @@ impl Control {
 
     /// Asks for all tokens, for some were missed or refused.
     fn resync(&mut self) {
-        let wildcard = token_wildcard(self.options.network_domain.unwrap_or(self.options.domain));
+        let wildcard = token_wildcard(self.network_domain());
         // This session's own, and twice as many as the graph can hold: most of the rest would be refused. Not Zenoh's own
         // queue, which is short and would have the answers that this session gives itself wait for their reader, who is
         // still asking.
@@ -418,6 +455,7 @@ impl Control {
         stats.remote_nodes = graph.tokens().filter(|token| token.endpoint.is_none()).count();
         stats.remote_endpoints = graph.tokens().count() - stats.remote_nodes;
         stats.refused_tokens = refused_by_reason(graph.refused());
+        stats.type_descriptions = self.descriptions.counts().clone();
         stats.unauthorized = crate::access::refused();
         stats.not_mirrored = self.refused.clone();
         let failed = self.failed.iter().map(|((key, _), (_, reason))| (key.topic.clone(), reason.clone()));

@@ -4,6 +4,7 @@
 use crate::budget::{Budget, Guard};
 use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
 use crate::control::{Control, Event, tokens_to};
+use crate::descriptions::Descriptions;
 use crate::filter::Filter;
 use crate::graph::GraphLimits;
 use crate::outgoing::{Outgoing, OutgoingError, THREADS};
@@ -16,7 +17,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
-use tautline_transport::{Participant, RemoteGraph, TransportError};
+use tautline_schema::SchemaError;
+use tautline_transport::{Participant, RemoteGraph, SchemaStore, TransportError};
 use zenoh::{Session, Wait};
 
 /// What a gateway is to do. Every field has a default that works on one host.
@@ -88,6 +90,9 @@ pub enum GatewayError {
     /// A thread.
     #[error(transparent)]
     Threads(#[from] RtError),
+    /// The definition of the service that tells types.
+    #[error("the definitions that this program was built with are no valid ones: {0}")]
+    Definitions(Box<SchemaError>),
     /// Zenoh refused something that every session has.
     #[error("{what} failed in Zenoh: {reason}")]
     Zenoh {
@@ -193,7 +198,10 @@ impl Gateway {
         };
         let control = {
             let (session, shared) = (session.clone(), shared.clone());
-            let control = Control::new(options.clone(), participant, session, outgoing, shared, zid);
+            let descriptions = Descriptions::new(SchemaStore::of_user(), events.clone())
+                .map_err(|error| GatewayError::Definitions(error.into()))?;
+            let control =
+                Control::new(options.clone(), participant, session, outgoing, shared, zid, descriptions);
             thread("gw-control").spawn(move || {
                 move || {
                     let _tokens = tokens;

@@ -5,6 +5,7 @@ mod access;
 mod budget;
 mod config;
 mod control;
+mod descriptions;
 mod filter;
 mod gateway;
 mod graph;

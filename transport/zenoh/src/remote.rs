@@ -103,12 +103,13 @@ mod tests {
         assert_eq!((&*publisher.topic, &*publisher.topic_type.name), ("/chatter", "std_msgs/msg/String"));
         assert_eq!(publisher.gid, endpoint_gid(&tokens[2]));
         let deadline = Some(std::time::Duration::new(1, 5));
-        let manual = Qos {
+        let qos = Qos {
+            deadline,
             liveliness: Liveliness::ManualByTopic,
             liveliness_lease_duration: Some(std::time::Duration::from_secs(2)),
             ..Qos::keep_last(7).best_effort().transient_local()
         };
-        assert_eq!(publisher.qos, Qos { deadline, ..manual });
+        assert_eq!(publisher.qos, qos);
         let kinds: Vec<_> =
             graph.services.iter().map(|end| (end.kind, &*end.name, &*end.type_name)).collect();
         assert_eq!(

@@ -203,6 +203,8 @@ pub struct Stats {
     pub refused_tokens: BTreeMap<String, u64>,
     /// Topics of this host that cannot be mirrored, and why.
     pub not_mirrored: BTreeMap<String, String>,
+    /// How often types were asked for of other hosts or by them, by outcome.
+    pub type_descriptions: BTreeMap<String, u64>,
     /// What access control refused in this process, if [`access_layer`](crate::access_layer) is installed, such as
     /// `Put (ingress) on /secret`.
     pub unauthorized: BTreeMap<String, u64>,
@@ -224,6 +226,7 @@ impl Stats {
             remote_endpoints: 0,
             refused_tokens: BTreeMap::new(),
             not_mirrored: BTreeMap::new(),
+            type_descriptions: BTreeMap::new(),
             unauthorized: BTreeMap::new(),
             throttled: 0,
             topics: Vec::new(),

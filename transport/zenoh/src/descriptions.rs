@@ -1,0 +1,446 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! How hosts tell each other types: ROS 2's service `~/get_type_description`, asked of the nodes elsewhere that publish what
+//! is unknown here, and answered for the nodes here out of the [`SchemaStore`].
+//!
+//! What comes is a claim. It is bounded before it is kept, and kept only if the hash computed from it is the one asked for.
+
+use crate::control::Event;
+use crate::graph::Graph;
+use crate::mirror::LocalEndpoint;
+use crate::stats::unix_ns;
+use crate::types::Types;
+use crate::wire::{
+    Attachment, ENCAPSULATION, Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos,
+    check_encapsulation, endpoint_gid,
+};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+use tautline_schema::{DynamicMessage, Packages, Schema, SchemaError, TypeDescription, TypeName};
+use tautline_transport::{Gid, MAX_SCHEMA_BYTES, SchemaStore};
+use zenoh::bytes::ZBytes;
+use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
+use zenoh::sample::Locality;
+use zenoh::{Session, Wait};
+
+const SERVICE: &str = "type_description_interfaces/srv/GetTypeDescription";
+const SUFFIX: &str = "/get_type_description";
+/// How long a node is waited for.
+const TIMEOUT: Duration = Duration::from_secs(3);
+/// Most questions on their way.
+const MAX_PENDING: usize = 64;
+/// Nodes that were asked in vain are remembered, this many.
+const MAX_ASKED: usize = 4096;
+/// Longest request that is looked at: names and a hash.
+const MAX_REQUEST_BYTES: usize = 4096;
+
+macro_rules! definitions {
+    ($($name:literal),*) => {
+        [$((
+            concat!("type_description_interfaces/", $name),
+            include_str!(concat!("../../../msgs/ros/definitions/type_description_interfaces/", $name)),
+        )),*]
+    };
+}
+
+/// Of the package that defines the service.
+const DEFINITIONS: [(&str, &str); 7] = definitions!(
+    "msg/Field.msg",
+    "msg/FieldType.msg",
+    "msg/IndividualTypeDescription.msg",
+    "msg/KeyValue.msg",
+    "msg/TypeDescription.msg",
+    "msg/TypeSource.msg",
+    "srv/GetTypeDescription.srv"
+);
+
+/// Why a description was not kept, or a question not answered with one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
+pub(crate) enum Refused {
+    #[error("a description that is too long")]
+    Length,
+    #[error("a reply that is none of the service's")]
+    Malformed,
+    #[error("a node does not know its own type")]
+    Unsuccessful,
+    #[error("a description of no valid type")]
+    Invalid,
+    #[error("a description of another type than asked for")]
+    Hash,
+    #[error("a definition that could not be kept")]
+    Store,
+    #[error("no reply")]
+    Silence,
+    #[error("a request that is none of the service's")]
+    Request,
+    #[error("asked for a type that is not known here")]
+    Unknown,
+}
+
+/// The service, from both ends.
+pub(crate) struct Descriptions {
+    id: TypeId,
+    request: Arc<Schema>,
+    response: Arc<Schema>,
+    store: SchemaStore,
+    events: mpsc::SyncSender<Event>,
+    /// What is on its way, and when it was asked for.
+    pending: HashMap<TypeId, Instant>,
+    /// Services that were asked, and for what.
+    asked: HashSet<(TypeId, String)>,
+    answering: BTreeMap<String, Queryable<()>>,
+    counts: BTreeMap<String, u64>,
+}
+
+impl Descriptions {
+    pub(crate) fn new(store: SchemaStore, events: mpsc::SyncSender<Event>) -> Result<Self, SchemaError> {
+        let mut packages = Packages::new();
+        for (file, text) in DEFINITIONS {
+            let name = file.rsplit_once('.').map_or(file, |(name, _)| name);
+            packages.add_text(&name.parse()?, file, text)?;
+        }
+        let mut schema = |name: String| -> Result<Arc<Schema>, SchemaError> {
+            Ok(Arc::new(packages.schema(&name.parse::<TypeName>()?)?))
+        };
+        let service = schema(SERVICE.into())?;
+        Ok(Descriptions {
+            id: TypeId { name: service.name().clone(), hash: service.hash() },
+            request: schema(format!("{SERVICE}_Request"))?,
+            response: schema(format!("{SERVICE}_Response"))?,
+            store,
+            events,
+            pending: HashMap::new(),
+            asked: HashSet::new(),
+            answering: BTreeMap::new(),
+            counts: BTreeMap::new(),
+        })
+    }
+
+    /// How often what happened.
+    pub(crate) fn counts(&self) -> &BTreeMap<String, u64> {
+        &self.counts
+    }
+
+    fn count(&mut self, what: impl ToString) {
+        *self.counts.entry(what.to_string()).or_default() += 1;
+    }
+
+    /// Asks one of the nodes elsewhere that publish the topic for its type, unless one is being asked or all were.
+    pub(crate) fn ask(&mut self, session: &Session, key: &TopicKey, graph: &Graph) {
+        let id = &key.type_id;
+        if self.pending.get(id).is_some_and(|since| since.elapsed() < TIMEOUT) {
+            return;
+        }
+        if self.pending.remove(id).is_some() {
+            self.count(Refused::Silence);
+        }
+        if self.pending.len() >= MAX_PENDING {
+            return;
+        }
+        let publishers = graph.publishers(key).iter();
+        let wanted: HashSet<String> = publishers.map(|end| service_of(&end.node)).collect();
+        let served = graph.tokens().filter_map(|token| token.endpoint.as_ref()).filter(|end| {
+            end.kind == EndpointKind::Service && end.type_id == self.id && wanted.contains(&end.name)
+        });
+        let mut next = served
+            .map(|end| end.name.clone())
+            .filter(|name| !self.asked.contains(&(id.clone(), name.clone())));
+        let Some(service) = next.next() else { return };
+        drop(next);
+        if self.asked.len() >= MAX_ASKED {
+            self.asked.clear();
+        }
+        self.asked.insert((id.clone(), service.clone()));
+        if let Err(error) = self.get(session, key.domain, service, id) {
+            return tracing::warn!("the type of topic '{}' cannot be asked for: {error}", key.topic);
+        }
+        self.pending.insert(id.clone(), Instant::now());
+    }
+
+    /// Nobody here wants the type any more. Who does later has all asked anew.
+    pub(crate) fn forget(&mut self, id: &TypeId) {
+        self.asked.retain(|(asked, _)| asked != id);
+    }
+
+    fn get(&mut self, session: &Session, domain: u32, service: String, id: &TypeId) -> zenoh::Result<()> {
+        let request = serde_json::json!({
+            "type_name": id.name.to_string(),
+            "type_hash": id.hash.to_string(),
+            "include_type_sources": false,
+        });
+        let request = DynamicMessage::from_json_value(&self.request, request)?.to_cdr();
+        let attachment =
+            Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid::default() };
+        let (events, asked) = (self.events.clone(), id.clone());
+        let answer = move |reply: Reply| {
+            let Ok(sample) = reply.result() else { return };
+            let payload = sample.payload();
+            // What is too long is refused for that, without being copied.
+            let bytes = (payload.len() <= MAX_SCHEMA_BYTES).then(|| payload.to_bytes().into_owned());
+            let _ = events.try_send(Event::Described(asked.clone(), bytes));
+        };
+        let key = TopicKey { domain, topic: service, type_id: self.id.clone() };
+        (session.get(key.to_string()).payload(request).attachment(attachment.encode().as_slice()))
+            .target(QueryTarget::AllComplete)
+            .consolidation(ConsolidationMode::None)
+            .allowed_destination(Locality::Remote)
+            .timeout(TIMEOUT)
+            .callback(answer)
+            .wait()
+    }
+
+    /// A node answered. What it says is kept if it is what was asked for.
+    pub(crate) fn learn(&mut self, id: &TypeId, payload: Option<&[u8]>) {
+        // Once for each question, however many answers come.
+        if self.pending.remove(id).is_none() {
+            return;
+        }
+        let outcome = self.check(id, payload).and_then(|schema| {
+            self.store.keep(&id.hash.to_string(), &schema.to_text()).map_err(|_| Refused::Store)
+        });
+        match outcome {
+            Ok(()) => self.count("learned"),
+            Err(reason) => self.count(reason),
+        }
+    }
+
+    fn check(&self, id: &TypeId, payload: Option<&[u8]>) -> Result<Schema, Refused> {
+        let payload = payload.filter(|bytes| bytes.len() <= MAX_SCHEMA_BYTES).ok_or(Refused::Length)?;
+        check_encapsulation(payload).map_err(|_| Refused::Malformed)?;
+        let response = DynamicMessage::from_cdr(&self.response, payload).map_err(|_| Refused::Malformed)?;
+        let mut response = response.to_json_value();
+        if response["successful"] != true {
+            return Err(Refused::Unsuccessful);
+        }
+        let description: TypeDescription =
+            serde_json::from_value(response["type_description"].take()).map_err(|_| Refused::Invalid)?;
+        let schema = Schema::from_description(&description).map_err(|_| Refused::Invalid)?;
+        if *schema.name() != id.name || schema.hash() != id.hash {
+            return Err(Refused::Hash);
+        }
+        Ok(schema)
+    }
+
+    /// The service of each node here that has none of its own, to be announced.
+    pub(crate) fn offered(&self, nodes: &[NodeName], endpoints: &[LocalEndpoint]) -> Vec<LocalEndpoint> {
+        let nodes: BTreeSet<&NodeName> = nodes.iter().chain(endpoints.iter().map(|end| &end.node)).collect();
+        let is_own =
+            |name: &str| endpoints.iter().any(|end| end.kind == EndpointKind::Service && end.topic == name);
+        let offer = |node: &NodeName| {
+            let topic = service_of(node);
+            let (kind, qos) = (EndpointKind::Service, WireQos { depth: 10, ..WireQos::default() });
+            let (node, type_id) = (node.clone(), self.id.clone());
+            // A number that no other has: the hash of what is said of it.
+            let said = Endpoint { id: 0, kind, name: topic.clone(), type_id: type_id.clone(), qos };
+            let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint: Some(said) };
+            LocalEndpoint { gid: endpoint_gid(&said), kind, topic, type_id, qos, node }
+        };
+        nodes.into_iter().map(offer).filter(|end| !is_own(&end.topic)).collect()
+    }
+
+    /// Answers at these services from now on, and at no others.
+    pub(crate) fn answer_at(&mut self, session: &Session, domain: u32, services: BTreeSet<String>) {
+        self.answering.retain(|name, _| services.contains(name));
+        for name in services {
+            if self.answering.contains_key(&name) {
+                continue;
+            }
+            let events = self.events.clone();
+            let key = TopicKey { domain, topic: name.clone(), type_id: self.id.clone() };
+            let declared = (session.declare_queryable(key.to_string()).complete(true))
+                .allowed_origin(Locality::Remote)
+                // Who finds no room has its question dropped, and asks again.
+                .callback(move |query| drop(events.try_send(Event::Asked(query))))
+                .wait();
+            match declared {
+                Ok(queryable) => drop(self.answering.insert(name, queryable)),
+                Err(error) => tracing::warn!("{name} does not answer: {error}"),
+            }
+        }
+    }
+
+    /// Answers a question.
+    pub(crate) fn answer(&mut self, query: &Query, types: &mut Types) {
+        match self.reply(query.payload(), types) {
+            Err(reason) => self.count(reason),
+            Ok((reply, outcome)) => {
+                self.count(outcome);
+                let asked = query.attachment().and_then(|bytes| Attachment::parse(&bytes.to_bytes()).ok());
+                let echoed = Attachment { source_timestamp_ns: unix_ns(), ..asked.unwrap_or_default() };
+                let sent =
+                    query.reply(query.key_expr().clone(), reply).attachment(echoed.encode().as_slice());
+                if let Err(error) = sent.wait() {
+                    tracing::debug!("a type description is not sent: {error}");
+                }
+            }
+        }
+    }
+
+    fn reply(&self, payload: Option<&ZBytes>, types: &mut Types) -> Result<(Vec<u8>, String), Refused> {
+        let payload = payload.filter(|bytes| bytes.len() <= MAX_REQUEST_BYTES).ok_or(Refused::Request)?;
+        let request = payload.to_bytes();
+        if !request.starts_with(&ENCAPSULATION[..2]) {
+            return Err(Refused::Request);
+        }
+        let request = DynamicMessage::from_cdr(&self.request, &request).map_err(|_| Refused::Request)?;
+        let request = request.to_json_value();
+        let text = |field: &str| request[field].as_str().unwrap_or_default();
+        let id = text("type_name").parse().ok().zip(text("type_hash").parse().ok());
+        let schema = id.and_then(|(name, hash)| types.schema(&TypeId { name, hash }));
+        let (response, outcome) = match schema {
+            Some(schema) => {
+                let description = serde_json::to_value(TypeDescription::from(&*schema));
+                let description = description.map_err(|_| Refused::Unknown)?;
+                let response = serde_json::json!({ "successful": true, "type_description": description });
+                (response, "answered".to_owned())
+            }
+            None => {
+                let reason = format!("{} is not known on this host", text("type_name"));
+                let response = serde_json::json!({ "successful": false, "failure_reason": reason });
+                (response, Refused::Unknown.to_string())
+            }
+        };
+        let response =
+            DynamicMessage::from_json_value(&self.response, response).map_err(|_| Refused::Request)?;
+        Ok((response.to_cdr(), outcome))
+    }
+}
+
+fn service_of(node: &NodeName) -> String {
+    format!("{}{SUFFIX}", node.full_name())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    fn descriptions(store: &std::path::Path) -> Descriptions {
+        Descriptions::new(SchemaStore::at(store), mpsc::sync_channel(1).0).unwrap()
+    }
+
+    fn types(store: &std::path::Path) -> Types {
+        Types::new(SchemaStore::at(store), Packages::new())
+    }
+
+    fn pose() -> Schema {
+        let text = "Part[<=3] parts\nstring name \"none\"\n\
+            ================================================================================\n\
+            MSG: demo_msgs/Part\nfloat64[2] at\nuint8 kind\n";
+        Schema::from_text(&"demo_msgs/msg/Pose".parse().unwrap(), text).unwrap()
+    }
+
+    fn id(schema: &Schema) -> TypeId {
+        TypeId { name: schema.name().clone(), hash: schema.hash() }
+    }
+
+    fn question(asker: &Descriptions, id: &TypeId) -> ZBytes {
+        let request =
+            serde_json::json!({ "type_name": id.name.to_string(), "type_hash": id.hash.to_string() });
+        DynamicMessage::from_json_value(&asker.request, request).unwrap().to_cdr().into()
+    }
+
+    #[test]
+    fn the_service_is_ros_2s() {
+        let store = tempfile::tempdir().unwrap();
+        let service = descriptions(store.path()).id;
+        assert_eq!(service.name.as_str(), SERVICE);
+        let hash = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5";
+        assert_eq!(service.hash.to_string(), hash);
+    }
+
+    #[test]
+    fn what_one_host_knows_another_learns() {
+        let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let pose = pose();
+        let id = id(&pose);
+        SchemaStore::at(there.path()).keep(&id.hash.to_string(), &pose.to_text()).unwrap();
+        let (mut asker, answerer) = (descriptions(here.path()), descriptions(there.path()));
+        let question = question(&asker, &id);
+        let (reply, outcome) = answerer.reply(Some(&question), &mut types(there.path())).unwrap();
+        assert_eq!(outcome, "answered");
+
+        asker.learn(&id, Some(&reply));
+        assert!(asker.counts().is_empty(), "nobody asked");
+        asker.pending.insert(id.clone(), Instant::now());
+        asker.learn(&id, Some(&reply));
+        asker.learn(&id, Some(&reply));
+        assert_eq!(asker.counts(), &BTreeMap::from([("learned".into(), 1)]));
+        let learned = types(here.path()).schema(&id).unwrap();
+        assert_eq!((learned.hash(), learned.referenced().count()), (pose.hash(), 1));
+
+        // The other does not know it, and says so.
+        let (reply, _) =
+            asker.reply(Some(&question), &mut types(tempfile::tempdir().unwrap().path())).unwrap();
+        assert_eq!(asker.check(&id, Some(&reply)).unwrap_err(), Refused::Unsuccessful);
+    }
+
+    #[test]
+    fn what_is_not_what_was_asked_for_is_refused() {
+        let store = tempfile::tempdir().unwrap();
+        let descriptions = descriptions(store.path());
+        let (pose, mut types) = (pose(), types(store.path()));
+        SchemaStore::at(store.path()).keep(&pose.hash().to_string(), &pose.to_text()).unwrap();
+        let id = id(&pose);
+        let (reply, _) = descriptions.reply(Some(&question(&descriptions, &id)), &mut types).unwrap();
+        assert!(descriptions.check(&id, Some(&reply)).is_ok());
+        let other = TypeId {
+            hash: id
+                .hash
+                .to_string()
+                .replace("RIHS01_", "")
+                .chars()
+                .rev()
+                .fold("RIHS01_".to_owned(), |text, digit| text + &digit.to_string())
+                .parse()
+                .unwrap(),
+            ..id.clone()
+        };
+        let renamed = TypeId { name: "demo_msgs/msg/Other".parse().unwrap(), ..id.clone() };
+        for (id, payload, reason) in [
+            (&other, Some(&*reply), Refused::Hash),
+            (&renamed, Some(&*reply), Refused::Hash),
+            (&id, None, Refused::Length),
+            (&id, Some(&[][..]), Refused::Malformed),
+            (&id, Some(&[0, 1, 0, 0]), Refused::Malformed),
+            (&id, Some(&[0, 0, 0, 0, 1]), Refused::Malformed),
+            (&id, Some(&reply[..reply.len() / 2]), Refused::Malformed),
+            (&id, Some(&vec![0; MAX_SCHEMA_BYTES + 1]), Refused::Length),
+        ] {
+            assert_eq!(descriptions.check(id, payload).unwrap_err(), reason);
+        }
+        for request in
+            [None, Some(ZBytes::from(vec![0; MAX_REQUEST_BYTES + 1])), Some(ZBytes::from(b"x".to_vec()))]
+        {
+            assert_eq!(descriptions.reply(request.as_ref(), &mut types).unwrap_err(), Refused::Request);
+        }
+        // Whatever the bytes are: the type asked for, or refused.
+        let seed = rand::random();
+        println!("seed {seed}");
+        let mut random = rand::rngs::SmallRng::seed_from_u64(seed);
+        for _ in 0..5000 {
+            let mut reply = reply.clone();
+            for _ in 0..random.random_range(1..4) {
+                let at = random.random_range(0..reply.len());
+                reply[at] = random.random();
+            }
+            if let Ok(schema) = descriptions.check(&id, Some(&reply)) {
+                assert_eq!(schema.hash(), id.hash);
+            }
+        }
+    }
+
+    #[test]
+    fn nodes_that_answer_themselves_are_let() {
+        let store = tempfile::tempdir().unwrap();
+        let descriptions = descriptions(store.path());
+        let nodes = [NodeName::new("/", "a"), NodeName::new("/robot", "b")];
+        let names =
+            |offered: &[LocalEndpoint]| offered.iter().map(|end| end.topic.clone()).collect::<Vec<_>>();
+        let offered = descriptions.offered(&nodes, &[]);
+        assert_eq!(names(&offered), ["/a/get_type_description", "/robot/b/get_type_description"]);
+        assert_ne!(offered[0].gid, offered[1].gid);
+        let own = LocalEndpoint { gid: Gid([1; 16]), ..offered[0].clone() };
+        assert_eq!(names(&descriptions.offered(&nodes, &[own])), ["/robot/b/get_type_description"]);
+    }
+}
