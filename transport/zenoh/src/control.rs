@@ -8,9 +8,10 @@ use crate::incoming::{Checks, Incoming, Inlet, OwnGids, port_qos};
 use crate::locals;
 use crate::mirror::{Action, InQos, Mirror, OutQos, Writer};
 use crate::outgoing::{Outgoing, Sender};
+use crate::services::{Routes, Services};
 use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
 use crate::types::Types;
-use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, token_wildcard};
+use crate::wire::{EndpointKind, MAX_KEY_BYTES, Token, TopicKey, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
@@ -89,6 +90,9 @@ pub(crate) struct Control {
     retried: Option<((TopicKey, Direction), String)>,
     refused: BTreeMap<String, String>,
     types: Types,
+    /// Servers and clients of services on this host.
+    local_services: Vec<(EndpointKind, TopicKey)>,
+    services: Option<Services>,
     /// Whether the graph changed since it was last shown.
     is_unseen: bool,
     shown: Instant,
@@ -124,6 +128,8 @@ impl Control {
             retried: None,
             refused: BTreeMap::new(),
             types: Types::new(SchemaStore::of_user(), Packages::from_env()),
+            local_services: Vec::new(),
+            services: None,
             is_unseen: false,
             shown: Instant::now(),
             started: Instant::now(),
@@ -131,6 +137,11 @@ impl Control {
     }
 
     pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
+        let max_bytes = self.options.max_message_bytes;
+        match Services::start(self.participant.clone(), self.session.clone(), max_bytes) {
+            Ok(services) => self.services = Some(services),
+            Err(error) => tracing::warn!("services are not mirrored: {error}"),
+        }
         let mut next = Instant::now() + PERIOD;
         while !self.shared.stop.load(Ordering::Acquire) {
             let soon = self.is_unseen.then(|| self.shown + BATCH).map_or(next, |at| at.min(next));
@@ -154,6 +165,7 @@ impl Control {
                 self.read_numbers(PERIOD);
             }
         }
+        self.services = None;
         let last = self.mirror.close();
         self.act(last);
     }
@@ -172,8 +184,18 @@ impl Control {
         match locals::list(&self.participant, hash_of) {
             Ok(locals) => {
                 self.refused = locals.refused;
+                let domain = self.options.network_domain.unwrap_or(self.options.domain);
+                let is_service = |kind| matches!(kind, EndpointKind::Service | EndpointKind::Client);
+                self.local_services = (locals.endpoints.iter())
+                    .filter(|end| is_service(end.kind) && self.options.filter.allows(&end.topic))
+                    .map(|end| {
+                        let (topic, type_id) = (end.topic.clone(), end.type_id.clone());
+                        (end.kind, TopicKey { domain, topic, type_id })
+                    })
+                    .collect();
                 let actions = self.mirror.set_locals(&locals.nodes, locals.endpoints);
                 self.act(actions);
+                self.route_services();
             }
             Err(error) => tracing::warn!("{error}"),
         }
@@ -438,8 +460,22 @@ impl Control {
         (self.is_unseen, self.shown) = (false, Instant::now());
         let remote: Vec<Token> = self.mirror.graph().tokens().cloned().collect();
         *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
-        if !self.refused.is_empty() {
+        if self.refused.is_empty() {
+            self.route_services();
+        } else {
             self.list_locals();
+        }
+    }
+
+    fn route_services(&mut self) {
+        let server = |token: &Token| {
+            let end = token.endpoint.as_ref().filter(|end| end.kind == EndpointKind::Service)?;
+            Some(TopicKey { domain: token.domain, topic: end.name.clone(), type_id: end.type_id.clone() })
+        };
+        let elsewhere = self.mirror.graph().tokens().filter_map(server).collect();
+        let here = self.local_services.iter().map(|(kind, key)| (*kind, key));
+        if let Some(services) = &mut self.services {
+            services.set_routes(Routes::of(here, &elsewhere));
         }
     }
 }

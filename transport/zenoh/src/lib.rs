@@ -14,6 +14,7 @@ mod mirror;
 mod outgoing;
 mod rules;
 mod seat;
+mod services;
 mod session;
 mod stats;
 mod types;

@@ -3,9 +3,13 @@
 
 use crate::mirror::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
+use std::collections::hash_map::DefaultHasher;
 use std::collections::{BTreeMap, HashMap};
+use std::hash::{Hash, Hasher};
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{EndpointInfo, Participant, Qos, TopicInfo, TransportError};
+use tautline_transport::{
+    EndpointInfo, Gid, Participant, Qos, ServiceEndpoint, ServiceKind, TopicInfo, TransportError,
+};
 
 /// The endpoints that can be mirrored, and the topics that cannot, with the reason.
 #[derive(Default)]
@@ -43,7 +47,40 @@ pub(crate) fn list(
             }
         }
     }
+    let services = participant.graph()?.services;
+    for (number, service) in services.iter().enumerate().filter(|(_, service)| !service.is_remote) {
+        let end = service_endpoint(service, number);
+        match end.ok_or_else(|| format!("no hash is known of type {}", service.type_name)) {
+            Ok(end) => locals.endpoints.push(end),
+            Err(reason) => drop(locals.refused.insert(service.name.clone(), reason)),
+        }
+    }
     Ok(locals)
+}
+
+/// A server or a client of a service; `number` tells those of one node apart.
+fn service_endpoint(service: &ServiceEndpoint, number: usize) -> Option<LocalEndpoint> {
+    let kind = match service.kind {
+        ServiceKind::Server => EndpointKind::Service,
+        ServiceKind::Client => EndpointKind::Client,
+    };
+    let name: TypeName = service.type_name.parse().ok()?;
+    let type_id = TypeId { name, hash: service.type_hash.as_ref()?.parse().ok()? };
+    // It has no gid of its own.
+    let part = |salt: u64| {
+        let mut hasher = DefaultHasher::new();
+        (salt, service.kind, &service.name, &service.node.namespace, &service.node.name).hash(&mut hasher);
+        (service.pid, &service.type_name, number).hash(&mut hasher);
+        u128::from(hasher.finish())
+    };
+    Some(LocalEndpoint {
+        gid: Gid((part(0) | part(1) << 64).to_le_bytes()),
+        kind,
+        topic: service.name.clone(),
+        type_id,
+        qos: WireQos { depth: 10, ..WireQos::default() },
+        node: NodeName::new(&service.node.namespace, &service.node.name),
+    })
 }
 
 fn type_id(
