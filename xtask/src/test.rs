@@ -32,11 +32,12 @@ pub fn run(quick: bool) -> ExitCode {
         peers::test(&mut steps, built);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 8] = [
+    let slow: [(&str, Step); 9] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: wake", wake),
         ("bench: messages", messages),
+        ("bench: services", services),
         ("bench: paper", paper),
         ("loom", loom),
         ("miri", miri),
@@ -198,6 +199,15 @@ fn messages(steps: &mut Steps) {
 }
 
 /// It runs; what it says belongs to the machine.
+fn services(steps: &mut Steps) {
+    let mut command = bench("services", true, None);
+    if !machine::is_ci() && !machine::realtime_permitted() {
+        command.args(["--no-rt"]);
+    }
+    steps.command("bench: services", &mut command);
+}
+
+/// It runs; what it says belongs to the machine.
 fn trace(steps: &mut Steps) {
     steps.command("bench: trace", &mut bench("trace", true, None));
 }
@@ -237,7 +247,8 @@ fn stress(steps: &mut Steps) {
 
 /// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
 fn loom(steps: &mut Steps) {
-    let mut command = cargo("test --release -p tautline-rt -p tautline-transport -p tautline-trace --lib loom");
+    let mut command =
+        cargo("test --release -p tautline-rt -p tautline-transport -p tautline-trace --lib loom");
     command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
     steps.command("loom", &mut command);
 }
