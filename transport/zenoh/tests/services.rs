@@ -4,14 +4,16 @@
 mod support;
 
 use futures::FutureExt;
-use support::{Host, STRING_HASH, until, wait};
+use support::{Host, until, wait};
 use tautline_gateway::wire::EndpointKind;
 use tautline_transport::{
     Limits, Participant, RawClient, RawPending, RawSample, RawServer, ServiceError, ServiceType,
 };
 
+/// Some type of bytes.
 fn service_type() -> ServiceType {
-    ServiceType::new("std_srvs/srv/Trigger", Some(STRING_HASH))
+    let hash = format!("RIHS01_{}", "7".repeat(64));
+    ServiceType::new("some_srvs/srv/Bytes", Some(&hash))
 }
 
 /// As a node of this host.
