@@ -9,8 +9,9 @@
 # As root the hosts are network namespaces, each with shared memory of its own, joined by a cable. Otherwise they are
 # two domains of this host, joined over loopback. Everything ends with the script.
 set -euo pipefail
-built=${TAUT_BUILT:-$(dirname "$0")/../target/release}
-gateway=${TAUT_GATEWAY:-$built/taut-gateway}
+# Absolute: on a host of its own a program starts in another directory.
+built=$(realpath "${TAUT_BUILT:-$(dirname "$0")/../target/release}")
+gateway=$(realpath "${TAUT_GATEWAY:-$built/taut-gateway}")
 messages=${1:-20}
 case ${2:-talker} in
     talker) sender=(talker) receiver=(listener "$messages") ;;

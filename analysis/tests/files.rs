@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
-use tautline_analysis::file::{CheckedSystem, SystemFile};
+use tautline_analysis::file::{CheckedSystem, LinkPriority, SystemFile};
 
 /// A system without problems, to which the tests add some.
 const GOOD: &str = r#"
@@ -147,6 +147,27 @@ fn the_schema_knows_what_the_reader_knows() {
         known.dedup();
         assert_eq!(known, described, "{section}");
     }
+}
+
+#[test]
+fn a_topics_place_on_a_busy_link() {
+    let text = format!(
+        "{GOOD}\n[topics.\"/cmd_vel\"]\npriority = \"real_time\"\nexpress = true\n[topics.\"/map\"]\npriority = \"background\"\n"
+    );
+    let file = SystemFile::parse(&text).unwrap();
+    let of = |name| file.topics().iter().find(|t| t.name == name).map(|t| (t.priority, t.express)).unwrap();
+    assert_eq!(of("/cmd_vel"), (Some(LinkPriority::RealTime), true));
+    assert_eq!(of("/map"), (Some(LinkPriority::Background), false));
+    assert_eq!(of("/scan"), (None, false));
+    assert!(LinkPriority::ALL.is_sorted());
+    let wrong = problems(&format!(
+        "{GOOD}\n[topics.\"/x\"]\npriority = \"realtime\"\n[topics.\"/y\"]\nexpress = true\n"
+    ));
+    assert!(
+        wrong.iter().any(|p| p.contains("unknown `priority` \"realtime\"") && p.contains("`real_time`")),
+        "{wrong:?}"
+    );
+    assert!(wrong.iter().any(|p| p.contains("topic `/y` is `express` without a `priority`")), "{wrong:?}");
 }
 
 #[test]

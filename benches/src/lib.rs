@@ -4,7 +4,9 @@
 //! | binary | question |
 //! |---|---|
 //! | `messages` | what writing, publishing and reading a message costs, beside a plain buffer and other encoders |
+//! | `parameters` | what reading a parameter costs a callback, and whether a thread that sets parameters disturbs it |
 //! | `paper` | do the response times of an ECRTS 2025 paper hold, with Tautline and with r2r, and only for the structure that it proposes |
+//! | `network` | what the gateways cost beside plain Zenoh; in a package of its own, for it builds Zenoh |
 //! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
 //! | `trace` | what a trace event costs, recorded and not |
 //!
@@ -13,6 +15,8 @@
 
 mod distribution;
 mod machine;
+mod process;
 
 pub use distribution::Distribution;
 pub use machine::{Disturbance, machine, version_of};
+pub use process::Process;

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod check;
+mod component;
 mod demo;
 mod gateway;
 mod init;
@@ -10,6 +11,7 @@ mod msg;
 mod node;
 mod report;
 mod service;
+mod sibling;
 mod table;
 mod topic;
 mod trace;
@@ -37,6 +39,7 @@ enum Verb {
     Service(service::ServiceArgs),
     Trace(trace::TraceArgs),
     Gateway(gateway::GatewayArgs),
+    Component(component::ComponentArgs),
 }
 
 fn main() -> ExitCode {
@@ -56,6 +59,7 @@ fn main() -> ExitCode {
         Verb::Node(args) => node::run(&args).map_err(|error| error.to_string()),
         Verb::Service(args) => service::run(&args).map_err(|error| error.to_string()),
         Verb::Gateway(args) => gateway::run(args).map_err(|error| error.to_string()),
+        Verb::Component(args) => component::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {

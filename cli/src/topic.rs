@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tautline::{Context, EndpointKind, Node, QosProfile, Realtime, find_schema};
 use tautline_schema::DynamicMessage;
-use tautline_transport::{Durability, Participant};
+use tautline_transport::{Durability, Participant, Qos, Reliability};
 
 /// Lists topics; says who publishes and subscribes; prints messages.
 ///
@@ -137,14 +137,15 @@ fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Resul
         participant.wait_for_graph_change(seen, Duration::from_millis(200));
     };
     let schema = find_schema(&topic, &topic_type.name.parse()?, Some(&topic_type))?;
-    // What late joiners get is asked for if every publisher has it.
-    let latched = |durability| durability == Durability::TransientLocal;
-    let all = publishers.iter().all(|publisher| latched(publisher.qos.durability));
-    let qos = if all && !publishers.is_empty() {
-        QosProfile::default().transient_local()
-    } else {
-        QosProfile::default()
-    };
+    // What every publisher offers is asked for, and no more, so that none is left out.
+    let offered = |policy: fn(&Qos) -> bool| publishers.iter().all(|publisher| policy(&publisher.qos));
+    let mut qos = QosProfile::default();
+    if !publishers.is_empty() && offered(|qos| qos.durability == Durability::TransientLocal) {
+        qos = qos.transient_local();
+    }
+    if !offered(|qos| qos.reliability == Reliability::Reliable) {
+        qos = qos.best_effort();
+    }
     let mut messages = node.subscribe_raw(&topic, &topic_type.name, qos)?;
     while !stop.load(Ordering::Relaxed) {
         node.spin_once(Duration::from_millis(100));

@@ -58,6 +58,7 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         name: "/theirs/stop".into(),
         type_name: "a_msgs/srv/Stop".into(),
         type_hash: None,
+        gid: Gid([0xcd; 16]),
         node: theirs,
         pid: None,
         is_remote: true,

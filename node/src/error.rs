@@ -181,6 +181,10 @@ pub enum Error {
     #[cfg(feature = "untyped")]
     #[error(transparent)]
     Message(Box<tautline_schema::MessageError>),
+    /// A managed node did not begin a transition.
+    #[cfg(feature = "lifecycle_msgs")]
+    #[error(transparent)]
+    Lifecycle(#[from] crate::lifecycle::LifecycleError),
     /// A request was not sent or not answered, or a response not sent.
     #[error(transparent)]
     Service(#[from] ServiceError),

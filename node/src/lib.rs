@@ -39,6 +39,7 @@ mod graph;
 mod names;
 mod node;
 mod parameters;
+mod qos_events;
 mod remap;
 mod service;
 mod statistics;
@@ -50,6 +51,8 @@ mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
 
+#[cfg(feature = "lifecycle_msgs")]
+pub mod lifecycle;
 pub mod logging;
 pub mod qos;
 
@@ -63,6 +66,8 @@ pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use graph::TopicEndpointInfo;
+#[cfg(feature = "lifecycle_msgs")]
+pub use lifecycle::{LifecycleCallbacks, LifecycleNode, ManagedNode};
 pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
 pub use parameters::{
@@ -70,6 +75,9 @@ pub use parameters::{
     ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
 };
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use qos_events::{
+    DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
+};
 pub use remap::RemapRules;
 pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
 #[cfg(feature = "untyped")]
@@ -105,11 +113,12 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Client as ClientLoaned, Counters, EndpointKind, Gid, GraphEvents, GraphSnapshot, Limits, Loan, LoanError,
-    MAX_PENDING_REQUESTS, MessageInfo, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError,
-    PublishError, Publisher, PublisherCounters, Request, RequestId, Response, Sample, ServiceEndpoint,
-    ServiceError, ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError,
-    Unpublished, Unsent, Unwritten, UnwrittenResponse, topic_memory,
+    Client as ClientLoaned, Counters, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, IncompatibleQos,
+    Limits, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost,
+    NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError, PublishError, Publisher,
+    PublisherCounters, QosPolicyKind, Request, RequestId, Response, Sample, ServiceEndpoint, ServiceError,
+    ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError, Unpublished,
+    Unsent, Unwritten, UnwrittenResponse, topic_memory,
 };
 
 /// What the macros' code calls.

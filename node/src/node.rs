@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TransportError};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher};
 
 /// A node. Its publishers, subscriptions and timers live on when it is dropped, and as long as one of the first two does,
 /// others see the node; its context lives as long as it does.
@@ -279,13 +279,13 @@ impl Node {
     /// Creates a publisher.
     ///
     /// # Errors
-    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that is not enforced.
+    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_publisher<T: Message>(
         &mut self,
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<Publisher<T>> {
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
@@ -312,18 +312,15 @@ impl Node {
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<Subscription<T>> {
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let subscription =
             self.participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
         Ok(Subscription::new(subscription))
     }
 
-    pub(crate) fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
+    pub(crate) fn resolve(&self, topic: &str) -> Result<(String, Limits)> {
         let topic = self.resolve_topic_name(topic)?;
-        if let Some(setting) = qos_profile.unsupported_liveliness() {
-            return Err(TransportError::Unsupported { topic, setting }.into());
-        }
         let limits = self.limits.get(&topic).copied().unwrap_or_default();
         Ok((topic, limits))
     }

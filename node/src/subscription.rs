@@ -52,6 +52,12 @@ impl<T: Message> Subscription<T> {
     }
 }
 
+impl<T: Message> AsRef<RawSubscription> for Subscription<T> {
+    fn as_ref(&self) -> &RawSubscription {
+        self.samples.source().raw()
+    }
+}
+
 impl<T: Message> std::fmt::Debug for Subscription<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Subscription").field("topic", &self.topic()).finish_non_exhaustive()

@@ -84,6 +84,14 @@ fn one_that_comes_late_hears_what_was_logged() {
 }
 
 #[test]
+fn a_topic_that_was_opened_for_few_lines_carries_them() {
+    let mut node = Node::create(context(200), "few", "").unwrap();
+    let subscription = node.subscribe_loaned::<Log>("/rosout", QosProfile::default().keep_last(5)).unwrap();
+    log_info!(node.logger(), "heard");
+    assert_eq!(wait_for(1, &mut node, &subscription)[0].2, "heard");
+}
+
+#[test]
 fn a_real_time_thread_never_waits_and_its_lines_arrive_or_are_counted() {
     if !realtime() {
         return;

@@ -148,7 +148,7 @@ fn timers_change_over_when_the_clock_does() {
 #[test]
 fn sleeps_end_when_the_clock_is_there() {
     static ENDED: Log<&str> = Log::new();
-    let (ctx, publisher) = simulation(220);
+    let (ctx, publisher) = simulation(159);
     let _spinning = spin(&ctx);
     let node = Node::create(ctx.clone(), "robot", "").unwrap();
     for (name, clock) in [

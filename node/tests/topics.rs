@@ -5,10 +5,8 @@ mod common;
 
 use common::{Number, context, spin};
 use futures::StreamExt;
-use std::time::Duration;
 use tautline::{
-    Error, Limits, LivelinessPolicy, LoanError, Node, PublishError, QosProfile, Subscription, TakeError,
-    TransportError,
+    Error, Limits, LoanError, Node, PublishError, QosProfile, Subscription, TakeError, TransportError,
 };
 
 fn node(domain: u32, name: &str, namespace: &str) -> Node {
@@ -70,31 +68,6 @@ fn bad_names_are_refused_with_the_reason() {
             assert!(message.contains(reason), "{message}");
         }
     }
-}
-
-#[test]
-fn what_is_not_enforced_is_refused_by_name() {
-    let mut node = node(213, "strict", "");
-    let (qos, second) = (QosProfile::default(), Duration::from_secs(1));
-    for (profile, setting) in [
-        (qos.deadline(second), "deadline"),
-        (qos.lifespan(second), "lifespan"),
-        (qos.liveliness(LivelinessPolicy::ManualByTopic), "liveliness"),
-        (qos.liveliness_lease_duration(second), "liveliness_lease_duration"),
-    ] {
-        let errors = [
-            node.create_publisher::<Number>("/strict", profile).err().unwrap(),
-            node.subscribe_loaned::<Number>("/strict", profile).err().unwrap(),
-        ];
-        for error in errors {
-            let Error::Transport(TransportError::Unsupported { topic, setting: named }) = error else {
-                panic!("{error}")
-            };
-            assert_eq!((topic.as_str(), named), ("/strict", setting));
-        }
-    }
-    let harmless = qos.liveliness(LivelinessPolicy::Automatic).avoid_ros_namespace_conventions(true);
-    node.create_publisher::<Number>("/strict", harmless).unwrap();
 }
 
 #[test]

@@ -126,11 +126,9 @@ pub enum TransportError {
         /// The greatest value.
         max: usize,
     },
-    /// A quality of service that is not enforced yet must not be asked for.
-    #[error(
-        "topic '{topic}': QoS {setting} is not enforced by this version; leave it at its default rather than rely on it"
-    )]
-    Unsupported {
+    /// A time that nothing can keep.
+    #[error("topic '{topic}': QoS {setting} is zero, which nothing can keep; leave it out if there is none")]
+    ZeroDuration {
         /// The topic.
         topic: String,
         /// The field of [`Qos`](crate::Qos).

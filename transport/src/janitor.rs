@@ -188,7 +188,7 @@ fn release_dead_links(shared: &Shared, watch: &Watch) {
     let alive = ports::publishers(&watch.topic);
     for (link, owner) in claims {
         if !alive.iter().any(|port| Owner::of(port.gid) == owner) {
-            link.release(owner);
+            link.release_killed(owner);
         }
     }
 }

@@ -124,7 +124,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_publisher<T: Message>(
         &self,
         topic: &str,
@@ -140,7 +140,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_subscription<T: Message>(
         &self,
         topic: &str,
@@ -156,7 +156,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_raw_publisher(
         &self,
         topic: &str,
@@ -164,7 +164,7 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<RawPublisher, TransportError> {
-        RawPublisher::create(self, topic, topic_type, qos, limits)
+        RawPublisher::create(self, topic, topic_type, qos, limits, false)
     }
 
     /// Creates a subscription to the bytes of `topic`, a fully qualified name. What is published from now on is queued.
@@ -173,7 +173,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_raw_subscription(
         &self,
         topic: &str,
@@ -181,7 +181,43 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<RawSubscription, TransportError> {
-        RawSubscription::create(self, topic, topic_type, qos, limits)
+        RawSubscription::create(self, topic, topic_type, qos, limits, false)
+    }
+
+    /// As [`create_raw_publisher`](Self::create_raw_publisher), for what others published: every subscription gets it, whatever
+    /// it requests.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_raw_publisher`](Self::create_raw_publisher).
+    pub fn create_relay_publisher(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawPublisher, TransportError> {
+        RawPublisher::create(self, topic, topic_type, qos, limits, true)
+    }
+
+    /// As [`create_raw_subscription`](Self::create_raw_subscription), for what is passed on: it gets what every publisher sends,
+    /// whatever that offers.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_raw_subscription`](Self::create_raw_subscription).
+    pub fn create_relay_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        RawSubscription::create(self, topic, topic_type, qos, limits, true)
     }
 }
 

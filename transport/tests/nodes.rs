@@ -4,6 +4,7 @@
 mod support;
 
 use futures::{FutureExt, StreamExt};
+use std::collections::HashSet;
 use std::time::Duration;
 use support::{Count, Part, clean, domain, say, shared_memory, wait_for_the_end};
 use tautline_transport::{
@@ -86,7 +87,10 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
     assert_ne!(observer.graph_epoch(), epoch);
     let graph = observer.graph().unwrap();
     let full_name = node.name().clone();
+    let gids: HashSet<Gid> = graph.services.iter().map(|service| service.gid).collect();
+    assert_eq!(gids.len(), 2);
     let expected = |kind| ServiceEndpoint {
+        gid: graph.services[usize::from(kind == ServiceKind::Client)].gid,
         kind,
         name: "/robot/add".into(),
         type_name: "a_msgs/srv/Add".into(),
@@ -99,9 +103,9 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
 
     // A node is there as long as something of it is.
     drop((node, of_node, service));
-    let graph = observer.graph().unwrap();
+    let left = observer.graph().unwrap();
     assert_eq!(
-        (names(&graph), graph.services),
+        (names(&left), left.services),
         (vec!["/robot/listener".into()], vec![expected(ServiceKind::Client)])
     );
     drop(subscription);
@@ -242,6 +246,7 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
         name: "/theirs/add".into(),
         type_name: "a/srv/B".into(),
         type_hash: None,
+        gid: Gid([3; 16]),
         node: name("/theirs", "talker"),
         pid: None,
         is_remote: true,

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
 /// its first line.
-const RUNS: [&[&str]; 12] = [
+const RUNS: [&[&str]; 18] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
     &["variable_image"],
@@ -20,6 +20,12 @@ const RUNS: [&[&str]; 12] = [
     &["service"],
     &["action"],
     &["timer"],
+    &["qos_events"],
+    &["lifecycle"],
+    &["composition"],
+    &["parameters"],
+    &["sim_time"],
+    &["logging"],
     &["priorities"],
     &["callback_group"],
     &["budget"],

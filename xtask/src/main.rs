@@ -9,6 +9,7 @@
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
+//! | `network` | the bench of the gateways: builds Zenoh's and hiroz's sides, and runs all |
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
@@ -20,6 +21,7 @@ mod examples;
 mod fuzz;
 mod lttng;
 mod machine;
+mod network;
 mod paper;
 mod peers;
 mod r2r;
@@ -91,6 +93,15 @@ enum Verb {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it
+    Parameters {
+        /// Fewer rounds: some seconds
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// What a trace event costs, recorded and not
     Trace {
         /// Fewer rounds: a second
@@ -124,6 +135,8 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
+    Network(network::Options),
     /// A request and its response, beside a topic each way and iceoryx2's request-response
     Services {
         /// Fewer and shorter rounds: some seconds
@@ -172,7 +185,11 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Services { quick, json, arguments }) => {
             steps::run(bench("services", quick, json.as_deref()).args(arguments))
         }
+        Verb::Bench(Bench::Parameters { quick, json }) => {
+            steps::run(&mut bench("parameters", quick, json.as_deref()))
+        }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
+        Verb::Bench(Bench::Network(options)) => network::run(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),
         Verb::Miri => {

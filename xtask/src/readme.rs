@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The README's tables and its picture, made from a run on this machine: no number in them is typed.
 
-use crate::{bench, paper, steps};
+use crate::{bench, network, paper, steps};
 use serde_json::Value;
 use std::fmt::Write;
 use std::fs;
@@ -17,11 +17,12 @@ pub enum Part {
     Demo,
     Wake,
     Messages,
+    Network,
     Paper,
 }
 
 impl Part {
-    const ALL: [Part; 4] = [Part::Demo, Part::Wake, Part::Messages, Part::Paper];
+    const ALL: [Part; 5] = [Part::Demo, Part::Wake, Part::Messages, Part::Network, Part::Paper];
 
     /// Its mark in the README.
     fn mark(self) -> &'static str {
@@ -29,13 +30,14 @@ impl Part {
             Part::Demo => "demo",
             Part::Wake => "wake",
             Part::Messages => "messages",
+            Part::Network => "network",
             Part::Paper => "paper",
         }
     }
 
     /// What measures it and writes `json`.
-    fn command(self, quick: bool, json: &Path) -> Command {
-        match self {
+    fn command(self, quick: bool, json: &Path) -> Result<Command, String> {
+        Ok(match self {
             Part::Demo => {
                 let mut demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
                 demo.arg(PICTURE).arg("--json").arg(json);
@@ -43,13 +45,18 @@ impl Part {
             }
             Part::Wake => bench("wake", quick, Some(json)),
             Part::Messages => bench("messages", quick, Some(json)),
+            Part::Network => network::command(&network::Options {
+                quick,
+                json: Some(json.to_owned()),
+                ..Default::default()
+            })?,
             Part::Paper => {
                 // The whole evaluation takes two hours, this a quarter of one.
                 let (runs, seconds) = if quick { (None, None) } else { (Some(3), Some(8.0)) };
                 let (json, html) = (Some(json.to_owned()), Some(json.with_extension("html")));
                 paper::command(&paper::Options { quick, runs, seconds, json, html, ..Default::default() })
             }
-        }
+        })
     }
 
     fn table(self, run: &Value) -> String {
@@ -57,6 +64,7 @@ impl Part {
             Part::Demo => demo_table(run),
             Part::Wake => wake_tables(run),
             Part::Messages => messages_table(run),
+            Part::Network => network_tables(run),
             Part::Paper => paper_table(run),
         }
     }
@@ -68,8 +76,13 @@ pub fn run(quick: bool, parts: &[Part]) -> ExitCode {
     let parts = if parts.is_empty() { &Part::ALL[..] } else { parts };
     let json = |part: &Part| format!("target/readme-{}.json", part.mark());
     for part in parts {
-        if !part.command(quick, json(part).as_ref()).status().is_ok_and(|status| status.success()) {
-            eprintln!("the README stays as it is: the run failed");
+        let run = part.command(quick, json(part).as_ref()).and_then(|mut command| match command.status() {
+            Ok(status) if status.success() => Ok(()),
+            Ok(status) => Err(status.to_string()),
+            Err(error) => Err(error.to_string()),
+        });
+        if let Err(reason) = run {
+            eprintln!("the README stays as it is: the run failed: {reason}");
             return ExitCode::FAILURE;
         }
     }
@@ -305,6 +318,77 @@ fn messages_table(run: &Value) -> String {
     out
 }
 
+/// Round trips and streams, a line per system, a column per payload; and the callbacks.
+fn network_tables(run: &Value) -> String {
+    let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
+    let of = |experiment: &str| -> Vec<&Value> {
+        rows.iter().copied().filter(|row| row["experiment"] == experiment).collect()
+    };
+    let mut out = String::new();
+    type Number = fn(&Value) -> String;
+    let columns: [(&str, &str, Number); 2] = [
+        ("round-trip", "half a round trip in µs, p50 / p99", |row| {
+            format!("{} / {}", us(row, "p50_us"), us(row, "p99_us"))
+        }),
+        ("stream", "a stream in MB/s", |row| {
+            row["mb_per_s"].as_f64().map_or("-".into(), |rate| format!("{rate:.0}"))
+        }),
+    ];
+    for (experiment, title, number) in columns {
+        let rows = of(experiment);
+        let mut sizes: Vec<u64> = rows.iter().filter_map(|row| row["payload_bytes"].as_u64()).collect();
+        sizes.sort_unstable();
+        sizes.dedup();
+        let _ = write!(out, "| {title} |");
+        for bytes in &sizes {
+            let (number, unit) = match bytes {
+                1_048_576.. => (bytes >> 20, "MiB"),
+                1024.. => (bytes >> 10, "KiB"),
+                _ => (*bytes, "B"),
+            };
+            let _ = write!(out, " {number} {unit} |");
+        }
+        let _ = writeln!(out, "\n|---|{}", "--:|".repeat(sizes.len()));
+        for (system, mode) in names(&rows) {
+            let _ = write!(out, "| {system}, {mode} |");
+            for bytes in &sizes {
+                let wanted = |row: &&&Value| {
+                    row["system"] == system && row["mode"] == mode && row["payload_bytes"] == *bytes
+                };
+                let _ = write!(out, " {} |", rows.iter().find(wanted).map_or("-".into(), |row| number(row)));
+            }
+            out.push('\n');
+        }
+        out.push('\n');
+    }
+    let callbacks = of("callbacks");
+    let p99 = |mode: &str| {
+        let rows =
+            callbacks.iter().filter(|row| row["mode"].as_str().is_some_and(|name| name.starts_with(mode)));
+        rows.map(|row| row["p99_us"].as_f64().map_or("-".into(), |us| format!("{:.2}", us / 1e3)))
+            .collect::<Vec<_>>()
+            .join(" / ")
+    };
+    let arrived = callbacks.iter().find_map(|row| row["mb_per_s"].as_f64()).unwrap_or(0.0);
+    let _ = writeln!(
+        out,
+        "p99 response times in ms of five real-time callbacks that load a core to 90 %: {} alone, {} while {arrived:.0} MB/s \
+         arrive for another topic.",
+        p99("quiet"),
+        p99("flood"),
+    );
+    let lost: u64 =
+        rows.iter().filter(|row| row["system"] == "tautline").filter_map(|row| row["lost"].as_u64()).sum();
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench network`: from a node over two gateways to a node, beside Zenoh's own publishers and subscribers \
+         and hiroz, TCP over loopback, two processes, each with its gateway on a core, alternating rounds; {lost} messages of \
+         Tautline's lost; {}.",
+        machine()
+    );
+    out
+}
+
 /// Three figures are enough.
 fn us(row: &Value, key: &str) -> String {
     match row[key].as_f64() {
@@ -346,6 +430,32 @@ mod tests {
         );
         assert!(table.contains("3 runs of 2 s of each"), "{table}");
         assert!(table.contains("at most 1 ticks"));
+    }
+
+    #[test]
+    fn the_networks_tables_have_a_column_per_payload() {
+        let row = |experiment: &str, system: &str, mode: &str, bytes: u64, us: f64| {
+            serde_json::json!({"experiment": experiment, "system": system, "mode": mode, "payload_bytes": bytes,
+                               "p50_us": us, "p99_us": 2.0 * us, "mb_per_s": 700.4, "lost": 0})
+        };
+        let rows = [
+            row("round-trip", "zenoh", "pub-sub", 64, 40.0),
+            row("round-trip", "zenoh", "pub-sub", 1 << 20, 400.0),
+            row("round-trip", "tautline", "node-to-node", 64, 50.0),
+            row("stream", "zenoh", "window", 64 << 10, 1.0),
+            row("callbacks", "tautline", "quiet a", 0, 2000.0),
+            row("callbacks", "tautline", "flood a", 1 << 20, 2100.0),
+        ];
+        let tables = network_tables(&rows.to_vec().into());
+        for line in [
+            "| half a round trip in µs, p50 / p99 | 64 B | 1 MiB |\n|---|--:|--:|",
+            "| zenoh, pub-sub | 40.00 / 80.00 | 400 / 800 |",
+            "| tautline, node-to-node | 50.00 / 100 | - |",
+            "| a stream in MB/s | 64 KiB |\n|---|--:|\n| zenoh, window | 700 |",
+            "90 %: 4.00 alone, 4.20 while 700 MB/s",
+        ] {
+            assert!(tables.contains(line), "{line}\n{tables}");
+        }
     }
 
     #[test]

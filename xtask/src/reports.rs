@@ -65,6 +65,19 @@ const MESSAGES_ROW: &[(&str, Kind)] = &[
     ("ratio_to_plain_buffer", Number),
 ];
 
+const NETWORK_ROW: &[(&str, Kind)] = &[
+    ("experiment", Text),
+    ("system", Text),
+    ("mode", Text),
+    ("payload_bytes", Count),
+    ("n", Count),
+    ("p50_us", Number),
+    ("p99_us", Number),
+    ("p999_us", Number),
+    ("max_us", Number),
+    ("lost", Count),
+];
+
 const PAPER_ROW: &[(&str, Kind)] = &[
     ("system", Text),
     ("variant", Text),
@@ -121,6 +134,31 @@ pub fn check_wake(path: &Path) -> Outcome {
 /// The messages bench's rows.
 pub fn check_messages(path: &Path) -> Outcome {
     check_rows(path, MESSAGES_ROW)
+}
+
+/// The network bench's rows: each question is answered for Tautline, and beside Zenoh where that can be.
+pub fn check_network(path: &Path) -> Outcome {
+    judge(path, |report| {
+        let rows = report.as_array().ok_or("it is not a list")?;
+        rows.iter().try_for_each(|row| check_row(row, NETWORK_ROW))?;
+        for (experiment, system, count) in [
+            ("round-trip", "tautline", 3),
+            ("round-trip", "zenoh", 3),
+            ("stream", "tautline", 2),
+            ("stream", "zenoh", 2),
+            ("callbacks", "tautline", 10),
+        ] {
+            let of = |row: &&Value| row["experiment"] == experiment && row["system"] == system;
+            let found = rows.iter().filter(of).count();
+            if found < count {
+                return Err(format!("{found} rows of {system}'s {experiment}, {count} are promised"));
+            }
+        }
+        match rows.iter().find(|row| row["experiment"] == "stream" && !row["mb_per_s"].is_number()) {
+            Some(row) => Err(format!("nothing says how much arrived: {row}")),
+            None => Ok(()),
+        }
+    })
 }
 
 fn check_rows(path: &Path, fields: &[(&str, Kind)]) -> Outcome {
@@ -230,6 +268,35 @@ mod tests {
         assert!(paper_report(|row| row["variant"] = json!("futures")).unwrap_err().contains("instead of 5"));
         let nameless = paper_report(|row| drop(row.as_object_mut().unwrap().remove("rta_ms")));
         assert!(nameless.unwrap_err().ends_with("has no field 'rta_ms'"));
+    }
+
+    #[test]
+    fn a_network_report_answers_every_question() {
+        let row = |experiment: &str, system: &str| {
+            json!({"experiment": experiment, "system": system, "mode": "m", "payload_bytes": 64, "n": 9, "p50_us": 1.0,
+                   "p99_us": 2, "p999_us": 3.0, "max_us": 4.0, "lost": 0, "mb_per_s": 5.0})
+        };
+        let mut rows = vec![row("callbacks", "tautline"); 10];
+        for (experiment, count) in [("round-trip", 3), ("stream", 2)] {
+            rows.extend(vec![row(experiment, "tautline"); count]);
+            rows.extend(vec![row(experiment, "zenoh"); count]);
+        }
+        let file = std::env::temp_dir().join(format!("taut_network_report_{}.json", std::process::id()));
+        let judged = |rows: &[Value]| {
+            std::fs::write(&file, Value::from(rows).to_string()).unwrap();
+            let outcome = check_network(&file);
+            std::fs::remove_file(&file).unwrap();
+            match outcome {
+                Outcome::Ok => String::new(),
+                Outcome::Failed(reason) | Outcome::Skipped(reason) => reason,
+            }
+        };
+        assert_eq!(judged(&rows), "");
+        assert!(judged(&rows[1..]).contains("9 rows of tautline's callbacks, 10 are promised"));
+        rows[15].as_object_mut().unwrap().remove("mb_per_s");
+        assert!(judged(&rows).is_empty(), "of round trips there is none");
+        rows[18].as_object_mut().unwrap().remove("mb_per_s");
+        assert!(judged(&rows).contains("how much arrived"));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
 use crate::machine::{self, Domain};
-use crate::reports::{check_ablation, check_demo, check_messages, check_paper, check_wake};
+use crate::reports::{check_ablation, check_demo, check_messages, check_network, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{bench, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
@@ -32,12 +32,14 @@ pub fn run(quick: bool) -> ExitCode {
         peers::test(&mut steps, built);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 9] = [
+    let slow: [(&str, Step); 11] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
+        ("bench: parameters", parameters),
         ("bench: wake", wake),
         ("bench: messages", messages),
         ("bench: services", services),
+        ("bench: network", network),
         ("bench: paper", paper),
         ("loom", loom),
         ("miri", miri),
@@ -79,21 +81,21 @@ fn ros(steps: &mut Steps) {
 }
 
 fn tests(steps: &mut Steps) {
-    let nextest = machine::cargo_has("nextest --version").is_ok();
-    let run = |packages: &str| {
-        if nextest {
-            let profile = if machine::is_ci() { "ci" } else { "default" };
-            cargo(&format!("nextest run --profile {profile} {packages} --no-fail-fast"))
-        } else {
-            cargo(&format!("test {packages} --all-targets --no-fail-fast"))
-        }
-    };
     // Every bundled message, not only those of the default packages.
-    let mut tests = run("--workspace --features tautline-ros-msgs/all");
-    if machine::is_ci() {
-        tests.env("TAUT_LEAK_CYCLES", "1000");
+    let build = "--workspace --features tautline-ros-msgs/all --no-fail-fast";
+    let leak_cycles = machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"));
+    if machine::cargo_has("nextest --version").is_ok() {
+        let profile = if machine::is_ci() { "ci" } else { "default" };
+        // The gateway's after the others, of one build: it mirrors what other tests of its domains do.
+        for (name, which) in
+            [("tests", "not package(tautline-gateway)"), ("tests: gateway", "package(tautline-gateway)")]
+        {
+            let mut tests = cargo(&format!("nextest run --profile {profile} {build} -E"));
+            steps.command(name, tests.arg(which).envs(leak_cycles));
+        }
+    } else {
+        steps.command("tests", cargo(&format!("test {build} --all-targets")).envs(leak_cycles));
     }
-    steps.command("tests", &mut tests);
     steps.command("doc tests", &mut cargo("test --workspace --doc --no-fail-fast"));
 }
 
@@ -198,6 +200,30 @@ fn messages(steps: &mut Steps) {
     });
 }
 
+/// A round of each measurement without hiroz, and of a debug build, for a release build of Zenoh takes minutes: it runs and
+/// its report keeps its promises; the numbers mean nothing.
+fn network(steps: &mut Steps) {
+    let target = machine::target_dir();
+    let json = target.join("network.json");
+    let _ = std::fs::remove_file(&json);
+    let build = "build -p tautline-gateway -p tautline-bench-network --bins";
+    if !steps.command("bench: network: build", &mut cargo(build)) {
+        return steps.skip("bench: network", "not built");
+    }
+    steps.step("bench: network", || {
+        let mut command = Command::new(target.join("debug/network"));
+        command.args(["--quick", "--rounds", "1", "--without-hiroz=a debug build", "--taut"]);
+        command.arg(target.join("release/taut")).arg("--json").arg(&json);
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.arg("--no-rt");
+        }
+        match execute(&mut command) {
+            Outcome::Ok => check_network(&json),
+            other => other,
+        }
+    });
+}
+
 /// It runs; what it says belongs to the machine.
 fn services(steps: &mut Steps) {
     let mut command = bench("services", true, None);
@@ -210,6 +236,13 @@ fn services(steps: &mut Steps) {
 /// It runs; what it says belongs to the machine.
 fn trace(steps: &mut Steps) {
     steps.command("bench: trace", &mut bench("trace", true, None));
+}
+
+/// As [`trace`].
+fn parameters(steps: &mut Steps) {
+    let domain = Domain::unused();
+    let mut command = bench("parameters", true, None);
+    steps.command("bench: parameters", command.env("TAUT_DOMAIN", domain.number.to_string()));
 }
 
 /// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a

@@ -236,6 +236,8 @@ impl Builder<'_> {
             type_name: topic.type_name.clone(),
             depth: topic.depth.as_ref().map(|depth| depth.value),
             remote: topic.remote,
+            priority: topic.priority,
+            express: topic.express,
         });
         let mut topics: Vec<_> = declared.collect();
         for name in self.file.callbacks.iter().flat_map(|callback| &callback.publishes) {
@@ -245,6 +247,8 @@ impl Builder<'_> {
                     type_name: None,
                     depth: None,
                     remote: false,
+                    priority: None,
+                    express: false,
                 });
             }
         }

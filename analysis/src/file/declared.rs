@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file as it is written: every section with its places in the text, nothing resolved yet.
+use super::LinkPriority;
 use super::reader::At;
 use crate::{LockProtocol, Order};
 
@@ -39,6 +40,8 @@ pub(super) struct Topic {
     pub type_name: Option<String>,
     pub depth: Option<At<u64>>,
     pub remote: bool,
+    pub priority: Option<LinkPriority>,
+    pub express: bool,
     pub period: Option<At<u64>>,
     pub jitter: u64,
     pub min_distance: Option<At<u64>>,

@@ -93,6 +93,50 @@ pub struct TopicEntry {
     pub depth: Option<u64>,
     /// Whether it goes to other hosts.
     pub remote: bool,
+    /// Its place on a link that is busy; `None`: by size, the smaller the sooner.
+    pub priority: Option<LinkPriority>,
+    /// Whether its messages are sent at once instead of together with what follows shortly.
+    pub express: bool,
+}
+
+/// Which messages go first over a link between hosts that is busy: Zenoh's priorities, the highest first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[allow(missing_docs, reason = "the names say it")]
+pub enum LinkPriority {
+    RealTime,
+    InteractiveHigh,
+    InteractiveLow,
+    DataHigh,
+    Data,
+    DataLow,
+    Background,
+}
+
+impl LinkPriority {
+    /// All, the highest first.
+    pub const ALL: [LinkPriority; 7] = [
+        LinkPriority::RealTime,
+        LinkPriority::InteractiveHigh,
+        LinkPriority::InteractiveLow,
+        LinkPriority::DataHigh,
+        LinkPriority::Data,
+        LinkPriority::DataLow,
+        LinkPriority::Background,
+    ];
+
+    /// Its name in the file and on the gateway's command line.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            LinkPriority::RealTime => "real_time",
+            LinkPriority::InteractiveHigh => "interactive_high",
+            LinkPriority::InteractiveLow => "interactive_low",
+            LinkPriority::DataHigh => "data_high",
+            LinkPriority::Data => "data",
+            LinkPriority::DataLow => "data_low",
+            LinkPriority::Background => "background",
+        }
+    }
 }
 
 /// A core of a host.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading the sections of the file: which keys there are, and what each may be.
+use super::LinkPriority;
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::problem::{Collector, suggestion};
 use super::reader::{At, Section, integer, time};
@@ -146,10 +147,21 @@ fn topic(name: String, mut section: Section<'_>, problems: &mut Collector) -> To
         }),
         None => None,
     };
+    let priorities = LinkPriority::ALL.map(|priority| (priority.as_str(), priority));
+    let link_priority = choice(&mut section, "priority", &priorities, problems);
+    let express = section.flag("express", problems);
+    if express && !section.has("priority") {
+        problems.add(
+            section.at,
+            format!("topic `{name}` is `express` without a `priority`: add one, such as \"real_time\""),
+        );
+    }
     let topic = Topic {
         type_name,
         depth,
         remote: section.flag("remote", problems),
+        priority: link_priority,
+        express,
         period: section.positive_time("period", problems),
         jitter: section.time("jitter", problems).map_or(0, |jitter| jitter.value),
         min_distance: section.time("min_distance", problems),

@@ -24,7 +24,8 @@ mod topic {
     /// A context's publisher, made with the first line.
     pub(crate) struct Rosout {
         participant: Participant,
-        publisher: Mutex<Option<Publisher<Log>>>,
+        /// Made once: what was refused the first time is not tried again.
+        publisher: Mutex<Option<Result<Publisher<Log>, TransportError>>>,
     }
 
     impl Rosout {
@@ -34,12 +35,10 @@ mod topic {
 
         pub(in super::super) fn publish(&self, line: &Line<'_>) {
             let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
-            if publisher.is_none() {
-                match self.open() {
-                    Ok(opened) => *publisher = Some(opened),
-                    Err(error) => return tracing::warn!("/rosout: {error}"),
-                }
-            }
+            let publisher = publisher.get_or_insert_with(|| {
+                self.open().inspect_err(|error| tracing::warn!("/rosout is not published: {error}"))
+            });
+            let Ok(publisher) = publisher else { return };
             let stamp = Time {
                 sec: line.time_ns.div_euclid(1_000_000_000) as i32,
                 nanosec: line.time_ns.rem_euclid(1_000_000_000) as u32,
@@ -54,13 +53,21 @@ mod topic {
                 function: String::new(),
                 line: line.line,
             };
-            if let Some(Err(error)) = publisher.as_ref().map(|publisher| publisher.publish(&log)) {
+            if let Err(error) = publisher.publish(&log) {
                 tracing::warn!("/rosout: {error}");
             }
         }
 
         fn open(&self) -> Result<Publisher<Log>, TransportError> {
-            let qos = QosProfile::default().keep_last(DEPTH).transient_local();
+            match self.open_with(DEPTH) {
+                // A subscription that was there first asked for less.
+                Err(TransportError::Limit { limit: "depth", existing, .. }) => self.open_with(existing),
+                other => other,
+            }
+        }
+
+        fn open_with(&self, depth: usize) -> Result<Publisher<Log>, TransportError> {
+            let qos = QosProfile::default().keep_last(depth).transient_local();
             let limits = Limits { publishers: Limits::MAX_PUBLISHERS, may_grow: false, ..Limits::default() };
             self.participant.create_publisher("/rosout", qos.to_transport(), limits)
         }

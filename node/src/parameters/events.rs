@@ -46,7 +46,8 @@ mod topic {
     /// A context's publisher, made with the first change.
     pub(crate) struct EventTopic {
         participant: Participant,
-        publisher: Mutex<Option<Publisher<ParameterEvent>>>,
+        /// Made once: what was refused the first time is not tried again.
+        publisher: Mutex<Option<Result<Publisher<ParameterEvent>, TransportError>>>,
     }
 
     impl EventTopic {
@@ -57,12 +58,10 @@ mod topic {
         /// A change is made whether it can be published or not.
         pub(super) fn publish(&self, node: &str, change: Change, values: &[(String, ParameterValue)]) {
             let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
-            if publisher.is_none() {
-                match self.open() {
-                    Ok(opened) => *publisher = Some(opened),
-                    Err(error) => return tracing::warn!("/parameter_events: {error}"),
-                }
-            }
+            let publisher = publisher.get_or_insert_with(|| {
+                self.open().inspect_err(|error| tracing::warn!("/parameter_events is not published: {error}"))
+            });
+            let Ok(publisher) = publisher else { return };
             let values =
                 values.iter().map(|(name, value)| Parameter { name: name.clone(), value: value.into() });
             let now = tautline_rt::clock::wall_ns();
@@ -73,14 +72,16 @@ mod topic {
                 Change::Changed => event.changed_parameters = values.collect(),
                 Change::Deleted => event.deleted_parameters = values.collect(),
             }
-            if let Some(Err(error)) = publisher.as_ref().map(|publisher| publisher.publish(&event)) {
+            if let Err(error) = publisher.publish(&event) {
                 tracing::warn!("/parameter_events: {error}");
             }
         }
 
         fn open(&self) -> Result<Publisher<ParameterEvent>, TransportError> {
-            let qos = QosProfile::parameter_events().to_transport();
-            self.participant.create_publisher("/parameter_events", qos, Limits::default())
+            let qos = QosProfile::parameter_events();
+            // Room for what ROS 2's tools ask for, and for a publisher in each process.
+            let limits = Limits { publishers: Limits::MAX_PUBLISHERS, depth: qos.depth, ..Limits::default() };
+            self.participant.create_publisher("/parameter_events", qos.to_transport(), limits)
         }
     }
 }

@@ -21,7 +21,7 @@ use crate::qos::QosProfile;
 use futures::{FutureExt, Stream};
 use std::future::Future;
 use tautline_msgs::Service;
-use tautline_transport::{Limits, TransportError};
+use tautline_transport::Limits;
 
 /// A service's queues keep all: of the quality of service the depth counts, which is how many requests of one client can
 /// wait at a server.
@@ -140,12 +140,9 @@ impl Node {
     pub(crate) fn resolve_service(
         &self,
         service_name: &str,
-        qos_profile: QosProfile,
+        _qos_profile: QosProfile,
     ) -> Result<(String, Limits)> {
         let name = self.resolve_service_name(service_name)?;
-        if let Some(setting) = qos_profile.unsupported_liveliness() {
-            return Err(TransportError::Unsupported { topic: name, setting }.into());
-        }
         let limits = self.service_limits.get(&name).copied().unwrap_or(Limits::SERVICE);
         Ok((name, limits))
     }

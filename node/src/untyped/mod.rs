@@ -84,7 +84,7 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<PublisherUntyped> {
         let schema = self.schema_of(topic, topic_type)?;
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let qos = qos_profile.to_transport();
         let raw = self.participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
@@ -104,7 +104,7 @@ impl Node {
         topic_type: &TopicType,
         qos_profile: QosProfile,
     ) -> Result<RawSubscription> {
-        let (topic, limits): (String, Limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits): (String, Limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         Ok(self.participant.create_raw_subscription(
             &topic,

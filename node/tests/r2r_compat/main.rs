@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Programs written for r2r 0.9.7 with a changed `use` line, feature by feature.
-#![cfg(feature = "example_interfaces")]
 
-#[cfg(feature = "action_msgs")]
+#[cfg(all(feature = "action_msgs", feature = "example_interfaces"))]
 mod actions;
+mod clocks;
+mod logging;
+#[cfg(feature = "example_interfaces")]
 mod services;
 
 use futures::executor::LocalPool;
@@ -12,8 +14,10 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 use tautline::{Context, Node, Realtime};
 
-fn context(domain: u32) -> Context {
-    Context::builder().domain(domain).realtime(Realtime::Off).build().unwrap()
+/// What `Context::create` makes, but for the tests' domain, arguments and privileges.
+fn context(domain: u32, arguments: &str) -> Context {
+    let arguments = arguments.split_whitespace();
+    Context::builder().domain(domain).realtime(Realtime::Off).args(arguments).build().unwrap()
 }
 
 /// What a program comes to in the end.

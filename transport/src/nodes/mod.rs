@@ -112,6 +112,8 @@ pub struct ServiceEndpoint {
     pub type_name: String,
     /// The type's hash, if it is known.
     pub type_hash: Option<String>,
+    /// Its identifier.
+    pub gid: Gid,
     /// Its node.
     pub node: NodeName,
     /// Its process, if it is on this host.

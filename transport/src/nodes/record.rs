@@ -3,7 +3,7 @@
 
 use super::{EndpointKind, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use crate::header::Gid;
-use crate::qos::{Durability, History, Qos, Reliability};
+use crate::qos::{Durability, History, Liveliness, Qos, Reliability};
 use crate::topic_type::TopicType;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -34,6 +34,7 @@ pub(super) struct ServiceRecord {
     name: String,
     type_name: String,
     type_hash: Option<String>,
+    gid: Gid,
 }
 
 /// A publisher or subscription of another host.
@@ -51,6 +52,8 @@ pub(super) struct EndpointRecord {
     depth: u64,
     deadline: Option<Duration>,
     lifespan: Option<Duration>,
+    is_manual: bool,
+    lease: Option<Duration>,
 }
 
 impl Record {
@@ -77,6 +80,7 @@ impl Record {
             name: record.name.clone(),
             type_name: record.type_name.clone(),
             type_hash: record.type_hash.clone(),
+            gid: record.gid,
             node: self.nodes.get(&record.node)?.clone(),
             pid: (!self.is_relay).then_some(self.pid),
             is_remote: self.is_relay,
@@ -101,6 +105,8 @@ impl Record {
                 },
                 deadline: record.deadline,
                 lifespan: record.lifespan,
+                liveliness: if record.is_manual { Liveliness::ManualByTopic } else { Liveliness::Automatic },
+                liveliness_lease_duration: record.lease,
             },
             node: Some(self.nodes.get(&record.node)?.clone()),
             pid: None,
@@ -111,19 +117,14 @@ impl Record {
 }
 
 impl ServiceRecord {
-    pub(super) fn new(
-        node: u64,
-        kind: ServiceKind,
-        name: &str,
-        type_name: &str,
-        type_hash: Option<&str>,
-    ) -> Self {
+    pub(super) fn new(node: u64, end: &ServiceEndpoint) -> Self {
         ServiceRecord {
             node,
-            is_server: kind == ServiceKind::Server,
-            name: name.into(),
-            type_name: type_name.into(),
-            type_hash: type_hash.map(Into::into),
+            is_server: end.kind == ServiceKind::Server,
+            name: end.name.clone(),
+            type_name: end.type_name.clone(),
+            type_hash: end.type_hash.clone(),
+            gid: end.gid,
         }
     }
 
@@ -152,6 +153,8 @@ impl EndpointRecord {
             depth: end.qos.depth as u64,
             deadline: end.qos.deadline,
             lifespan: end.qos.lifespan,
+            is_manual: end.qos.liveliness == Liveliness::ManualByTopic,
+            lease: end.qos.liveliness_lease_duration,
         }
     }
 }
@@ -201,13 +204,27 @@ mod tests {
 
     fn record() -> Record {
         let node = NodeName { namespace: "/robot".into(), name: "n".into() };
-        let service = ServiceRecord::new(1, ServiceKind::Server, "/robot/add", "a/srv/B", None);
+        let service = ServiceEndpoint {
+            kind: ServiceKind::Server,
+            name: "/robot/add".into(),
+            type_name: "a/srv/B".into(),
+            type_hash: None,
+            gid: Gid([5; 16]),
+            node: node.clone(),
+            pid: None,
+            is_remote: true,
+        };
+        let service = ServiceRecord::new(1, &service);
         let end = TopicEndpoint {
             kind: EndpointKind::Subscription,
             topic: "/x".into(),
             topic_type: TopicType::new("a/msg/B").with_hash(format!("RIHS01_{:064x}", 7)),
             gid: Gid([9; 16]),
-            qos: Qos::keep_all(3).transient_local().best_effort(),
+            qos: Qos {
+                liveliness: Liveliness::ManualByTopic,
+                liveliness_lease_duration: Some(Duration::from_nanos(5)),
+                ..Qos::keep_all(3).transient_local().best_effort()
+            },
             node: Some(node.clone()),
             pid: None,
             is_remote: true,
@@ -231,7 +248,7 @@ mod tests {
         assert_eq!(Record::parse(&text).unwrap(), record);
         let end = record.endpoint(&record.endpoints[0]).unwrap();
         assert_eq!(EndpointRecord::new(1, &end), record.endpoints[0]);
-        assert_eq!(end.qos, Qos::keep_all(3).transient_local().best_effort());
+        assert_eq!((end.qos.depth, end.qos.liveliness), (3, Liveliness::ManualByTopic));
         let service = record.service(&record.services[&2]).unwrap();
         assert_eq!((service.kind, &*service.name, service.pid), (ServiceKind::Server, "/robot/add", None));
     }

@@ -3,7 +3,7 @@
 
 use super::file::{TextFile, read};
 use super::record::{EndpointRecord, Record, ServiceRecord};
-use super::{NodeName, RemoteGraph, ServiceKind};
+use super::{NodeName, RemoteGraph, ServiceEndpoint, ServiceKind};
 use crate::doorbell::ArenaId;
 use crate::error::TransportError;
 use crate::graph::Graph;
@@ -87,9 +87,8 @@ impl Registry {
             record.nodes = ids.iter().map(|(node, id)| (*id, (*node).clone())).collect();
             let end = |end: &super::TopicEndpoint| Some(EndpointRecord::new(id_of(end.node.as_ref()?), end));
             record.endpoints = remote.endpoints.iter().filter_map(end).collect();
-            let service = |(n, service): (usize, &super::ServiceEndpoint)| {
-                let super::ServiceEndpoint { kind, name, type_name, type_hash, node, .. } = service;
-                (n as u64, ServiceRecord::new(id_of(node), *kind, name, type_name, type_hash.as_deref()))
+            let service = |(n, service): (usize, &ServiceEndpoint)| {
+                (n as u64, ServiceRecord::new(id_of(&service.node), service))
             };
             record.services = remote.services.iter().enumerate().map(service).collect();
             *record != before
@@ -137,12 +136,22 @@ impl Entry {
         type_name: &str,
         type_hash: Option<&str>,
     ) -> Result<ServiceRegistration, TransportError> {
-        let service = ServiceRecord::new(self.id, kind, name, type_name, type_hash);
-        if let Some(reason) = service.fault() {
+        let mut service = ServiceEndpoint {
+            kind,
+            name: name.into(),
+            type_name: type_name.into(),
+            type_hash: type_hash.map(Into::into),
+            gid: Gid::default(),
+            node: self.node.clone(),
+            pid: None,
+            is_remote: false,
+        };
+        if let Some(reason) = ServiceRecord::new(self.id, &service).fault() {
             return Err(TransportError::ServiceName { service: name.into(), reason });
         }
         let id = self.registry.change(|record, id| {
-            record.services.insert(id, service);
+            service.gid = Gid::from_words([id, record.arena]);
+            record.services.insert(id, ServiceRecord::new(self.id, &service));
             id
         })?;
         self.registry.graph.advance();

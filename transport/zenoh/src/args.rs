@@ -3,6 +3,7 @@
 
 use clap::{ArgGroup, Parser};
 use std::path::PathBuf;
+use tautline_analysis::file::{FileError, SystemFile};
 use tautline_gateway::{Budget, Filter, GraphLimits, Mode, Network, Options, PatternError, Rule, RuleError};
 use tautline_rt::{CoreSet, Realtime};
 use tautline_transport::MAX_DOMAIN;
@@ -24,6 +25,7 @@ use tautline_transport::MAX_DOMAIN;
   taut gateway --connect tcp/first-host:7447        on the second
   taut gateway --router --listen tcp/0.0.0.0:7447   forwards between all hosts that connect to it
   taut gateway --deny '/camera/**' --urgency '/cmd_vel=real_time'
+  taut gateway --system system.toml                 the file's topics say which of them go first
   taut gateway --config zenoh.json5 --json | jq .topics
   taut gateway --domain 5 --network-domain 0        topics of domain 5 appear in domain 0 elsewhere")]
 pub struct Args {
@@ -61,6 +63,9 @@ pub struct Args {
     /// data_low, background [default: the smaller the sooner]
     #[arg(long, value_name = "RULE")]
     urgency: Vec<String>,
+    /// Take the order of what --urgency does not speak of from a system file: `priority` and `express` of its topics
+    #[arg(long, value_name = "FILE")]
+    system: Option<PathBuf>,
     /// SCHED_FIFO priority of the network's threads: below the sampler's (90), above the callbacks'
     #[arg(long, value_name = "N", default_value_t = Options::PRIORITY, value_parser = clap::value_parser!(u8).range(1..=98))]
     priority: u8,
@@ -102,6 +107,8 @@ pub enum ArgsError {
     Pattern(#[from] PatternError),
     #[error(transparent)]
     Rule(#[from] RuleError),
+    #[error("--system: {0}")]
+    System(#[from] FileError),
     #[error("--cores: {0}")]
     Cores(#[from] tautline_rt::RtError),
     #[error("--cores {core}: cores are numbered from 0 to 1023")]
@@ -122,7 +129,7 @@ impl Args {
             network_domain: self.network_domain,
             network: Network { mode, listen, connect, file: self.config.clone() },
             filter: Filter::new(&self.allow, &self.deny)?,
-            rules: self.urgency.iter().map(|text| text.parse()).collect::<Result<Vec<Rule>, _>>()?,
+            rules: self.rules()?,
             priority: self.priority,
             realtime: if self.no_rt { Realtime::Off } else { Realtime::Required },
             cores: cores(&self.cores)?,
@@ -130,6 +137,17 @@ impl Args {
             max_message_bytes: self.max_message,
             limits: GraphLimits { tokens: self.max_tokens, ..GraphLimits::default() },
         })
+    }
+}
+
+impl Args {
+    /// The first that speaks of a topic counts: the command line's, then the system file's.
+    fn rules(&self) -> Result<Vec<Rule>, ArgsError> {
+        let mut rules = self.urgency.iter().map(|text| text.parse()).collect::<Result<Vec<Rule>, _>>()?;
+        if let Some(path) = &self.system {
+            rules.extend(Rule::of_system(&SystemFile::read(path)?)?);
+        }
+        Ok(rules)
     }
 }
 
@@ -247,6 +265,18 @@ mod tests {
             let args = Args::parse_from([["taut-gateway", "--domain", "0"].as_slice(), &args].concat());
             assert!(args.options().is_err(), "{args:?}");
         }
+    }
+
+    #[test]
+    fn a_system_file_says_what_the_command_line_does_not() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let text = "[hosts.h]\ncores = 1\n[nodes.n]\n[topics]\n\"/a\" = { priority = \"data\" }\n";
+        std::fs::write(&file, text).unwrap();
+        let path = file.path().to_str().unwrap();
+        let options = options(&["--domain", "0", "--urgency", "/b=background", "--system", path]);
+        assert_eq!(options.rules, ["/b=background", "/a=data"].map(|rule| rule.parse().unwrap()));
+        let missing = Args::parse_from(["taut-gateway", "--system", "/nowhere.toml"]).options();
+        assert!(missing.unwrap_err().to_string().contains("/nowhere.toml"));
     }
 
     #[test]

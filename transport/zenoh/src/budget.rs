@@ -3,8 +3,10 @@
 //!
 //! They run above the callbacks, for what arrives is to be there when a callback starts. A flood, wanted or hostile,
 //! would then starve the callbacks. So their time is summed up: once they have used more than the budget in a window,
-//! they are ordinary threads until a whole window shows less. What a callback can lose to the network is thus the
-//! budget of one window and what is used until the next look, once for each time that a flood begins.
+//! they are ordinary threads until several windows in a row show that less is wanted. What is wanted counts the time that
+//! they wait for a processor, too: an ordinary thread that uses little may only get little. What a callback can lose to the
+//! network is thus the budget of one window and what is used until the next look, once for each time that a flood begins;
+//! of a flood that comes and goes, ever more rarely.
 
 use crate::session::network_threads;
 use std::fs;
@@ -30,6 +32,11 @@ impl Default for Budget {
 const WINDOW: Duration = Duration::from_millis(40);
 const LOOKS_PER_WINDOW: u32 = 8;
 
+/// Windows in a row that must show calm before the priority comes back.
+const CALM_WINDOWS: u32 = 5;
+/// The same at most: it doubles when a flood is back within so many windows, which are 10 s.
+const MOST_CALM_WINDOWS: u32 = 250;
+
 /// What is to be done after a look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
@@ -38,39 +45,95 @@ enum Verdict {
     Promote,
 }
 
+/// Processor time of threads, in nanoseconds, ever since they started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Spent {
+    used_ns: u64,
+    /// Runnable, without a processor.
+    waited_ns: u64,
+}
+
+impl Spent {
+    /// Sums may go below zero meanwhile: see [`Watched::list`].
+    fn plus(self, other: Spent) -> Spent {
+        Spent {
+            used_ns: self.used_ns.wrapping_add(other.used_ns),
+            waited_ns: self.waited_ns.wrapping_add(other.waited_ns),
+        }
+    }
+
+    fn minus(self, other: Spent) -> Spent {
+        Spent {
+            used_ns: self.used_ns.wrapping_sub(other.used_ns),
+            waited_ns: self.waited_ns.wrapping_sub(other.waited_ns),
+        }
+    }
+}
+
 /// Decides from the sums alone.
 struct Meter {
     budget_ns: u64,
     looks: u32,
-    used_at_start_ns: u64,
+    at_start: Spent,
     is_demoted: bool,
+    /// Windows since the priority came back.
+    since_promotion: u32,
+    /// While demoted: windows in a row that were calm, and how many are asked for.
+    calm: u32,
+    asked: u32,
 }
 
 impl Meter {
-    fn new(budget: Budget, used_ns: u64) -> Self {
+    fn new(budget: Budget, spent: Spent) -> Self {
         let budget_ns = WINDOW.as_nanos() as u64 * u64::from(budget.percent) / 100;
-        Meter { budget_ns, looks: 0, used_at_start_ns: used_ns, is_demoted: false }
+        let (calm, asked) = (0, CALM_WINDOWS);
+        Meter {
+            budget_ns,
+            looks: 0,
+            at_start: spent,
+            is_demoted: false,
+            since_promotion: u32::MAX,
+            calm,
+            asked,
+        }
     }
 
-    /// `used_ns` is all that was ever used.
-    fn look(&mut self, used_ns: u64) -> Verdict {
+    /// `spent` is all that was ever spent.
+    fn look(&mut self, spent: Spent) -> Verdict {
         self.looks += 1;
-        let is_over = used_ns.saturating_sub(self.used_at_start_ns) > self.budget_ns;
+        let Spent { used_ns, waited_ns } = spent.minus(self.at_start);
         let is_end = self.looks >= LOOKS_PER_WINDOW;
-        if is_end {
-            (self.looks, self.used_at_start_ns) = (0, used_ns);
+        let is_over = match self.is_demoted {
+            false => used_ns > self.budget_ns,
+            true => used_ns.saturating_add(waited_ns) > self.budget_ns,
+        };
+        if is_end || is_over {
+            // What follows is judged by a window of its own.
+            (self.looks, self.at_start) = (0, spent);
         }
         match (self.is_demoted, is_over) {
             (false, true) => {
-                // What follows is judged by a window of its own.
-                (self.looks, self.used_at_start_ns, self.is_demoted) = (0, used_ns, true);
+                let is_back = self.since_promotion < MOST_CALM_WINDOWS;
+                self.asked = if is_back { (self.asked * 2).min(MOST_CALM_WINDOWS) } else { CALM_WINDOWS };
+                (self.is_demoted, self.calm) = (true, 0);
                 Verdict::Demote
             }
-            (true, false) if is_end => {
-                self.is_demoted = false;
+            (false, false) => {
+                self.since_promotion = self.since_promotion.saturating_add(u32::from(is_end));
+                Verdict::Keep
+            }
+            (true, true) => {
+                self.calm = 0;
+                Verdict::Keep
+            }
+            (true, false) => {
+                self.calm += u32::from(is_end);
+                if self.calm < self.asked {
+                    return Verdict::Keep;
+                }
+                (self.is_demoted, self.since_promotion) = (false, 0);
                 Verdict::Promote
             }
-            _ => Verdict::Keep,
         }
     }
 }
@@ -121,7 +184,7 @@ impl Drop for Guard {
 fn watch(budget: Budget, policy: Policy, also: &[&str], stop: &AtomicBool, demotions: &AtomicU64) {
     let mut watched = Watched::default();
     watched.list(also);
-    let mut meter = Meter::new(budget, watched.used_ns());
+    let mut meter = Meter::new(budget, watched.spent());
     let mut looks = 0u32;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(WINDOW / LOOKS_PER_WINDOW);
@@ -129,7 +192,7 @@ fn watch(budget: Budget, policy: Policy, also: &[&str], stop: &AtomicBool, demot
         if looks.is_multiple_of(LOOKS_PER_WINDOW * 10) {
             watched.list(also);
         }
-        match meter.look(watched.used_ns()) {
+        match meter.look(watched.spent()) {
             Verdict::Keep => {}
             Verdict::Demote => {
                 demotions.fetch_add(1, Ordering::Relaxed);
@@ -141,45 +204,39 @@ fn watch(budget: Budget, policy: Policy, also: &[&str], stop: &AtomicBool, demot
     watched.set(also, policy);
 }
 
-/// Threads and the time that those which ended had used.
+/// Threads and the time that those which ended had spent.
 #[derive(Default)]
 struct Watched {
-    threads: Vec<(u32, u64)>,
-    ended_ns: u64,
+    threads: Vec<(u32, Spent)>,
+    ended: Spent,
 }
 
 impl Watched {
     fn list(&mut self, also: &[&str]) {
         let Ok(now) = all(also) else { return };
-        let known = |tid| self.threads.iter().find(|(known, _)| *known == tid).map(|(_, used)| *used);
-        let gone: u64 = self
-            .threads
-            .iter()
-            .filter(|(tid, _)| !now.iter().any(|t| t.tid == *tid))
-            .map(|(_, used)| used)
-            .sum();
-        let threads = now.iter().map(|thread| {
-            // A thread that was not known had used something already, which is no use of this window's.
-            let used = known(thread.tid);
-            (thread.tid, used, used_by(thread.tid))
-        });
-        let threads: Vec<_> = threads.collect();
-        for (_, known, used) in &threads {
-            if known.is_none() {
-                // Keeps the sum where it was: what it used before is taken off what the ended ones had.
-                self.ended_ns = self.ended_ns.wrapping_sub(used.unwrap_or(0));
+        for (tid, spent) in &self.threads {
+            if !now.iter().any(|thread| thread.tid == *tid) {
+                self.ended = self.ended.plus(*spent);
             }
         }
-        self.ended_ns = self.ended_ns.wrapping_add(gone);
-        self.threads =
-            threads.into_iter().map(|(tid, known, used)| (tid, used.or(known).unwrap_or(0))).collect();
+        let mut threads = Vec::new();
+        for thread in now {
+            let spent = spent_by(thread.tid);
+            let known = self.threads.iter().find(|(tid, _)| *tid == thread.tid).map(|(_, spent)| *spent);
+            if known.is_none() {
+                // Keeps the sum where it was: what it spent before is taken off what the ended ones had.
+                self.ended = self.ended.minus(spent.unwrap_or_default());
+            }
+            threads.push((thread.tid, spent.or(known).unwrap_or_default()));
+        }
+        self.threads = threads;
     }
 
-    fn used_ns(&mut self) -> u64 {
-        for (tid, used) in &mut self.threads {
-            *used = used_by(*tid).unwrap_or(*used);
+    fn spent(&mut self) -> Spent {
+        for (tid, spent) in &mut self.threads {
+            *spent = spent_by(*tid).unwrap_or(*spent);
         }
-        self.threads.iter().fold(self.ended_ns, |sum, (_, used)| sum.wrapping_add(*used))
+        self.threads.iter().fold(self.ended, |sum, (_, spent)| sum.plus(*spent))
     }
 
     fn set(&mut self, also: &[&str], policy: Policy) {
@@ -201,48 +258,85 @@ fn all(also: &[&str]) -> Result<Vec<ThreadInfo>, RtError> {
     Ok(threads)
 }
 
-/// Processor time of a thread of this process, in nanoseconds.
-fn used_by(tid: u32) -> Option<u64> {
-    fs::read_to_string(format!("/proc/self/task/{tid}/schedstat")).ok()?.split(' ').next()?.parse().ok()
+/// Of a thread of this process.
+fn spent_by(tid: u32) -> Option<Spent> {
+    let text = fs::read_to_string(format!("/proc/self/task/{tid}/schedstat")).ok()?;
+    let mut numbers = text.split(' ').map_while(|number| number.parse().ok());
+    Some(Spent { used_ns: numbers.next()?, waited_ns: numbers.next()? })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const WINDOW_NS: u64 = 40_000_000;
+    const LOOK_NS: u64 = 5_000_000;
+
+    /// A meter and what was spent.
+    struct Trial(Meter, Spent);
+
+    impl Trial {
+        fn new() -> Self {
+            let start = Spent { used_ns: 7, waited_ns: 9 };
+            Trial(Meter::new(Budget { percent: 25 }, start), start)
+        }
+
+        /// Verdicts other than `Keep` of so many looks, each with the percentage of the time used and waited.
+        fn looks(&mut self, count: u32, used: u64, waited: u64) -> Vec<(u32, Verdict)> {
+            let mut verdicts = Vec::new();
+            for look in 0..count {
+                let share = |percent: u64| LOOK_NS * percent / 100;
+                self.1 = self.1.plus(Spent { used_ns: share(used), waited_ns: share(waited) });
+                verdicts.push((look, self.0.look(self.1)));
+            }
+            verdicts.retain(|(_, verdict)| *verdict != Verdict::Keep);
+            verdicts
+        }
+    }
 
     #[test]
-    fn over_the_budget_is_demoted_until_a_window_shows_less() {
-        let mut meter = Meter::new(Budget { percent: 25 }, 7);
-        let mut used = 7;
-        let mut look = |share_percent: u64| {
-            used += WINDOW_NS / u64::from(LOOKS_PER_WINDOW) * share_percent / 100;
-            meter.look(used)
-        };
-        for _ in 0..100 {
-            assert_eq!(look(25), Verdict::Keep, "what is in the budget");
-        }
+    fn over_the_budget_is_demoted_until_it_is_calm() {
+        let mut trial = Trial::new();
+        assert_eq!(trial.looks(100, 25, 0), [], "what is in the budget");
+        assert_eq!(trial.looks(100, 20, 70), [], "at its priority only what is used counts");
         // A flood: over the budget at the third look at the latest, of a window that may have begun with less.
-        let verdicts: Vec<_> = (0..3).map(|_| look(100)).collect();
-        assert_eq!(verdicts.iter().filter(|verdict| **verdict == Verdict::Demote).count(), 1, "{verdicts:?}");
-        for _ in 0..100 {
-            assert_eq!(look(100), Verdict::Keep, "as long as it lasts");
+        let flood = trial.looks(3, 100, 0);
+        assert!(matches!(flood[..], [(0..=2, Verdict::Demote)]), "{flood:?}");
+        assert_eq!(trial.looks(100, 100, 0), [], "as long as it lasts");
+        assert_eq!(trial.looks(1000, 5, 40), [], "that it gets little says nothing");
+        let calm = trial.looks(100, 10, 5);
+        let windows = LOOKS_PER_WINDOW * CALM_WINDOWS;
+        assert!(
+            matches!(calm[..], [(look, Verdict::Promote)] if (windows - 1..windows + 8).contains(&look)),
+            "{calm:?}"
+        );
+    }
+
+    #[test]
+    fn a_flood_that_comes_and_goes_disturbs_ever_more_rarely() {
+        let mut trial = Trial::new();
+        let mut calm_looks = Vec::new();
+        for _ in 0..8 {
+            assert_eq!(trial.looks(3, 100, 0).len(), 1);
+            let back = trial.looks(3000, 10, 0);
+            calm_looks.push(back[0].0 / LOOKS_PER_WINDOW);
+            assert_eq!(back.len(), 1);
+            // As if it were back at once.
+            trial.0.since_promotion = 0;
         }
-        let after: Vec<_> = (0..20).map(|_| look(10)).collect();
-        let promoted: Vec<_> = after.iter().enumerate().filter(|(_, v)| **v == Verdict::Promote).collect();
-        assert_eq!(promoted.len(), 1);
-        assert!(promoted[0].0 <= 16, "within two windows");
+        assert_eq!(calm_looks, [4, 9, 19, 39, 79, 159, 249, 249]);
+        trial.looks(MOST_CALM_WINDOWS * LOOKS_PER_WINDOW, 10, 0);
+        trial.looks(3, 100, 0);
+        assert_eq!(trial.0.asked, CALM_WINDOWS, "forgotten");
     }
 
     #[test]
     fn time_of_threads_is_read() {
         let tid = tautline_rt::current_tid();
-        let before = used_by(tid).unwrap();
+        let before = spent_by(tid).unwrap().used_ns;
         let mut n = 0u64;
-        while used_by(tid).unwrap() < before + 2_000_000 {
+        while spent_by(tid).unwrap().used_ns < before + 2_000_000 {
             n = n.wrapping_add(1);
         }
-        assert_eq!(used_by(u32::MAX), None);
+        assert_eq!(spent_by(u32::MAX), None);
     }
 }

@@ -12,6 +12,7 @@ mod incoming;
 mod locals;
 mod mirror;
 mod outgoing;
+mod remote;
 mod rules;
 mod seat;
 mod services;

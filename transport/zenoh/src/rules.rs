@@ -4,6 +4,7 @@
 
 use crate::filter::{Filter, PatternError};
 use std::str::FromStr;
+use tautline_analysis::file::{LinkPriority, SystemFile, TopicEntry};
 use zenoh::qos::Priority;
 
 /// How a topic's samples are sent.
@@ -74,6 +75,21 @@ impl FromStr for Rule {
     }
 }
 
+impl Rule {
+    /// The rules that a system file states, in its order: a topic's `priority` and `express`.
+    ///
+    /// # Errors
+    /// A topic's name that is none.
+    pub fn of_system(file: &SystemFile) -> Result<Vec<Rule>, RuleError> {
+        let stated = file.topics().iter().filter_map(|topic| Some((topic, topic.priority?)));
+        let rule = |(topic, priority): (&TopicEntry, LinkPriority)| {
+            let name = topic.name.trim_start_matches('/');
+            format!("/{name}={}{}", priority.as_str(), if topic.express { ",express" } else { "" }).parse()
+        };
+        stated.map(rule).collect()
+    }
+}
+
 /// The first rule that speaks of `topic`.
 pub(crate) fn ruled(rules: &[Rule], topic: &str) -> Option<Urgency> {
     rules.iter().find(|rule| rule.topics.allows(topic)).map(|rule| rule.urgency)
@@ -96,6 +112,24 @@ mod tests {
         let order = [0, SMALL_BYTES, SMALL_BYTES + 1, BULK_BYTES - 1, BULK_BYTES, usize::MAX];
         let priorities = order.map(|bytes| Urgency::by_size(bytes).priority as u8);
         assert!(priorities.is_sorted() && priorities[0] < priorities[2] && priorities[3] < priorities[4]);
+    }
+
+    #[test]
+    fn a_system_file_has_rules() {
+        let priorities = LinkPriority::ALL.map(|priority| {
+            format!("\"/{0}\" = {{ priority = \"{0}\", express = true }}\n", priority.as_str())
+        });
+        let text = format!(
+            "[hosts.robot]\ncores = 1\n[nodes.n]\n[topics]\nimu = {{ priority = \"data\" }}\n\"/odom\" = {{ remote = true }}\n{}",
+            priorities.concat()
+        );
+        let rules = Rule::of_system(&SystemFile::parse(&text).unwrap()).unwrap();
+        let of = |topic: &str| ruled(&rules, topic);
+        assert_eq!(of("/imu"), Some(Urgency { priority: Priority::Data, express: false }));
+        assert_eq!(of("/odom"), None);
+        let order = LinkPriority::ALL.map(|priority| of(&format!("/{}", priority.as_str())).unwrap());
+        assert!(order.iter().all(|urgency| urgency.express), "every name is known");
+        assert!(order.map(|urgency| urgency.priority as u8).is_sorted());
     }
 
     #[test]

@@ -4,12 +4,12 @@
 mod support;
 
 use std::collections::HashSet;
-use support::{Host, connect, image_type, string_type, take, until, wait};
+use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until, wait};
 use tautline_gateway::{Direction, TopicStats};
 use tautline_ros_msgs::geometry_msgs::msg::Twist;
 use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
 use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
-use tautline_transport::{Limits, Qos};
+use tautline_transport::{EndpointKind, Limits, Qos, ServiceKind};
 
 fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
     host.stats().topics.into_iter().find(|stats| stats.topic == topic && stats.direction == direction)
@@ -81,6 +81,62 @@ fn messages_are_written_here_and_read_there() {
         drive.try_take().unwrap()
     });
     assert_eq!((twist.linear.x, twist.angular.z), (0.5, -2.0));
+}
+
+/// By their real names, also those without topics; services; and ends as they are there, not their stand-ins here.
+#[test]
+fn hosts_see_each_others_nodes() {
+    let a = Host::first(113, 113);
+    let b = Host::beside(&a, 114);
+    let node = a.participant.create_node("talker", "/robot").unwrap();
+    let silent = a.participant.create_node("silent", "/").unwrap();
+    let qos = Qos::keep_last(7).best_effort().transient_local();
+    let publisher = a
+        .participant
+        .for_node(&node)
+        .create_raw_publisher("/chatter", &string_type(), qos, Limits::default())
+        .unwrap();
+    let service = node.register_service("/robot/add", "a_msgs/srv/Add", Some(UNKNOWN_HASH)).unwrap();
+    let _client = silent.register_client("/robot/add", "a_msgs/srv/Add", Some(UNKNOWN_HASH)).unwrap();
+    let subscription = b.subscription("/chatter", &string_type(), Qos::keep_last(7));
+    publisher.publish(b"bytes").unwrap();
+    take(&subscription);
+
+    let names = |host: &Host| -> Vec<(String, bool)> {
+        host.participant.nodes().iter().map(|node| (node.name.full_name(), node.is_remote)).collect()
+    };
+    until("nodes", || names(&b).len() >= 2);
+    assert_eq!(names(&b), [("/silent".into(), true), ("/robot/talker".into(), true)]);
+    let graph = wait("everything", || {
+        let graph = b.participant.graph().unwrap();
+        (graph.endpoints.len() == 2 && graph.services.len() == 2).then_some(graph)
+    });
+    let [there, here] = &*graph.endpoints else { panic!("{graph:?}") };
+    assert_eq!(
+        (there.kind, &*there.topic, &there.topic_type),
+        (EndpointKind::Publisher, "/chatter", &string_type())
+    );
+    assert_eq!((there.node.as_ref(), there.qos, there.is_remote), (Some(node.name()), qos, true));
+    assert!(here.kind == EndpointKind::Subscription && !here.is_remote && here.is_own);
+    let [server, client] = &*graph.services else { panic!("{graph:?}") };
+    assert_eq!(
+        (server.kind, &server.node, client.kind),
+        (ServiceKind::Server, node.name(), ServiceKind::Client)
+    );
+    assert_eq!((&*server.type_name, server.type_hash.as_deref()), ("a_msgs/srv/Add", Some(UNKNOWN_HASH)));
+    // What is nobody's node's is its process's.
+    let theirs = wait("b's subscription", || {
+        let graph = a.participant.graph().unwrap();
+        graph.endpoints.into_iter().find(|end| end.is_remote)
+    });
+    assert!(theirs.node.unwrap().name.ends_with(&std::process::id().to_string()));
+
+    drop(service);
+    until("the end of a service", || b.participant.graph().unwrap().services.len() == 1);
+    drop((node, publisher));
+    until("the end of a node", || names(&b).len() == 1);
+    drop(a);
+    until("the end of a host", || names(&b).is_empty());
 }
 
 #[test]

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The end that answers.
+
+use tautline_rt::clock::monotonic_ns;
+
+use crate::job::{Exchange, Job, Measured};
+use crate::near::{WARM_UP_SHARE, nanoseconds};
+
+/// What follows from a message of a stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// Nothing.
+    None,
+    /// Send this number.
+    Send(u64),
+    /// As `Send`, and what was measured is complete now: once.
+    Complete(u64),
+}
+
+impl Answer {
+    /// Sent when enough has arrived.
+    pub const DONE: u64 = u64::MAX;
+}
+
+/// What arrives of a stream.
+#[derive(Debug)]
+pub struct Arrivals {
+    budget_ns: u64,
+    /// Every so many messages are confirmed.
+    stride: u64,
+    unconfirmed: u64,
+    first_ns: Option<u64>,
+    measuring_since_ns: Option<u64>,
+    last_ns: u64,
+    last_number: u64,
+    is_complete: bool,
+    measured: Measured,
+}
+
+impl Arrivals {
+    /// Before the first message.
+    #[must_use]
+    pub fn new(job: &Job) -> Self {
+        let stride = match job.exchange {
+            Exchange::Stream { window: Some(window) } => (window / 4).max(1),
+            _ => 64,
+        };
+        Arrivals {
+            budget_ns: nanoseconds(job.budget),
+            stride,
+            unconfirmed: 0,
+            first_ns: None,
+            measuring_since_ns: None,
+            last_ns: 0,
+            last_number: 0,
+            is_complete: false,
+            measured: Measured { times_ns: Vec::with_capacity(1 << 17), ..Measured::default() },
+        }
+    }
+
+    /// Message `number` has arrived.
+    pub fn arrive(&mut self, number: u64) -> Answer {
+        self.arrive_at(number, monotonic_ns())
+    }
+
+    fn arrive_at(&mut self, number: u64, now: u64) -> Answer {
+        if self.is_complete {
+            return Answer::Send(Answer::DONE);
+        }
+        let first = *self.first_ns.get_or_insert(now);
+        if let Some(since) = self.measuring_since_ns {
+            self.measured.times_ns.push(now - self.last_ns);
+            self.measured.lost += number.saturating_sub(self.last_number + 1);
+            self.measured.seconds = (now - since) as f64 / 1e9;
+            if now - since >= self.budget_ns {
+                self.is_complete = true;
+                return Answer::Complete(Answer::DONE);
+            }
+        } else if now - first >= self.budget_ns / u64::from(WARM_UP_SHARE) {
+            self.measuring_since_ns = Some(now);
+        }
+        (self.last_ns, self.last_number) = (now, number);
+        self.unconfirmed += 1;
+        // The first ones come one by one: see `Window`.
+        if self.unconfirmed >= self.stride || self.measuring_since_ns.is_none() && number < 1000 {
+            self.unconfirmed = 0;
+            return Answer::Send(number);
+        }
+        Answer::None
+    }
+
+    /// What was measured; nothing remains.
+    #[must_use]
+    pub fn take_measured(&mut self) -> Measured {
+        std::mem::take(&mut self.measured)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::job::Role;
+    use std::time::Duration;
+
+    #[test]
+    fn gaps_are_counted_once_it_is_warm_and_the_end_is_said() {
+        let job = Job {
+            role: Role::Far,
+            exchange: Exchange::Stream { window: Some(8) },
+            payload_bytes: 8,
+            budget: Duration::from_nanos(800),
+            core: None,
+            realtime: false,
+            domain: 0,
+            topic: "x".into(),
+            endpoint: None,
+        };
+        let mut arrivals = Arrivals::new(&job);
+        assert_eq!(arrivals.arrive_at(1, 1000), Answer::Send(1));
+        assert_eq!(arrivals.arrive_at(5, 1050), Answer::Send(5), "a gap while it warms up is none");
+        assert_eq!(arrivals.arrive_at(6, 1100), Answer::None, "warm");
+        assert_eq!(arrivals.arrive_at(7, 1200), Answer::Send(7), "every second of a window of 8");
+        assert_eq!(arrivals.arrive_at(10, 1300), Answer::None);
+        assert_eq!(arrivals.arrive_at(11, 1900), Answer::Complete(Answer::DONE));
+        assert_eq!(arrivals.arrive_at(12, 2000), Answer::Send(Answer::DONE));
+        let measured = arrivals.take_measured();
+        assert_eq!((measured.times_ns, measured.lost), (vec![100, 100, 600], 2));
+        assert!((measured.seconds - 800e-9).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a process is told, as JSON on its command line, and what it says: a line of JSON each, on standard output.
+
+use std::io::{Read, Write, stdin, stdout};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use rustix::process::{Signal, set_parent_process_death_signal};
+use serde::{Deserialize, Serialize};
+use tautline_rt::{CoreSet, Policy, Realtime, ThreadBuilder, set_affinity};
+
+use crate::Result;
+
+/// `SCHED_FIFO` priority of the network's threads: that of the gateway.
+pub const NETWORK_PRIORITY: u8 = 80;
+/// `SCHED_FIFO` priority of the thread that sends or is called back.
+pub const APPLICATION_PRIORITY: u8 = 50;
+
+/// Which end of an exchange.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Role {
+    /// Sends first; holds the clock of round trips.
+    Near,
+    /// Answers, or receives a stream.
+    Far,
+}
+
+/// What is exchanged.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Exchange {
+    /// One message to and fro.
+    RoundTrips,
+    /// One way, as fast as it goes with so many messages under way; `None`: as the system itself holds the sender back.
+    Stream {
+        /// Most messages that were sent and not yet confirmed.
+        window: Option<u64>,
+    },
+    /// One way, so many messages a second, whatever becomes of them.
+    Paced {
+        /// Messages a second.
+        rate: f64,
+    },
+}
+
+/// What a process is told.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Job {
+    /// Which end.
+    pub role: Role,
+    /// What.
+    pub exchange: Exchange,
+    /// Length of the messages' data.
+    pub payload_bytes: usize,
+    /// How long is measured, after a warm-up of an eighth of it.
+    pub budget: Duration,
+    /// The core of all threads of the process; `None`: any.
+    pub core: Option<usize>,
+    /// Whether the threads have their real-time priorities.
+    pub realtime: bool,
+    /// Tautline's domain; hiroz's.
+    pub domain: u32,
+    /// Different for each exchange of a run.
+    pub topic: String,
+    /// Where the near end finds the far one, if they link directly.
+    pub endpoint: Option<String>,
+}
+
+impl Job {
+    /// The job given as JSON. From here on the process ends with the one that started it, and runs on its core.
+    ///
+    /// # Errors
+    /// Text that is no job; a core that there is not.
+    pub fn begin(text: &str) -> Result<Job> {
+        set_parent_process_death_signal(Some(Signal::KILL))?;
+        let job: Job = serde_json::from_str(text)?;
+        if let Some(core) = job.core {
+            set_affinity(CoreSet::one(core))?;
+        }
+        Ok(job)
+    }
+
+    /// Topics on which this end sends and receives.
+    #[must_use]
+    pub fn topics(&self) -> [String; 2] {
+        let (there, back) = (format!("{}/there", self.topic), format!("{}/back", self.topic));
+        match self.role {
+            Role::Near => [there, back],
+            Role::Far => [back, there],
+        }
+    }
+
+    /// Runs `work` in a thread with the application's priority.
+    ///
+    /// # Errors
+    /// A priority that is refused, and what `work` says.
+    pub fn as_application<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> Result<T> + Send + 'static,
+    ) -> Result<T> {
+        self.with_priority("application", APPLICATION_PRIORITY, work)
+    }
+
+    fn with_priority<T: Send + 'static>(
+        &self,
+        name: &str,
+        priority: u8,
+        work: impl FnOnce() -> Result<T> + Send + 'static,
+    ) -> Result<T> {
+        let builder = match self.realtime {
+            true => ThreadBuilder::new(name).policy(Policy::Fifo(priority)).realtime(Realtime::Required),
+            false => ThreadBuilder::new(name).realtime(Realtime::Off),
+        };
+        // Zenoh's builders are deep.
+        builder.stack_bytes(4 << 20).spawn(move || work)?.join()?
+    }
+}
+
+/// Opens a session, whose threads inherit the priority of this one: as the gateway does it.
+///
+/// # Errors
+/// A priority that is refused, and what `open` says.
+pub fn on_network_thread<T: Send + 'static>(
+    job: &Job,
+    open: impl FnOnce() -> Result<T> + Send + 'static,
+) -> Result<T> {
+    job.with_priority("open", NETWORK_PRIORITY, open)
+}
+
+/// A line of a process.
+#[derive(Debug, Serialize, Deserialize)]
+pub enum Line {
+    /// The far end can receive, here if the near one is to link to it.
+    Ready(Option<String>),
+    /// The end: of round trips from the near end, of a stream from the far one.
+    Measured(Measured),
+}
+
+/// What one end measured.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Measured {
+    /// Half round trips, or times between two arrivals of a stream.
+    pub times_ns: Vec<u64>,
+    /// Questions without an answer, or messages of a stream that did not arrive.
+    pub lost: u64,
+    /// How long it took.
+    pub seconds: f64,
+}
+
+/// Says a line. Nobody listening means that the starter died.
+pub fn say(line: &Line) {
+    if let Ok(text) = serde_json::to_string(line) {
+        let mut out = stdout().lock();
+        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
+    }
+}
+
+/// Set when standard input is closed: the starter needs this process no more.
+#[must_use]
+pub fn stop_flag() -> Arc<AtomicBool> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let stop = flag.clone();
+    std::thread::spawn(move || {
+        let _ = stdin().read_to_end(&mut Vec::new());
+        stop.store(true, Ordering::Relaxed);
+    });
+    flag
+}

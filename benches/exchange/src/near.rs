@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The end that sends first.
+
+use std::time::Duration;
+
+use tautline_rt::clock::monotonic_ns;
+
+use crate::job::{Exchange, Job, Measured};
+use crate::{Answer, Result};
+
+/// How long an answer is waited for.
+pub const PATIENCE: Duration = Duration::from_millis(500);
+/// The same until the first one has come: there may be no connection yet.
+const CONNECTING: Duration = Duration::from_millis(50);
+/// What was never answered in this time is not connected.
+const NEVER: Duration = Duration::from_secs(20);
+/// The warm-up lasts this fraction (1/8) of the measuring time.
+pub(crate) const WARM_UP_SHARE: u32 = 8;
+/// The fewest round trips of the warm-up.
+const WARM_UP: u64 = 30;
+/// Times that are kept without growing.
+const ROOM: usize = 1 << 18;
+
+/// One end of a system whose user waits for the next message.
+pub trait Link {
+    /// Sends a message that begins with `number`.
+    ///
+    /// # Errors
+    /// The system's.
+    fn send(&mut self, number: u64) -> Result<()>;
+
+    /// Waits for a message at most so long; returns the number that it begins with.
+    ///
+    /// # Errors
+    /// The system's.
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>>;
+}
+
+/// Plays the near end over a link. Nothing is measured here of a stream.
+///
+/// # Errors
+/// The link's; nothing was ever answered.
+pub fn drive(job: &Job, link: &mut dyn Link) -> Result<Option<Measured>> {
+    match job.exchange {
+        Exchange::RoundTrips => round_trips(job, link).map(Some),
+        Exchange::Stream { window } => stream(&mut Window::new(window), link).map(|()| None),
+        Exchange::Paced { .. } => Err("this system does not send at a rate".into()),
+    }
+}
+
+fn round_trips(job: &Job, link: &mut dyn Link) -> Result<Measured> {
+    let mut trips = RoundTrips::new(job);
+    while let Some(number) = trips.start() {
+        link.send(number)?;
+        loop {
+            match link.receive(trips.patience())? {
+                Some(answer) if !trips.end(answer) => {}
+                Some(_) => break,
+                None => {
+                    trips.give_up()?;
+                    break;
+                }
+            }
+        }
+    }
+    Ok(trips.measured())
+}
+
+fn stream(window: &mut Window, link: &mut dyn Link) -> Result<()> {
+    while !window.is_done() {
+        let patience = match window.next() {
+            Some(number) => {
+                link.send(number)?;
+                Duration::ZERO
+            }
+            None => window.patience(),
+        };
+        match link.receive(patience)? {
+            Some(confirmed) => window.confirm(confirmed),
+            None if patience.is_zero() => {}
+            None => window.give_up()?,
+        }
+    }
+    Ok(())
+}
+
+/// The clock of the round trips: says when there is another and records how long each took.
+#[derive(Debug)]
+pub struct RoundTrips {
+    times_ns: Vec<u64>,
+    lost: u64,
+    number: u64,
+    started_ns: u64,
+    budget_ns: u64,
+    created_ns: u64,
+    /// When the first answer came.
+    connected_ns: Option<u64>,
+    measuring_since_ns: Option<u64>,
+    answers: u64,
+}
+
+impl RoundTrips {
+    /// Before the first.
+    #[must_use]
+    pub fn new(job: &Job) -> Self {
+        RoundTrips {
+            times_ns: Vec::with_capacity(ROOM),
+            lost: 0,
+            number: 0,
+            started_ns: 0,
+            budget_ns: nanoseconds(job.budget),
+            created_ns: monotonic_ns(),
+            connected_ns: None,
+            measuring_since_ns: None,
+            answers: 0,
+        }
+    }
+
+    /// Starts the clock; returns the number to send, or `None` when enough was measured.
+    pub fn start(&mut self) -> Option<u64> {
+        let now = monotonic_ns();
+        match (self.measuring_since_ns, self.connected_ns) {
+            (Some(since), _) if now - since >= self.budget_ns => return None,
+            (None, Some(connected)) => {
+                let is_warm =
+                    now - connected >= self.budget_ns / u64::from(WARM_UP_SHARE) && self.answers >= WARM_UP;
+                self.measuring_since_ns = is_warm.then_some(now);
+            }
+            _ => {}
+        }
+        self.number += 1;
+        self.started_ns = now;
+        Some(self.number)
+    }
+
+    /// Stops the clock, unless the answer is one to an earlier question.
+    pub fn end(&mut self, answer: u64) -> bool {
+        let now = monotonic_ns();
+        if answer != self.number {
+            return false;
+        }
+        self.answers += 1;
+        self.connected_ns.get_or_insert(now);
+        if self.measuring_since_ns.is_some() {
+            self.times_ns.push((now - self.started_ns) / 2);
+        }
+        true
+    }
+
+    /// How long to wait for an answer.
+    #[must_use]
+    pub fn patience(&self) -> Duration {
+        if self.connected_ns.is_some() { PATIENCE } else { CONNECTING }
+    }
+
+    /// Whether the answer has not come in that time.
+    #[must_use]
+    pub fn is_overdue(&self) -> bool {
+        monotonic_ns() - self.started_ns >= nanoseconds(self.patience())
+    }
+
+    /// No answer came.
+    ///
+    /// # Errors
+    /// None ever did.
+    pub fn give_up(&mut self) -> Result<()> {
+        if self.measuring_since_ns.is_some() {
+            self.lost += 1;
+        }
+        never(self.connected_ns.is_some(), self.created_ns)
+    }
+
+    /// What was measured.
+    #[must_use]
+    pub fn measured(self) -> Measured {
+        let seconds = self.measuring_since_ns.map_or(0.0, |since| (monotonic_ns() - since) as f64 / 1e9);
+        Measured { times_ns: self.times_ns, lost: self.lost, seconds }
+    }
+}
+
+/// How much of a stream is under way.
+#[derive(Debug)]
+pub struct Window {
+    size: Option<u64>,
+    sent: u64,
+    confirmed: u64,
+    is_connected: bool,
+    is_done: bool,
+    created_ns: u64,
+}
+
+impl Window {
+    /// Before the first message.
+    #[must_use]
+    pub fn new(size: Option<u64>) -> Self {
+        Window {
+            size,
+            sent: 0,
+            confirmed: 0,
+            is_connected: false,
+            is_done: false,
+            created_ns: monotonic_ns(),
+        }
+    }
+
+    /// The number of the message to send now, if there is room for one. Until something was confirmed, one at a time.
+    #[expect(clippy::should_implement_trait, reason = "it goes on after None")]
+    pub fn next(&mut self) -> Option<u64> {
+        let under_way = self.sent - self.confirmed;
+        let room = match self.size {
+            _ if !self.is_connected => 1,
+            Some(size) => size,
+            None => u64::MAX,
+        };
+        (under_way < room).then(|| {
+            self.sent += 1;
+            self.sent
+        })
+    }
+
+    /// The far end has all up to this number, or enough.
+    pub fn confirm(&mut self, number: u64) {
+        self.is_connected = true;
+        self.is_done |= number == Answer::DONE;
+        self.confirmed = self.confirmed.max(number.min(self.sent));
+    }
+
+    /// Whether the far end has enough.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.is_done
+    }
+
+    /// How long to wait for a confirmation.
+    #[must_use]
+    pub fn patience(&self) -> Duration {
+        if self.is_connected { PATIENCE } else { CONNECTING }
+    }
+
+    /// No confirmation came: what is under way is lost, which the far end counts.
+    ///
+    /// # Errors
+    /// None ever did.
+    pub fn give_up(&mut self) -> Result<()> {
+        self.confirmed = self.sent;
+        never(self.is_connected, self.created_ns)
+    }
+}
+
+fn never(is_connected: bool, since_ns: u64) -> Result<()> {
+    if !is_connected && monotonic_ns() - since_ns > nanoseconds(NEVER) {
+        return Err(format!("the other end did not answer in {} s", NEVER.as_secs()).into());
+    }
+    Ok(())
+}
+
+pub(crate) fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_is_not_exceeded_and_goes_on_after_a_loss() {
+        let mut window = Window::new(Some(3));
+        assert_eq!([window.next(), window.next()], [Some(1), None], "one until the other end is there");
+        window.give_up().unwrap();
+        assert_eq!([window.next(), window.next()], [Some(2), None]);
+        window.confirm(2);
+        assert_eq!([(); 4].map(|()| window.next()), [Some(3), Some(4), Some(5), None]);
+        window.confirm(4);
+        assert_eq!([(); 3].map(|()| window.next()), [Some(6), Some(7), None]);
+        window.confirm(1);
+        assert_eq!(window.next(), None, "an old one changes nothing");
+        window.give_up().unwrap();
+        assert_eq!(window.next(), Some(8));
+        window.confirm(Answer::DONE);
+        assert!(window.is_done());
+    }
+}

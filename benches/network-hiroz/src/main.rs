@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! hiroz as its own example measures it (`z_pingpong`): a node each, `std_msgs/msg/ByteMultiArray`; two peers with one TCP
+//! link.
+
+use std::net::TcpListener;
+use std::process::ExitCode;
+use std::sync::Mutex;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc;
+use std::time::Duration;
+
+use hiroz::context::{ZContext, ZContextBuilder};
+use hiroz::node::ZNode;
+use hiroz::pubsub::ZPub;
+use hiroz::{Builder, ZBuf};
+use hiroz_msgs::std_msgs::ByteMultiArray;
+use tautline_exchange::{
+    Answer, Arrivals, Exchange, Job, Line, Link, Result, Role, drive, on_network_thread, say, stop_flag,
+};
+use zenoh_buffers::ZSlice;
+use zenoh_buffers::buffer::SplitBuffer;
+
+fn main() -> ExitCode {
+    let job = std::env::args().nth(1).unwrap_or_default();
+    match Job::begin(&job).and_then(|job| run(&job)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("network-hiroz: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(job: &Job) -> Result<()> {
+    let listen = match job.role {
+        // hiroz does not say where it listens.
+        Role::Far => format!("tcp/{}", TcpListener::bind("127.0.0.1:0")?.local_addr()?),
+        Role::Near => "tcp/127.0.0.1:0".to_owned(),
+    };
+    let (own, at) = (job.clone(), listen.clone());
+    let (context, node) = on_network_thread(job, move || {
+        let context = context(&own, &at)?;
+        let name = if own.role == Role::Near { "near" } else { "far" };
+        let node = context.create_node(name).without_parameters().build()?;
+        Ok((context, node))
+    })?;
+    let own = job.clone();
+    job.as_application(move || {
+        let _context = context;
+        match own.role {
+            Role::Near => near(&node, &own),
+            Role::Far => far(&node, &own, listen),
+        }
+    })
+}
+
+fn context(job: &Job, listen: &str) -> Result<ZContext> {
+    let builder = ZContextBuilder::default()
+        .with_mode("peer")
+        .with_domain_id(job.domain as usize)
+        .with_listen_endpoints([listen])
+        .with_connect_endpoints(job.endpoint.clone())
+        .disable_multicast_scouting();
+    builder.build()
+}
+
+struct Ends {
+    publisher: ZPub<ByteMultiArray>,
+    received: mpsc::Receiver<u64>,
+    /// All but the number: made once.
+    body: ZSlice,
+}
+
+fn near(node: &ZNode, job: &Job) -> Result<()> {
+    let [to, from] = job.topics();
+    let (sender, received) = mpsc::channel();
+    let subscription = node.create_sub::<ByteMultiArray>(&from);
+    let _subscription = subscription.build_with_callback(move |message: ByteMultiArray| {
+        let _ = sender.send(number(&message));
+    })?;
+    let body = ZSlice::from(vec![0; job.payload_bytes - size_of::<u64>()]);
+    let mut ends = Ends { publisher: node.create_pub::<ByteMultiArray>(&to).build()?, received, body };
+    if let Some(measured) = drive(job, &mut ends)? {
+        say(&Line::Measured(measured));
+    }
+    Ok(())
+}
+
+impl Link for Ends {
+    fn send(&mut self, number: u64) -> Result<()> {
+        self.publisher.publish(&message(number, Some(&self.body)))
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        match self.received.recv_timeout(patience) {
+            Ok(number) => Ok(Some(number)),
+            Err(mpsc::RecvTimeoutError::Timeout) => Ok(None),
+            Err(mpsc::RecvTimeoutError::Disconnected) => Err("the subscription ended".into()),
+        }
+    }
+}
+
+fn far(node: &ZNode, job: &Job, endpoint: String) -> Result<()> {
+    let [to, from] = job.topics();
+    let publisher = node.create_pub::<ByteMultiArray>(&to).build()?;
+    let is_stream = job.exchange != Exchange::RoundTrips;
+    let (finished, measured) = mpsc::channel();
+    let arrivals = Mutex::new(Arrivals::new(job));
+    let answer = move |question: ByteMultiArray| {
+        let answer = if is_stream {
+            let Ok(mut arrivals) = arrivals.lock() else { return };
+            match arrivals.arrive(number(&question)) {
+                Answer::None => return,
+                Answer::Send(number) => message(number, None),
+                Answer::Complete(number) => {
+                    let _ = finished.send(arrivals.take_measured());
+                    message(number, None)
+                }
+            }
+        } else {
+            question
+        };
+        // Ignored: the other end counts what it misses.
+        let _ = publisher.publish(&answer);
+    };
+    let _subscription = node.create_sub::<ByteMultiArray>(&from).build_with_callback(answer)?;
+    let stop = stop_flag();
+    say(&Line::Ready(Some(endpoint)));
+    while !stop.load(Ordering::Relaxed) {
+        if let Ok(measured) = measured.recv_timeout(Duration::from_millis(50)) {
+            say(&Line::Measured(measured));
+        }
+    }
+    Ok(())
+}
+
+fn message(number: u64, body: Option<&ZSlice>) -> ByteMultiArray {
+    let mut data = zenoh_buffers::ZBuf::default();
+    data.push_zslice(ZSlice::from(number.to_le_bytes().to_vec()));
+    data.extend(body.cloned());
+    ByteMultiArray { data: ZBuf(data), ..Default::default() }
+}
+
+fn number(message: &ByteMultiArray) -> u64 {
+    // One slice, or the first of them: no copy of what follows.
+    let first = message.data.0.slices().next().and_then(|slice| slice.first_chunk().copied());
+    u64::from_le_bytes(first.unwrap_or_default())
+}

@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Local real-time callbacks, with and without a flood that arrives from another host for another topic.
+//!
+//! The callbacks are those of `taut demo`: five topics that load one core to 90 %. The gateway of their host is as it comes:
+//! its priority above theirs, its budget, any core. What is the other host here, and the flood's subscription, runs without
+//! priority, on the other core where it can.
+
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use serde_json::Value;
+use tautline_benches::Process;
+use tautline_exchange::{Exchange, Job, Line, Measured, Role};
+
+use crate::Result;
+use crate::gateways::{DOMAINS, Gateways, Setting};
+use crate::plan::{Experiment, Plan, System};
+use crate::report::{Flood, Round, Row};
+use crate::rounds::{progress_bar, start};
+
+/// 500 MB a second.
+const MESSAGE_BYTES: usize = 1 << 20;
+const RATE: f64 = 500e6 / MESSAGE_BYTES as f64;
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Measures both, in turn.
+pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<(Vec<Row>, Flood)> {
+    let (rounds, seconds) = plan.callbacks;
+    let progress = progress_bar(u64::from(rounds) * 2);
+    let (mut quiet, mut flooded, mut floods) = (Vec::new(), Vec::new(), Vec::new());
+    for round in 1..=rounds {
+        // To and fro, so that a drift of the machine meets both.
+        for with_flood in if round % 2 == 1 { [false, true] } else { [true, false] } {
+            let what = if with_flood { "a flood" } else { "no flood" };
+            progress.set_message(format!("round {round}: callbacks and {what}"));
+            let near = Setting { core: Some(plan.both[0]), realtime: false };
+            let far = Setting { core: None, realtime: plan.realtime };
+            let mut gateways = Gateways::start(plan, [near, far], interrupted)?;
+            if with_flood {
+                let mut flood = Stream::start(plan, seconds, interrupted)?;
+                flooded.push(demo(plan, seconds, interrupted)?);
+                let throttled = gateways.stats(1)["throttled"].as_u64().unwrap_or(0);
+                floods.push((flood.end()?, throttled));
+            } else {
+                quiet.push(demo(plan, seconds, interrupted)?);
+            }
+            progress.inc(1);
+        }
+    }
+    progress.finish_and_clear();
+    let mut arrived: Vec<f64> = floods.iter().map(|(measured, _)| mb_per_s(measured)).collect();
+    arrived.sort_by(f64::total_cmp);
+    let arrived_mb_per_s = arrived[arrived.len() / 2];
+    let mut rows = rows("quiet", 0, None, &quiet);
+    rows.extend(self::rows("flood", MESSAGE_BYTES, Some(arrived_mb_per_s), &flooded));
+    let flood = Flood {
+        offered_mb_per_s: RATE * MESSAGE_BYTES as f64 / 1e6,
+        arrived_mb_per_s,
+        throttled: floods.iter().map(|(_, throttled)| *throttled).max().unwrap_or(0),
+    };
+    Ok((rows, flood))
+}
+
+fn mb_per_s(measured: &Measured) -> f64 {
+    measured.times_ns.len() as f64 * MESSAGE_BYTES as f64 / measured.seconds.max(1e-9) / 1e6
+}
+
+/// From one host to the other, whatever becomes of it.
+struct Stream<'a> {
+    near: Process<'a, Line>,
+    far: Process<'a, Line>,
+}
+
+impl<'a> Stream<'a> {
+    fn start(plan: &Plan, seconds: u64, interrupted: &'a AtomicBool) -> Result<Self> {
+        let job = |role, host: usize, core| Job {
+            role,
+            exchange: Exchange::Paced { rate: RATE },
+            payload_bytes: MESSAGE_BYTES,
+            budget: Duration::from_secs(seconds),
+            core,
+            realtime: false,
+            domain: DOMAINS[host],
+            topic: format!("/bench/run_{}/flood", std::process::id()),
+            endpoint: None,
+        };
+        let mut far = start(plan, System::Tautline, &job(Role::Far, 1, None), interrupted)?;
+        far.expect(PATIENCE, |line| matches!(line, Line::Ready(_)).then_some(()))?;
+        let near = start(plan, System::Tautline, &job(Role::Near, 0, Some(plan.both[0])), interrupted)?;
+        Ok(Stream { near, far })
+    }
+
+    fn end(&mut self) -> Result<Measured> {
+        let measured = self.far.expect(PATIENCE, |line| match line {
+            Line::Measured(measured) => Some(measured),
+            Line::Ready(_) => None,
+        })?;
+        self.near.finish()?;
+        self.far.finish()?;
+        Ok(measured)
+    }
+}
+
+/// The demo's report.
+fn demo(plan: &Plan, seconds: u64, interrupted: &AtomicBool) -> Result<Value> {
+    let scratch = tempfile::tempdir()?;
+    let json = scratch.path().join("demo.json");
+    let mut command = Command::new(&plan.taut);
+    command.args(["demo", "--seconds", &seconds.to_string(), "--core", &plan.both[1].to_string()]);
+    command.arg("--json").arg(&json).arg("--svg").arg(scratch.path().join("demo.svg"));
+    if !plan.realtime {
+        command.arg("--no-rt");
+    }
+    command.env("TAUT_DOMAIN", DOMAINS[1].to_string());
+    Process::<Value>::start(&mut command, "demo", interrupted)?.finish()?;
+    Ok(serde_json::from_str(&std::fs::read_to_string(json)?)?)
+}
+
+/// A row for each topic.
+fn rows(mode: &str, payload_bytes: usize, mb_per_s: Option<f64>, reports: &[Value]) -> Vec<Row> {
+    let topics = reports.first().and_then(|report| report["topics"].as_array()).map_or(0, Vec::len);
+    let row = |index: usize| {
+        let topics: Vec<&Value> = reports.iter().map(|report| &report["topics"][index]).collect();
+        let us = |topic: &Value, key: &str| topic[key].as_f64().unwrap_or(0.0) * 1e3;
+        let sorted = |key: &str| {
+            let mut times: Vec<f64> = topics.iter().map(|topic| us(topic, key)).collect();
+            times.sort_by(f64::total_cmp);
+            times
+        };
+        let sum = |key: &str| topics.iter().filter_map(|topic| topic[key].as_u64()).sum();
+        let (p50, p99, max) = (sorted("p50_ms"), sorted("p99_ms"), sorted("max_ms"));
+        let longest = max.last().copied().unwrap_or(0.0);
+        Row {
+            experiment: Experiment::Callbacks,
+            system: System::Tautline,
+            mode: format!("{mode} {}", topics[0]["topic"].as_str().unwrap_or("?")),
+            payload_bytes,
+            n: sum("n"),
+            p50_us: p50[p50.len() / 2],
+            p99_us: p99[p99.len() / 2],
+            // A round has less than a thousand.
+            p999_us: longest,
+            max_us: longest,
+            lost: sum("lost"),
+            mb_per_s,
+            rounds: topics
+                .iter()
+                .map(|topic| Round { time_us: us(topic, "p99_ms"), mb_per_s: 0.0 })
+                .collect(),
+        }
+    };
+    (0..topics).map(row).collect()
+}

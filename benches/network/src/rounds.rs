@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Starts the pairs in alternating rounds and merges what they measured.
+
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use tautline_benches::{Distribution, Process};
+use tautline_exchange::{Exchange, Job, Line, Measured, Role};
+
+use crate::Result;
+use crate::gateways::{DOMAINS, Gateways, Setting};
+use crate::plan::{Case, Plan, System};
+use crate::report::{Round, Row};
+
+/// hiroz's, where both of its ends are.
+const HIROZ_DOMAIN: u32 = 116;
+/// How long a process may take to set itself up.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Measures all cases.
+pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Row>> {
+    let mut cells: Vec<Cell> = plan.cases.iter().map(|&case| Cell::new(case)).collect();
+    let progress = progress_bar(plan.runs());
+    let mut order: Vec<usize> = (0..cells.len()).collect();
+    for round in 1..=plan.rounds {
+        // To and fro, so that a drift of the machine meets all rivals.
+        order.reverse();
+        for &index in &order {
+            let cell = &mut cells[index];
+            let case = cell.case;
+            let name = format!("{:?} {}, {} B", case.system, case.mode(), case.payload_bytes);
+            progress.set_message(format!("round {round}: {name}"));
+            let topic = format!("/bench/run_{}/pair_{round}_{index}", std::process::id());
+            // Started for each: nobody else's idle threads disturb a rival.
+            let _gateways = match case.system {
+                System::Tautline => {
+                    let setting = |core| Setting { core, realtime: plan.realtime };
+                    Some(Gateways::start(plan, plan.cores.map(setting), interrupted)?)
+                }
+                _ => None,
+            };
+            let measured = pair(plan, case, topic, interrupted)
+                .map_err(|error| format!("{name}, round {round}: {error}"))?;
+            cell.add(&measured);
+            progress.inc(1);
+        }
+    }
+    progress.finish_and_clear();
+    Ok(cells.iter().map(Cell::row).collect())
+}
+
+/// Runs one pair of processes to its end.
+fn pair(plan: &Plan, case: Case, topic: String, interrupted: &AtomicBool) -> Result<Measured> {
+    let job = |role| Job {
+        role,
+        exchange: case.exchange,
+        payload_bytes: case.payload_bytes,
+        budget: plan.budget,
+        core: plan.cores[usize::from(role == Role::Far)],
+        realtime: case.realtime,
+        domain: match case.system {
+            System::Tautline => DOMAINS[usize::from(role == Role::Far)],
+            _ => HIROZ_DOMAIN,
+        },
+        topic: topic.clone(),
+        endpoint: None,
+    };
+    let mut far = start(plan, case.system, &job(Role::Far), interrupted)?;
+    let endpoint = far.expect(PATIENCE, |line| match line {
+        Line::Ready(endpoint) => Some(endpoint),
+        Line::Measured(_) => None,
+    })?;
+    let mut near = start(plan, case.system, &Job { endpoint, ..job(Role::Near) }, interrupted)?;
+    let measured = |line| match line {
+        Line::Measured(measured) => Some(measured),
+        Line::Ready(_) => None,
+    };
+    let patience = PATIENCE + plan.budget * 3;
+    let measured = match case.exchange {
+        Exchange::RoundTrips => near.expect(patience, measured)?,
+        _ => far.expect(patience, measured)?,
+    };
+    near.finish()?;
+    far.finish()?;
+    if measured.times_ns.is_empty() { Err("nothing arrived".into()) } else { Ok(measured) }
+}
+
+/// One end of an exchange.
+pub fn start<'a>(
+    plan: &Plan,
+    system: System,
+    job: &Job,
+    interrupted: &'a AtomicBool,
+) -> Result<Process<'a, Line>> {
+    let text = serde_json::to_string(job)?;
+    let mut command = match system {
+        System::Hiroz => Command::new(plan.hiroz.clone()?),
+        _ => Command::new(std::env::current_exe()?),
+    };
+    match system {
+        System::Tautline => command.args(["--child", "tautline", &text]),
+        System::Zenoh => command.args(["--child", "zenoh", &text]),
+        System::Hiroz => command.arg(&text),
+    };
+    Process::start(&mut command, format!("{:?} end", job.role), interrupted)
+}
+
+/// A line of the result in the making.
+struct Cell {
+    case: Case,
+    times: Distribution,
+    lost: u64,
+    rounds: Vec<Round>,
+}
+
+impl Cell {
+    fn new(case: Case) -> Self {
+        Cell { case, times: Distribution::new(), lost: 0, rounds: Vec::new() }
+    }
+
+    fn add(&mut self, measured: &Measured) {
+        let mut round = Distribution::new();
+        measured.times_ns.iter().for_each(|&time_ns| round.record(time_ns));
+        let bytes = self.case.payload_bytes as f64 * measured.times_ns.len() as f64;
+        let mb_per_s = bytes / measured.seconds.max(1e-9) / 1e6;
+        self.rounds.push(Round { time_us: round.quantile_us(0.5), mb_per_s });
+        measured.times_ns.iter().for_each(|&time_ns| self.times.record(time_ns));
+        self.lost += measured.lost;
+    }
+
+    fn row(&self) -> Row {
+        let mut rates: Vec<f64> = self.rounds.iter().map(|round| round.mb_per_s).collect();
+        rates.sort_by(f64::total_cmp);
+        Row {
+            experiment: self.case.experiment,
+            system: self.case.system,
+            mode: self.case.mode().to_owned(),
+            payload_bytes: self.case.payload_bytes,
+            n: self.times.len(),
+            p50_us: self.times.quantile_us(0.5),
+            p99_us: self.times.quantile_us(0.99),
+            p999_us: self.times.quantile_us(0.999),
+            max_us: self.times.max_us(),
+            lost: self.lost,
+            mb_per_s: (self.case.exchange != Exchange::RoundTrips).then(|| rates[rates.len() / 2]),
+            rounds: self.rounds.clone(),
+        }
+    }
+}
+
+/// A bar for so many steps.
+pub fn progress_bar(steps: u64) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of about {duration}  {msg}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(steps).with_style(style)
+}
