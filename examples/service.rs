@@ -41,14 +41,17 @@ fn show() -> Result<()> {
     })?;
     let in_place = node.create_client_loaned::<AddTwoInts::Service>("add_two_ints", qos)?;
     let ask = node.spawn_callback(CallbackOptions::fifo(10).name("ask"), async move {
-        let asked = async {
+        let asked = async move {
             available.await?;
             let response = client.request(&AddTwoInts::Request { a: 1, b: 2 })?.await?;
             println!("owned:    1 + 2 = {}", response.sum);
 
-            let mut request = in_place.loan()?;
-            (request.a, request.b) = (40, 2);
-            let response = in_place.send(request)?.await?;
+            let response = {
+                let mut request = in_place.loan()?; // a loan stays in its thread: it is gone before the wait
+                (request.a, request.b) = (40, 2);
+                in_place.send(request)?
+            };
+            let response = response.await?;
             println!("in place: 40 + 2 = {}", response.sum);
 
             let limit = Duration::from_millis(50);

@@ -32,12 +32,13 @@ pub fn run(quick: bool) -> ExitCode {
         peers::test(&mut steps, built);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 10] = [
+    let slow: [(&str, Step); 11] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: parameters", parameters),
         ("bench: wake", wake),
         ("bench: messages", messages),
+        ("bench: services", services),
         ("bench: network", network),
         ("bench: paper", paper),
         ("loom", loom),
@@ -221,6 +222,15 @@ fn network(steps: &mut Steps) {
             other => other,
         }
     });
+}
+
+/// It runs; what it says belongs to the machine.
+fn services(steps: &mut Steps) {
+    let mut command = bench("services", true, None);
+    if !machine::is_ci() && !machine::realtime_permitted() {
+        command.args(["--no-rt"]);
+    }
+    steps.command("bench: services", &mut command);
 }
 
 /// It runs; what it says belongs to the machine.

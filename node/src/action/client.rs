@@ -316,6 +316,7 @@ impl<T: Action> ActionClient<T> {
     ///
     /// # Errors
     /// [`Error::Service`]: there is no server. The future's: [`Error::GoalRejected`]; [`Error::Service`] if the server goes.
+    #[allow(clippy::type_complexity, reason = "it is r2r's")]
     pub fn send_goal_request(
         &self,
         goal: T::Goal,

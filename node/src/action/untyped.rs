@@ -95,6 +95,7 @@ impl ActionClientUntyped {
     /// # Errors
     /// [`Error::Message`] if it is not a goal of the type; as
     /// [`ActionClient::send_goal_request`](crate::ActionClient::send_goal_request).
+    #[allow(clippy::type_complexity, reason = "it is r2r's")]
     pub fn send_goal_request(
         &self,
         goal: Value,

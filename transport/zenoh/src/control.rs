@@ -10,9 +10,10 @@ use crate::locals;
 use crate::mirror::{Action, InQos, Mirror, OutQos, Writer};
 use crate::outgoing::{Outgoing, Sender};
 use crate::remote::remote_graph;
+use crate::services::{Routes, Services};
 use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
 use crate::types::Types;
-use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
+use crate::wire::{EndpointKind, MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
@@ -100,6 +101,9 @@ pub(crate) struct Control {
     descriptions: Descriptions,
     /// Topics that come in and whose type is not known here.
     undescribed: BTreeSet<TopicKey>,
+    /// Servers and clients of services on this host.
+    local_services: Vec<(EndpointKind, TopicKey)>,
+    services: Option<Services>,
     /// Whether the graph changed since it was last shown.
     is_unseen: bool,
     shown: Instant,
@@ -138,6 +142,8 @@ impl Control {
             types: Types::new(SchemaStore::of_user(), Packages::from_env()),
             descriptions,
             undescribed: BTreeSet::new(),
+            local_services: Vec::new(),
+            services: None,
             is_unseen: false,
             shown: Instant::now(),
             started: Instant::now(),
@@ -145,6 +151,11 @@ impl Control {
     }
 
     pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
+        let max_bytes = self.options.max_message_bytes;
+        match Services::start(self.participant.clone(), self.session.clone(), max_bytes) {
+            Ok(services) => self.services = Some(services),
+            Err(error) => tracing::warn!("services are not mirrored: {error}"),
+        }
         let mut next = Instant::now() + PERIOD;
         while !self.shared.stop.load(Ordering::Acquire) {
             let soon = self.is_unseen.then(|| self.shown + self.batch()).map_or(next, |at| at.min(next));
@@ -171,6 +182,7 @@ impl Control {
                 self.read_numbers(PERIOD);
             }
         }
+        self.services = None;
         let last = self.mirror.close();
         self.act(last);
     }
@@ -195,13 +207,24 @@ impl Control {
             Ok(locals) => {
                 self.refused = locals.refused;
                 let mut endpoints = locals.endpoints;
+                let domain = self.network_domain();
+                let is_service = |kind| matches!(kind, EndpointKind::Service | EndpointKind::Client);
+                self.local_services = (endpoints.iter())
+                    .filter(|end| is_service(end.kind) && self.options.filter.allows(&end.topic))
+                    .map(|end| {
+                        let (topic, type_id) = (end.topic.clone(), end.type_id.clone());
+                        (end.kind, TopicKey { domain, topic, type_id })
+                    })
+                    .collect();
+                // What the gateway itself answers for local nodes.
                 let mut offered = self.descriptions.offered(&locals.nodes, &endpoints);
                 offered.retain(|end| self.options.filter.allows(&end.topic));
                 let services = offered.iter().map(|end| end.topic.clone()).collect();
-                self.descriptions.answer_at(&self.session, self.network_domain(), services);
+                self.descriptions.answer_at(&self.session, domain, services);
                 endpoints.append(&mut offered);
                 let actions = self.mirror.set_locals(&locals.nodes, endpoints);
                 self.act(actions);
+                self.route_services();
             }
             Err(error) => tracing::warn!("{error}"),
         }
@@ -487,8 +510,22 @@ impl Control {
             tracing::warn!("nodes and tools of this host do not see what others have: {error}");
         }
         *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
-        if !self.refused.is_empty() {
+        if self.refused.is_empty() {
+            self.route_services();
+        } else {
             self.list_locals();
+        }
+    }
+
+    fn route_services(&mut self) {
+        let server = |token: &Token| {
+            let end = token.endpoint.as_ref().filter(|end| end.kind == EndpointKind::Service)?;
+            Some(TopicKey { domain: token.domain, topic: end.name.clone(), type_id: end.type_id.clone() })
+        };
+        let elsewhere = self.mirror.graph().tokens().filter_map(server).collect();
+        let here = self.local_services.iter().map(|(kind, key)| (*kind, key));
+        if let Some(services) = &mut self.services {
+            services.set_routes(Routes::of(here, &elsewhere));
         }
     }
 }

@@ -16,6 +16,7 @@ mod outgoing;
 mod remote;
 mod rules;
 mod seat;
+mod services;
 mod session;
 mod stats;
 mod types;

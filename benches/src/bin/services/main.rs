@@ -69,7 +69,7 @@ pub enum System {
 impl System {
     const ALL: [Self; 4] = [Self::Topics, Self::ServiceLoaned, Self::Iceoryx2, Self::ServiceOwned];
 
-    pub fn name(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Topics => "tautline topics",
             Self::ServiceLoaned => "tautline service, in place",
@@ -82,22 +82,22 @@ impl System {
 /// What one process of a pair is told.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
-    pub system: System,
-    pub bytes: usize,
-    pub asks: bool,
-    pub core: usize,
-    pub realtime: bool,
-    pub budget: Duration,
+    pub(crate) system: System,
+    pub(crate) bytes: usize,
+    pub(crate) asks: bool,
+    pub(crate) core: usize,
+    pub(crate) realtime: bool,
+    pub(crate) budget: Duration,
     /// Different for each pair.
-    pub pair: String,
+    pub(crate) pair: String,
 }
 
 /// A line of the result.
 pub struct Cell {
-    pub system: System,
-    pub bytes: usize,
-    pub all: Distribution,
-    pub rounds_p50_us: Vec<f64>,
+    pub(crate) system: System,
+    pub(crate) bytes: usize,
+    pub(crate) all: Distribution,
+    pub(crate) rounds_p50_us: Vec<f64>,
 }
 
 fn main() -> ExitCode {

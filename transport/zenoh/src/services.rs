@@ -1,0 +1,363 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Services between hosts, in rmw_zenoh's form, as bytes: a queryable for each service of this host, which asks the service as a
+//! client of it; and for services that only other hosts have, a server here that passes requests on as queries.
+//!
+//! One thread does both. It decides nothing: [`Routes`] says which services go which way.
+
+use crate::wire::{Attachment, ENCAPSULATION, EndpointKind, TopicKey, check_encapsulation};
+use futures::channel::mpsc;
+use futures::executor::block_on;
+use futures::future::{BoxFuture, poll_fn};
+use futures::stream::FuturesUnordered;
+use futures::{FutureExt, StreamExt};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::task::{Context, Poll};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use tautline_rt::clock::wall_ns;
+use tautline_transport::{
+    Limits, Participant, RawClient, RawSample, RawServer, RequestId, ServiceError, ServiceType,
+    TransportError,
+};
+use zenoh::bytes::ZBytes;
+use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
+use zenoh::{Session, Wait};
+
+/// Requests of one client on this host that wait to be passed on.
+const DEPTH: usize = 100;
+/// Requests of one service that are passed on before others have their turn.
+const AT_ONCE: usize = 16;
+/// Queries and answers from the network that wait for this thread.
+const MAX_WAITING: usize = 4096;
+/// When Zenoh gives up: a client's own limit comes before. An action's result may take as long as it likes.
+const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
+
+/// Which services go which way.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Routes {
+    /// Of this host: others may ask.
+    pub(crate) offered: BTreeSet<TopicKey>,
+    /// Of other hosts only, with clients here.
+    pub(crate) sought: BTreeSet<TopicKey>,
+}
+
+impl Routes {
+    /// What follows from the servers and clients here, and the servers elsewhere.
+    pub(crate) fn of<'a>(
+        here: impl Iterator<Item = (EndpointKind, &'a TopicKey)> + Clone,
+        elsewhere: &BTreeSet<TopicKey>,
+    ) -> Self {
+        let of_kind = |kind| {
+            here.clone()
+                .filter(move |(of, _)| *of == kind)
+                .map(|(_, key)| key.clone())
+                .collect::<BTreeSet<_>>()
+        };
+        let offered = of_kind(EndpointKind::Service);
+        let clients = of_kind(EndpointKind::Client);
+        // A service that this host has, of whatever type, is asked here.
+        let is_here = |key: &TopicKey| offered.iter().any(|other| other.topic == key.topic);
+        let sought = clients.into_iter().filter(|key| elsewhere.contains(key) && !is_here(key)).collect();
+        Routes { offered, sought }
+    }
+}
+
+/// What the thread is told.
+enum Command {
+    Routes(Routes),
+    Query(TopicKey, Query),
+    /// The answer to a request of a client on this host: as much of it as is one.
+    Reply(TopicKey, RequestId, ZBytes),
+}
+
+/// How Zenoh's threads reach this one: what it has no time for is not kept.
+#[derive(Clone)]
+struct Sender {
+    commands: mpsc::UnboundedSender<Command>,
+    waiting: Arc<AtomicUsize>,
+}
+
+impl Sender {
+    /// What does not fit is dropped, which ends a query without an answer.
+    fn send(&self, command: Command) {
+        let room = |waiting: usize| (waiting < MAX_WAITING).then_some(waiting + 1);
+        if self.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok() {
+            // Ignored: the gateway ends.
+            let _ = self.commands.unbounded_send(command);
+        }
+    }
+}
+
+/// The thread, ended by dropping this.
+pub(crate) struct Services {
+    commands: Sender,
+    routes: Routes,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Services {
+    /// Starts the thread, with the policy and cores of this one.
+    pub(crate) fn start(
+        participant: Participant,
+        session: Session,
+        max_bytes: usize,
+    ) -> Result<Self, std::io::Error> {
+        let (commands, received) = mpsc::unbounded();
+        let commands = Sender { commands, waiting: Arc::default() };
+        let sender = commands.clone();
+        // Zenoh's calls are deep, and so is what makes a publisher.
+        let builder = std::thread::Builder::new().name("gw-services".into()).stack_size(2 << 20);
+        let thread = builder.spawn(move || {
+            let mut bridge = Bridge {
+                participant,
+                session,
+                max_bytes,
+                commands: received,
+                sender,
+                offered: BTreeMap::new(),
+                sought: BTreeMap::new(),
+                pending: FuturesUnordered::new(),
+            };
+            block_on(poll_fn(|context| bridge.poll(context)));
+        })?;
+        Ok(Services { commands, routes: Routes::default(), thread: Some(thread) })
+    }
+
+    pub(crate) fn set_routes(&mut self, routes: Routes) {
+        if routes != self.routes {
+            self.routes = routes.clone();
+            // Ignored: the thread ends when this does.
+            let _ = self.commands.commands.unbounded_send(Command::Routes(routes));
+        }
+    }
+}
+
+impl Drop for Services {
+    fn drop(&mut self) {
+        self.commands.commands.close_channel();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Bridge {
+    participant: Participant,
+    session: Session,
+    max_bytes: usize,
+    commands: mpsc::UnboundedReceiver<Command>,
+    sender: Sender,
+    offered: BTreeMap<TopicKey, Offer>,
+    sought: BTreeMap<TopicKey, RawServer>,
+    /// Answers of services on this host.
+    pending: FuturesUnordered<BoxFuture<'static, ()>>,
+}
+
+/// A service of this host that others may ask.
+struct Offer {
+    client: RawClient,
+    _queryable: Queryable<()>,
+}
+
+impl Bridge {
+    fn poll(&mut self, context: &mut Context<'_>) -> Poll<()> {
+        loop {
+            match self.commands.poll_next_unpin(context) {
+                Poll::Ready(Some(command)) => self.obey(command),
+                Poll::Ready(None) => return Poll::Ready(()),
+                Poll::Pending => break,
+            }
+        }
+        while let Poll::Ready(Some(())) = self.pending.poll_next_unpin(context) {}
+        for (key, server) in &mut self.sought {
+            let mut passed = 0;
+            while let Poll::Ready(request) = server.poll_take(context) {
+                pass_on(&self.session, &self.sender, key, &request);
+                passed += 1;
+                if passed == AT_ONCE {
+                    context.waker().wake_by_ref();
+                    break;
+                }
+            }
+        }
+        Poll::Pending
+    }
+
+    fn obey(&mut self, command: Command) {
+        if !matches!(command, Command::Routes(_)) {
+            self.sender.waiting.fetch_sub(1, Ordering::Relaxed);
+        }
+        match command {
+            Command::Routes(routes) => self.set_routes(&routes),
+            Command::Query(key, query) => match self.ask(&key, &query) {
+                Ok(answer) => self.pending.push(answer),
+                Err(reason) => refuse(&query, reason),
+            },
+            Command::Reply(key, id, payload) => {
+                if let Some(server) = self.sought.get(&key)
+                    && let Err(reason) = answer(server, id, &payload, self.max_bytes)
+                {
+                    tracing::debug!(
+                        "service '{}': an answer from another host is dropped: {reason}",
+                        key.topic
+                    );
+                }
+            }
+        }
+    }
+
+    fn set_routes(&mut self, routes: &Routes) {
+        self.offered.retain(|key, _| routes.offered.contains(key));
+        self.sought.retain(|key, _| routes.sought.contains(key));
+        for key in &routes.offered {
+            if !self.offered.contains_key(key) {
+                match self.offer(key) {
+                    Ok(offer) => drop(self.offered.insert(key.clone(), offer)),
+                    Err(reason) => {
+                        tracing::warn!("service '{}' is not offered to other hosts: {reason}", key.topic)
+                    }
+                }
+            }
+        }
+        for key in &routes.sought {
+            if !self.sought.contains_key(key) {
+                match self.seek(key) {
+                    Ok(server) => drop(self.sought.insert(key.clone(), server)),
+                    Err(error) => {
+                        tracing::warn!("service '{}' of another host is not offered here: {error}", key.topic)
+                    }
+                }
+            }
+        }
+    }
+
+    fn offer(&self, key: &TopicKey) -> Result<Offer, String> {
+        let client = self.participant.create_raw_client(&key.topic, &service_type(key), Limits::SERVICE);
+        let client = client.map_err(|error| error.to_string())?;
+        let (sender, of) = (self.sender.clone(), key.clone());
+        let queryable = self
+            .session
+            .declare_queryable(key.to_string())
+            .complete(true)
+            .callback(move |query| sender.send(Command::Query(of.clone(), query)))
+            .wait()
+            .map_err(|error| error.to_string())?;
+        Ok(Offer { client, _queryable: queryable })
+    }
+
+    fn seek(&self, key: &TopicKey) -> Result<RawServer, TransportError> {
+        self.participant.create_raw_server(&key.topic, &service_type(key), DEPTH, Limits::SERVICE)
+    }
+
+    /// Asks a service of this host what another host asks.
+    fn ask(&self, key: &TopicKey, query: &Query) -> Result<BoxFuture<'static, ()>, String> {
+        let offer = self.offered.get(key).ok_or("the service has gone")?;
+        let attachment = query.attachment().ok_or("a request without an attachment")?;
+        let attachment = Attachment::parse(&attachment.to_bytes()).map_err(|error| error.to_string())?;
+        let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
+        let body = body(&payload, self.max_bytes)?;
+        let say = |error: ServiceError| error.to_string();
+        let mut loan = offer.client.loan(body.len()).map_err(say)?;
+        loan.copy_from_slice(body);
+        let response = offer.client.send(loan).map_err(|unsent| unsent.to_string())?;
+        let query = query.clone();
+        let reply = response.map(move |response| match response {
+            Ok(response) => reply(&query, attachment, &response),
+            Err(error) => refuse(&query, error.to_string()),
+        });
+        Ok(reply.boxed())
+    }
+}
+
+fn service_type(key: &TopicKey) -> ServiceType {
+    ServiceType::new(key.type_id.name.as_str(), Some(&key.type_id.hash.to_string()))
+}
+
+/// The body of a payload.
+fn body(payload: &[u8], max_bytes: usize) -> Result<&[u8], String> {
+    check_encapsulation(payload).map_err(|error| error.to_string())?;
+    let body = payload.get(ENCAPSULATION.len()..).unwrap_or_default();
+    if body.len() > max_bytes { Err(format!("more than {max_bytes} bytes")) } else { Ok(body) }
+}
+
+/// Passes a request of a client on this host on.
+fn pass_on(session: &Session, sender: &Sender, key: &TopicKey, request: &RawSample) {
+    let id = RequestId::of(request.info());
+    let attachment = Attachment {
+        sequence_number: i64::try_from(id.sequence_number).unwrap_or(i64::MAX),
+        source_timestamp_ns: request.info().source_timestamp_ns,
+        gid: id.client,
+    };
+    let (sender, of) = (sender.clone(), key.clone());
+    let query = session
+        .get(key.to_string())
+        .payload([&ENCAPSULATION[..], request.body()].concat())
+        .attachment(&attachment.encode()[..])
+        .target(QueryTarget::AllComplete)
+        .consolidation(ConsolidationMode::None)
+        .timeout(TIMEOUT)
+        .callback(move |reply: Reply| match reply.result() {
+            Ok(sample) => sender.send(Command::Reply(of.clone(), id, sample.payload().clone())),
+            Err(error) => {
+                let reason = error.payload().try_to_string().unwrap_or_default().into_owned();
+                tracing::warn!("service '{}': another host does not answer: {reason}", of.topic);
+            }
+        });
+    if let Err(error) = query.wait() {
+        tracing::warn!("service '{}': a request is not passed on: {error}", key.topic);
+    }
+}
+
+/// Gives an answer from another host to the client on this one.
+fn answer(server: &RawServer, id: RequestId, payload: &ZBytes, max_bytes: usize) -> Result<(), String> {
+    let payload = payload.to_bytes();
+    let body = body(&payload, max_bytes)?;
+    let mut loan = server.responders().loan(id, body.len()).map_err(|error| error.to_string())?;
+    loan.copy_from_slice(body);
+    loan.send().map_err(|unsent| unsent.to_string())
+}
+
+/// Answers a query with what a service of this host said.
+fn reply(query: &Query, asked: Attachment, response: &RawSample) {
+    let attachment = Attachment { source_timestamp_ns: wall_ns(), ..asked };
+    let payload = [&ENCAPSULATION[..], response.body()].concat();
+    let reply = query.reply(query.key_expr().clone(), payload).attachment(&attachment.encode()[..]);
+    if let Err(error) = reply.wait() {
+        tracing::warn!("{}: an answer is not sent: {error}", query.key_expr());
+    }
+}
+
+/// Says why there is no answer.
+fn refuse(query: &Query, reason: String) {
+    // Ignored: whoever asked has gone.
+    let _ = query.reply_err(reason).wait();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(name: &str, digit: char) -> TopicKey {
+        let hash = String::from(digit).repeat(64);
+        TopicKey::parse(&format!("0/{name}/std_srvs::srv::dds_::SetBool_/RIHS01_{hash}")).unwrap()
+    }
+
+    #[test]
+    fn what_is_here_is_offered_and_what_is_only_elsewhere_is_sought() {
+        let (one, two, three) = (key("one", '1'), key("two", '1'), key("three", '1'));
+        let other_type = key("three", '2');
+        let here = [
+            (EndpointKind::Service, &one),
+            (EndpointKind::Client, &one),
+            (EndpointKind::Client, &two),
+            (EndpointKind::Service, &other_type),
+            (EndpointKind::Client, &three),
+        ];
+        let elsewhere = BTreeSet::from([one.clone(), two.clone(), three.clone()]);
+        let routes = Routes::of(here.into_iter(), &elsewhere);
+        assert_eq!(routes.offered, BTreeSet::from([one, other_type]));
+        assert_eq!(routes.sought, BTreeSet::from([two]), "one name, one service");
+    }
+}

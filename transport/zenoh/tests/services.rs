@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Services of one host, asked from another: requests and answers as bytes, ends that come and go.
+
+mod support;
+
+use futures::FutureExt;
+use support::{Host, until, wait};
+use tautline_gateway::wire::EndpointKind;
+use tautline_transport::{
+    Limits, Participant, RawClient, RawPending, RawSample, RawServer, ServiceError, ServiceType,
+};
+
+/// Some type of bytes.
+fn service_type() -> ServiceType {
+    let hash = format!("RIHS01_{}", "7".repeat(64));
+    ServiceType::new("some_srvs/srv/Bytes", Some(&hash))
+}
+
+/// As a node of this host.
+fn of_node(host: &Host, name: &str) -> Participant {
+    host.participant.for_node(&host.participant.create_node(name, "/").unwrap())
+}
+
+fn server(host: &Host) -> RawServer {
+    of_node(host, "answering").create_raw_server("/trigger", &service_type(), 10, Limits::SERVICE).unwrap()
+}
+
+fn client(host: &Host) -> RawClient {
+    of_node(host, "asking").create_raw_client("/trigger", &service_type(), Limits::SERVICE).unwrap()
+}
+
+fn ask(client: &RawClient, body: &[u8]) -> RawPending {
+    let mut loan = client.loan(body.len()).unwrap();
+    loan.copy_from_slice(body);
+    client.send(loan).unwrap()
+}
+
+/// Takes a request and answers it with what it says, twice.
+fn serve(server: &mut RawServer) -> Vec<u8> {
+    let request = wait("a request", || server.try_take().unwrap());
+    let asked = request.body().to_vec();
+    let id = tautline_transport::RequestId::of(request.info());
+    let mut response = server.responders().loan(id, asked.len() * 2).unwrap();
+    response.copy_from_slice(&asked.repeat(2));
+    response.send().unwrap();
+    asked
+}
+
+fn response(mut pending: RawPending) -> Result<RawSample, ServiceError> {
+    wait("a response", || (&mut pending).now_or_never())
+}
+
+#[test]
+fn a_service_of_another_host() {
+    let a = Host::first(101, 101);
+    let b = Host::beside(&a, 102);
+    let mut server = server(&a);
+    let client = client(&b);
+    until("the service", || client.server_count() == 1);
+    for size in [0, 1, 64, 1000, 100_000] {
+        let body: Vec<u8> = (0..size).map(|n: usize| (n * 7 + size) as u8).collect();
+        let pending = ask(&client, &body);
+        assert!(serve(&mut server) == body, "{size} bytes differ");
+        assert!(response(pending).unwrap().body() == body.repeat(2), "{size} bytes differ");
+    }
+    // Several at once, answered in another order by whoever takes them.
+    let pending: Vec<_> = (0..5u8).map(|n| ask(&client, &[n])).collect();
+    for _ in &pending {
+        serve(&mut server);
+    }
+    for (n, pending) in pending.into_iter().enumerate() {
+        assert_eq!(response(pending).unwrap().body(), [n as u8; 2]);
+    }
+    // Both ends are announced, with their nodes.
+    let tokens = |host: &Host, kind| {
+        let remote = host.gateway().remote();
+        let of_kind = |token: &&tautline_gateway::wire::Token| {
+            token.endpoint.as_ref().is_some_and(|end| end.kind == kind && end.name == "/trigger")
+        };
+        remote.iter().filter(of_kind).map(|token| token.node.full_name()).collect::<Vec<_>>()
+    };
+    assert_eq!(tokens(&b, EndpointKind::Service), ["/answering"]);
+    until("the client's token", || tokens(&a, EndpointKind::Client) == ["/asking"]);
+
+    // With the server, what stands for it goes, and with that what waits.
+    let pending = ask(&client, b"last");
+    until("the request", || {
+        server.requests().counters().received() > 0 && server.try_take().unwrap().is_some()
+    });
+    drop(server);
+    let error = response(pending).unwrap_err();
+    assert!(matches!(error, ServiceError::ServerGone { .. }), "{error}");
+    assert_eq!(client.server_count(), 0);
+}
+
+#[test]
+fn a_service_of_this_host_is_asked_here() {
+    let a = Host::first(103, 103);
+    let b = Host::beside(&a, 104);
+    let mut far = server(&a);
+    let client = client(&b);
+    until("the service elsewhere", || client.server_count() == 1);
+    let mut near = server(&b);
+    // The one that stood for the other host's goes; for a moment both are there.
+    until("the service here", || client.server_count() == 1);
+    let pending = ask(&client, b"here");
+    assert_eq!(serve(&mut near), b"here");
+    assert_eq!(response(pending).unwrap().body(), b"herehere");
+    assert!(far.try_take().unwrap().is_none());
+}
