@@ -1,16 +1,23 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Two hosts: `listener` on one, `talker` on the other, a gateway on each, and the nodes none the wiser.
+# Two hosts: `listener` on one, `talker` on the other, a gateway on each, and the nodes none the wiser. Or `remote_image`
+# on both.
 #
 #     cargo build --release -p tautline-gateway -p tautline-examples --bins --examples
-#     examples/two_hosts.sh [messages]
+#     examples/two_hosts.sh [messages] [remote_image]
 #
 # As root the hosts are network namespaces, each with shared memory of its own, joined by a cable. Otherwise they are
 # two domains of this host, joined over loopback. Everything ends with the script.
 set -euo pipefail
-built=${TAUT_BUILT:-$(dirname "$0")/../target/release}
-gateway=${TAUT_GATEWAY:-$built/taut-gateway}
+# Absolute: on a host of its own a program starts in another directory.
+built=$(realpath "${TAUT_BUILT:-$(dirname "$0")/../target/release}")
+gateway=$(realpath "${TAUT_GATEWAY:-$built/taut-gateway}")
 messages=${1:-20}
+case ${2:-talker} in
+    talker) sender=(talker) receiver=(listener "$messages") ;;
+    remote_image) sender=(remote_image send) receiver=(remote_image receive "$messages") ;;
+    *) echo "two_hosts.sh: '$2' is neither talker nor remote_image" >&2; exit 2 ;;
+esac
 hosts=()
 trap 'kill $(jobs -p) 2> /dev/null || true; wait' EXIT
 
@@ -53,5 +60,5 @@ fi
 
 (on 0 "$gateway" --listen "$endpoint" --json "${options[@]}" > /dev/null) &
 (on 1 "$gateway" --connect "$endpoint" --json "${options[@]}" > /dev/null) &
-(on 1 "$built/examples/talker" > /dev/null) &
-(on 0 "$built/examples/listener" "$messages")
+(on 1 "$built/examples/${sender[0]}" "${sender[@]:1}" > /dev/null) &
+(on 0 "$built/examples/${receiver[0]}" "${receiver[@]:1}")

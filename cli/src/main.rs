@@ -3,11 +3,15 @@
 #![forbid(unsafe_code)]
 
 mod check;
+mod component;
 mod demo;
 mod gateway;
 mod init;
 mod msg;
+mod node;
 mod report;
+mod service;
+mod sibling;
 mod table;
 mod topic;
 mod trace;
@@ -31,8 +35,11 @@ enum Verb {
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
     Topic(topic::TopicArgs),
+    Node(node::NodeArgs),
+    Service(service::ServiceArgs),
     Trace(trace::TraceArgs),
     Gateway(gateway::GatewayArgs),
+    Component(component::ComponentArgs),
 }
 
 fn main() -> ExitCode {
@@ -49,7 +56,10 @@ fn main() -> ExitCode {
         Verb::Report(args) => Ok(report::run(&args)),
         Verb::Trace(args) => trace::run(args).map_err(|error| error.to_string()),
         Verb::Topic(args) => topic::run(args).map_err(|error| error.to_string()),
+        Verb::Node(args) => node::run(&args).map_err(|error| error.to_string()),
+        Verb::Service(args) => service::run(&args).map_err(|error| error.to_string()),
         Verb::Gateway(args) => gateway::run(args).map_err(|error| error.to_string()),
+        Verb::Component(args) => component::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };
     outcome.unwrap_or_else(|error| {

@@ -44,6 +44,15 @@ pub fn write_table(
     Ok(())
 }
 
+/// Where the ends of something are, of which it is told whether they are remote.
+pub fn host(are_remote: impl Iterator<Item = bool>) -> &'static str {
+    match are_remote.fold((false, false), |(here, there), remote| (here | !remote, there | remote)) {
+        (true, true) => "both",
+        (false, true) => "remote",
+        _ => "here",
+    }
+}
+
 /// Rounded up, as a bound must be; "-" without one.
 pub fn ms(ns: Option<u64>) -> String {
     ns.map_or("-".into(), |ns| format!("{:.3}", ns.div_ceil(1_000) as f64 / 1e3))

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic`: the topics of a domain, and what is published on them, without a compiled-in type.
 
+mod info;
+
 use clap::{Args, Subcommand};
 use futures::{FutureExt, StreamExt};
 use std::io::{self, Write};
@@ -8,18 +10,20 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline::{Context, Node, QosProfile, Realtime, find_schema};
+use tautline::{Context, EndpointKind, Node, QosProfile, Realtime, find_schema};
 use tautline_schema::DynamicMessage;
-use tautline_transport::{Durability, Participant, TopicInfo};
+use tautline_transport::{Durability, Participant, Qos, Reliability};
 
-/// Lists topics; prints messages.
+/// Lists topics; says who publishes and subscribes; prints messages.
 ///
+/// Topics of other hosts are seen if this host runs `taut gateway`.
 /// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Types need not be compiled in: processes leave their definitions
 /// in /tmp/tautline_UID/schemas.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut topic list
   taut topic list --json            types, hashes, publishers and subscriptions
+  taut topic info /joint_states -v  the nodes, and the quality of service of each
   taut topic echo /joint_states     as ros2 topic echo, until Ctrl-C
   taut topic echo /map --once --json")]
 pub struct TopicArgs {
@@ -32,8 +36,17 @@ pub struct TopicArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the topics with their types, and how many publishers and subscriptions they have
+    /// Prints the topics with their types, where they are, and how many publishers and subscriptions they have
     List,
+    /// Prints how many publishers and subscriptions a topic has, and of what type
+    Info {
+        /// The topic
+        #[arg(value_name = "TOPIC")]
+        topic: String,
+        /// Print the node, the identifier and the quality of service of each
+        #[arg(short, long)]
+        verbose: bool,
+    },
     /// Prints the messages of a topic as they come
     Echo {
         /// The topic; waited for if it does not exist
@@ -54,6 +67,8 @@ pub enum TopicError {
     Transport(#[from] tautline_transport::TransportError),
     #[error(transparent)]
     Schema(#[from] tautline_schema::SchemaError),
+    #[error("there is no topic '{0}'; `taut topic list` prints which there are")]
+    Unknown(String),
     #[error("signals cannot be caught: {0}")]
     Signal(io::Error),
     #[error("the result cannot be printed: {0}")]
@@ -64,7 +79,11 @@ pub enum TopicError {
 pub fn run(args: TopicArgs) -> Result<ExitCode, TopicError> {
     let participant = Participant::new(Context::domain_of_environment()?)?;
     let result = match &args.verb {
-        Verb::List => list(&participant, args.json),
+        Verb::List => {
+            let graph = participant.graph()?;
+            Ok(info::list(&info::topics(&graph), args.json, &mut io::stdout().lock())?)
+        }
+        Verb::Info { topic, verbose } => print_info(&participant, topic, *verbose, args.json),
         Verb::Echo { topic, once } => echo(&participant, topic, *once, args.json),
     };
     match result {
@@ -74,27 +93,21 @@ pub fn run(args: TopicArgs) -> Result<ExitCode, TopicError> {
     }
 }
 
-fn list(participant: &Participant, json: bool) -> Result<(), TopicError> {
-    let topics = participant.topics()?;
+fn print_info(participant: &Participant, topic: &str, verbose: bool, json: bool) -> Result<(), TopicError> {
+    let name = if topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") };
+    let graph = participant.graph()?;
+    let mut topics = info::topics(&graph);
+    topics.retain(|topic| topic.name() == name);
+    if topics.is_empty() {
+        return Err(TopicError::Unknown(name));
+    }
     let mut out = io::stdout().lock();
     if json {
-        let topics = topics.iter().map(|topic| {
-            serde_json::json!({
-                "topic": topic.name,
-                "type": topic.topic_type.name,
-                "hash": topic.topic_type.hash,
-                "publishers": topic.publishers.len(),
-                "subscriptions": topic.subscriptions.len(),
-            })
-        });
+        let topics = topics.iter().map(info::Topic::info_json);
         return Ok(writeln!(out, "{}", serde_json::Value::from_iter(topics))?);
     }
-    let row = |topic: &TopicInfo| {
-        let counts = [topic.publishers.len().to_string(), topic.subscriptions.len().to_string()];
-        (true, [vec![topic.name.clone(), topic.topic_type.name.to_string()], counts.to_vec()].concat())
-    };
-    let head = ["topic", "type", "publishers", "subscriptions"];
-    Ok(crate::table::write_table(&head, 2, topics.iter().map(row).collect(), &mut out)?)
+    // More than one if hosts disagree on its type.
+    Ok(topics.iter().try_for_each(|topic| topic.print(verbose, &mut out))?)
 }
 
 fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Result<(), TopicError> {
@@ -103,13 +116,17 @@ fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Resul
         signal_hook::flag::register(signal, stop.clone()).map_err(TopicError::Signal)?;
     }
     let context = Context::builder().realtime(Realtime::Off).build()?;
-    let mut node = Node::create(context, "taut_topic_echo", "")?;
-    let topic = node.expand_topic_name(topic)?;
+    let mut node = Node::create(context, &format!("taut_topic_echo_{}", std::process::id()), "")?;
+    let topic = node.resolve_topic_name(topic)?;
     let mut waits = false;
-    let info = loop {
+    let (topic_type, publishers) = loop {
         let seen = participant.graph_epoch();
-        if let Some(info) = participant.topics()?.into_iter().find(|info| info.name == topic) {
-            break info;
+        let mut ends = participant.graph()?.endpoints;
+        ends.retain(|end| end.topic == topic);
+        if let Some(first) = ends.first() {
+            let topic_type = first.topic_type.clone();
+            ends.retain(|end| end.kind == EndpointKind::Publisher && end.topic_type == topic_type);
+            break (topic_type, ends);
         }
         if stop.load(Ordering::Relaxed) {
             return Ok(());
@@ -119,16 +136,17 @@ fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Resul
         }
         participant.wait_for_graph_change(seen, Duration::from_millis(200));
     };
-    let schema = find_schema(&topic, &info.topic_type.name.parse()?, Some(&info.topic_type))?;
-    // What late joiners get is asked for if every publisher has it.
-    let latched = |durability| durability == Durability::TransientLocal;
-    let all = info.publishers.iter().all(|publisher| latched(publisher.qos.durability));
-    let qos = if all && !info.publishers.is_empty() {
-        QosProfile::default().transient_local()
-    } else {
-        QosProfile::default()
-    };
-    let mut messages = node.subscribe_raw(&topic, &info.topic_type.name, qos)?;
+    let schema = find_schema(&topic, &topic_type.name.parse()?, Some(&topic_type))?;
+    // What every publisher offers is asked for, and no more, so that none is left out.
+    let offered = |policy: fn(&Qos) -> bool| publishers.iter().all(|publisher| policy(&publisher.qos));
+    let mut qos = QosProfile::default();
+    if !publishers.is_empty() && offered(|qos| qos.durability == Durability::TransientLocal) {
+        qos = qos.transient_local();
+    }
+    if !offered(|qos| qos.reliability == Reliability::Reliable) {
+        qos = qos.best_effort();
+    }
+    let mut messages = node.subscribe_raw(&topic, &topic_type.name, qos)?;
     while !stop.load(Ordering::Relaxed) {
         node.spin_once(Duration::from_millis(100));
         while let Some(Some(cdr)) = messages.next().now_or_never() {

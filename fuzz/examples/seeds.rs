@@ -125,5 +125,20 @@ fn main() -> io::Result<()> {
     }
     write("plain", "padded-exact", &[&[2, 0, 0], &padded, &end])?;
     write("plain", "inner-exact", &[&[1, 0, 0, 65, 0, 0, 0, 1, 0, 255]])?;
-    Ok(())
+
+    let string = "std_msgs::msg::dds_::String_/\
+                  RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+    let endpoint = format!("@ros2_lv/7/a1b2/3/11/MP/%/%robot/talker/%robot%chatter/{string}");
+    for (file, kind, text) in [
+        ("node", 0, "@ros2_lv/7/a1b2/3/3/NN/%/%robot/talker".to_owned()),
+        ("publisher", 0, format!("{endpoint}/2:1:2,5:1,0:0,500000000:1,0:9223372036,854775807")),
+        ("defaults", 0, format!("{endpoint}/::,10:,:,:,,")),
+        ("key", 1, format!("7/robot/chatter/{string}")),
+        ("qos", 2, "1:2:1,42:,:,:,,".to_owned()),
+    ] {
+        write("wire", file, &[&[kind], text.as_bytes()])?;
+    }
+    let (number, stamp_ns) = (7_i64.to_le_bytes(), 1_700_000_000_000_000_000_i64.to_le_bytes());
+    write("wire", "attachment", &[&[3], &number, &stamp_ns, &[16], &[5; 16]])?;
+    write("wire", "payload", &[&[3], &[0, 1, 0, 0, 65, 0, 0, 0]])
 }

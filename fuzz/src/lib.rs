@@ -11,6 +11,7 @@
 //! | [`fill`] | type, lengths, memory, value | nothing is written outside of what the lengths say; what is written is a message |
 //! | [`schema`] | definitions, bundles, type descriptions | what is accepted is written as text that says the same |
 //! | [`json`], [`yaml`] | type, text | what is read is written as text that says the same |
+//! | [`wire`] | keys, tokens and attachments of other hosts | what is accepted is written as what says the same |
 //!
 //! All of them: no panic, no byte read that is not there, and no allocation larger than a multiple of the input, which
 //! each file states: a length that the input claims is not believed.
@@ -26,6 +27,7 @@ mod memory;
 mod plain;
 mod schema;
 mod text;
+mod wire;
 
 pub use allocations::Counting;
 pub use dynamic::dynamic;
@@ -34,3 +36,4 @@ pub use fill::fill;
 pub use plain::plain;
 pub use schema::schema;
 pub use text::{json, yaml};
+pub use wire::wire;

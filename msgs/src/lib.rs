@@ -71,7 +71,7 @@ pub use plain::{dense_end, read_dense, read_dense_vec, view_plain, write_dense};
 /// For generated code.
 #[doc(hidden)]
 pub use serde;
-pub use service::{Action, Service};
+pub use service::{Action, GoalId, Service};
 /// Derives [`Plain`] for a struct or field-less enum, and the trait [`Message`](trait@Message) for a struct that is a
 /// topic's type.
 ///

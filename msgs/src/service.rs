@@ -18,12 +18,12 @@ pub trait Service: Send + Sync + 'static {
 }
 
 /// An action: a goal, pursued with feedback until there is a result. Generated code implements it for a unit struct,
-/// `example_interfaces::action::Fibonacci::Action`.
+/// `example_interfaces::action::Fibonacci::Action`. Its functions put together, and take apart, what travels.
 pub trait Action: Send + Sync + 'static {
     /// What a client asks for.
     type Goal: Message;
     /// What it gets at the end.
-    type Result: Message;
+    type Result: Message + Default;
     /// What it hears on the way.
     type Feedback: Message;
     /// The feedback with the goal's id, as published.
@@ -36,4 +36,28 @@ pub trait Action: Send + Sync + 'static {
     const TYPE_NAME: &'static str;
     /// The RIHS01 hash of the definition.
     const TYPE_HASH: &'static str;
+
+    /// The request that sends a goal.
+    fn make_goal_request_msg(goal_id: GoalId, goal: Self::Goal) -> <Self::SendGoal as Service>::Request;
+    /// The response to it, with the time of acceptance in seconds and nanoseconds.
+    fn make_goal_response_msg(accepted: bool, stamp: (i32, u32)) -> <Self::SendGoal as Service>::Response;
+    /// The feedback with its goal's id.
+    fn make_feedback_msg(goal_id: GoalId, feedback: Self::Feedback) -> Self::FeedbackMessage;
+    /// The request that waits for a result.
+    fn make_result_request_msg(goal_id: GoalId) -> <Self::GetResult as Service>::Request;
+    /// The response to it.
+    fn make_result_response_msg(status: i8, result: Self::Result) -> <Self::GetResult as Service>::Response;
+    /// The id and the goal.
+    fn destructure_goal_request_msg(msg: <Self::SendGoal as Service>::Request) -> (GoalId, Self::Goal);
+    /// Whether the goal was accepted, and when.
+    fn destructure_goal_response_msg(msg: <Self::SendGoal as Service>::Response) -> (bool, (i32, u32));
+    /// The goal's id and the feedback.
+    fn destructure_feedback_msg(msg: Self::FeedbackMessage) -> (GoalId, Self::Feedback);
+    /// The status and the result.
+    fn destructure_result_response_msg(msg: <Self::GetResult as Service>::Response) -> (i8, Self::Result);
+    /// The goal's id.
+    fn destructure_result_request_msg(msg: <Self::GetResult as Service>::Request) -> GoalId;
 }
+
+/// The bytes of a goal's UUID.
+pub type GoalId = [u8; 16];

@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The context: a domain joined, a sampler, callback threads.
 
+use crate::args::Arguments;
 use crate::error::{Error, Result};
+use crate::logging::{self, FlushOnDrop, Rosout};
+use crate::parameters::EventTopic;
 use crate::qos::QosProfile;
+use crate::remap::RemapRules;
 use crate::statistics::statistics_prefix;
 use crate::system::LoadedSystem;
 use std::path::PathBuf;
@@ -42,6 +46,7 @@ pub struct Context {
 pub(crate) struct Shared {
     // Dropped in this order: callbacks end before what they wait for.
     pub(crate) executor: Executor,
+    _flush: FlushOnDrop,
     /// Taken by the thread that spins.
     sampler: Mutex<Option<Sampler>>,
     pub(crate) events: Events,
@@ -49,6 +54,9 @@ pub(crate) struct Shared {
     realtime: Realtime,
     sampler_priority: u8,
     system: Option<LoadedSystem>,
+    pub(crate) arguments: Arguments,
+    pub(crate) parameter_events: Arc<EventTopic>,
+    pub(crate) rosout: Arc<Rosout>,
     settings: ContextBuilder,
 }
 
@@ -73,6 +81,8 @@ pub struct ContextBuilder {
     host: Option<String>,
     share_statistics: bool,
     trace: Option<TraceSettings>,
+    remap: RemapRules,
+    args: Vec<String>,
 }
 
 impl ContextBuilder {
@@ -150,12 +160,37 @@ impl ContextBuilder {
         self
     }
 
+    /// Rules that give every node of this context, and its topics and services, other names; a node's own, in
+    /// [`NodeOptions`](crate::NodeOptions), come first.
+    pub fn remap(mut self, rules: RemapRules) -> Self {
+        self.remap = rules;
+        self
+    }
+
+    /// A command line, with the program's name or without. Between `--ros-args` and `--`, or the end, stand ROS 2's
+    /// arguments; others are the program's ([`Context::non_ros_args`]). [`Context::create`] takes that of the process.
+    ///
+    /// | argument | does |
+    /// |---|---|
+    /// | `-p [NODE:]NAME:=VALUE`, `--param` | gives a parameter a value, read as YAML |
+    /// | `--params-file FILE` | gives parameters the values in a YAML file |
+    /// | `-r FROM:=TO`, `--remap` | see [`RemapRules`]; come before those of [`remap`](Self::remap) |
+    /// | `--log-level [LOGGER:=]LEVEL` | `debug`, `info`, `warn`, `error` or `fatal`; all loggers, or one and those below |
+    /// | `--disable-stdout-logs`, `--disable-rosout-logs` | lines are not printed, not published; also `--enable-...` |
+    /// | `-e PATH`, `--enclave` | taken, and without effect: there is no security here that it could select |
+    pub fn args(mut self, args: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        self.args = args.into_iter().map(Into::into).collect();
+        self
+    }
+
     /// Joins the domain.
     ///
     /// # Errors
-    /// [`Error::Environment`] for a variable that is not understood; [`Error::System`] and [`Error::Host`] for a system
+    /// [`Error::Argument`], [`Error::Remap`] and [`Error::Parameter`] for a command line that is not understood; [`Error::Environment`] for a variable that is not understood; [`Error::System`] and [`Error::Host`] for a system
     /// file that cannot be used; [`Error::Transport`] and [`Error::Statistics`] if shared memory cannot be had.
-    pub fn build(self) -> Result<Context> {
+    pub fn build(mut self) -> Result<Context> {
+        let arguments = Arguments::parse(std::mem::take(&mut self.args))?;
+        self.remap = arguments.remap.clone().then(&self.remap);
         let host = self.host.clone().or_else(|| environment("TAUT_HOST"));
         let system =
             self.system.as_deref().map(|path| LoadedSystem::read(path, host.as_deref())).transpose()?;
@@ -181,10 +216,15 @@ impl ContextBuilder {
                 StatisticsFile::create(&statistics_prefix(domain), &about).map_err(Error::Statistics)?;
             executor = executor.with_statistics(file);
         }
+        logging::configure(&arguments);
         let shared = Shared {
             executor,
+            _flush: FlushOnDrop,
             events: sampler.events().clone(),
             sampler: Mutex::new(Some(sampler)),
+            arguments,
+            parameter_events: Arc::new(EventTopic::new(participant.clone())),
+            rosout: Arc::new(Rosout::new(participant.clone())),
             participant,
             realtime,
             sampler_priority,
@@ -209,6 +249,8 @@ impl Default for ContextBuilder {
             host: None,
             share_statistics: true,
             trace: None,
+            remap: RemapRules::default(),
+            args: Vec::new(),
         }
     }
 }
@@ -230,12 +272,13 @@ fn environment(variable: &str) -> Option<String> {
 }
 
 impl Context {
-    /// A context with every default.
+    /// A context with every default, and the [arguments](ContextBuilder::args) of the process.
     ///
     /// # Errors
     /// As [`ContextBuilder::build`].
     pub fn create() -> Result<Context> {
-        Context::builder().build()
+        let args = std::env::args_os().map(|arg| arg.to_string_lossy().into_owned());
+        Context::builder().args(args).build()
     }
 
     /// A context with settings.
@@ -295,6 +338,15 @@ impl Context {
     /// As [`callback`](Self::callback); [`Error::NoCapacity`] if the callback has no bound.
     pub fn callback_qos(&self, name: &str) -> Result<QosProfile> {
         self.system_for(name)?.qos(name)
+    }
+
+    /// The arguments of the command line that are not ROS 2's, with the program's name.
+    pub fn non_ros_args(&self) -> &[String] {
+        &self.shared.arguments.others
+    }
+
+    pub(crate) fn remap_rules(&self) -> &RemapRules {
+        &self.shared.settings.remap
     }
 
     fn system_for(&self, name: &str) -> Result<&LoadedSystem> {

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use crate::parameters::ParameterError;
 use std::path::PathBuf;
+use std::time::Duration;
 use tautline_executor::ExecutorError;
 use tautline_msgs::cdr::{DecodeError, WriteError};
 use tautline_rt::RtError;
-use tautline_transport::{LoanError, PublishCdrError, PublishError, TakeError, TransportError, Unpublished};
+use tautline_transport::{
+    LoanError, PublishCdrError, PublishError, ServiceError, TakeError, TransportError, Unpublished, Unsent,
+};
 
 /// What can go wrong while a node is set up or publishes. Each message names the thing, the limit and the fix.
 #[derive(thiserror::Error)]
@@ -20,6 +24,27 @@ pub enum Error {
         /// The rule that it breaks.
         reason: String,
     },
+    /// A remapping rule is none.
+    #[error(
+        "'{rule}' is not a remapping rule: {reason}; write from:=to, [node:]__node:=name or [node:]__ns:=/namespace"
+    )]
+    Remap {
+        /// The rule as given.
+        rule: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// An argument of the command line.
+    #[error("'{argument}' is not understood: {reason}")]
+    Argument {
+        /// The argument, with its value.
+        argument: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A parameter was not declared, read or set, or a parameter file is not understood.
+    #[error(transparent)]
+    Parameter(Box<ParameterError>),
     /// An environment variable does not say what it should.
     #[error("{variable}={value} is not understood: {expected}")]
     Environment {
@@ -33,6 +58,17 @@ pub enum Error {
     /// A timer that would be due without end.
     #[error("a timer cannot have a period of zero: give it the time between two releases")]
     ZeroPeriod,
+    /// A clock that shows no ROS time was used as if it did.
+    #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
+    ClockTypeNotRosTime,
+    /// Too many timers and sleeps on one node's ROS clock.
+    #[error(
+        "{max} timers and sleeps are on this node's ROS clock already: use another node, or a wall timer"
+    )]
+    ClockUsers {
+        /// Most there can be.
+        max: usize,
+    },
     /// The system file cannot be read, or is wrong: everything that is, with line and column.
     #[error(transparent)]
     System(#[from] tautline_analysis::file::FileError),
@@ -145,9 +181,58 @@ pub enum Error {
     #[cfg(feature = "untyped")]
     #[error(transparent)]
     Message(Box<tautline_schema::MessageError>),
+    /// A managed node did not begin a transition.
+    #[cfg(feature = "lifecycle_msgs")]
+    #[error(transparent)]
+    Lifecycle(#[from] crate::lifecycle::LifecycleError),
+    /// A request was not sent or not answered, or a response not sent.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
+    /// A response did not come in the time that the request allowed.
+    #[error("service '{service}': no response within {timeout:?}")]
+    ServiceTimeout {
+        /// The service.
+        service: String,
+        /// The time.
+        timeout: Duration,
+    },
+    /// The action's server did not accept a goal.
+    #[error("action '{action}': the server rejected the goal")]
+    GoalRejected {
+        /// The action.
+        action: String,
+    },
+    /// A goal is in a state in which this cannot happen to it.
+    #[cfg(feature = "action_msgs")]
+    #[error("action '{action}': goal {goal} is {status}: that cannot happen to it any more, or not yet")]
+    Goal {
+        /// The action.
+        action: String,
+        /// The goal's id.
+        goal: String,
+        /// The state.
+        status: crate::action::GoalStatus,
+    },
+    /// The action's server goes on with a goal that was to be cancelled.
+    #[error("the action's server rejected the request to cancel the goal")]
+    GoalCancelRejected,
+    /// The action's server does not know the goal, or has forgotten it.
+    #[error(
+        "the action's server does not know the goal that is to be cancelled: its result has expired, or it is another server's"
+    )]
+    GoalCancelUnknownGoalID,
+    /// The goal that is to be cancelled has ended.
+    #[error("the goal that is to be cancelled has ended already: await its result")]
+    GoalCancelAlreadyTerminated,
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),
+}
+
+impl From<ParameterError> for Error {
+    fn from(error: ParameterError) -> Self {
+        Error::Parameter(error.into())
+    }
 }
 
 #[cfg(feature = "untyped")]
@@ -176,6 +261,13 @@ impl From<PublishCdrError> for Error {
 impl From<LoanError> for Error {
     fn from(error: LoanError) -> Self {
         Error::Publish(error.into())
+    }
+}
+
+/// The loan is dropped: take it from [`Unsent::loan`] to keep it.
+impl<L> From<Unsent<L>> for Error {
+    fn from(unsent: Unsent<L>) -> Self {
+        Error::Service(unsent.error)
     }
 }
 

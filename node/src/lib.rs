@@ -30,29 +30,68 @@
 //! The names are those of `r2r`, whose programs compile with a changed `use` line where a feature exists here.
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "action_msgs")]
+mod action;
+mod args;
 mod context;
 mod error;
+mod graph;
 mod names;
 mod node;
+mod parameters;
+mod qos_events;
+mod remap;
+mod service;
 mod statistics;
 mod subscription;
 mod system;
+#[cfg(feature = "rosgraph_msgs")]
+mod time;
 mod timer;
 #[cfg(feature = "untyped")]
 mod untyped;
 
+#[cfg(feature = "lifecycle_msgs")]
+pub mod lifecycle;
+pub mod logging;
 pub mod qos;
 
+#[cfg(feature = "action_msgs")]
+pub use action::{
+    ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
+    ActionServerOptions, GoalStatus,
+};
+#[cfg(all(feature = "action_msgs", feature = "untyped"))]
+pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
-pub use node::Node;
+pub use graph::TopicEndpointInfo;
+#[cfg(feature = "lifecycle_msgs")]
+pub use lifecycle::{LifecycleCallbacks, LifecycleNode, ManagedNode};
+pub use logging::{LogSeverity, Logger};
+pub use node::{Node, NodeOptions};
+pub use parameters::{
+    OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
+    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
+};
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use qos_events::{
+    DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
+};
+pub use remap::RemapRules;
+pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
+#[cfg(feature = "untyped")]
+pub use service::{ClientUntyped, ServiceRequestUntyped};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
+#[cfg(feature = "rosgraph_msgs")]
+pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema};
 
+pub use indexmap;
+pub use tautline_derive::RosParams;
 pub use tautline_trace::{TraceMode, TraceSettings};
 
 pub use tautline_executor::{
@@ -61,7 +100,11 @@ pub use tautline_executor::{
     Policy, ProcessInfo, ProcessSnapshot, Realtime, assign,
 };
 pub use tautline_msgs as msgs;
-pub use tautline_msgs::{Message, Plain};
+pub use tautline_msgs::{Action, Message, Plain, Service};
+/// By r2r's names.
+pub use tautline_msgs::{
+    Action as WrappedActionTypeSupport, Message as WrappedTypesupport, Service as WrappedServiceTypeSupport,
+};
 #[cfg(feature = "ros_msgs")]
 #[doc(no_inline)]
 pub use tautline_ros_msgs::*;
@@ -70,9 +113,20 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Counters, Gid, Limits, Loan, LoanError, MessageInfo, PublishCdrError, PublishError, Publisher,
-    PublisherCounters, Sample, TakeError, TopicMemory, TransportError, Unpublished, Unwritten, topic_memory,
+    Client as ClientLoaned, Counters, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, IncompatibleQos,
+    Limits, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost,
+    NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError, PublishError, Publisher,
+    PublisherCounters, QosPolicyKind, Request, RequestId, Response, Sample, ServiceEndpoint, ServiceError,
+    ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError, Unpublished,
+    Unsent, Unwritten, UnwrittenResponse, topic_memory,
 };
+
+/// What the macros' code calls.
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::logging::Site;
+    pub use crate::parameters::{field, no_field};
+}
 
 /// The README's program compiles.
 #[cfg(doctest)]

@@ -3,19 +3,27 @@
 
 use crate::context::Context;
 use crate::error::{Error, Result};
+use crate::logging::{self, Logger};
 use crate::names;
+use crate::parameters::{self, Parameter, ParameterEvents, ParameterValue, Parameters};
 use crate::qos::QosProfile;
+use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
+#[cfg(feature = "rosgraph_msgs")]
+use crate::time::{Clock, TimeSource};
 use crate::timer::Timer;
 use futures::{Stream, StreamExt};
+use indexmap::IndexMap;
 use std::collections::HashMap;
 use std::future::Future;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, Publisher, TransportError};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher};
 
-/// A node. Its publishers, subscriptions and timers live on when it is dropped; its context lives as long as it does.
+/// A node. Its publishers, subscriptions and timers live on when it is dropped, and as long as one of the first two does,
+/// others see the node; its context lives as long as it does.
 ///
 /// A program can be as one of r2r's: one thread that serves events and runs a pool.
 ///
@@ -50,22 +58,144 @@ use tautline_transport::{Limits, Publisher, TransportError};
 /// ```
 pub struct Node {
     pub(crate) context: Context,
+    handle: NodeHandle,
+    /// Makes publishers and subscriptions of this node.
+    pub(crate) participant: Participant,
     name: String,
     namespace: String,
+    remap: RemapRules,
     limits: HashMap<String, Limits>,
+    pub(crate) service_limits: HashMap<String, Limits>,
     pub(crate) trace: tautline_trace::Object,
+    pub(crate) parameters: Parameters,
+    logger: Logger,
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) time_source: TimeSource,
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) ros_clock: Arc<Mutex<Clock>>,
+    /// The parameters that were declared, or given by the command line. What is put here directly, as r2r's programs do, is
+    /// neither checked nor seen by readers: others use [`set_parameter`](Self::set_parameter).
+    pub params: Arc<Mutex<IndexMap<String, Parameter>>>,
+}
+
+/// What a node is to have of its own, beside its context's.
+#[derive(Clone, Debug)]
+#[must_use = "give it to Node::create_with_options"]
+pub struct NodeOptions {
+    remap: RemapRules,
+    use_global_arguments: bool,
+    parameter_overrides: Vec<(String, ParameterValue)>,
+}
+
+impl NodeOptions {
+    /// Rules for this node only, which come before the context's.
+    pub fn remap(mut self, rules: RemapRules) -> Self {
+        self.remap = rules;
+        self
+    }
+
+    /// Values for this node's parameters, which come before those of the command line.
+    pub fn parameter_overrides(
+        mut self,
+        overrides: impl IntoIterator<Item = (impl Into<String>, impl Into<ParameterValue>)>,
+    ) -> Self {
+        self.parameter_overrides =
+            overrides.into_iter().map(|(name, value)| (name.into(), value.into())).collect();
+        self
+    }
+
+    /// Whether the context's rules, and the parameters that its command line gives, are for this node too. On by default.
+    pub fn use_global_arguments(mut self, use_global_arguments: bool) -> Self {
+        self.use_global_arguments = use_global_arguments;
+        self
+    }
+}
+
+impl Default for NodeOptions {
+    fn default() -> Self {
+        NodeOptions {
+            remap: RemapRules::default(),
+            use_global_arguments: true,
+            parameter_overrides: Vec::new(),
+        }
+    }
 }
 
 impl Node {
-    /// Creates a node called `name` in `namespace` (`""` is `/`).
+    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise. That there is
+    /// another node of the same name is allowed, and logged as a warning, as in ROS 2.
     ///
     /// # Errors
-    /// [`Error::Name`] with the rule that a name breaks.
+    /// [`Error::Name`] with the rule that a name breaks; [`Error::Transport`] if others cannot be told of it.
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
+        Node::create_with_options(ctx, name, namespace, NodeOptions::default())
+    }
+
+    /// As [`create`](Self::create), with options.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn create_with_options(
+        ctx: Context,
+        name: &str,
+        namespace: &str,
+        options: NodeOptions,
+    ) -> Result<Node> {
         names::check_node(name)?;
-        let namespace = names::absolute_namespace(namespace)?;
-        let trace = tautline_trace::node_init(ctx.shared.participant.trace_id(), name, &namespace);
-        Ok(Node { context: ctx, name: name.into(), namespace, limits: HashMap::new(), trace })
+        let mut remap = options.remap;
+        if options.use_global_arguments {
+            remap = remap.then(ctx.remap_rules());
+        }
+        let name = remap.node_name(name).to_owned();
+        let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
+        let participant = &ctx.shared.participant;
+        let handle = participant.create_node(&name, &namespace)?;
+        if participant.nodes().iter().filter(|node| node.name == *handle.name()).count() > 1 {
+            tracing::warn!(
+                "there is another node called {}: who asks for it by its name may get either; rename one with __node or __ns",
+                handle.name()
+            );
+        }
+        let trace = tautline_trace::node_init(participant.trace_id(), &name, &namespace);
+        let participant = participant.for_node(&handle);
+        let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
+        let rules = &ctx.shared.arguments.parameters;
+        let rules = if options.use_global_arguments { &rules[..] } else { &[] };
+        let given = parameters::given(rules, &options.parameter_overrides, &full_name);
+        let params = Arc::new(Mutex::new(given));
+        let events = ParameterEvents::new(full_name.clone(), ctx.shared.parameter_events.clone());
+        let parameters = Parameters::new(params.clone(), events);
+        let logger = Logger::of_node(&full_name);
+        if ctx.shared.arguments.outputs.rosout != Some(false) {
+            logging::add_topic(&logger, Arc::downgrade(&ctx.shared.rosout));
+        }
+        let limits = HashMap::new();
+        #[cfg(feature = "rosgraph_msgs")]
+        let time_source = {
+            let clock = names::expand_topic("/clock", &name, &namespace)?;
+            let topic = remap.name(clock, NameKind::Topic, &name, &namespace)?;
+            let source = TimeSource::new(participant.clone(), topic);
+            source.set_enabled(parameters.declare_use_sim_time(&source)?)?;
+            source
+        };
+        Ok(Node {
+            context: ctx,
+            handle,
+            participant,
+            name,
+            namespace,
+            remap,
+            limits,
+            service_limits: HashMap::new(),
+            trace,
+            parameters,
+            logger,
+            #[cfg(feature = "rosgraph_msgs")]
+            ros_clock: Arc::new(Mutex::new(Clock::of_source(time_source.clone()))),
+            #[cfg(feature = "rosgraph_msgs")]
+            time_source,
+            params,
+        })
     }
 
     /// The node's name.
@@ -92,12 +222,26 @@ impl Node {
         Ok(format!("{}/{}", self.namespace.trim_end_matches('/'), self.name))
     }
 
+    /// The node's logger: its name is the node's, with `.` for `/`. For the log macros.
+    ///
+    /// # Real-time
+    /// Setup only: starts the thread that writes what real-time threads log. Logging is wait-free in these.
+    pub fn logger(&self) -> &Logger {
+        logging::start();
+        &self.logger
+    }
+
+    /// What others see of this node, to say there which services and clients are its own.
+    pub fn handle(&self) -> &NodeHandle {
+        &self.handle
+    }
+
     /// The node's context.
     pub fn context(&self) -> &Context {
         &self.context
     }
 
-    /// The fully qualified name that `topic` stands for in this node.
+    /// The fully qualified name that `topic` stands for in this node, before remapping.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -105,12 +249,29 @@ impl Node {
         names::expand_topic(topic, &self.name, &self.namespace)
     }
 
+    /// The fully qualified name of the topic that `topic` is in this node, once remapping rules have been applied: the one
+    /// that publishers and subscriptions get.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn resolve_topic_name(&self, topic: &str) -> Result<String> {
+        self.remap.name(self.expand_topic_name(topic)?, NameKind::Topic, &self.name, &self.namespace)
+    }
+
+    /// As [`resolve_topic_name`](Self::resolve_topic_name), of a service.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn resolve_service_name(&self, service: &str) -> Result<String> {
+        self.remap.name(self.expand_topic_name(service)?, NameKind::Service, &self.name, &self.namespace)
+    }
+
     /// Sets the limits that this node gives `topic` if it is the first to open it. Call it before.
     ///
     /// # Errors
     /// [`Error::Name`].
     pub fn set_topic_limits(&mut self, topic: &str, limits: Limits) -> Result<()> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         self.limits.insert(topic, limits);
         Ok(())
     }
@@ -118,15 +279,15 @@ impl Node {
     /// Creates a publisher.
     ///
     /// # Errors
-    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that is not enforced.
+    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_publisher<T: Message>(
         &mut self,
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<Publisher<T>> {
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.context.shared.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
+        Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
     /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
@@ -151,18 +312,15 @@ impl Node {
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<Subscription<T>> {
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
-        let participant = &self.context.shared.participant;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let subscription = participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
+        let subscription =
+            self.participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
         Ok(Subscription::new(subscription))
     }
 
-    pub(crate) fn resolve(&self, topic: &str, qos_profile: QosProfile) -> Result<(String, Limits)> {
-        let topic = self.expand_topic_name(topic)?;
-        if let Some(setting) = qos_profile.unsupported_liveliness() {
-            return Err(TransportError::Unsupported { topic, setting }.into());
-        }
+    pub(crate) fn resolve(&self, topic: &str) -> Result<(String, Limits)> {
+        let topic = self.resolve_topic_name(topic)?;
         let limits = self.limits.get(&topic).copied().unwrap_or_default();
         Ok((topic, limits))
     }
@@ -198,7 +356,7 @@ impl Node {
         options: CallbackOptions,
         future: impl Future<Output = ()> + Send + 'static,
     ) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_callback(options, future)?)
     }
 
@@ -211,7 +369,7 @@ impl Node {
         options: CallbackOptions,
         make: impl FnOnce() -> F + Send + 'static,
     ) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_local(options, make)?)
     }
 
@@ -220,8 +378,14 @@ impl Node {
     /// # Errors
     /// As [`spawn_callback`](Self::spawn_callback).
     pub fn spawn_group(&self, options: CallbackOptions, group: CallbackGroup) -> Result<CallbackHandle> {
-        self.context.warn_if_above_sampler(&options);
+        self.prepare_thread(&options);
         Ok(self.context.shared.executor.spawn_group(options, group)?)
+    }
+
+    fn prepare_thread(&self, options: &CallbackOptions) {
+        self.context.warn_if_above_sampler(options);
+        // It may log by a name, without anybody having asked for a logger.
+        logging::start();
     }
 
     /// Turns the calling thread into the sampler: see [`Context::spin`].
@@ -235,6 +399,9 @@ impl Node {
     /// Serves what is ready, waiting up to `timeout`: see [`Context::spin_once`].
     pub fn spin_once(&mut self, timeout: Duration) {
         self.context.spin_once(timeout);
+        // For callbacks that want to know of jumps.
+        #[cfg(feature = "rosgraph_msgs")]
+        self.time_source.update();
     }
 }
 

@@ -2,7 +2,7 @@
 //! r2r's quality-of-service profile.
 
 use std::time::Duration;
-use tautline_transport::{Durability, History, Qos, Reliability};
+use tautline_transport::{Durability, History, Liveliness, Qos, Reliability};
 
 /// How many samples stay for a slow subscription.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,12 +37,12 @@ pub enum DurabilityPolicy {
     SystemDefault,
 }
 
-/// How a publisher shows that it is alive. Only the automatic way exists so far.
+/// How a publisher shows that it is alive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LivelinessPolicy {
-    /// By living.
+    /// By living: it is alive as long as its process is.
     Automatic,
-    /// By saying so. Refused so far.
+    /// By publishing, or by asserting it, at least once in each lease.
     ManualByTopic,
     /// As automatic.
     SystemDefault,
@@ -65,13 +65,13 @@ pub struct QosProfile {
     pub reliability: ReliabilityPolicy,
     /// See [`DurabilityPolicy`].
     pub durability: DurabilityPolicy,
-    /// Longest time between samples; 0 is none. Setting it is refused so far.
+    /// Longest time between samples; 0 is none.
     pub deadline: Duration,
-    /// Age at which samples expire; 0 is none. Setting it is refused so far.
+    /// Age at which samples expire; 0 is none. Only a publisher's counts.
     pub lifespan: Duration,
     /// See [`LivelinessPolicy`].
     pub liveliness: LivelinessPolicy,
-    /// Time after which a silent publisher counts as dead; 0 is none. Setting it is refused so far.
+    /// Time after which a silent publisher whose liveliness is manual counts as dead; 0 is none.
     pub liveliness_lease_duration: Duration,
     /// Leaves ROS's prefixes away; there are none in Tautline.
     pub avoid_ros_namespace_conventions: bool,
@@ -223,7 +223,7 @@ impl QosProfile {
         QosProfile { avoid_ros_namespace_conventions, ..self }
     }
 
-    /// The transport's view of this profile. What is not enforced stays set there, and is refused.
+    /// The transport's view of this profile.
     pub(crate) fn to_transport(self) -> Qos {
         let set = |duration: Duration| (duration != Duration::ZERO).then_some(duration);
         let (history, default_depth) = match self.history {
@@ -243,15 +243,39 @@ impl QosProfile {
             },
             deadline: set(self.deadline),
             lifespan: set(self.lifespan),
+            liveliness: match self.liveliness {
+                LivelinessPolicy::ManualByTopic => Liveliness::ManualByTopic,
+                LivelinessPolicy::Automatic | LivelinessPolicy::SystemDefault => Liveliness::Automatic,
+            },
+            liveliness_lease_duration: set(self.liveliness_lease_duration),
         }
     }
 
-    /// The name of a liveliness setting that is not enforced, if one is made.
-    pub(crate) fn unsupported_liveliness(self) -> Option<&'static str> {
-        if self.liveliness == LivelinessPolicy::ManualByTopic {
-            return Some("liveliness");
+    /// The profile that [`to_transport`](Self::to_transport) makes `qos` of.
+    pub(crate) fn from_transport(qos: &Qos) -> Self {
+        QosProfile {
+            history: match qos.history {
+                History::KeepAll => HistoryPolicy::KeepAll,
+                History::KeepLast => HistoryPolicy::KeepLast,
+            },
+            depth: qos.depth,
+            reliability: match qos.reliability {
+                Reliability::BestEffort => ReliabilityPolicy::BestEffort,
+                Reliability::Reliable => ReliabilityPolicy::Reliable,
+            },
+            durability: match qos.durability {
+                Durability::TransientLocal => DurabilityPolicy::TransientLocal,
+                Durability::Volatile => DurabilityPolicy::Volatile,
+            },
+            deadline: qos.deadline.unwrap_or_default(),
+            lifespan: qos.lifespan.unwrap_or_default(),
+            liveliness: match qos.liveliness {
+                Liveliness::ManualByTopic => LivelinessPolicy::ManualByTopic,
+                Liveliness::Automatic => LivelinessPolicy::SystemDefault,
+            },
+            liveliness_lease_duration: qos.liveliness_lease_duration.unwrap_or_default(),
+            ..Self::common()
         }
-        (self.liveliness_lease_duration != Duration::ZERO).then_some("liveliness_lease_duration")
     }
 }
 

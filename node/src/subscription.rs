@@ -52,6 +52,12 @@ impl<T: Message> Subscription<T> {
     }
 }
 
+impl<T: Message> AsRef<RawSubscription> for Subscription<T> {
+    fn as_ref(&self) -> &RawSubscription {
+        self.samples.source().raw()
+    }
+}
+
 impl<T: Message> std::fmt::Debug for Subscription<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Subscription").field("topic", &self.topic()).finish_non_exhaustive()
@@ -73,8 +79,8 @@ pub(crate) trait Source {
     type Sample;
 
     fn raw(&self) -> &RawSubscription;
-    fn try_take_valid(&self) -> Result<Option<Self::Sample>, TakeError>;
-    fn poll_take(&self, context: &mut Context<'_>) -> Poll<Self::Sample>;
+    fn try_take_valid(&mut self) -> Result<Option<Self::Sample>, TakeError>;
+    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Self::Sample>;
     fn released_ns(sample: &Self::Sample) -> u64;
 }
 
@@ -85,12 +91,12 @@ impl<T: Message> Source for tautline_transport::Subscription<T> {
         self.raw()
     }
 
-    fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
-        self.try_take_valid()
+    fn try_take_valid(&mut self) -> Result<Option<Sample<T>>, TakeError> {
+        tautline_transport::Subscription::try_take_valid(self)
     }
 
-    fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
-        self.poll_take(context)
+    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+        tautline_transport::Subscription::poll_take(self, context)
     }
 
     fn released_ns(sample: &Sample<T>) -> u64 {
@@ -106,12 +112,12 @@ impl Source for RawSubscription {
         self
     }
 
-    fn try_take_valid(&self) -> Result<Option<Self::Sample>, TakeError> {
-        self.try_take_valid()
+    fn try_take_valid(&mut self) -> Result<Option<Self::Sample>, TakeError> {
+        RawSubscription::try_take_valid(self)
     }
 
-    fn poll_take(&self, context: &mut Context<'_>) -> Poll<Self::Sample> {
-        self.poll_take(context)
+    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Self::Sample> {
+        RawSubscription::poll_take(self, context)
     }
 
     fn released_ns(sample: &Self::Sample) -> u64 {

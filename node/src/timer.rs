@@ -2,6 +2,8 @@
 //! A timer as in r2r, which measures its callback.
 
 use crate::error::Result;
+#[cfg(feature = "rosgraph_msgs")]
+use crate::time::RosTimer;
 use futures::Stream;
 use std::future::poll_fn;
 use std::pin::Pin;
@@ -12,18 +14,62 @@ use tautline_sampler::Tick;
 
 /// A periodic timer: absolute releases, no drift, missed ones counted. A stream of [`Tick`]s, or [`tick`](Timer::tick).
 ///
+/// Of a timer on simulated time, a tick's `release_ns` is on that clock.
+///
 /// On a callback thread each tick is a job: its response time counts from the instant at which it was due.
 #[must_use = "nothing happens unless it is polled; dropping it ends it"]
 pub struct Timer {
-    inner: tautline_sampler::Timer,
+    inner: Inner,
     job: Option<job::Job>,
     trace: tautline_trace::Object,
     _timer: tautline_trace::Object,
     last_release_ns: Option<u64>,
 }
 
+enum Inner {
+    Wall(tautline_sampler::Timer),
+    #[cfg(feature = "rosgraph_msgs")]
+    Ros(RosTimer),
+}
+
+impl Inner {
+    fn period_ns(&self) -> u64 {
+        match self {
+            Inner::Wall(timer) => timer.period_ns(),
+            #[cfg(feature = "rosgraph_msgs")]
+            Inner::Ros(timer) => timer.period_ns(),
+        }
+    }
+
+    fn missed(&self) -> u64 {
+        match self {
+            Inner::Wall(timer) => timer.missed(),
+            #[cfg(feature = "rosgraph_msgs")]
+            Inner::Ros(timer) => timer.missed(),
+        }
+    }
+
+    /// The next release, and since when it could be served, in `CLOCK_MONOTONIC`.
+    fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<(Tick, u64)> {
+        match self {
+            Inner::Wall(timer) => timer.poll_tick(context).map(|tick| (tick, tick.release_ns)),
+            #[cfg(feature = "rosgraph_msgs")]
+            Inner::Ros(timer) => timer.poll_tick(context),
+        }
+    }
+}
+
 impl Timer {
     pub(crate) fn new(inner: tautline_sampler::Timer) -> Self {
+        Timer::of(Inner::Wall(inner))
+    }
+
+    #[cfg(feature = "rosgraph_msgs")]
+    pub(crate) fn on_ros_clock(inner: RosTimer) -> Self {
+        Timer::of(Inner::Ros(inner))
+    }
+
+    fn of(inner: Inner) -> Self {
         let timer = tautline_trace::timer_init(inner.period_ns());
         let name = format!("timer {:?}", Duration::from_nanos(inner.period_ns()));
         let trace = tautline_trace::timer_callback_init(timer.id(), &name);
@@ -68,13 +114,13 @@ impl Timer {
             return Poll::Pending;
         }
         let poll = self.inner.poll_tick(context);
-        if let Poll::Ready(tick) = poll {
+        if let Poll::Ready((tick, since_ns)) = poll {
             self.last_release_ns = Some(tick.release_ns);
             // A timer queues nothing: what is released while its callback is busy is missed, but for the latest.
             job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
-            self.job = Some(job::begin_for(self.trace.id(), tick.release_ns));
+            self.job = Some(job::begin_for(self.trace.id(), since_ns));
         }
-        poll
+        poll.map(|(tick, _)| tick)
     }
 }
 

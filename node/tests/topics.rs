@@ -5,10 +5,8 @@ mod common;
 
 use common::{Number, context, spin};
 use futures::StreamExt;
-use std::time::Duration;
 use tautline::{
-    Error, Limits, LivelinessPolicy, LoanError, Node, PublishError, QosProfile, Subscription, TakeError,
-    TransportError,
+    Error, Limits, LoanError, Node, PublishError, QosProfile, Subscription, TakeError, TransportError,
 };
 
 fn node(domain: u32, name: &str, namespace: &str) -> Node {
@@ -73,31 +71,6 @@ fn bad_names_are_refused_with_the_reason() {
 }
 
 #[test]
-fn what_is_not_enforced_is_refused_by_name() {
-    let mut node = node(213, "strict", "");
-    let (qos, second) = (QosProfile::default(), Duration::from_secs(1));
-    for (profile, setting) in [
-        (qos.deadline(second), "deadline"),
-        (qos.lifespan(second), "lifespan"),
-        (qos.liveliness(LivelinessPolicy::ManualByTopic), "liveliness"),
-        (qos.liveliness_lease_duration(second), "liveliness_lease_duration"),
-    ] {
-        let errors = [
-            node.create_publisher::<Number>("/strict", profile).err().unwrap(),
-            node.subscribe_loaned::<Number>("/strict", profile).err().unwrap(),
-        ];
-        for error in errors {
-            let Error::Transport(TransportError::Unsupported { topic, setting: named }) = error else {
-                panic!("{error}")
-            };
-            assert_eq!((topic.as_str(), named), ("/strict", setting));
-        }
-    }
-    let harmless = qos.liveliness(LivelinessPolicy::Automatic).avoid_ros_namespace_conventions(true);
-    node.create_publisher::<Number>("/strict", harmless).unwrap();
-}
-
-#[test]
 fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
     let mut node = node(214, "keeper", "");
     let all = QosProfile::default().keep_all().depth(3);
@@ -153,7 +126,7 @@ fn limits_are_set_by_the_first_and_exceeding_one_names_it() {
         other => panic!("{other}"),
     };
     let deep = node.subscribe_loaned::<Number>("t", qos.keep_last(5)).err().unwrap();
-    assert!(deep.to_string().contains("raise `Limits::depth` where the topic is opened first"), "{deep}");
+    assert!(deep.to_string().contains("raise `Limits::depth` where it is opened first"), "{deep}");
     assert_eq!(limit(deep), ("depth", 4, 5));
     let subscription = node.subscribe_loaned::<Number>("t", qos).unwrap();
     assert_eq!(limit(node.subscribe_loaned::<Number>("t", qos).err().unwrap()), ("subscribers", 1, 2));

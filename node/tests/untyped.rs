@@ -13,7 +13,7 @@ use tautline::std_msgs::msg::{Empty, String as Text};
 use tautline::{CallbackOptions, Error, Limits, Message, Node, QosProfile};
 use tautline_transport::{Participant, Qos, SchemaStore, TopicType};
 
-const DOMAIN: u32 = 195;
+const DOMAIN: u32 = 117;
 
 fn node() -> Node {
     Node::create(context(DOMAIN), "testnode", "").unwrap()

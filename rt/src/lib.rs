@@ -8,9 +8,10 @@
 //!   cores out of idle states.
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in, but for iceoryx2's.
+//! - [`latest`] passes the newest of many values on, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
 //!
-//! Everything except [`clock`] and the use of [`Words`] is set-up: it allocates, reads files and makes syscalls. No other crate of the
+//! Everything except [`clock`], the use of [`Words`] and of what [`latest`] makes is set-up: it allocates, reads files and makes syscalls. No other crate of the
 //! workspace calls `sched_*` or `mlock*`.
 //!
 //! ```
@@ -30,9 +31,11 @@
 mod cores;
 mod error;
 mod idle;
+mod latest;
 mod memory;
 mod noise;
 mod policy;
+mod sync;
 mod thread;
 mod words;
 
@@ -44,8 +47,9 @@ pub mod shm;
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;
 pub use idle::IdleHold;
+pub use latest::{LatestReader, LatestWriter, latest};
 pub use memory::{MemoryLock, PageFaults, lock_memory, page_faults, prefault_stack, tune_malloc};
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads};
-pub use words::{ForeignWords, Words, WordsFile, page_words};
+pub use words::{ForeignMap, ForeignWords, Words, WordsFile, page_words};

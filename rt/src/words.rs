@@ -152,18 +152,47 @@ impl ForeignWords {
     /// # Errors
     /// What the system said, with the path; an error if the file is shorter.
     pub fn read(&self, at: usize, len: usize) -> io::Result<Vec<u64>> {
+        let map = self.map(at, len)?;
+        Ok((0..len).map_while(|index| map.load(index)).collect())
+    }
+
+    /// Maps `len` words that begin `at` words into the file, a multiple of [`page_words`], for who reads them more than once.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn map(&self, at: usize, len: usize) -> io::Result<ForeignMap> {
         if self.size_words()? < at + len {
             let error = io::Error::other("shorter than it should be: made by another version of Tautline?");
             return Err(with_path(self.path(), error));
         }
         let map = Mapping::new(&self.file, (at * WORD_BYTES) as u64, len * WORD_BYTES, false)
             .map_err(|error| with_path(self.path(), error))?;
-        let word = |index: usize| {
-            // SAFETY: the index is within the mapping, which is readable; a load does not write. Acquire: pairs with
-            // the writer's Release stores.
-            unsafe { (*map.start().as_ptr().cast::<AtomicU64>().add(index)).load(Ordering::Acquire) }
-        };
-        Ok((0..len).map(word).collect())
+        Ok(ForeignMap { map, len })
+    }
+}
+
+/// Words of another process, mapped to be read.
+#[derive(Debug)]
+pub struct ForeignMap {
+    map: Mapping,
+    len: usize,
+}
+
+#[allow(clippy::len_without_is_empty, reason = "the system maps nothing that is empty")]
+impl ForeignMap {
+    /// How many words are mapped.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// The word as it is now; `None` beyond the end. What is loaded after it is not older. The writer notices nothing.
+    pub fn load(&self, index: usize) -> Option<u64> {
+        if index >= self.len {
+            return None;
+        }
+        // SAFETY: the index is within the mapping, which is readable; a load does not write. Acquire: pairs with the
+        // writer's Release stores.
+        Some(unsafe { (*self.map.start().as_ptr().cast::<AtomicU64>().add(index)).load(Ordering::Acquire) })
     }
 }
 

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a sampler serves besides samples: timers and guard conditions, made from any thread.
 
+use crate::alarm::Alarm;
 use crate::timer::{Timer, TimerWords, nanoseconds};
+use crate::watchdog::Watchdog;
 use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
-use tautline_transport::{Doorbell, Participant, SLOTS, Slot, TransportError};
+use tautline_transport::{Doorbell, Participant, Pulse, SLOTS, Slot, TransportError};
 
 /// The part of a sampler that other threads hold: they make timers and guard conditions here, and stop the sampler.
 #[derive(Clone)]
@@ -56,6 +58,30 @@ impl Events {
     pub fn timer_at(&self, first_release_ns: u64, period: Duration) -> Result<Timer, TransportError> {
         let slot = self.shared.doorbell.claim()?;
         Ok(Timer::arm(self.shared.clone(), slot, first_release_ns, nanoseconds(period).max(1)))
+    }
+
+    /// Watches that what `pulse` tells of happens at least once in each `period`. Nothing is expected before it has happened for
+    /// the first time.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if the context has no slot left.
+    pub fn watchdog(&self, pulse: Pulse, period: Duration) -> Result<Watchdog, TransportError> {
+        let slot = self.shared.doorbell.claim()?;
+        Ok(Watchdog::arm(self.shared.clone(), slot, pulse, nanoseconds(period).max(1)))
+    }
+
+    /// An alarm that is not set.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Slots`] if the context has no slot left.
+    pub fn alarm(&self) -> Result<Alarm, TransportError> {
+        Ok(Alarm::new(self.shared.clone(), self.shared.doorbell.claim()?))
     }
 
     /// A condition that any thread can trigger and one task waits for.

@@ -5,13 +5,13 @@
 
 use crate::events::Shared;
 use crate::sampler::{Sampler, Wait};
-use crate::timer::nanoseconds;
+use crate::timer::{TimerWords, nanoseconds};
 use core::cmp::Reverse;
 use core::sync::atomic::Ordering;
 use core::time::Duration;
 use std::collections::BinaryHeap;
 use tautline_rt::clock::monotonic_ns;
-use tautline_transport::SLOTS;
+use tautline_transport::{Pulse, SLOTS};
 
 /// The timers by their next release. As many entries as there are slots, so pushing never allocates.
 pub(crate) struct Agenda {
@@ -59,9 +59,16 @@ impl Agenda {
                 std::collections::binary_heap::PeekMut::pop(next);
                 continue;
             }
+            let release_ns = due_ns(words, release_ns, period_ns, now, shared);
+            if release_ns > now {
+                *next = Reverse((release_ns, slot));
+                continue;
+            }
             let elapsed = (now - release_ns) / period_ns + 1;
             *next = Reverse((release_ns.saturating_add(elapsed.saturating_mul(period_ns)), slot));
             drop(next);
+            let last_due_ns = release_ns.saturating_add((elapsed - 1).saturating_mul(period_ns));
+            words.last_due_ns.store(last_due_ns, Ordering::Relaxed);
             words.released.fetch_add(elapsed, Ordering::Release);
             shared.doorbell.wake(slot);
             count += 1;
@@ -71,6 +78,16 @@ impl Agenda {
 
     fn next_release(&self) -> Option<u64> {
         self.due.peek().map(|Reverse((release_ns, _))| *release_ns)
+    }
+}
+
+/// When a release that was planned for `release_ns` is due: for a watchdog one period after its pulse, if there was one since.
+fn due_ns(words: &TimerWords, release_ns: u64, period_ns: u64, now: u64, shared: &Shared) -> u64 {
+    let Some(pulse) = Pulse::from_word(words.pulse.load(Ordering::Relaxed)) else { return release_ns };
+    match shared.doorbell.pulse_ns(pulse) {
+        // Nothing to wait for the next of.
+        0 => now.saturating_add(period_ns),
+        pulse_ns => release_ns.max(pulse_ns.saturating_add(period_ns)),
     }
 }
 

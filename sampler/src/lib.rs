@@ -7,6 +7,8 @@
 //!
 //! - [`Timer`]s are absolute: release *k* is at `start + k * period`, whatever happened before. A release that nobody
 //!   took is counted as missed, not delivered late in a bunch.
+//! - A [`Watchdog`] wakes a task when something did not happen in time; each time that it does costs its doer one store.
+//! - An [`Alarm`] wakes a task once, when it was set to.
 //! - A [`GuardCondition`] wakes a task from any thread.
 //! - [`Wait::Adaptive`] spins a while before it sleeps: wake-ups are cheaper while messages come often.
 //!
@@ -30,11 +32,15 @@
 //! # Ok::<(), tautline_transport::TransportError>(())
 //! ```
 
+mod alarm;
 mod events;
 mod hot;
 mod sampler;
 mod timer;
+mod watchdog;
 
+pub use alarm::Alarm;
 pub use events::{Events, GuardCondition};
 pub use sampler::{Sampler, SamplerThread, Wait};
 pub use timer::{Tick, Timer};
+pub use watchdog::{Expiry, Watchdog};

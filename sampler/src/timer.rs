@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tautline_transport::Slot;
+use tautline_transport::{Pulse, Slot};
 
 /// What a timer and the sampler tell each other, one per slot.
 #[derive(Default)]
@@ -25,6 +25,39 @@ pub(crate) struct TimerWords {
     pub(crate) accepted: AtomicU64,
     /// Releases so far; written by the sampler.
     pub(crate) released: AtomicU64,
+    /// The pulse of a watchdog, as a word: each release is one period after it. 0 of a timer.
+    pub(crate) pulse: AtomicU64,
+    /// When the last release of a watchdog was due; written by the sampler.
+    pub(crate) last_due_ns: AtomicU64,
+}
+
+impl TimerWords {
+    /// Describes what releases from now on. The caller rings the slot.
+    pub(crate) fn arm(&self, first_release_ns: u64, period_ns: u64, pulse: Option<Pulse>) -> u64 {
+        self.first_release_ns.store(first_release_ns, Ordering::Relaxed);
+        let number = self.armed.fetch_add(1, Ordering::Relaxed) + 1;
+        self.pulse.store(pulse.map_or(0, Pulse::to_word), Ordering::Relaxed);
+        self.period_ns.store(period_ns, Ordering::Relaxed);
+        // Release: pairs with the Acquire in the sampler, which then reads the words above.
+        self.changed.store(true, Ordering::Release);
+        number
+    }
+
+    /// Nothing releases any more. The caller rings the slot.
+    pub(crate) fn disarm(&self) {
+        self.period_ns.store(0, Ordering::Relaxed);
+        self.changed.store(true, Ordering::Release);
+    }
+
+    /// The releases of what `number` was armed as, if there are any after the first `seen`.
+    pub(crate) fn released_since(&self, number: u64, seen: u64) -> Option<u64> {
+        // Acquire: each pairs with the sampler's Release.
+        if self.accepted.load(Ordering::Acquire) != number {
+            return None; // what is counted there is a former timer's
+        }
+        let released = self.released.load(Ordering::Acquire);
+        (released != seen).then_some(released)
+    }
 }
 
 /// One release of a timer.
@@ -54,12 +87,7 @@ pub struct Timer {
 
 impl Timer {
     pub(crate) fn arm(shared: Arc<Shared>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
-        let words = &shared.timers[slot.index()];
-        words.first_release_ns.store(first_release_ns, Ordering::Relaxed);
-        let number = words.armed.fetch_add(1, Ordering::Relaxed) + 1;
-        words.period_ns.store(period_ns, Ordering::Relaxed);
-        // Release: pairs with the Acquire in the sampler, which then reads the words above.
-        words.changed.store(true, Ordering::Release);
+        let number = shared.timers[slot.index()].arm(first_release_ns, period_ns, None);
         slot.ring();
         Timer { shared, slot, first_release_ns, period_ns, number, seen: 0, missed: 0 }
     }
@@ -89,14 +117,7 @@ impl Timer {
     pub fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
         self.slot.waker().register(context.waker());
         let words = &self.shared.timers[self.slot.index()];
-        // Acquire: each pairs with the sampler's Release.
-        if words.accepted.load(Ordering::Acquire) != self.number {
-            return Poll::Pending; // what is counted there is a former timer's
-        }
-        let released = words.released.load(Ordering::Acquire);
-        if released == self.seen {
-            return Poll::Pending;
-        }
+        let Some(released) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let missed = released - self.seen - 1;
         self.seen = released;
         self.missed += missed;
@@ -122,9 +143,7 @@ pub(crate) fn nanoseconds(time: Duration) -> u64 {
 
 impl Drop for Timer {
     fn drop(&mut self) {
-        let words = &self.shared.timers[self.slot.index()];
-        words.period_ns.store(0, Ordering::Relaxed);
-        words.changed.store(true, Ordering::Release);
+        self.shared.timers[self.slot.index()].disarm();
         self.slot.ring();
     }
 }

@@ -193,7 +193,7 @@ fn a_publisher_that_does_not_answer_keeps_no_one_from_what_is_live() {
 
     let participant = Participant::new(domain(187)).unwrap();
     let sampler = Sampler::new(&participant).unwrap().start(ThreadBuilder::new("sampler")).unwrap();
-    let live = publisher(&participant, Qos::default());
+    let live = publisher(&participant, Qos::default().transient_local());
     let mut joiner = subscription(&participant, Qos::default().transient_local());
     live.publish(&Count { n: 1 }).unwrap();
     // Announced while the joiner still waits for the history, and never again.

@@ -20,7 +20,7 @@ pub enum TransportError {
     /// What the environment says about tracing is not understood, or there is no memory for it.
     #[error(transparent)]
     Trace(#[from] tautline_trace::TraceError),
-    /// The file that says when a domain's topics change could not be made or mapped.
+    /// A file that says what the domain has, or when that changed, could not be made or mapped.
     #[error("{} cannot be used: {source}; check that /dev/shm is writable and not full; if the file is another user's, remove it", path.display())]
     Graph {
         /// The file.
@@ -57,6 +57,22 @@ pub enum TransportError {
         /// The greatest one.
         max: u32,
     },
+    /// The name cannot be a node's.
+    #[error(
+        "'{name}' cannot be a node's name: it is letters, digits and '_' in a namespace that begins with '/'"
+    )]
+    NodeName {
+        /// The name, with its namespace.
+        name: String,
+    },
+    /// The name cannot be a service's, or the type not its type.
+    #[error("'{service}' cannot be a service: {reason}")]
+    ServiceName {
+        /// The name.
+        service: String,
+        /// Why not.
+        reason: &'static str,
+    },
     /// The name cannot be a topic's.
     #[error("'{topic}' cannot be a topic name: {reason}")]
     TopicName {
@@ -75,7 +91,8 @@ pub enum TransportError {
     },
     /// The topic exists with another type.
     #[error(
-        "topic '{topic}' carries '{existing}', not '{requested}': rename one of them, or use the same type"
+        "{} carries '{existing}', not '{requested}': rename one of them, or use the same type",
+        named(topic)
     )]
     TypeMismatch {
         /// The topic.
@@ -86,7 +103,7 @@ pub enum TransportError {
         requested: String,
     },
     /// A limit of the topic is below what is asked for.
-    #[error("topic '{topic}' was opened with {limit} = {existing}, but {requested} {}: raise `Limits::{limit}` where the topic is opened first", if *.requested == 1 { "is needed" } else { "are needed" })]
+    #[error("{} was opened with {limit} = {existing}, but {requested} {}: raise `Limits::{limit}` where it is opened first", named(topic), if *.requested == 1 { "is needed" } else { "are needed" })]
     Limit {
         /// The topic.
         topic: String,
@@ -98,7 +115,7 @@ pub enum TransportError {
         requested: usize,
     },
     /// A limit outside what can be set.
-    #[error("topic '{topic}': {limit} = {requested} is outside 1 to {max}")]
+    #[error("{}: {limit} = {requested} is outside 1 to {max}", named(topic))]
     LimitRange {
         /// The topic.
         topic: String,
@@ -109,18 +126,16 @@ pub enum TransportError {
         /// The greatest value.
         max: usize,
     },
-    /// A quality of service that is not enforced yet must not be asked for.
-    #[error(
-        "topic '{topic}': QoS {setting} is not enforced by this version; leave it at its default rather than rely on it"
-    )]
-    Unsupported {
+    /// A time that nothing can keep.
+    #[error("topic '{topic}': QoS {setting} is zero, which nothing can keep; leave it out if there is none")]
+    ZeroDuration {
         /// The topic.
         topic: String,
         /// The field of [`Qos`](crate::Qos).
         setting: &'static str,
     },
     /// iceoryx2 refused.
-    #[error("topic '{topic}': {what} failed in iceoryx2: {reason}")]
+    #[error("{}: {what} failed in iceoryx2: {reason}", named(topic))]
     Iceoryx {
         /// The topic.
         topic: String,
@@ -130,8 +145,16 @@ pub enum TransportError {
         reason: String,
     },
     /// A low-priority thread could not be started.
-    #[error("the janitor thread could not be started: {0}")]
+    #[error("a thread of low priority could not be started: {0}")]
     Janitor(#[source] tautline_rt::RtError),
+}
+
+/// What a topic is called: that of a service's requests is the service.
+fn named(topic: &str) -> String {
+    match topic.strip_prefix(crate::topics::REQUESTS) {
+        Some(service) => format!("service '{service}'"),
+        None => format!("topic '{topic}'"),
+    }
 }
 
 /// Why no sample could be loaned.

@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A domain's epoch: one word in shared memory that moves when a publisher or subscription appears or goes.
+//! A domain's epoch: one word in shared memory that moves when a node, publisher, subscription, service or client appears or
+//! goes.
 //!
 //! Who wants to know of changes compares it with what it read before it looked, or sleeps on it. A port that ends with its
 //! killed process moves it when a janitor cleans up. The file stays when nobody is left, as iceoryx2's own per domain does.
 
 use crate::error::TransportError;
+use crate::nodes::Ownership;
 use crate::sync::{FutexWord, Ordering};
 use rustix::fs::{Mode, OFlags};
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::shm::{self, Mapping};
@@ -59,31 +62,43 @@ impl Graph {
         self.word().wake();
     }
 
+    /// Has every sleeper look again.
+    pub(crate) fn wake(&self) {
+        self.word().wake();
+    }
+
     /// Sleeps until the epoch is not `since`, at most for `timeout`. Returns the epoch.
     pub(crate) fn wait(&self, since: u32, timeout: Duration) -> u32 {
+        self.wait_unless(since, timeout, &AtomicBool::new(false))
+    }
+
+    /// As [`wait`](Self::wait), or until it is woken and `stop` is set.
+    pub(crate) fn wait_unless(&self, since: u32, timeout: Duration, stop: &AtomicBool) -> u32 {
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
         let end_ns = monotonic_ns().saturating_add(timeout_ns).min(i64::MAX as u64);
-        while self.epoch() == since && monotonic_ns() < end_ns {
+        while self.epoch() == since && monotonic_ns() < end_ns && !stop.load(Ordering::Acquire) {
             self.word().wait(since, Some(end_ns));
         }
         self.epoch()
     }
 }
 
-/// A port that is there: moves the epoch now, and when it is dropped, which is after the port.
+/// A port that is there, of a node if one is given: moves the epoch now, and when it is dropped, which is after the port.
 pub(crate) struct Presence {
+    owner: Option<Ownership>,
     graph: Arc<Graph>,
 }
 
 impl Presence {
-    pub(crate) fn new(graph: &Arc<Graph>) -> Self {
+    pub(crate) fn new(graph: &Arc<Graph>, owner: Option<Ownership>) -> Self {
         graph.advance();
-        Presence { graph: graph.clone() }
+        Presence { owner, graph: graph.clone() }
     }
 }
 
 impl Drop for Presence {
     fn drop(&mut self) {
+        self.owner = None;
         self.graph.advance();
     }
 }

@@ -43,7 +43,7 @@ pub struct MessageInfo {
 /// The user header of every iceoryx2 sample. In another process's hands: a claim, but one of which every value is
 /// harmless: a wrong number is a wrong count.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("tautline/SampleHeader/2")]
+#[type_name("tautline/SampleHeader/3")]
 #[repr(C)]
 pub(crate) struct SampleHeader {
     /// Counts the samples of the port that sent this one, from 1: what losses are counted from.
@@ -54,15 +54,19 @@ pub(crate) struct SampleHeader {
     /// Length of the body as CDR, in bytes: a plain type's memory without its trailing padding. The payload is this,
     /// rounded up to 8.
     pub(crate) body_bytes: u64,
-    pub(crate) flags: u64,
+    /// When it is no longer delivered, on `CLOCK_MONOTONIC`; [`NEVER`] without a lifespan, [`END_OF_HISTORY`] of what is none.
+    pub(crate) expires_ns: u64,
     pub(crate) source_timestamp_ns: i64,
     /// As published first: those of the port, unless the message came from another host.
     pub(crate) source_sequence_number: u64,
     pub(crate) source_gid: Gid,
 }
 
-/// A header without a payload: a publisher's history ends here.
-pub(crate) const END_OF_HISTORY: u64 = 1;
+/// What `expires_ns` says of a sample without a lifespan.
+pub(crate) const NEVER: u64 = u64::MAX;
+
+/// What it says of a header without a payload: a publisher's history ends here.
+pub(crate) const END_OF_HISTORY: u64 = 0;
 
 impl SampleHeader {
     /// What identifies the message in a trace; `address` is its body's.

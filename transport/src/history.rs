@@ -46,7 +46,7 @@ impl Keeper {
         slot: usize,
     ) -> Result<Self, TransportError> {
         let (arena, qos) = (doorbell.arena().id(), Qos::keep_last(depth));
-        let address = Address { role: Role::Keeper, arena, slot, qos };
+        let address = Address { role: Role::Keeper, arena, slot, qos, is_relay: false };
         let queue = topic
             .factory
             .subscriber_builder()
@@ -109,7 +109,7 @@ impl Keeper {
             self.outlet = Some(Sole::new(outlet));
         }
         let Some(outlet) = self.outlet.as_ref().map(Sole::get) else { return Ok(()) };
-        let end = SampleHeader { gid: self.gid, flags: END_OF_HISTORY, ..SampleHeader::default() };
+        let end = SampleHeader { gid: self.gid, expires_ns: END_OF_HISTORY, ..SampleHeader::default() };
         for (header, body) in
             self.kept.iter().map(|(header, body)| (*header, body.as_slice())).chain([(end, &[][..])])
         {

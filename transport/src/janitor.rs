@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The janitor: an ordinary thread of each participant that does what no real-time thread may wait for.
 //!
-//! - Removes what dead processes left: iceoryx2 nodes, arenas, links.
+//! - Removes what dead processes left: iceoryx2 nodes, arenas, links, lists of nodes.
 //! - Tells this process's publishers and subscriptions when a topic's ports changed without a word, as they do when a
 //!   process is killed; finishes a ring that a killed process began.
 //! - Looks whether this process is to be traced.
@@ -13,6 +13,7 @@ use crate::doorbell::{Doorbell, Owner, remove_stale_arenas};
 use crate::error::TransportError;
 use crate::graph::Graph;
 use crate::history::Keeper;
+use crate::nodes;
 use crate::ports;
 use crate::sync::Ordering;
 use crate::topic::{IoxNode, Topic};
@@ -20,7 +21,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::monotonic_ns;
-use tautline_rt::{Policy, Realtime};
+use tautline_rt::{Policy, Realtime, RtError, ThreadBuilder};
 
 /// How often the janitor looks around when nobody calls it.
 const PERIOD: Duration = Duration::from_millis(250);
@@ -77,12 +78,7 @@ impl Janitor {
         let shared = Arc::new(Shared { domain, doorbell, graph, node, charges, stop });
         let thread = {
             let shared = shared.clone();
-            let builder = tautline_rt::ThreadBuilder::new("janitor");
-            // One that is nicer already, or batch or idle, stays so: an ordinary user cannot go back.
-            let builder = match tautline_rt::current_policy().map_err(TransportError::Janitor)? {
-                Policy::Other { nice: 5.. } | Policy::Unmanaged(_) => builder.realtime(Realtime::Off),
-                _ => builder.policy(Policy::Other { nice: 5 }),
-            };
+            let builder = low_priority_thread("janitor").map_err(TransportError::Janitor)?;
             builder.spawn(move || move || run(&shared)).map_err(TransportError::Janitor)?
         };
         Ok(Janitor { shared, thread: Some(thread) })
@@ -114,6 +110,16 @@ impl Drop for Janitor {
     }
 }
 
+/// For what no real-time thread may wait for.
+pub(crate) fn low_priority_thread(name: &str) -> Result<ThreadBuilder, RtError> {
+    let builder = ThreadBuilder::new(name);
+    // One that is nicer already, or batch or idle, stays so: an ordinary user cannot go back.
+    Ok(match tautline_rt::current_policy()? {
+        Policy::Other { nice: 5.. } | Policy::Unmanaged(_) => builder.realtime(Realtime::Off),
+        _ => builder.policy(Policy::Other { nice: 5 }),
+    })
+}
+
 fn run(shared: &Shared) {
     let mut next_cleanup = Instant::now();
     let word = shared.doorbell.arena().janitor();
@@ -129,6 +135,7 @@ fn run(shared: &Shared) {
         if Instant::now() >= next_cleanup {
             remove_dead_nodes(&shared.node, &shared.graph);
             remove_stale_arenas(shared.domain);
+            nodes::remove_dead_files(shared.domain, &shared.graph);
             tautline_trace::remove_dead_files(shared.domain);
             next_cleanup = Instant::now() + CLEANUP_PERIOD;
         }
@@ -181,7 +188,7 @@ fn release_dead_links(shared: &Shared, watch: &Watch) {
     let alive = ports::publishers(&watch.topic);
     for (link, owner) in claims {
         if !alive.iter().any(|port| Owner::of(port.gid) == owner) {
-            link.release(owner);
+            link.release_killed(owner);
         }
     }
 }

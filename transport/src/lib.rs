@@ -35,6 +35,7 @@
 //! ```
 
 mod address;
+mod compatibility;
 mod doorbell;
 mod error;
 mod graph;
@@ -43,11 +44,14 @@ mod history;
 mod janitor;
 mod lending;
 mod memory;
+mod monitor;
+mod nodes;
 mod participant;
 mod ports;
 mod publisher;
 mod qos;
 mod schema_store;
+mod service;
 mod subscription;
 mod sync;
 mod topic;
@@ -55,14 +59,28 @@ mod topic_type;
 mod topics;
 mod typed;
 
-pub use doorbell::{Doorbell, SLOTS, SamplerSeat, Slot};
+pub use compatibility::QosPolicyKind;
+pub use doorbell::{Doorbell, Pulse, PulseOf, SLOTS, SamplerSeat, Slot};
 pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
 pub use header::{Gid, MessageInfo};
 pub use memory::{TopicMemory, topic_memory};
+pub use monitor::{
+    IncompatibleQos, LivelinessChanged, Matched, MessageLost, PublisherChanges, PublisherMonitor,
+    SubscriptionChanges, SubscriptionMonitor,
+};
+pub use nodes::{
+    EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, RemoteGraph, ServiceEndpoint,
+    ServiceKind, ServiceRegistration, TopicEndpoint,
+};
 pub use participant::{MAX_DOMAIN, Participant, file_prefix};
-pub use publisher::{PublisherCounters, RawLoan, RawPublisher, Unpublished};
-pub use qos::{Durability, History, Limits, Qos, Reliability};
+pub use publisher::{Gate, PublisherCounters, RawLoan, RawPublisher, Unpublished};
+pub use qos::{Durability, History, Limits, Liveliness, Qos, Reliability};
 pub use schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
+pub use service::{
+    Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, RawClient, RawPending, RawResponse,
+    RawServer, Request, RequestId, Responders, Response, Server, ServiceError, ServiceInfo, ServiceType,
+    Unsent, UnwrittenResponse,
+};
 pub use subscription::{Counters, RawSample, RawSubscription};
 pub use topic_type::TopicType;
 pub use topics::{EndpointInfo, TopicInfo};

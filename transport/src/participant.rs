@@ -4,7 +4,9 @@
 use crate::doorbell::{Doorbell, Slot};
 use crate::error::TransportError;
 use crate::graph::Graph;
+use crate::header::Gid;
 use crate::janitor::{Janitor, remove_dead_nodes};
+use crate::nodes::{self, Entry, Ownership, Registry, Watchers};
 use crate::publisher::RawPublisher;
 use crate::qos::{Limits, Qos};
 use crate::subscription::RawSubscription;
@@ -23,6 +25,8 @@ pub const MAX_DOMAIN: u32 = 232;
 #[derive(Clone)]
 pub struct Participant {
     pub(crate) shared: Arc<Shared>,
+    /// Whose the publishers and subscriptions are that this one creates.
+    pub(crate) node: Option<Arc<Entry>>,
 }
 
 pub(crate) struct Shared {
@@ -30,6 +34,8 @@ pub(crate) struct Shared {
     pub(crate) doorbell: Arc<Doorbell>,
     pub(crate) janitor: Janitor,
     pub(crate) graph: Arc<Graph>,
+    pub(crate) registry: Arc<Registry>,
+    pub(crate) watchers: Watchers,
     pub(crate) node: Arc<IoxNode>,
     trace: tautline_trace::Object,
     // Last: what is told to it must not outlive it.
@@ -74,10 +80,14 @@ impl Participant {
         let doorbell = Doorbell::create(domain)?;
         let graph = Graph::open(domain)?;
         remove_dead_nodes(&node, &graph);
+        nodes::remove_dead_files(domain, &graph);
         let janitor = Janitor::start(domain, doorbell.clone(), graph.clone(), node.clone())?;
         let trace = tautline_trace::context_init(domain);
-        let shared = Shared { domain, doorbell, janitor, graph, node, trace, _tracing: tracing };
-        Ok(Participant { shared: Arc::new(shared) })
+        let registry = Registry::new(domain, doorbell.arena().id(), graph.clone());
+        let watchers = Watchers::new(graph.clone());
+        let shared =
+            Shared { domain, doorbell, janitor, graph, registry, watchers, node, trace, _tracing: tracing };
+        Ok(Participant { shared: Arc::new(shared), node: None })
     }
 
     /// The domain.
@@ -95,6 +105,11 @@ impl Participant {
         &self.shared.doorbell
     }
 
+    /// Says that a port is this one's node's, if there is one.
+    pub(crate) fn own(&self, gid: Gid) -> Result<Option<Ownership>, TransportError> {
+        self.node.as_ref().map(|node| node.own(gid)).transpose()
+    }
+
     /// Claims a slot for a timer or a guard condition.
     ///
     /// # Errors
@@ -109,7 +124,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_publisher<T: Message>(
         &self,
         topic: &str,
@@ -125,7 +140,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_subscription<T: Message>(
         &self,
         topic: &str,
@@ -141,7 +156,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_raw_publisher(
         &self,
         topic: &str,
@@ -149,7 +164,7 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<RawPublisher, TransportError> {
-        RawPublisher::create(self.shared.clone(), topic, topic_type, qos, limits)
+        RawPublisher::create(self, topic, topic_type, qos, limits, false)
     }
 
     /// Creates a subscription to the bytes of `topic`, a fully qualified name. What is published from now on is queued.
@@ -158,7 +173,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit, a QoS that is not enforced.
+    /// [`TransportError`]: another type, a limit, a QoS that cannot be kept.
     pub fn create_raw_subscription(
         &self,
         topic: &str,
@@ -166,7 +181,43 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<RawSubscription, TransportError> {
-        RawSubscription::create(self.shared.clone(), topic, topic_type, qos, limits)
+        RawSubscription::create(self, topic, topic_type, qos, limits, false)
+    }
+
+    /// As [`create_raw_publisher`](Self::create_raw_publisher), for what others published: every subscription gets it, whatever
+    /// it requests.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_raw_publisher`](Self::create_raw_publisher).
+    pub fn create_relay_publisher(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawPublisher, TransportError> {
+        RawPublisher::create(self, topic, topic_type, qos, limits, true)
+    }
+
+    /// As [`create_raw_subscription`](Self::create_raw_subscription), for what is passed on: it gets what every publisher sends,
+    /// whatever that offers.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_raw_subscription`](Self::create_raw_subscription).
+    pub fn create_relay_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        RawSubscription::create(self, topic, topic_type, qos, limits, true)
     }
 }
 

@@ -4,8 +4,8 @@
 use crate::address::{Address, Role};
 use crate::doorbell::{Arena, ArenaId, Doorbell};
 use crate::header::Gid;
-use crate::topic::Topic;
-use iceoryx2::prelude::CallbackProgression;
+use crate::topic::{Factory, Topic};
+use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
 use std::sync::Arc;
@@ -24,32 +24,40 @@ pub(crate) struct PublisherPort {
 }
 
 /// The subscriptions that can be rung (not keepers, not ports of other iceoryx2 programs).
-pub(crate) fn subscriptions(factory: &crate::topic::Factory) -> Vec<SubscriptionPort> {
+pub(crate) fn subscriptions(factory: &Factory) -> Vec<SubscriptionPort> {
     let mut found = Vec::new();
-    use iceoryx2::prelude::PortFactory;
+    each_subscription(factory, |port| found.push(port));
+    found
+}
+
+/// As [`subscriptions`], without an allocation of its own.
+pub(crate) fn each_subscription(factory: &Factory, mut each: impl FnMut(SubscriptionPort)) {
     factory.dynamic_config().list_subscribers(|details| {
         if let Some(address) = Address::parse(details.subscriber_name.as_str())
             && address.role == Role::Subscription
         {
             let id = details.subscriber_id.value();
-            found.push(SubscriptionPort { id, address, depth: details.buffer_size });
+            each(SubscriptionPort { id, address, depth: details.buffer_size });
         }
         CallbackProgression::Continue
     });
-    found
 }
 
 /// The publishers of a topic that are Tautline's.
 pub(crate) fn publishers(topic: &Topic) -> Vec<PublisherPort> {
     let mut found = Vec::new();
-    use iceoryx2::prelude::PortFactory;
-    topic.factory.dynamic_config().list_publishers(|details| {
+    each_publisher(&topic.factory, |port| found.push(port));
+    found
+}
+
+/// As [`publishers`], without an allocation of its own.
+pub(crate) fn each_publisher(factory: &Factory, mut each: impl FnMut(PublisherPort)) {
+    factory.dynamic_config().list_publishers(|details| {
         if let Some(address) = Address::parse(details.publisher_name.as_str()) {
-            found.push(PublisherPort { gid: gid(details.publisher_id.value()), address });
+            each(PublisherPort { gid: gid(details.publisher_id.value()), address });
         }
         CallbackProgression::Continue
     });
-    found
 }
 
 /// A publisher's gid is its iceoryx2 id, which is unique on the system.
@@ -104,5 +112,36 @@ pub(crate) fn announce(domain: u32, own: &Arc<Doorbell>, topic: &Topic, call_jan
         if call_janitors && port.address.role == Role::TransientPublisher {
             reached.arena().call_janitor();
         }
+    }
+}
+
+/// Tells every subscription of the topic that a publisher came or went.
+pub(crate) fn announce_publisher(domain: u32, own: &Arc<Doorbell>, topic: &Topic) {
+    for port in subscriptions(&topic.factory) {
+        let Some(reached) = Reached::reach(domain, own, port.address.arena) else { continue };
+        reached.arena().advance_epoch(port.address.slot);
+        // It connects when it next takes: better now than when the first sample is there.
+        reached.arena().bell().ring(port.address.slot);
+    }
+}
+
+/// Says once, where an end of a topic is made, which others it does not fit.
+pub(crate) fn warn_of_incompatible(topic: &Topic, address: &Address) {
+    let warn = |other: &Address, here: &str, there: &str| {
+        if let Some(policy) = address.incompatibility(other) {
+            tracing::warn!(
+                "topic '{}': this {here} and a {there} of the topic get nothing from each other: what is offered does not \
+                 meet the {policy} that is requested (docs/qos.md)",
+                topic.name
+            );
+        }
+    };
+    match address.role {
+        Role::Subscription => {
+            publishers(topic).iter().for_each(|port| warn(&port.address, "subscription", "publisher"));
+        }
+        _ => subscriptions(&topic.factory)
+            .iter()
+            .for_each(|port| warn(&port.address, "publisher", "subscription")),
     }
 }

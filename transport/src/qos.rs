@@ -34,7 +34,18 @@ pub enum History {
     KeepAll,
 }
 
-/// Quality of service of a publisher or a subscription.
+/// How a publisher shows that it is alive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Liveliness {
+    /// By living: it is alive as long as its process is.
+    #[default]
+    Automatic,
+    /// By publishing, or by [asserting it](crate::RawPublisher::assert_liveliness), at least once in each lease.
+    ManualByTopic,
+}
+
+/// Quality of service of a publisher or a subscription. A publisher offers it, a subscription requests it: see
+/// [`Qos::incompatibility`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Qos {
     /// See [`History`].
@@ -45,10 +56,15 @@ pub struct Qos {
     pub reliability: Reliability,
     /// See [`Durability`].
     pub durability: Durability,
-    /// Longest time between two samples. Not enforced yet: setting it is refused.
+    /// Longest time between two samples; what comes later is told to who [watches](crate::SubscriptionMonitor).
     pub deadline: Option<Duration>,
-    /// Age at which a sample is no longer delivered. Not enforced yet: setting it is refused.
+    /// Age at which a sample is no longer delivered, counted from its publication on this host. It is the publisher's: a
+    /// subscription's is not looked at, as in ROS 2.
     pub lifespan: Option<Duration>,
+    /// See [`Liveliness`].
+    pub liveliness: Liveliness,
+    /// Longest time between two signs of life of a publisher whose liveliness is manual.
+    pub liveliness_lease_duration: Option<Duration>,
 }
 
 impl Qos {
@@ -61,6 +77,8 @@ impl Qos {
             durability: Durability::Volatile,
             deadline: None,
             lifespan: None,
+            liveliness: Liveliness::Automatic,
+            liveliness_lease_duration: None,
         }
     }
 
@@ -84,12 +102,14 @@ impl Qos {
     }
 
     pub(crate) fn check(&self, topic: &str) -> Result<(), TransportError> {
-        let unsupported = |setting| Err(TransportError::Unsupported { topic: topic.into(), setting });
-        if self.deadline.is_some() {
-            return unsupported("deadline");
-        }
-        if self.lifespan.is_some() {
-            return unsupported("lifespan");
+        for (setting, duration) in [
+            ("deadline", self.deadline),
+            ("lifespan", self.lifespan),
+            ("liveliness_lease_duration", self.liveliness_lease_duration),
+        ] {
+            if duration == Some(Duration::ZERO) {
+                return Err(TransportError::ZeroDuration { topic: topic.into(), setting });
+            }
         }
         in_range(topic, "depth", self.depth, Limits::MAX_DEPTH)
     }
@@ -164,6 +184,11 @@ impl Default for Limits {
             may_grow: true,
         }
     }
+}
+
+/// 584 years at most.
+pub(crate) fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
 fn in_range(topic: &str, limit: &'static str, requested: usize, max: usize) -> Result<(), TransportError> {

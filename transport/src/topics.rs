@@ -2,9 +2,11 @@
 //! Listing the topics of a domain with their publishers and subscriptions: for tools, the gateway and bridges.
 
 use crate::address::{Address, Role};
+use crate::doorbell::ArenaId;
 use crate::error::TransportError;
 use crate::header::Gid;
 use crate::janitor::remove_dead_nodes;
+use crate::nodes::remote_topic_type;
 use crate::participant::Participant;
 use crate::ports;
 use crate::qos::Qos;
@@ -14,6 +16,10 @@ use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::prelude::*;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern;
 use std::time::Duration;
+
+/// Start the names of the topics that make services. ':' cannot be in a topic's name.
+pub(crate) const REQUESTS: &str = "request:";
+pub(crate) const RESPONSES: &str = "response:";
 
 /// A topic of a domain.
 #[derive(Clone, Debug)]
@@ -39,11 +45,13 @@ pub struct EndpointInfo {
     pub pid: Option<u32>,
     /// Whether it belongs to the participant that made the list.
     pub is_own: bool,
+    /// Of its participant.
+    pub(crate) arena: ArenaId,
 }
 
 impl Participant {
-    /// The topics of the domain, sorted by name. What processes that were killed left is removed
-    /// before.
+    /// The topics of the domain, sorted by name, without those that make [services](Self::services). What processes that were
+    /// killed left is removed before.
     ///
     /// # Real-time
     /// Not for real-time threads: opens each topic, with files and allocations.
@@ -51,6 +59,13 @@ impl Participant {
     /// # Errors
     /// [`TransportError::Node`] if the list cannot be read.
     pub fn topics(&self) -> Result<Vec<TopicInfo>, TransportError> {
+        self.list_topics(|name| ![HISTORY, REQUESTS, RESPONSES].iter().any(|hidden| name.starts_with(hidden)))
+    }
+
+    pub(crate) fn list_topics(
+        &self,
+        is_listed: impl Fn(&str) -> bool,
+    ) -> Result<Vec<TopicInfo>, TransportError> {
         let node = &self.shared.node;
         // Opening a topic removes its dead ports too, but without a word to those who wait for changes.
         remove_dead_nodes(node, &self.shared.graph);
@@ -59,7 +74,7 @@ impl Participant {
             let config = &details.static_details;
             let name = config.name().as_str();
             if matches!(config.messaging_pattern(), MessagingPattern::PublishSubscribe(_))
-                && !name.starts_with(HISTORY)
+                && is_listed(name)
                 && let Some(topic_type) = TopicType::from_attributes(config.attributes())
             {
                 names.push((name.to_owned(), topic_type));
@@ -87,7 +102,7 @@ impl Participant {
         let endpoint = |id: u128, name: &str, node: &UniqueNodeId| {
             let Address { role, arena, qos, .. } = Address::parse(name)?;
             let pid = node.pid::<ipc::Service>().ok().and_then(|pid| u32::try_from(pid.value()).ok());
-            Some((role, EndpointInfo { gid: ports::gid(id), qos, pid, is_own: arena == own }))
+            Some((role, EndpointInfo { gid: ports::gid(id), qos, pid, is_own: arena == own, arena }))
         };
         let (mut publishers, mut subscriptions) = (Vec::new(), Vec::new());
         factory.dynamic_config().list_publishers(|details| {
@@ -105,16 +120,19 @@ impl Participant {
         (publishers, subscriptions)
     }
 
-    /// The type of a topic, as far as whoever made it knew it; `None` if there is no such topic.
+    /// The type of a topic, as far as whoever made it knew it, on this host or else on another; `None` if there is no such
+    /// topic.
     ///
     /// # Real-time
     /// Not for real-time threads: opens the topic, with files and allocations.
     pub fn topic_type(&self, topic: &str) -> Option<TopicType> {
-        TopicType::from_attributes(open_existing(&self.shared.node, topic)?.attributes())
+        let factory = open_existing(&self.shared.node, topic);
+        let here = factory.and_then(|factory| TopicType::from_attributes(factory.attributes()));
+        here.or_else(|| remote_topic_type(self.domain(), topic))
     }
 
-    /// A number that changes when a publisher or a subscription of the domain appears or goes. Read it before
-    /// [`topics`](Self::topics): if it is the same later, so is the list.
+    /// A number that changes when a node, publisher, subscription, service or client of the domain appears or goes. Read it
+    /// before [`graph`](Self::graph) or [`topics`](Self::topics): if it is the same later, so is the list.
     ///
     /// # Real-time
     /// Wait-free; no syscall.

@@ -11,7 +11,7 @@ use support::{Count, domain, wait_for};
 use tautline_ros_msgs::sensor_msgs::msg::{
     Image, ImageSizes, PointCloud2, PointCloud2Sizes, PointField, PointFieldSizes,
 };
-use tautline_transport::{Limits, Participant, Qos, TopicType};
+use tautline_transport::{Limits, Liveliness, Participant, Qos, TopicType};
 
 const CYCLES: usize = 10_000;
 
@@ -206,4 +206,40 @@ fn write_and_view_in_place() {
     };
     assert_eq!(count(|| (0..100).for_each(|_| publish())), (100, 100));
     assert_eq!(images.counters().growths(), 0);
+}
+
+#[test]
+fn deadline_lifespan_lease_and_who_watches_them() {
+    let participant = Participant::new(domain(164)).unwrap();
+    let (hour, limits) = (Some(Duration::from_secs(3600)), Limits::default());
+    let qos = Qos {
+        deadline: hour,
+        lifespan: hour,
+        liveliness: Liveliness::ManualByTopic,
+        liveliness_lease_duration: hour,
+        ..Qos::keep_last(2)
+    };
+    let publisher = participant.create_publisher::<Count>("/watched", qos, limits).unwrap();
+    let subscription = participant.create_subscription::<Count>("/watched", qos, limits).unwrap();
+    let slots = [(); 2].map(|()| participant.claim_slot().unwrap());
+    let mut offered = publisher.raw().monitor(&slots[0]);
+    let mut requested = subscription.raw().monitor(&slots[1]);
+    let (mut lost, mut n) = (0, 0);
+    let mut cycle = || {
+        publisher.assert_liveliness();
+        publisher.publish(&Count { n }).unwrap();
+        // Three are lost before each take.
+        if n % 5 == 4 {
+            assert!(subscription.try_take().unwrap().is_some());
+            assert!(subscription.try_take().unwrap().is_some());
+        }
+        offered.look();
+        let changes = requested.look(n);
+        lost += changes.message_lost.map_or(0, |lost| lost.total_count_change);
+        n += 1;
+    };
+    settle(&mut cycle);
+    let counted = count(|| (0..CYCLES).for_each(|_| cycle()));
+    assert_eq!(counted, (CYCLES, CYCLES), "the loans");
+    assert_eq!(lost, n / 5 * 3, "all of them told");
 }

@@ -35,7 +35,7 @@ fn what_is_queued_when_it_ends_is_received() {
     let subscription =
         participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();
     let publisher = participant.create_publisher::<Count>(topic, Qos::default(), Limits::default()).unwrap();
-    assert_eq!(take_all(&subscription), [], "connects");
+    assert_eq!(take_all(&subscription), [0_u64; 0], "connects");
     publish(&publisher, 1..=3);
     drop(publisher);
     assert_eq!(take_all(&subscription), [1, 2, 3]);
@@ -49,7 +49,7 @@ fn what_it_overwrote_before_it_ended_is_counted() {
     let qos = Qos::keep_last(2);
     let subscription = participant.create_subscription::<Count>(topic, qos, Limits::default()).unwrap();
     let publisher = participant.create_publisher::<Count>(topic, qos, Limits::default()).unwrap();
-    assert_eq!(take_all(&subscription), []);
+    assert_eq!(take_all(&subscription), [0_u64; 0]);
     publish(&publisher, 1..=5);
     drop(publisher);
     assert_eq!(take_all(&subscription), [4, 5]);
@@ -90,11 +90,11 @@ fn one_that_lives_on_is_remembered_however_many_come_and_go() {
     }
     for n in 0..130 {
         let other = create();
-        assert_eq!(take_all(&subscription), []);
+        assert_eq!(take_all(&subscription), [0_u64; 0]);
         publish(&other, n..=n);
         assert_eq!(take_all(&subscription), [n]);
         drop(other);
-        assert_eq!(take_all(&subscription), []);
+        assert_eq!(take_all(&subscription), [0_u64; 0]);
     }
     publish(&lives, 101..=101);
     assert_eq!(take_all(&subscription), [101]);

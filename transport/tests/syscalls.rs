@@ -6,8 +6,9 @@
 mod support;
 
 use std::os::fd::AsRawFd;
+use std::time::Duration;
 use support::{Count, Part, clean, wait_for};
-use tautline_transport::{Limits, Participant, Qos, TopicType};
+use tautline_transport::{Limits, Liveliness, Participant, Qos, TopicType};
 
 const MESSAGES: u64 = 10_000;
 
@@ -20,8 +21,13 @@ fn child_main() {
     }
     let participant = Participant::new(domain).unwrap();
     let limits = Limits::default();
-    let publisher = participant.create_publisher::<Count>("/quiet", Qos::default(), limits).unwrap();
-    let subscription = participant.create_subscription::<Count>("/quiet", Qos::default(), limits).unwrap();
+    // With all that costs something on the way.
+    let hour = Some(Duration::from_secs(3600));
+    let (deadline, lifespan, liveliness_lease_duration) = (hour, hour, hour);
+    let liveliness = Liveliness::ManualByTopic;
+    let qos = Qos { deadline, lifespan, liveliness, liveliness_lease_duration, ..Qos::default() };
+    let publisher = participant.create_publisher::<Count>("/quiet", qos, limits).unwrap();
+    let subscription = participant.create_subscription::<Count>("/quiet", qos, limits).unwrap();
     let (text, larger) = (TopicType::new("test_msgs/msg/Text"), Limits { message_bytes: 5000, ..limits });
     let texts = participant.create_raw_publisher("/text", &text, Qos::default(), larger).unwrap();
     let taken = participant.create_raw_subscription("/text", &text, Qos::default(), larger).unwrap();
@@ -32,6 +38,7 @@ fn child_main() {
             let mut loan = publisher.loan().unwrap();
             loan.n = n;
             loan.publish().unwrap();
+            publisher.assert_liveliness();
             let mut loan = texts.loan(n as usize % 5000).unwrap();
             loan.fill(1);
             loan.publish().unwrap();

@@ -237,19 +237,19 @@ fn deep_queues() {
 }
 
 #[test]
-fn deadline_and_lifespan_are_refused() {
+fn times_of_zero_are_refused() {
     let participant = Participant::new(domain(136)).unwrap();
-    let second = Some(Duration::from_secs(1));
+    let none = Some(Duration::ZERO);
     for (qos, setting) in [
-        (Qos { deadline: second, ..Qos::default() }, "deadline"),
-        (Qos { lifespan: second, ..Qos::default() }, "lifespan"),
+        (Qos { deadline: none, ..Qos::default() }, "deadline"),
+        (Qos { lifespan: none, ..Qos::default() }, "lifespan"),
+        (Qos { liveliness_lease_duration: none, ..Qos::default() }, "liveliness_lease_duration"),
     ] {
-        let publisher = participant.create_publisher::<Count>("/unsupported", qos, DEFAULT).err().unwrap();
-        let subscription =
-            participant.create_subscription::<Count>("/unsupported", qos, DEFAULT).err().unwrap();
+        let publisher = participant.create_publisher::<Count>("/zero", qos, DEFAULT).err().unwrap();
+        let subscription = participant.create_subscription::<Count>("/zero", qos, DEFAULT).err().unwrap();
         for error in [publisher, subscription] {
             let text = error.to_string();
-            assert!(text.contains("/unsupported") && text.contains(setting), "{text}");
+            assert!(text.contains("/zero") && text.contains(setting), "{text}");
         }
     }
 }

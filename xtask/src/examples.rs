@@ -12,12 +12,17 @@ use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
 /// its first line.
-const RUNS: [&[&str]; 10] = [
+const RUNS: [&[&str]; 15] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
     &["variable_image"],
     &["untyped"],
+    &["service"],
+    &["action"],
     &["timer"],
+    &["qos_events"],
+    &["lifecycle"],
+    &["composition"],
     &["priorities"],
     &["callback_group"],
     &["budget"],

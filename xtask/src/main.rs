@@ -60,8 +60,7 @@ enum Verb {
     },
     /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
     Ros,
-    /// Tests the gateway with hosts in network namespaces, and against hiroz and zenoh-ros2-sdk (made under target/peers);
-    /// minutes to build, no part of `test`
+    /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
     /// Measures
     #[command(subcommand)]
@@ -129,6 +128,18 @@ enum Bench {
     },
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
     Network(network::Options),
+    /// A request and its response, beside a topic each way and iceoryx2's request-response
+    Services {
+        /// Fewer and shorter rounds: some seconds
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Passed on: see `cargo xtask bench services -- --help`
+        #[arg(last = true)]
+        arguments: Vec<String>,
+    },
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),
 }
@@ -161,6 +172,9 @@ fn main() -> ExitCode {
         }
         Verb::Bench(Bench::Messages { quick, json, arguments }) => {
             steps::run(bench("messages", quick, json.as_deref()).args(arguments))
+        }
+        Verb::Bench(Bench::Services { quick, json, arguments }) => {
+            steps::run(bench("services", quick, json.as_deref()).args(arguments))
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Network(options)) => network::run(&options),

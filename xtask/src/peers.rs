@@ -1,37 +1,88 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The gateway with others: hosts in network namespaces, hostile peers, and peers that are not ours: hiroz in a workspace
-//! of its own, zenoh-ros2-sdk in a Python environment under the target directory.
+//! The gateway with peers that are not ours: hiroz in a workspace of its own, zenoh-ros2-sdk in a Python environment under
+//! the target directory.
 
-use crate::machine;
+use crate::machine::{self, Domain};
 use crate::steps::{Outcome, Steps, announce, cargo, execute};
 use std::fs;
-use std::process::{Command, ExitCode};
+use std::io::{self, BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitCode, Stdio};
 
 const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 
-/// Makes the environment and runs the tests, one at a time: hosts of different tests must not find each other. No part of
-/// `cargo xtask test`: it builds hiroz, which brings all of Zenoh once more. Without a network the Python peer is left out,
-/// but not in CI.
+/// `cargo xtask peers`.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
-    steps.command(
-        "peers: hosts",
-        &mut cargo("test -p tautline-gateway --tests --no-fail-fast -- --test-threads=1"),
-    );
-    steps.step("peers: zenoh-ros2-sdk", || match prepare() {
+    let examples = steps.command("examples", &mut cargo("build --release -p tautline-examples --examples"));
+    let gateway = steps.command("gateway", &mut cargo("build -p tautline-gateway"));
+    test(&mut steps, examples && gateway);
+    steps.finish()
+}
+
+/// Makes the environment and runs the tests, and if they are `built`, gateway and examples. Without a network the Python peer
+/// is left out, but not in CI.
+pub fn test(steps: &mut Steps, built: bool) {
+    let prepared = steps.step("peers: zenoh-ros2-sdk", || match prepare() {
         Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
         other => other,
     });
     let mut tests = cargo("test --manifest-path transport/zenoh/peers/Cargo.toml --no-fail-fast");
-    tests.env("CARGO_TARGET_DIR", machine::target_dir().join("peers/build"));
-    tests.env("TAUT_PEERS_VENV", machine::target_dir().join("peers/venv"));
+    // The workspace's, with which it shares all but hiroz and hiroz's Zenoh.
+    tests.env("CARGO_TARGET_DIR", machine::target_dir());
+    tests.env("TAUT_PEERS_VENV", venv());
     steps.command("peers: tests", &mut tests);
-    steps.finish()
+    let example = "example ros2_talker";
+    if built && prepared && venv().join("wheels.txt").exists() {
+        steps.step(example, || ros2_talker().unwrap_or_else(|error| Outcome::Failed(error.to_string())));
+    } else {
+        steps.skip(example, "not built, or no zenoh-ros2-sdk");
+    }
+}
+
+/// The example talks, through a gateway of the tests' build, to a listener that is not ours.
+fn ros2_talker() -> io::Result<Outcome> {
+    const PORT: &str = "7453";
+    let (target, domain) = (machine::target_dir(), Domain::unused());
+    let number = domain.number.to_string();
+    let mut gateway = Command::new(target.join("debug/taut-gateway"));
+    gateway.args(["--domain", &number, "--listen", &format!("tcp/127.0.0.1:{PORT}"), "--no-rt", "--json"]);
+    let _gateway = Ended(gateway.stdout(Stdio::null()).spawn()?);
+    let mut talker = Command::new(target.join("release/examples/ros2_talker"));
+    talker.env("TAUT_DOMAIN", &number).env("TAUT_REALTIME", "off");
+    let _talker = Ended(talker.stdout(Stdio::null()).spawn()?);
+    // It ends by itself if it hears nothing.
+    let mut listener = Command::new(venv().join("bin/python"));
+    listener.arg(machine::root().join("transport/zenoh/peers/python/listener.py")).args([PORT, &number]);
+    announce(&listener);
+    let mut listener = Ended(listener.stdout(Stdio::piped()).spawn()?);
+    let output = listener.0.stdout.take().into_iter().flat_map(|output| BufReader::new(output).lines());
+    for line in output.map_while(Result::ok) {
+        println!("{line}");
+        if line.starts_with("I heard: [Hello World: ") {
+            return Ok(Outcome::Ok);
+        }
+    }
+    Ok(Outcome::Failed("the listener heard nothing".to_owned()))
+}
+
+/// A process that ends when this is dropped.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn venv() -> PathBuf {
+    machine::target_dir().join("peers/venv")
 }
 
 /// Makes the environment unless it is there already: some 60 MB from PyPI.
 fn prepare() -> Outcome {
-    let venv = machine::target_dir().join("peers/venv");
+    let venv = venv();
     // Written last: what was interrupted is made anew.
     let complete = venv.join("wheels.txt");
     let wheels = WHEELS.join("\n");

@@ -4,7 +4,7 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_network, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, fuzz, lttng, paper as evaluation, ros, stress_doorbell};
+use crate::{bench, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -25,6 +25,12 @@ pub fn run(quick: bool) -> ExitCode {
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     two_hosts(&mut steps, built);
+    systemd(&mut steps);
+    if quick {
+        steps.skip("peers", "--quick");
+    } else {
+        peers::test(&mut steps, built);
+    }
     type Step = fn(&mut Steps);
     let slow: [(&str, Step); 9] = [
         ("stress: doorbell", stress),
@@ -73,27 +79,21 @@ fn ros(steps: &mut Steps) {
 }
 
 fn tests(steps: &mut Steps) {
-    let nextest = machine::cargo_has("nextest --version").is_ok();
-    let run = |packages: &str| {
-        if nextest {
-            cargo(&format!("nextest run {packages} --no-fail-fast"))
-        } else {
-            cargo(&format!("test {packages} --all-targets --no-fail-fast"))
-        }
-    };
     // Every bundled message, not only those of the default packages.
-    let mut tests = run(
-        "--workspace --exclude tautline-gateway --exclude tautline-bench-network --features tautline-ros-msgs/all",
-    );
-    if machine::is_ci() {
-        tests.env("TAUT_LEAK_CYCLES", "1000");
+    let build = "--workspace --features tautline-ros-msgs/all --no-fail-fast";
+    let leak_cycles = machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"));
+    if machine::cargo_has("nextest --version").is_ok() {
+        let profile = if machine::is_ci() { "ci" } else { "default" };
+        // The gateway's after the others, of one build: it mirrors what other tests of its domains do.
+        for (name, which) in
+            [("tests", "not package(tautline-gateway)"), ("tests: gateway", "package(tautline-gateway)")]
+        {
+            let mut tests = cargo(&format!("nextest run --profile {profile} {build} -E"));
+            steps.command(name, tests.arg(which).envs(leak_cycles));
+        }
+    } else {
+        steps.command("tests", cargo(&format!("test {build} --all-targets")).envs(leak_cycles));
     }
-    steps.command("tests", &mut tests);
-    // Its decisions and its wire. What needs links, hosts and peers is `cargo xtask peers`.
-    steps.command(
-        "tests: gateway",
-        &mut cargo("test -p tautline-gateway -p tautline-bench-network --lib --bins"),
-    );
     steps.command("doc tests", &mut cargo("test --workspace --doc --no-fail-fast"));
 }
 
@@ -124,20 +124,43 @@ fn demo(steps: &mut Steps) {
     }
 }
 
-/// Talker and listener with a gateway each, as `tests` built it: a release build of Zenoh takes minutes.
+/// Nodes with a gateway on each side, as `tests` built it: a release build of Zenoh takes minutes.
 fn two_hosts(steps: &mut Steps, built: bool) {
-    let (target, name) = (machine::target_dir(), "example two_hosts");
+    let target = machine::target_dir();
     let gateway = target.join("debug/taut-gateway");
-    if !built || !gateway.exists() {
-        return steps.skip(name, "not built");
+    for (name, program) in [("example two_hosts", "talker"), ("example remote_image", "remote_image")] {
+        if !built || !gateway.exists() {
+            steps.skip(name, "not built");
+            continue;
+        }
+        let mut command = Command::new("timeout");
+        command.arg("60").arg(machine::root().join("examples/two_hosts.sh")).args(["5", program]);
+        command.env("TAUT_GATEWAY", &gateway).env("TAUT_BUILT", target.join("release"));
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.env("TAUT_REALTIME", "off");
+        }
+        steps.command(name, &mut command);
     }
-    let mut command = Command::new("timeout");
-    command.arg("60").arg(machine::root().join("examples/two_hosts.sh")).arg("5");
-    command.env("TAUT_GATEWAY", gateway).env("TAUT_BUILT", target.join("release"));
-    if !machine::is_ci() && !machine::realtime_permitted() {
-        command.env("TAUT_REALTIME", "off");
+}
+
+/// What systemd says of the gateway's unit, with this build's program in it.
+fn systemd(steps: &mut Steps) {
+    let name = "systemd unit";
+    if Command::new("systemd-analyze").arg("--version").output().is_err() {
+        return steps.skip(name, "no systemd-analyze here");
     }
-    steps.command(name, &mut command);
+    let target = machine::target_dir();
+    let write = || -> std::io::Result<std::path::PathBuf> {
+        let unit = std::fs::read_to_string(machine::root().join("docs/systemd/taut-gateway@.service"))?;
+        let program = target.join("debug/taut-gateway").display().to_string();
+        let path = target.join("taut-gateway@0.service");
+        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))?;
+        Ok(path)
+    };
+    match write() {
+        Ok(path) => drop(steps.command(name, Command::new("systemd-analyze").arg("verify").arg(path))),
+        Err(error) => drop(steps.step(name, || Outcome::Failed(error.to_string()))),
+    }
 }
 
 /// Sets the system's clock by an hour for some milliseconds, which is nothing to do on somebody's own machine.
@@ -239,7 +262,8 @@ fn stress(steps: &mut Steps) {
 
 /// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
 fn loom(steps: &mut Steps) {
-    let mut command = cargo("test --release -p tautline-transport -p tautline-trace --lib loom");
+    let mut command =
+        cargo("test --release -p tautline-rt -p tautline-transport -p tautline-trace --lib loom");
     command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
     steps.command("loom", &mut command);
 }
@@ -257,4 +281,6 @@ pub fn miri(steps: &mut Steps) {
     steps.command("miri: samples", &mut cargo(samples));
     let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
     steps.command("miri: rings", &mut cargo(rings));
+    let latest = "+nightly miri test -p tautline-rt --lib -- latest";
+    steps.command("miri: latest", &mut cargo(latest));
 }

@@ -91,6 +91,44 @@ fn check_names(names: &[&TypeName]) -> Result<(), GenerateError> {
     Ok(())
 }
 
+/// The functions of `Action`: signatures, and bodies, line by line.
+const ACTION_FUNCTIONS: &[(&str, &str)] = &[
+    (
+        "make_goal_request_msg(goal_id: [u8; 16], goal: Goal) -> SendGoal::Request",
+        "let mut msg = SendGoal::Request::default();\nmsg.goal_id.uuid = goal_id;\nmsg.goal = goal;\nmsg",
+    ),
+    (
+        "make_goal_response_msg(accepted: bool, stamp: (i32, u32)) -> SendGoal::Response",
+        "let mut msg = SendGoal::Response::default();\nmsg.accepted = accepted;\n(msg.stamp.sec, msg.stamp.nanosec) = stamp;\nmsg",
+    ),
+    (
+        "make_feedback_msg(goal_id: [u8; 16], feedback: Feedback) -> FeedbackMessage",
+        "let mut msg = FeedbackMessage::default();\nmsg.goal_id.uuid = goal_id;\nmsg.feedback = feedback;\nmsg",
+    ),
+    (
+        "make_result_request_msg(goal_id: [u8; 16]) -> GetResult::Request",
+        "let mut msg = GetResult::Request::default();\nmsg.goal_id.uuid = goal_id;\nmsg",
+    ),
+    (
+        "make_result_response_msg(status: i8, result: Result) -> GetResult::Response",
+        "GetResult::Response { status, result }",
+    ),
+    (
+        "destructure_goal_request_msg(msg: SendGoal::Request) -> ([u8; 16], Goal)",
+        "(msg.goal_id.uuid, msg.goal)",
+    ),
+    (
+        "destructure_goal_response_msg(msg: SendGoal::Response) -> (bool, (i32, u32))",
+        "(msg.accepted, (msg.stamp.sec, msg.stamp.nanosec))",
+    ),
+    (
+        "destructure_feedback_msg(msg: FeedbackMessage) -> ([u8; 16], Feedback)",
+        "(msg.goal_id.uuid, msg.feedback)",
+    ),
+    ("destructure_result_response_msg(msg: GetResult::Response) -> (i8, Result)", "(msg.status, msg.result)"),
+    ("destructure_result_request_msg(msg: GetResult::Request) -> [u8; 16]", "msg.goal_id.uuid"),
+];
+
 struct Generator<'a> {
     packages: &'a mut Packages,
     names: &'a [&'a str],
@@ -160,7 +198,7 @@ impl Generator<'_> {
     fn service(&mut self, schema: &Schema, name: &str, parent: &str) -> Result<(), GenerateError> {
         let module = format!("{parent}::{name}");
         self.open(name, &format!("Service `{}`.", schema.name()));
-        self.marker(schema, "Service", &["Request", "Response", "Event"]);
+        self.marker(schema, "Service", &["Request", "Response", "Event"], &[]);
         for part in ["Request", "Response", "Event"] {
             let schema = self.part(schema, part)?;
             self.message(&schema, part, &module)?;
@@ -174,7 +212,7 @@ impl Generator<'_> {
         self.open(schema.name().name(), &format!("Action `{}`.", schema.name()));
         let messages = ["Goal", "Result", "Feedback", "FeedbackMessage"];
         let services = ["SendGoal", "GetResult"];
-        self.marker(schema, "Action", &[&messages[..], &services[..]].concat());
+        self.marker(schema, "Action", &[&messages[..], &services[..]].concat(), ACTION_FUNCTIONS);
         for part in messages {
             let schema = self.part(schema, part)?;
             self.message(&schema, part, &module)?;
@@ -188,7 +226,7 @@ impl Generator<'_> {
     }
 
     /// The struct that stands for a service or an action.
-    fn marker(&mut self, schema: &Schema, name: &str, parts: &[&str]) {
+    fn marker(&mut self, schema: &Schema, name: &str, parts: &[&str], functions: &[(&str, &str)]) {
         let text = &mut self.text;
         text.doc(&format!("`{}`", schema.name()));
         text.line("#[derive(Clone, Copy, Debug, PartialEq, Eq)]");
@@ -201,6 +239,12 @@ impl Generator<'_> {
         }
         text.pair("const TYPE_NAME: &'static str =", &format!("\"{}\";", schema.name()));
         text.pair("const TYPE_HASH: &'static str =", &format!("\"{}\";", schema.hash()));
+        for (signature, body) in functions {
+            text.gap();
+            text.line(&format!("fn {signature} {{"));
+            body.lines().for_each(|line| text.line(line));
+            text.line("}");
+        }
         text.line("}");
     }
 }

@@ -84,18 +84,17 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<PublisherUntyped> {
         let schema = self.schema_of(topic, topic_type)?;
-        let (topic, limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let participant = &self.context.shared.participant;
         let qos = qos_profile.to_transport();
-        let raw = participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
+        let raw = self.participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
         Ok(PublisherUntyped::new(raw, schema))
     }
 
     fn schema_of(&self, topic: &str, type_name: &str) -> Result<Arc<Schema>> {
-        let topic = self.expand_topic_name(topic)?;
+        let topic = self.resolve_topic_name(topic)?;
         let name: TypeName = type_name.parse()?;
-        let existing = self.context.shared.participant.topic_type(&topic);
+        let existing = self.participant.topic_type(&topic);
         find_schema(&topic, &name, existing.as_ref())
     }
 
@@ -105,15 +104,19 @@ impl Node {
         topic_type: &TopicType,
         qos_profile: QosProfile,
     ) -> Result<RawSubscription> {
-        let (topic, limits): (String, Limits) = self.resolve(topic, qos_profile)?;
+        let (topic, limits): (String, Limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let participant = &self.context.shared.participant;
-        Ok(participant.create_raw_subscription(&topic, topic_type, qos_profile.to_transport(), limits)?)
+        Ok(self.participant.create_raw_subscription(
+            &topic,
+            topic_type,
+            qos_profile.to_transport(),
+            limits,
+        )?)
     }
 }
 
 /// All that a topic can know of a type.
-fn type_of(schema: &Schema) -> TopicType {
+pub(crate) fn type_of(schema: &Schema) -> TopicType {
     let topic_type = TopicType::new(schema.name().to_string())
         .with_hash(schema.hash().to_string())
         .with_definition(schema.to_text());

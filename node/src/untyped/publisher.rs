@@ -82,6 +82,12 @@ impl PublisherUntyped {
     }
 }
 
+impl AsRef<RawPublisher> for PublisherUntyped {
+    fn as_ref(&self) -> &RawPublisher {
+        &self.raw
+    }
+}
+
 impl std::fmt::Debug for PublisherUntyped {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("PublisherUntyped")

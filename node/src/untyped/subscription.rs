@@ -86,6 +86,18 @@ impl Stream for SubscriptionRaw {
     }
 }
 
+impl AsRef<RawSubscription> for SubscriptionUntyped {
+    fn as_ref(&self) -> &RawSubscription {
+        self.samples.source()
+    }
+}
+
+impl AsRef<RawSubscription> for SubscriptionRaw {
+    fn as_ref(&self) -> &RawSubscription {
+        self.samples.source()
+    }
+}
+
 impl std::fmt::Debug for SubscriptionUntyped {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("SubscriptionUntyped").field("topic", &self.topic()).finish_non_exhaustive()

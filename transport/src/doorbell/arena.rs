@@ -5,17 +5,18 @@ use super::SLOTS;
 use super::hot::Bell;
 use crate::error::TransportError;
 use crate::header::Gid;
-use crate::sync::{AtomicU32, AtomicU64, FutexWord, Ordering};
+use crate::sync::{AtomicU32, AtomicU64, FutexWord, Ordering, fence};
 use std::fmt;
 use std::io;
 use std::mem::offset_of;
 use std::path::{Path, PathBuf};
+use tautline_rt::clock::monotonic_ns;
 use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, ShmError};
 
 /// Publishers that one subscription can tell apart: the most publishers of a topic.
 pub(crate) const LINKS: usize = 64;
 const MAGIC: u64 = u64::from_le_bytes(*b"tautline");
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Meaning of a slot's flag word.
 pub(crate) mod slot_flags {
@@ -25,6 +26,8 @@ pub(crate) mod slot_flags {
     pub const KEEP_ALL: u32 = 2;
     /// The publisher keeps samples for late joiners.
     pub const TRANSIENT_LOCAL: u32 = 4;
+    /// The subscription has a deadline: publishers note when they send.
+    pub const DEADLINE: u32 = 8;
 }
 
 /// Owner word of a link nobody uses.
@@ -33,7 +36,7 @@ const FREE: u64 = 0;
 const ENDED: u64 = 1;
 
 /// Identifies an arena among all of a domain. Random: process ids repeat, and containers share `/dev/shm`.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ArenaId(pub(crate) u64);
 
 impl fmt::Display for ArenaId {
@@ -58,6 +61,43 @@ struct Layout {
 struct SlotWords {
     flags: AtomicU32,
     epoch: AtomicU32,
+    /// The slot that is rung besides when the epoch advances, and 1: that of the events of what is here. 0: there is none.
+    events: AtomicU32,
+    /// See [`Pulse`].
+    pulses: [AtomicU64; PULSES],
+}
+
+const PULSES: usize = 2;
+
+/// Where the time of what happened last is kept: which slot's, and of what. What it says is in `CLOCK_MONOTONIC` nanoseconds;
+/// 0 is never.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pulse {
+    pub(crate) slot: usize,
+    pub(crate) of: PulseOf,
+}
+
+/// What a [`Pulse`] tells of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PulseOf {
+    /// A sample was published by this publisher, or for this subscription.
+    Sample,
+    /// This publisher showed that it is alive.
+    Liveliness,
+}
+
+impl Pulse {
+    /// The pulse as one number that is not 0.
+    pub fn to_word(self) -> u64 {
+        (self.slot * PULSES + self.of as usize) as u64 + 1
+    }
+
+    /// The pulse of a number that [`to_word`](Self::to_word) gave.
+    pub fn from_word(word: u64) -> Option<Self> {
+        let index = usize::try_from(word.checked_sub(1)?).ok()?;
+        let of = if index % PULSES == 0 { PulseOf::Sample } else { PulseOf::Liveliness };
+        Some(Pulse { slot: index / PULSES, of })
+    }
 }
 
 /// One publisher seen from one subscription. Two cache lines, one for each writer.
@@ -77,14 +117,23 @@ pub(crate) struct LinkOut {
     waiter_arena: AtomicU64,
     waiter_slot: AtomicU32,
     pub(crate) waiting: AtomicU32,
+    /// When it last showed that it is alive; [`KILLED`] once it was found dead.
+    pub(crate) alive_ns: AtomicU64,
 }
+
+/// Where the count of a publisher starts whose samples are not for the subscription: one that does not fit it.
+pub(crate) const NONE_FOR_IT: u64 = u64::MAX;
+
+/// What `alive_ns` says of a publisher that ended without a word.
+pub(crate) const KILLED: u64 = 0;
 
 /// Written by the subscription: the sequence number it took last.
 #[repr(C, align(64))]
 pub(crate) struct Taken(pub(crate) AtomicU64);
 
 impl Link {
-    /// Claims the link, if its owner word is `from`, for a publisher whose next sample will be number `start`.
+    /// Claims the link, if its owner word is `from`, for a publisher whose next sample will be number `start`, or
+    /// [`NONE_FOR_IT`].
     fn claim(&self, from: u64, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> bool {
         let [low, high] = gid.words();
         let Owner(owner) = Owner::of(gid);
@@ -98,6 +147,7 @@ impl Link {
         self.out.sent.store(start.saturating_sub(1), Ordering::Relaxed);
         self.taken.0.store(start.saturating_sub(1), Ordering::Relaxed);
         self.out.waiting.store(0, Ordering::Relaxed);
+        self.out.alive_ns.store(monotonic_ns(), Ordering::Relaxed);
         self.out.waiter_arena.store(waiter.0.0, Ordering::Relaxed);
         self.out.waiter_slot.store(waiter.1 as u32, Ordering::Relaxed);
         self.out.gid[0].store(low, Ordering::Relaxed);
@@ -124,6 +174,14 @@ impl Link {
     /// link is another's by now: a publisher may learn late that a subscription went, and its slot was claimed again.
     pub(crate) fn release(&self, owner: Owner) {
         let _ = self.out.owner.compare_exchange(owner.0, ENDED, Ordering::Release, Ordering::Relaxed);
+    }
+
+    /// The publisher `owner` was killed.
+    pub(crate) fn release_killed(&self, owner: Owner) {
+        if self.owner() == Some(owner) {
+            self.out.alive_ns.store(KILLED, Ordering::Relaxed);
+            self.release(owner);
+        }
     }
 
     /// Whose the link is, if a publisher claimed it. Not its gid: that comes after the claim, and perhaps never.
@@ -259,11 +317,52 @@ impl Arena {
         &self.layout().slots[slot].epoch
     }
 
-    /// Tells the publisher behind `slot` that its topic's participants changed.
+    /// Tells what is behind `slot`, and its events, that its topic's participants changed.
     pub(crate) fn advance_epoch(&self, slot: usize) {
         if let Some(words) = self.layout().slots.get(slot) {
             words.epoch.fetch_add(1, Ordering::Release);
         }
+        self.ring_events(slot);
+    }
+
+    /// Rings the events of what is behind `slot`, if somebody wants to know of them.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; at most one futex wake, and none if nobody wants to know.
+    pub(crate) fn ring_events(&self, slot: usize) {
+        // What happened is visible before the word is read: whoever sets it either is rung or sees it.
+        fence(Ordering::SeqCst);
+        let events = self.layout().slots.get(slot).map_or(0, |words| words.events.load(Ordering::Relaxed));
+        if events != 0 {
+            self.bell().ring(events as usize - 1);
+        }
+    }
+
+    /// The slot to ring for the events of what is behind `slot`. The caller looks for what happened before after this.
+    pub(crate) fn set_events(&self, slot: usize, events: usize) {
+        self.layout().slots[slot].events.store(events as u32 + 1, Ordering::Relaxed);
+        fence(Ordering::SeqCst);
+    }
+
+    /// Nobody wants to know of the events any more, unless another one does by now.
+    pub(crate) fn clear_events(&self, slot: usize, events: usize) {
+        let word = &self.layout().slots[slot].events;
+        let _ = word.compare_exchange(events as u32 + 1, 0, Ordering::Relaxed, Ordering::Relaxed);
+    }
+
+    /// Notes when something happened last.
+    ///
+    /// # Real-time
+    /// Wait-free: one store; no syscall.
+    pub(crate) fn set_pulse(&self, pulse: Pulse, now_ns: u64) {
+        if let Some(words) = self.layout().slots.get(pulse.slot) {
+            words.pulses[pulse.of as usize].store(now_ns, Ordering::Relaxed);
+        }
+    }
+
+    pub(crate) fn pulse_ns(&self, pulse: Pulse) -> u64 {
+        let words = self.layout().slots.get(pulse.slot);
+        words.map_or(0, |words| words.pulses[pulse.of as usize].load(Ordering::Relaxed))
     }
 
     pub(crate) fn links(&self, slot: usize) -> &[Link] {
@@ -286,6 +385,9 @@ impl Arena {
     /// Makes a slot look never used.
     fn reset(&self, slot: usize) {
         self.set_flags(slot, 0);
+        let words = &self.layout().slots[slot];
+        words.events.store(0, Ordering::Relaxed);
+        words.pulses.iter().for_each(|pulse| pulse.store(0, Ordering::Relaxed));
         for link in self.links(slot).iter().filter(|link| link.out.owner.load(Ordering::Relaxed) != FREE) {
             link.out.gid[0].store(0, Ordering::Relaxed);
             link.out.gid[1].store(0, Ordering::Relaxed);
@@ -330,7 +432,7 @@ fn file_prefix(domain: u32) -> String {
 mod tests {
     use super::*;
 
-    const DOMAIN: u32 = 191;
+    const DOMAIN: u32 = 116;
 
     #[test]
     fn a_link_is_released_by_its_owner_alone() {

@@ -17,7 +17,10 @@ mod loom;
 #[cfg(all(test, not(taut_loom)))]
 mod stress;
 
-pub(crate) use arena::{Arena, ArenaId, LINKS, Link, Owner, remove_stale_arenas, slot_flags};
+pub(crate) use arena::{
+    Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, remove_stale_arenas, slot_flags,
+};
+pub use arena::{Pulse, PulseOf};
 
 use crate::error::TransportError;
 use crate::sync::Ordering;
@@ -69,7 +72,7 @@ impl Doorbell {
             free.give_back(index);
             return Err(error);
         }
-        Ok(Slot { doorbell: self.clone(), index })
+        Ok(Slot { doorbell: self.clone(), index, retired: AtomicBool::new(false) })
     }
 
     /// Claims the right to drain this doorbell and to sleep on it, which one sampler has.
@@ -89,6 +92,14 @@ impl Doorbell {
     /// Wait-free; no syscall.
     pub fn is_pending(&self) -> bool {
         self.arena.bell().is_pending()
+    }
+
+    /// When what `pulse` tells of happened last.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn pulse_ns(&self, pulse: Pulse) -> u64 {
+        self.arena.pulse_ns(pulse)
     }
 
     /// Wakes the task registered at `slot`.
@@ -138,6 +149,7 @@ impl Drop for SamplerSeat {
 pub struct Slot {
     doorbell: Arc<Doorbell>,
     index: usize,
+    retired: AtomicBool,
 }
 
 impl Slot {
@@ -157,6 +169,29 @@ impl Slot {
     /// Wait-free; no allocation; at most one futex wake.
     pub fn ring(&self) {
         self.doorbell.arena.bell().ring(self.index);
+    }
+
+    /// Where the time of what happened last here is kept.
+    pub fn pulse(&self, of: PulseOf) -> Pulse {
+        Pulse { slot: self.index, of }
+    }
+
+    /// Notes that it happened at `now_ns`.
+    ///
+    /// # Real-time
+    /// Wait-free: one store; no syscall.
+    pub fn note(&self, of: PulseOf, now_ns: u64) {
+        self.doorbell.arena.set_pulse(self.pulse(of), now_ns);
+    }
+
+    /// What the slot belonged to has ended, though others still hold it: they are told.
+    pub(crate) fn retire(&self) {
+        self.retired.store(true, std::sync::atomic::Ordering::Release);
+        self.doorbell.arena.ring_events(self.index);
+    }
+
+    pub(crate) fn is_retired(&self) -> bool {
+        self.retired.load(std::sync::atomic::Ordering::Acquire)
     }
 
     pub(crate) fn doorbell(&self) -> &Arc<Doorbell> {

@@ -9,6 +9,7 @@
 
 use super::RawPublisher;
 use super::peers::Peers;
+use crate::doorbell::PulseOf;
 use crate::error::{LoanError, PublishError};
 use crate::header::{MessageInfo, SampleHeader};
 use crate::sync::{Ordering, fence};
@@ -134,6 +135,10 @@ impl RawPublisher {
         mut loan: RawLoan<'p>,
         stamp: Stamp,
     ) -> Result<(), Unpublished<RawLoan<'p>>> {
+        if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
+            self.counters.silenced.fetch_add(1, Ordering::Relaxed);
+            return Ok(());
+        }
         let mut peers = self.peers.borrow_mut();
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
         if self.keep_all && !has_room(&peers) {
@@ -141,9 +146,10 @@ impl RawPublisher {
         }
         let sequence_number = peers.sequence_number + 1;
         peers.sequence_number = sequence_number;
+        let now_ns = monotonic_ns();
         let (released_ns, source) = match stamp {
-            Stamp::As(source) => (monotonic_ns(), source),
-            Stamp::Now => (monotonic_ns(), self.info(sequence_number)),
+            Stamp::As(source) => (now_ns, source),
+            Stamp::Now => (now_ns, self.info(sequence_number)),
             Stamp::ReleasedAt(released_ns) => (released_ns, self.info(sequence_number)),
         };
         *loan.sample.user_header_mut() = SampleHeader {
@@ -151,15 +157,24 @@ impl RawPublisher {
             gid: self.gid,
             released_ns,
             body_bytes: loan.len_bytes as u64,
-            flags: 0,
+            expires_ns: now_ns.saturating_add(self.lifespan_ns),
             source_timestamp_ns: source.source_timestamp_ns,
             source_sequence_number: source.sequence_number,
             source_gid: source.publisher_gid,
         };
         let address = loan.sample.payload().as_ptr().addr();
         tautline_trace::publish(self.trace.id(), &loan.sample.user_header().trace_id(address));
-        for link in peers.matched.iter().filter_map(|matched| matched.link()) {
-            link.out.sent.store(sequence_number, Ordering::Relaxed);
+        for matched in &peers.matched {
+            if let Some(link) = matched.link() {
+                link.out.sent.store(sequence_number, Ordering::Relaxed);
+            }
+            matched.note_sample(now_ns);
+        }
+        if self.qos.deadline.is_some() {
+            self.slot.note(PulseOf::Sample, now_ns);
+        }
+        if self.is_manual {
+            self.show_life(&peers, now_ns);
         }
         let sent = loan.sample.send();
         // The sample is queued before the epoch is read and the bells are rung: a subscription that appears either is
@@ -168,6 +183,24 @@ impl RawPublisher {
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
         peers.ring();
         sent.map(|_| ()).map_err(|_| Unpublished::Incomplete)
+    }
+
+    /// Says that this publisher is alive, as publishing does: for one whose liveliness is manual and that has nothing to say.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; no syscall. When subscriptions have appeared or gone since the last call:
+    /// allocates and maps memory.
+    pub fn assert_liveliness(&self) {
+        let mut peers = self.peers.borrow_mut();
+        peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
+        self.show_life(&peers, monotonic_ns());
+    }
+
+    fn show_life(&self, peers: &Peers, now_ns: u64) {
+        self.slot.note(PulseOf::Liveliness, now_ns);
+        for link in peers.matched.iter().filter_map(|matched| matched.link()) {
+            link.out.alive_ns.store(now_ns, Ordering::Relaxed);
+        }
     }
 
     /// What this publisher's own message says of itself.

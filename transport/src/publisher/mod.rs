@@ -1,28 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Publishers of bytes: loan, write in place, publish. What is above knows the type.
 
+mod gate;
 mod hot;
 mod peers;
 
+pub use gate::Gate;
 pub use hot::{RawLoan, Unpublished};
 
 use crate::address::{Address, Role};
-use crate::doorbell::{Slot, slot_flags};
+use crate::doorbell::{PulseOf, Slot, slot_flags};
 use crate::error::TransportError;
 use crate::graph::Presence;
-use crate::header::Gid;
+use crate::header::{Gid, NEVER};
 use crate::history::Keeper;
 use crate::janitor::Watch;
 use crate::memory;
-use crate::participant::Shared;
+use crate::participant::{Participant, Shared};
 use crate::ports;
-use crate::qos::{Durability, History, Limits, Qos};
+use crate::qos::{Durability, History, Limits, Liveliness, Qos, nanoseconds};
 use crate::topic::{IoxPublisher, Topic, padded};
 use crate::topic_type::TopicType;
 use peers::Peers;
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use tautline_rt::clock::monotonic_ns;
 
 /// Publishes bodies of CDR on one topic, of whatever type. What is written is not looked at.
 ///
@@ -31,23 +34,43 @@ pub struct RawPublisher {
     port: IoxPublisher,
     peers: RefCell<Peers>,
     keep_all: bool,
+    gate: Option<Gate>,
+    /// Whether it has to show that it is alive.
+    is_manual: bool,
+    /// `u64::MAX` without one.
+    lifespan_ns: u64,
     gid: Gid,
     trace: tautline_trace::Object,
     qos: Qos,
     /// The longest payload that fits without a larger segment.
     capacity_bytes: Cell<usize>,
     counters: Arc<PublisherCounters>,
-    slot: Slot,
+    address: Address,
+    slot: Arc<Slot>,
     topic: Arc<Topic>,
-    // After the port, which it announces the end of.
+    // After the port, which they announce the end of.
+    _departure: Departure,
     _presence: Presence,
     shared: Arc<Shared>,
+}
+
+/// Tells subscriptions that the publisher's port, dropped just before this, has gone.
+struct Departure {
+    topic: Arc<Topic>,
+    shared: Arc<Shared>,
+}
+
+impl Drop for Departure {
+    fn drop(&mut self) {
+        ports::announce_publisher(self.shared.domain, &self.shared.doorbell, &self.topic);
+    }
 }
 
 /// What happened to one publisher's memory, readable from any thread.
 #[derive(Debug, Default)]
 pub struct PublisherCounters {
     growths: AtomicU64,
+    silenced: AtomicU64,
 }
 
 impl PublisherCounters {
@@ -55,6 +78,11 @@ impl PublisherCounters {
     /// made: allocations and system calls in a loan. 0 is what a real-time publisher should read.
     pub fn growths(&self) -> u64 {
         self.growths.load(Ordering::Relaxed)
+    }
+
+    /// Messages that were not sent because the publisher's [`Gate`] was shut.
+    pub fn silenced(&self) -> u64 {
+        self.silenced.load(Ordering::Relaxed)
     }
 }
 
@@ -65,24 +93,28 @@ unsafe impl Send for RawPublisher {}
 
 impl RawPublisher {
     pub(crate) fn create(
-        shared: Arc<Shared>,
+        participant: &Participant,
         topic: &str,
         topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
+        is_relay: bool,
     ) -> Result<Self, TransportError> {
+        let shared = participant.shared.clone();
         let topic = Arc::new(Topic::open(&shared.node, topic, topic_type, qos, limits, false)?);
         let transient = qos.durability == Durability::TransientLocal;
-        let slot = shared.doorbell.claim()?;
+        let slot = Arc::new(shared.doorbell.claim()?);
         let role = if transient { Role::TransientPublisher } else { Role::Publisher };
         if transient {
             slot.set_flags(slot_flags::TRANSIENT_LOCAL);
         }
-        let address = Address { role, arena: shared.doorbell.arena().id(), slot: slot.index(), qos };
+        let address =
+            Address { role, arena: shared.doorbell.arena().id(), slot: slot.index(), qos, is_relay };
         let port = topic
             .publisher_port(&topic.factory, &address.to_port_name(), topic.limits)
             .map_err(|error| create_error(&topic, error))?;
         let gid = ports::gid(port.id().value());
+        let owner = participant.own(gid)?;
         if transient {
             let keeper = Keeper::new(shared.domain, &shared.doorbell, &topic, gid, qos.depth, slot.index())?;
             shared.janitor.keep(slot.index(), keeper);
@@ -97,28 +129,45 @@ impl RawPublisher {
             ring_at_ns: None,
         };
         shared.janitor.watch(watch);
-        let peers = Peers::new(shared.domain, topic.limits.subscribers);
+        ports::warn_of_incompatible(&topic, &address);
+        let peers = Peers::new(shared.domain, address, topic.limits.subscribers);
         let keep_all = qos.history == History::KeepAll;
+        slot.note(PulseOf::Liveliness, monotonic_ns());
         let publisher = RawPublisher {
             port,
             peers: RefCell::new(peers),
             keep_all,
+            gate: None,
+            is_manual: qos.liveliness == Liveliness::ManualByTopic,
+            lifespan_ns: qos.lifespan.map_or(NEVER, nanoseconds),
             gid,
             trace: tautline_trace::publisher_init(&topic.name, qos.depth, gid.words()),
             qos,
             capacity_bytes: Cell::new(padded(topic.limits.message_bytes)),
             counters: Arc::default(),
+            address,
             slot,
+            _departure: Departure { topic: topic.clone(), shared: shared.clone() },
             topic,
-            _presence: Presence::new(&shared.graph),
+            _presence: Presence::new(&shared.graph, owner),
             shared,
         };
-        let mut peers = publisher.peers.borrow_mut();
-        peers.refresh(&publisher.topic, &publisher.slot, gid);
-        // Subscriptions connect when they next take: better now than when the first sample is there.
-        peers.ring();
-        drop(peers);
+        publisher.peers.borrow_mut().refresh(&publisher.topic, &publisher.slot, gid);
+        let Shared { domain, doorbell, .. } = &*publisher.shared;
+        ports::announce_publisher(*domain, doorbell, &publisher.topic);
         Ok(publisher)
+    }
+
+    /// The same, silent while `gate` is shut: publishing then succeeds, and is counted, but nothing is sent.
+    #[must_use]
+    pub fn with_gate(mut self, gate: Gate) -> Self {
+        self.gate = Some(gate);
+        self
+    }
+
+    /// What its monitor watches.
+    pub(crate) fn place(&self) -> (&Arc<Topic>, &Arc<Slot>, Address) {
+        (&self.topic, &self.slot, self.address)
     }
 
     /// The topic's fully qualified name.
@@ -145,6 +194,25 @@ impl RawPublisher {
     /// What is known of the topic's type.
     pub fn topic_type(&self) -> &TopicType {
         &self.topic.topic_type
+    }
+
+    /// Whether every subscription there is has taken all that was sent, as far as it is known.
+    pub(crate) fn is_taken(&self) -> bool {
+        let mut peers = self.peers.borrow_mut();
+        peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
+        let sent = peers.sequence_number;
+        // Acquire: pairs with the Release in the subscription's tracker.
+        let taken = |link: &crate::doorbell::Link| link.taken.0.load(crate::sync::Ordering::Acquire) >= sent;
+        peers.matched.iter().filter_map(|matched| matched.link()).all(taken)
+    }
+
+    /// Its slot, which is rung when the topic's ports change.
+    pub(crate) fn slot(&self) -> &Slot {
+        &self.slot
+    }
+
+    pub(crate) fn factory(&self) -> &crate::topic::Factory {
+        &self.topic.factory
     }
 
     /// The counters, to be read from any thread.
@@ -178,6 +246,12 @@ impl RawPublisher {
     }
 }
 
+impl AsRef<RawPublisher> for RawPublisher {
+    fn as_ref(&self) -> &RawPublisher {
+        self
+    }
+}
+
 impl std::fmt::Debug for RawPublisher {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("RawPublisher")
@@ -191,6 +265,7 @@ impl Drop for RawPublisher {
     fn drop(&mut self) {
         self.shared.janitor.forget(self.slot.index());
         self.peers.borrow().end(self.gid);
+        self.slot.retire();
     }
 }
 

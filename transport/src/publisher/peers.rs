@@ -1,18 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The subscriptions that a publisher rings, brought up to date when the topic's epoch changes.
 
-use crate::doorbell::{Link, Owner, Slot, slot_flags};
+use crate::address::Address;
+use crate::doorbell::{Link, NONE_FOR_IT, Owner, Pulse, PulseOf, Slot, slot_flags};
 use crate::header::Gid;
 use crate::ports::{self, Reached};
 use crate::topic::Topic;
 
 pub(crate) struct Peers {
     domain: u32,
+    /// This publisher's own: subscriptions that do not fit it are none of its.
+    address: Address,
     /// The epoch whose ports `matched` shows.
     pub(crate) epoch: Option<u32>,
     /// Sequence number of the sample published last.
     pub(crate) sequence_number: u64,
     pub(crate) matched: Vec<Matched>,
+    /// Subscriptions that this publisher does not fit: they are told that nothing is for them, once.
+    apart: Vec<Matched>,
 }
 
 pub(crate) struct Matched {
@@ -36,11 +41,28 @@ impl Matched {
     pub(crate) fn keeps_all(&self) -> bool {
         self.flags() & slot_flags::KEEP_ALL != 0
     }
+
+    /// Tells a subscription that has a deadline that a sample comes now.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn note_sample(&self, now_ns: u64) {
+        if self.flags() & slot_flags::DEADLINE != 0 {
+            self.reached.arena().set_pulse(Pulse { slot: self.slot, of: PulseOf::Sample }, now_ns);
+        }
+    }
 }
 
 impl Peers {
-    pub(crate) fn new(domain: u32, capacity: usize) -> Self {
-        Peers { domain, epoch: None, sequence_number: 0, matched: Vec::with_capacity(capacity) }
+    pub(crate) fn new(domain: u32, address: Address, capacity: usize) -> Self {
+        Peers {
+            domain,
+            address,
+            epoch: None,
+            sequence_number: 0,
+            matched: Vec::with_capacity(capacity),
+            apart: Vec::new(),
+        }
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -61,20 +83,21 @@ impl Peers {
         // Before listing: what changes after this load changes the epoch again.
         self.epoch = Some(slot.epoch());
         let ports = ports::subscriptions(&topic.factory);
-        self.matched.retain(|matched| {
+        let stays = |matched: &Matched| {
             let stays = ports.iter().any(|port| port.id == matched.id);
             if !stays && let Some(link) = matched.link() {
                 link.release(Owner::of(gid));
             }
             stays
-        });
+        };
+        self.matched.retain(stays);
+        self.apart.retain(stays);
         for port in ports {
-            if self.matched.iter().any(|matched| matched.id == port.id) {
+            if self.all().any(|matched| matched.id == port.id) {
                 continue;
             }
             let own = slot.doorbell();
-            let known =
-                self.matched.iter().find(|matched| matched.reached.arena().id() == port.address.arena);
+            let known = self.all().find(|matched| matched.reached.arena().id() == port.address.arena);
             let reached = match known {
                 Some(matched) => Some(matched.reached.clone()),
                 None => Reached::reach(self.domain, own, port.address.arena),
@@ -82,10 +105,17 @@ impl Peers {
             // Gone already: its end changes the epoch again.
             let Some(reached) = reached else { continue };
             let waiter = (own.arena().id(), slot.index());
-            let link = reached.arena().claim_link(port.address.slot, gid, self.sequence_number + 1, waiter);
+            let fits = self.address.incompatibility(&port.address).is_none();
+            let start = if fits { self.sequence_number + 1 } else { NONE_FOR_IT };
+            let link = reached.arena().claim_link(port.address.slot, gid, start, waiter);
             let depth = port.depth as u64;
-            self.matched.push(Matched { id: port.id, reached, slot: port.address.slot, depth, link });
+            let matched = Matched { id: port.id, reached, slot: port.address.slot, depth, link };
+            if fits { &mut self.matched } else { &mut self.apart }.push(matched);
         }
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Matched> {
+        self.matched.iter().chain(&self.apart)
     }
 
     /// Rings every subscription that does not poll by itself.
@@ -102,7 +132,7 @@ impl Peers {
 
     /// The publisher `gid` ends: subscriptions settle what they did not get.
     pub(crate) fn end(&self, gid: Gid) {
-        for matched in &self.matched {
+        for matched in self.all() {
             if let Some(link) = matched.link() {
                 link.release(Owner::of(gid));
             }

@@ -6,7 +6,7 @@
 use super::{Counters, RawSubscription, State};
 use crate::doorbell::{ArenaId, Doorbell, Link};
 use crate::error::TakeError;
-use crate::header::{END_OF_HISTORY, Gid, MessageInfo};
+use crate::header::{END_OF_HISTORY, Gid, MessageInfo, NEVER, SampleHeader};
 use crate::lending::{Lent, Shelf, Sole};
 use crate::ports::Reached;
 use crate::qos::History;
@@ -20,6 +20,7 @@ use futures::Stream;
 use iceoryx2::port::ReceiveError;
 use std::sync::Arc;
 use tautline_msgs::cdr::{DecodeError, DecodeFault, FieldPath};
+use tautline_rt::clock::monotonic_ns;
 
 /// A body in shared memory. At most `Limits::held` of one subscription are alive at once; they may be dropped in any
 /// thread.
@@ -124,7 +125,7 @@ impl RawSubscription {
     ///
     /// # Real-time
     /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
-    /// and its sampler sleeps. When publishers have appeared or gone since the last call, or one of them took a larger
+    /// and its sampler sleeps, and one if messages were lost and somebody watches for that. When publishers have appeared or gone since the last call, or one of them took a larger
     /// segment: allocates and maps memory.
     ///
     /// # Errors
@@ -149,11 +150,14 @@ impl RawSubscription {
             let Some(sample) = receive(&self.port, &self.shelf)? else {
                 match state.tracker.settle(links) {
                     0 => {}
-                    lost => add(&self.counters.lost, lost),
+                    lost => self.note_lost(lost),
                 }
                 return Ok(None);
             };
             let header = *sample.user_header();
+            if state.incompatible.contains(&header.gid) {
+                continue;
+            }
             let Some(noted) = state.tracker.note(header.gid, header.sequence_number, links) else { continue };
             if self.qos.history == History::KeepAll
                 && let Some(link) = noted.link.and_then(|link| links.get(link))
@@ -163,7 +167,15 @@ impl RawSubscription {
             if noted.duplicate {
                 continue;
             }
-            self.counters.note(noted.lost, noted.waiting.min(self.qos.depth as u64));
+            if noted.lost != 0 {
+                self.note_lost(noted.lost);
+            }
+            self.counters.note_queue(noted.waiting.min(self.qos.depth as u64));
+            if has_expired(&header) {
+                add(&self.counters.expired, 1);
+                continue;
+            }
+            add(&self.counters.received, 1);
             return self.lend(sample, &self.shelf).map(Some);
         }
     }
@@ -185,10 +197,16 @@ impl RawSubscription {
                 return Ok(None);
             };
             let header = *sample.user_header();
-            if header.flags & END_OF_HISTORY != 0 {
+            if header.expires_ns == END_OF_HISTORY {
                 catch.end(header.gid);
-            } else if state.tracker.note_history(header.gid, header.sequence_number, links) {
-                self.counters.note(0, 0);
+            } else if !state.incompatible.contains(&header.gid)
+                && state.tracker.note_history(header.gid, header.sequence_number, links)
+            {
+                if has_expired(&header) {
+                    add(&self.counters.expired, 1);
+                    continue;
+                }
+                add(&self.counters.received, 1);
                 return self.lend(sample, &catch.shelf).map(Some);
             }
         }
@@ -218,6 +236,13 @@ impl RawSubscription {
             port_sequence_number,
             _lent: lent,
         })
+    }
+
+    /// Counts lost messages, and tells who wants to know: the only case in which a take rings.
+    fn note_lost(&self, lost: u64) {
+        add(&self.counters.lost, lost);
+        let slot = &self.departure.slot;
+        slot.doorbell().arena().ring_events(slot.index());
     }
 
     /// Counts a sample that is not a message of the type that its reader expects.
@@ -302,18 +327,19 @@ fn receive(port: &Sole<IoxSubscriber>, shelf: &Shelf<IoxSample>) -> Result<Optio
 }
 
 impl Counters {
-    pub(super) fn note(&self, lost: u64, waiting: u64) {
-        add(&self.received, 1);
-        if lost != 0 {
-            add(&self.lost, lost);
-        }
+    fn note_queue(&self, waiting: u64) {
         if waiting > self.max_queue.load(Ordering::Relaxed) {
             self.max_queue.store(waiting, Ordering::Relaxed);
         }
     }
 }
 
+/// Whether its publisher's lifespan is over. Without one the clock is not read.
+fn has_expired(header: &SampleHeader) -> bool {
+    header.expires_ns != NEVER && monotonic_ns() >= header.expires_ns
+}
+
 /// Only the subscription's thread writes its counters: a load and a store, no locked instruction.
-fn add(counter: &AtomicU64, n: u64) {
+pub(super) fn add(counter: &AtomicU64, n: u64) {
     counter.store(counter.load(Ordering::Relaxed).saturating_add(n), Ordering::Relaxed);
 }

@@ -11,10 +11,11 @@ use crate::address::{Address, Role};
 use crate::doorbell::{Slot, slot_flags};
 use crate::error::TransportError;
 use crate::graph::Presence;
+use crate::header::Gid;
 use crate::history::Catch;
 use crate::janitor::Watch;
 use crate::lending::{Shelf, Sole};
-use crate::participant::Shared;
+use crate::participant::{Participant, Shared};
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Qos};
 use crate::topic::{IoxSample, IoxSubscriber, Topic};
@@ -34,6 +35,7 @@ pub struct RawSubscription {
     port: Sole<IoxSubscriber>,
     shelf: Shelf<IoxSample>,
     state: RefCell<State>,
+    address: Address,
     departure: Departure,
     _presence: Presence,
     counters: Arc<Counters>,
@@ -48,6 +50,9 @@ struct State {
     catch: Option<Catch>,
     /// What is taken next is of this publisher: doorbells of publishers that wait for room.
     waiters: hot::Waiters,
+    /// Publishers that were there before this subscription and do not offer what it requests: what they sent it before they
+    /// knew of it is none of its. Later ones say so in their link.
+    incompatible: Vec<Gid>,
 }
 
 /// What happened to the messages of one subscription, readable from any thread.
@@ -57,6 +62,7 @@ pub struct Counters {
     lost: AtomicU64,
     invalid: AtomicU64,
     refused: AtomicU64,
+    expired: AtomicU64,
     max_queue: AtomicU64,
 }
 
@@ -83,6 +89,11 @@ impl Counters {
         self.refused.load(Ordering::Relaxed)
     }
 
+    /// Messages not delivered because they were older than their publisher's lifespan when they were to be taken.
+    pub fn expired(&self) -> u64 {
+        self.expired.load(Ordering::Relaxed)
+    }
+
     /// Most messages of one publisher that waited at once, in samples, seen when taking; at most the depth.
     pub fn max_queue(&self) -> u64 {
         self.max_queue.load(Ordering::Relaxed)
@@ -91,12 +102,14 @@ impl Counters {
 
 impl RawSubscription {
     pub(crate) fn create(
-        shared: Arc<Shared>,
+        participant: &Participant,
         topic: &str,
         topic_type: &TopicType,
         qos: Qos,
         limits: Limits,
+        is_relay: bool,
     ) -> Result<Self, TransportError> {
+        let shared = participant.shared.clone();
         let topic = Arc::new(Topic::open(&shared.node, topic, topic_type, qos, limits, true)?);
         let transient = qos.durability == Durability::TransientLocal;
         let limit = topic.limits.subscribers;
@@ -104,12 +117,14 @@ impl RawSubscription {
         if existing >= limit {
             return Err(too_many(&topic, limit));
         }
-        let slot = shared.doorbell.claim()?;
-        if qos.history == History::KeepAll {
-            slot.set_flags(slot_flags::KEEP_ALL);
-        }
+        let slot = Arc::new(shared.doorbell.claim()?);
+        let flag = |set: bool, flag: u32| if set { flag } else { 0 };
+        slot.set_flags(
+            flag(qos.history == History::KeepAll, slot_flags::KEEP_ALL)
+                | flag(qos.deadline.is_some(), slot_flags::DEADLINE),
+        );
         let (role, arena) = (Role::Subscription, shared.doorbell.arena().id());
-        let address = Address { role, arena, slot: slot.index(), qos };
+        let address = Address { role, arena, slot: slot.index(), qos, is_relay };
         let port = topic
             .factory
             .subscriber_builder()
@@ -118,9 +133,11 @@ impl RawSubscription {
             .set_degradation_handler(topic.warn_of_degradation())
             .create()
             .map_err(|error| create_error(&topic, error))?;
+        let owner = participant.own(ports::gid(port.id().value()))?;
         let catch = if transient { Catch::open(&topic, address, qos.depth)? } else { None };
         // Publishers learn of the new queue; what they sent before that is found by the first take.
         ports::announce(shared.domain, &shared.doorbell, &topic, catch.is_some());
+        ports::warn_of_incompatible(&topic, &address);
         let fingerprint = ports::fingerprint(&topic);
         let ring_at_ns = catch.as_ref().map(Catch::give_up_ns);
         // Not the present one: a publisher may have come and gone already.
@@ -135,17 +152,24 @@ impl RawSubscription {
         };
         shared.janitor.watch(watch);
         let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);
-        let presence = Presence::new(&shared.graph);
+        let presence = Presence::new(&shared.graph, owner);
+        let incompatible = incompatible(&topic, &address);
         Ok(RawSubscription {
             port: Sole::new(port),
             shelf: Shelf::new(topic.limits.held),
-            state: RefCell::new(State { epoch, tracker: Tracker::new(), catch, waiters }),
+            state: RefCell::new(State { epoch, tracker: Tracker::new(), catch, waiters, incompatible }),
             trace: tautline_trace::subscription_init(&topic.name, qos.depth),
+            address,
             departure: Departure { slot, topic, shared },
             _presence: presence,
             counters: Arc::default(),
             qos,
         })
+    }
+
+    /// What its monitor watches.
+    pub(crate) fn place(&self) -> (&Arc<Topic>, &Arc<Slot>, Address) {
+        (&self.departure.topic, &self.departure.slot, self.address)
     }
 
     /// The topic's fully qualified name.
@@ -168,6 +192,11 @@ impl RawSubscription {
         &self.departure.topic.topic_type
     }
 
+    /// A number that moves when the topic's ports change.
+    pub(crate) fn ports_epoch(&self) -> u32 {
+        self.departure.slot.epoch()
+    }
+
     /// The counters, to be read from any thread.
     pub fn counters(&self) -> Arc<Counters> {
         self.counters.clone()
@@ -178,9 +207,13 @@ impl RawSubscription {
         self.trace.id()
     }
 
-    /// Number of publishers of the topic.
+    /// Number of publishers of the topic that offer what this subscription requests.
     pub fn publisher_count(&self) -> usize {
-        ports::publishers(&self.departure.topic).len()
+        let mut count = 0;
+        ports::each_publisher(&self.departure.topic.factory, |port| {
+            count += usize::from(self.address.incompatibility(&port.address).is_none());
+        });
+        count
     }
 
     /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback).
@@ -191,9 +224,15 @@ impl RawSubscription {
     }
 }
 
+impl AsRef<RawSubscription> for RawSubscription {
+    fn as_ref(&self) -> &RawSubscription {
+        self
+    }
+}
+
 /// Tells publishers that the subscription's port, dropped just before this, has gone.
 struct Departure {
-    slot: Slot,
+    slot: Arc<Slot>,
     topic: Arc<Topic>,
     shared: Arc<Shared>,
 }
@@ -202,7 +241,19 @@ impl Drop for Departure {
     fn drop(&mut self) {
         self.shared.janitor.forget(self.slot.index());
         ports::announce(self.shared.domain, &self.shared.doorbell, &self.topic, false);
+        self.slot.retire();
     }
+}
+
+/// The publishers that do not offer what is requested at `address`.
+fn incompatible(topic: &Topic, address: &Address) -> Vec<Gid> {
+    let mut found = Vec::new();
+    ports::each_publisher(&topic.factory, |port| {
+        if address.incompatibility(&port.address).is_some() {
+            found.push(port.gid);
+        }
+    });
+    found
 }
 
 fn too_many(topic: &Topic, limit: usize) -> TransportError {

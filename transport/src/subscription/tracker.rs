@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which sample of which publisher comes next: counts what was overwritten, drops what comes twice.
 
-use crate::doorbell::{LINKS, Link};
+use crate::doorbell::{LINKS, Link, NONE_FOR_IT};
 use crate::header::Gid;
 use crate::sync::Ordering;
 
@@ -32,7 +32,7 @@ struct Seen {
 
 /// What a sample's sequence number says.
 pub(crate) struct Noted {
-    /// It came already, with the history: it only makes room.
+    /// It came already, with the history, or is not for this subscription: it only makes room.
     pub(crate) duplicate: bool,
     /// Samples missing before this one.
     pub(crate) lost: u64,
@@ -59,7 +59,8 @@ impl Tracker {
                 // Matched before it sent this one: it wrote where its count starts for us. Earlier than that, the
                 // sample reached us before the publisher knew of us, and nothing before it was meant for us.
                 let start = links.iter().find(|link| link.gid() == gid).map_or(sequence_number, Link::start);
-                self.remember(gid, start.min(sequence_number), links)
+                let next = if start == NONE_FOR_IT { NONE_FOR_IT } else { start.min(sequence_number) };
+                self.remember(gid, next, links)
             }
         };
         let seen = self.seen.get_mut(index)?;
@@ -189,8 +190,8 @@ mod tests {
         assert_eq!(tracker.note(B, u64::MAX, &[]).map(|noted| noted.lost), Some(u64::MAX - 2));
         assert!(!tracker.note_history(B, 7, &[]));
         let counters = super::super::Counters::default();
-        counters.note(u64::MAX - 2, 0);
-        counters.note(u64::MAX, 0);
+        super::super::hot::add(&counters.lost, u64::MAX - 2);
+        super::super::hot::add(&counters.lost, u64::MAX);
         assert_eq!(counters.lost(), u64::MAX);
     }
 

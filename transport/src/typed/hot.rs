@@ -6,7 +6,7 @@
 use super::{Publisher, Subscription};
 use crate::error::{LoanError, PublishError, TakeError};
 use crate::header::MessageInfo;
-use crate::publisher::{RawLoan, Unpublished};
+use crate::publisher::{RawLoan, RawPublisher, Unpublished};
 use crate::subscription::{INVALID_AT_ONCE, RawSample};
 use core::fmt;
 use core::marker::PhantomData;
@@ -32,17 +32,7 @@ impl<T: Message> Publisher<T> {
     where
         T: Plain,
     {
-        let mut raw = self.raw.loan(T::CDR_SIZE)?;
-        let memory = raw.payload_mut();
-        if memory.len() < size_of::<T>() || memory.as_ptr().align_offset(align_of::<T>()) != 0 {
-            return Err(LoanError::TooLarge);
-        }
-        // Only this publisher writes here, and only whole messages; zeros are a valid `T` too. Another process that broke
-        // the rules must still not make an invalid `T`.
-        if !T::ALWAYS_VALID && T::validate(memory).is_err() {
-            memory.fill(0);
-        }
-        Ok(Loan { raw, _message: PhantomData })
+        Loan::of_plain(&self.raw)
     }
 
     /// [`loan`](Self::loan) by r2r's name. The loan is published with its own [`publish`](Loan::publish).
@@ -72,8 +62,7 @@ impl<T: Message> Publisher<T> {
     where
         T: Fill,
     {
-        let raw = self.raw.loan(sized_len::<T>(sizes))?;
-        Ok(Unwritten { raw, sizes })
+        Unwritten::of_sizes(&self.raw, sizes)
     }
 
     /// Writes `message` into a loan and publishes it.
@@ -133,6 +122,11 @@ pub struct Unwritten<'p, 's, T: Message + Fill> {
 }
 
 impl<'p, 's, T: Message + Fill> Unwritten<'p, 's, T> {
+    pub(crate) fn of_sizes(publisher: &'p RawPublisher, sizes: T::Sizes<'s>) -> Result<Self, LoanError> {
+        let raw = publisher.loan(sized_len::<T>(sizes))?;
+        Ok(Unwritten { raw, sizes })
+    }
+
     /// Lets `write` set each field in place, and checks that none was forgotten. What it does not write of a sequence's
     /// `slice_mut` holds zeros, or an earlier message of this publisher.
     ///
@@ -169,6 +163,22 @@ pub struct Loan<'p, T: Message> {
     /// If `T` is plain, its payload starts with a valid `T`.
     raw: RawLoan<'p>,
     _message: PhantomData<fn(T)>,
+}
+
+impl<'p, T: Message + Plain> Loan<'p, T> {
+    pub(crate) fn of_plain(publisher: &'p RawPublisher) -> Result<Self, LoanError> {
+        let mut raw = publisher.loan(T::CDR_SIZE)?;
+        let memory = raw.payload_mut();
+        if memory.len() < size_of::<T>() || memory.as_ptr().align_offset(align_of::<T>()) != 0 {
+            return Err(LoanError::TooLarge);
+        }
+        // Only this publisher writes here, and only whole messages; zeros are a valid `T` too. Another process that broke
+        // the rules must still not make an invalid `T`.
+        if !T::ALWAYS_VALID && T::validate(memory).is_err() {
+            memory.fill(0);
+        }
+        Ok(Loan { raw, _message: PhantomData })
+    }
 }
 
 impl<'p, T: Message> Loan<'p, T> {
@@ -214,7 +224,7 @@ impl<'p, T: Message> Loan<'p, T> {
     }
 
     /// The message as bytes that may be sent: what a plain value's padding held before stays here.
-    fn ready(mut self) -> RawLoan<'p> {
+    pub(crate) fn ready(mut self) -> RawLoan<'p> {
         let body_bytes = self.raw.len();
         let memory = self.raw.payload_mut();
         T::clear_gaps(memory);
@@ -222,7 +232,8 @@ impl<'p, T: Message> Loan<'p, T> {
         self.raw
     }
 
-    fn back(raw: RawLoan<'p>) -> Self {
+    /// What became bytes, again.
+    pub(crate) fn back(raw: RawLoan<'p>) -> Self {
         Loan { raw, _message: PhantomData }
     }
 }
@@ -264,7 +275,7 @@ pub struct Sample<T: Message> {
 
 impl<T: Message> Sample<T> {
     /// Checks the bytes once.
-    fn new(raw: RawSample) -> Result<Self, DecodeError> {
+    pub(crate) fn new(raw: RawSample) -> Result<Self, DecodeError> {
         let payload: *const [u8] = raw.payload();
         // SAFETY: the payload is mapped and unchanged as long as `raw` lives, wherever that moves. What borrows it is kept
         // beside `raw` and is not used after it.

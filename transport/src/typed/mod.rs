@@ -9,7 +9,7 @@ pub use hot::{Loan, Sample, Unwritten};
 use crate::error::TransportError;
 use crate::header::Gid;
 use crate::participant::Participant;
-use crate::publisher::{PublisherCounters, RawPublisher};
+use crate::publisher::{Gate, PublisherCounters, RawPublisher};
 use crate::qos::{Limits, Qos};
 use crate::subscription::{Counters, RawSubscription};
 use crate::topic_type::TopicType;
@@ -35,6 +35,12 @@ impl<T: Message> Publisher<T> {
     ) -> Result<Self, TransportError> {
         let raw = participant.create_raw_publisher(topic, &TopicType::of::<T>(), qos, limits)?;
         Ok(Publisher { raw, _message: PhantomData })
+    }
+
+    /// The same, silent while `gate` is shut: see [`RawPublisher::with_gate`].
+    #[must_use]
+    pub fn with_gate(self, gate: Gate) -> Self {
+        Publisher { raw: self.raw.with_gate(gate), ..self }
     }
 
     /// The publisher of bytes below.
@@ -67,12 +73,26 @@ impl<T: Message> Publisher<T> {
         self.raw.counters()
     }
 
+    /// Says that this publisher is alive: see [`RawPublisher::assert_liveliness`].
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall, if the topic's ports have not changed; else allocates and maps memory.
+    pub fn assert_liveliness(&self) {
+        self.raw.assert_liveliness();
+    }
+
     /// Number of subscriptions that the next sample goes to.
     ///
     /// # Real-time
     /// Wait-free if the topic's ports have not changed; else allocates and maps memory.
     pub fn subscription_count(&self) -> usize {
         self.raw.subscription_count()
+    }
+}
+
+impl<T> AsRef<RawPublisher> for Publisher<T> {
+    fn as_ref(&self) -> &RawPublisher {
+        &self.raw
     }
 }
 
@@ -101,8 +121,11 @@ impl<T: Message> Subscription<T> {
         qos: Qos,
         limits: Limits,
     ) -> Result<Self, TransportError> {
-        let raw = participant.create_raw_subscription(topic, &TopicType::of::<T>(), qos, limits)?;
-        Ok(Subscription { raw, _message: PhantomData })
+        Ok(Self::of_raw(participant.create_raw_subscription(topic, &TopicType::of::<T>(), qos, limits)?))
+    }
+
+    pub(crate) fn of_raw(raw: RawSubscription) -> Self {
+        Subscription { raw, _message: PhantomData }
     }
 
     /// The subscription to bytes below.

@@ -8,6 +8,7 @@ use crate::incoming::{Checks, Incoming, Inlet, OwnGids, port_qos};
 use crate::locals;
 use crate::mirror::{Action, InQos, Mirror, OutQos, Writer};
 use crate::outgoing::{Outgoing, Sender};
+use crate::remote::remote_graph;
 use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
 use crate::types::Types;
 use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, token_wildcard};
@@ -63,6 +64,8 @@ static MISSED: AtomicBool = AtomicBool::new(false);
 const PERIOD: Duration = Duration::from_secs(1);
 /// Changes of the graph are shown together, this long after one another at least.
 const BATCH: Duration = Duration::from_millis(20);
+/// And this much longer for each token, for all are written anew.
+const BATCH_PER_TOKEN: Duration = Duration::from_micros(50);
 /// How long others are waited for when all tokens are asked for.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
 /// Topics whose numbers are kept after they ended, besides those that are mirrored.
@@ -133,7 +136,7 @@ impl Control {
     pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
         let mut next = Instant::now() + PERIOD;
         while !self.shared.stop.load(Ordering::Acquire) {
-            let soon = self.is_unseen.then(|| self.shown + BATCH).map_or(next, |at| at.min(next));
+            let soon = self.is_unseen.then(|| self.shown + self.batch()).map_or(next, |at| at.min(next));
             let event = events.recv_timeout(soon.saturating_duration_since(Instant::now()));
             match event {
                 Ok(Event::TokenUp(key)) => self.remote_changed(|mirror| mirror.token_up(&key)),
@@ -142,7 +145,7 @@ impl Control {
                 Ok(Event::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break,
                 Err(mpsc::RecvTimeoutError::Timeout) => {}
             }
-            if self.is_unseen && self.shown.elapsed() >= BATCH {
+            if self.is_unseen && self.shown.elapsed() >= self.batch() {
                 self.settle();
             }
             if Instant::now() >= next {
@@ -156,6 +159,11 @@ impl Control {
         }
         let last = self.mirror.close();
         self.act(last);
+    }
+
+    fn batch(&self) -> Duration {
+        let tokens = u32::try_from(self.mirror.graph().len()).unwrap_or(u32::MAX);
+        BATCH + BATCH_PER_TOKEN * tokens
     }
 
     fn remote_changed(&mut self, change: impl FnOnce(&mut Mirror) -> Vec<Action>) {
@@ -246,7 +254,7 @@ impl Control {
         let mut wanted =
             Qos { durability: qos.durability, ..Qos::keep_last(depth.clamp(1, Limits::MAX_DEPTH)) };
         let subscription = loop {
-            match self.participant.create_raw_subscription(
+            match self.participant.create_relay_subscription(
                 &key.topic,
                 &topic_type(key),
                 wanted,
@@ -278,7 +286,7 @@ impl Control {
         self.stop_in(key);
         let mut wanted = port_qos(qos, Limits::MAX_DEPTH);
         let publisher = loop {
-            match self.participant.create_raw_publisher(
+            match self.participant.create_relay_publisher(
                 &key.topic,
                 &topic_type(key),
                 wanted,
@@ -410,6 +418,7 @@ impl Control {
         stats.remote_nodes = graph.tokens().filter(|token| token.endpoint.is_none()).count();
         stats.remote_endpoints = graph.tokens().count() - stats.remote_nodes;
         stats.refused_tokens = refused_by_reason(graph.refused());
+        stats.unauthorized = crate::access::refused();
         stats.not_mirrored = self.refused.clone();
         let failed = self.failed.iter().map(|((key, _), (_, reason))| (key.topic.clone(), reason.clone()));
         stats.not_mirrored.extend(failed);
@@ -436,6 +445,9 @@ impl Control {
     fn settle(&mut self) {
         (self.is_unseen, self.shown) = (false, Instant::now());
         let remote: Vec<Token> = self.mirror.graph().tokens().cloned().collect();
+        if let Err(error) = self.participant.set_remote(&remote_graph(&remote)) {
+            tracing::warn!("nodes and tools of this host do not see what others have: {error}");
+        }
         *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
         if !self.refused.is_empty() {
             self.list_locals();

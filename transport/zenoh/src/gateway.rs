@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
-use tautline_transport::{Participant, TransportError};
+use tautline_transport::{Participant, RemoteGraph, TransportError};
 use zenoh::{Session, Wait};
 
 /// What a gateway is to do. Every field has a default that works on one host.
@@ -151,6 +151,8 @@ impl Gateway {
         let config =
             options.network.session_config(|name| std::env::var(name).ok(), options.max_message_bytes)?;
         let participant = Participant::new(options.domain)?;
+        // From the first port on it is known that they stand for others.
+        participant.set_remote(&RemoteGraph::default())?;
         let policy = match options.realtime {
             Realtime::Required => Policy::Fifo(options.priority),
             Realtime::Off => tautline_rt::current_policy()?,

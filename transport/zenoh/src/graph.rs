@@ -171,6 +171,11 @@ impl Graph {
         self.tokens.values()
     }
 
+    /// How many tokens are kept.
+    pub(crate) fn len(&self) -> usize {
+        self.tokens.len()
+    }
+
     /// The texts of all tokens that are kept.
     pub(crate) fn keys(&self) -> impl Iterator<Item = &str> {
         self.tokens.keys().map(String::as_str)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway: topics of a host mirrored over Zenoh, on the rmw_zenoh wire.
 
+mod access;
 mod budget;
 mod config;
 mod control;
@@ -11,13 +12,14 @@ mod incoming;
 mod locals;
 mod mirror;
 mod outgoing;
+mod remote;
 mod rules;
 mod seat;
 mod session;
 mod stats;
 mod types;
-pub mod wire;
 
+pub use access::access_layer;
 pub use budget::Budget;
 pub use config::{ConfigError, MAX_MESSAGE_BYTES, Mode, Network, SessionConfig};
 pub use filter::{Filter, PatternError};
@@ -28,3 +30,4 @@ pub use rules::{Rule, RuleError, Urgency};
 pub use seat::{Seat, SeatError};
 pub use session::{SessionError, network_threads};
 pub use stats::{Direction, Latency, Reading, Stats, TopicStats};
+pub use tautline_wire as wire;

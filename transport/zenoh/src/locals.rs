@@ -5,9 +5,9 @@ use crate::mirror::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{EndpointInfo, Participant, Qos, TopicInfo, TransportError};
+use tautline_transport::{Liveliness, Participant, Qos, ServiceKind, TransportError};
 
-/// The endpoints that can be mirrored, and the topics that cannot, with the reason.
+/// The nodes; the endpoints that can be mirrored, and the topics and services that cannot, with the reason.
 #[derive(Default)]
 pub(crate) struct Locals {
     pub(crate) nodes: Vec<NodeName>,
@@ -20,26 +20,40 @@ pub(crate) fn list(
     participant: &Participant,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Result<Locals, TransportError> {
+    let graph = participant.graph()?;
     let mut locals = Locals::default();
-    let mut names = HashMap::new();
-    for topic in participant.topics()? {
-        let ends = topic.publishers.iter().chain(&topic.subscriptions);
-        if ends.clone().all(|end| end.is_own) {
-            continue;
-        }
-        match type_id(&topic, &mut hash_of) {
-            Err(reason) => drop(locals.refused.insert(topic.name.clone(), reason)),
+    let mut processes = HashMap::new();
+    locals.nodes.extend(graph.nodes.iter().filter(|node| !node.is_remote).map(|node| wire_node(&node.name)));
+    for end in graph.endpoints.into_iter().filter(|end| !end.is_remote) {
+        let kind = match end.kind {
+            tautline_transport::EndpointKind::Publisher => EndpointKind::Publisher,
+            tautline_transport::EndpointKind::Subscription => EndpointKind::Subscription,
+        };
+        let node = match &end.node {
+            Some(node) => wire_node(node),
+            None => processes.entry(end.pid).or_insert_with(|| node_of(end.pid)).clone(),
+        };
+        let (type_name, hash) = (&end.topic_type.name, end.topic_type.hash.as_deref());
+        match type_id(&end.topic, type_name, hash, &mut hash_of) {
+            Err(reason) => drop(locals.refused.insert(end.topic, reason)),
             Ok(type_id) => {
-                let mut add = |end: &EndpointInfo, kind| {
-                    if end.is_own {
-                        return;
-                    }
-                    let node = names.entry(end.pid).or_insert_with(|| node_of(end.pid)).clone();
-                    let (topic, type_id, qos) = (topic.name.clone(), type_id.clone(), wire_qos(&end.qos));
-                    locals.endpoints.push(LocalEndpoint { gid: end.gid, kind, topic, type_id, qos, node });
-                };
-                topic.publishers.iter().for_each(|end| add(end, EndpointKind::Publisher));
-                topic.subscriptions.iter().for_each(|end| add(end, EndpointKind::Subscription));
+                let (gid, topic, qos) = (end.gid, end.topic, wire_qos(&end.qos));
+                locals.endpoints.push(LocalEndpoint { gid, kind, topic, type_id, qos, node });
+            }
+        }
+    }
+    for end in graph.services.into_iter().filter(|end| !end.is_remote) {
+        let kind = match end.kind {
+            ServiceKind::Server => EndpointKind::Service,
+            ServiceKind::Client => EndpointKind::Client,
+        };
+        match type_id(&end.name, &end.type_name, end.type_hash.as_deref(), &mut hash_of) {
+            Err(reason) => drop(locals.refused.insert(end.name, reason)),
+            Ok(type_id) => {
+                // As ROS 2's services have it.
+                let (gid, topic, qos) = (end.gid, end.name, wire_qos(&Qos::keep_last(10)));
+                let node = wire_node(&end.node);
+                locals.endpoints.push(LocalEndpoint { gid, kind, topic, type_id, qos, node });
             }
         }
     }
@@ -47,23 +61,27 @@ pub(crate) fn list(
 }
 
 fn type_id(
-    topic: &TopicInfo,
+    topic: &str,
+    name: &str,
+    hash: Option<&str>,
     hash_of: &mut impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Result<TypeId, String> {
-    let stated = &topic.topic_type;
-    let name: TypeName =
-        stated.name.parse().map_err(|_| format!("'{}' is no ROS 2 type name", stated.name))?;
-    let hash = match &stated.hash {
+    let name: TypeName = name.parse().map_err(|_| format!("'{name}' is no ROS 2 type name"))?;
+    let hash = match hash {
         Some(text) => text.parse().ok(),
-        None => hash_of(&topic.name, &name),
+        None => hash_of(topic, &name),
     };
     let hash = hash.ok_or_else(|| {
-        format!("no hash is known of type {name}: give the message type one, or set AMENT_PREFIX_PATH to where it is defined")
+        format!("no hash is known of type {name}: give the type one, or set AMENT_PREFIX_PATH to where it is defined")
     })?;
     Ok(TypeId { name, hash })
 }
 
-/// A process that says no node's name is called by its own.
+fn wire_node(node: &tautline_transport::NodeName) -> NodeName {
+    NodeName::new(&node.namespace, &node.name)
+}
+
+/// What is nobody's node's is its process's, which is called by its own name.
 fn node_of(pid: Option<u32>) -> NodeName {
     let name = pid.and_then(|pid| Some((pid, std::fs::read_to_string(format!("/proc/{pid}/comm")).ok()?)));
     let Some((pid, name)) = name else { return NodeName::new("/", "unnamed") };
@@ -83,13 +101,32 @@ fn wire_qos(qos: &Qos) -> WireQos {
         depth: qos.depth as u64,
         deadline: WireDuration::from_duration(qos.deadline),
         lifespan: WireDuration::from_duration(qos.lifespan),
-        ..WireQos::default()
+        manual_liveliness: qos.liveliness == Liveliness::ManualByTopic,
+        lease: WireDuration::from_duration(qos.liveliness_lease_duration),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn all_that_an_end_states_is_in_its_token() {
+        let seconds = |n| Some(std::time::Duration::from_secs(n));
+        let (deadline, lifespan, liveliness_lease_duration) = (seconds(1), seconds(2), seconds(3));
+        let qos = Qos { deadline, lifespan, liveliness_lease_duration, ..Qos::keep_last(7) };
+        let manual = Qos { liveliness: Liveliness::ManualByTopic, ..qos };
+        assert_eq!(wire_qos(&qos).to_string(), "::,7:1,0:2,0:,3,0");
+        assert_eq!(wire_qos(&manual).to_string(), "::,7:1,0:2,0:3,3,0");
+        assert_eq!(wire_qos(&Qos::keep_last(42)), WireQos::default());
+        // As another process lists it.
+        let [one, other] = [(); 2].map(|()| Participant::new(216).unwrap());
+        let topic_type = tautline_transport::TopicType::new("std_msgs/msg/Empty");
+        let _port = one.create_raw_publisher("/stated", &topic_type, manual, Default::default()).unwrap();
+        let listed = other.topics().unwrap();
+        let listed = listed.iter().find(|topic| topic.name == "/stated").unwrap();
+        assert_eq!(wire_qos(&listed.publishers[0].qos), wire_qos(&manual));
+    }
 
     #[test]
     fn processes_have_names_that_nodes_can_have() {

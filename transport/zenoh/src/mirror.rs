@@ -17,12 +17,12 @@ use crate::wire::{Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, Wir
 use std::collections::{BTreeMap, BTreeSet};
 use tautline_transport::{Durability, Gid, History, Reliability};
 
-/// A publisher or subscription on this host.
+/// A publisher, subscription, service or client on this host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LocalEndpoint {
     /// Identifies it on this host; of a publisher, the gid in its samples.
     pub gid: Gid,
-    /// Publisher or subscription.
+    /// Which of these.
     pub kind: EndpointKind,
     /// Fully qualified name.
     pub topic: String,
@@ -138,6 +138,12 @@ struct Local {
     wire_gid: Gid,
 }
 
+impl Local {
+    fn is_of_topic(&self) -> bool {
+        matches!(self.endpoint.kind, EndpointKind::Publisher | EndpointKind::Subscription)
+    }
+}
+
 impl Mirror {
     /// Nothing exists yet. `graph` is of the same domain and session.
     pub fn new(domain: u32, zid: u128, graph: Graph, filter: Filter) -> Self {
@@ -162,8 +168,12 @@ impl Mirror {
     /// Topics of this host that others have under the same name with another type or hash, and what it is there.
     pub fn mismatches(&self) -> BTreeMap<String, String> {
         let mut found = BTreeMap::new();
-        let here: BTreeMap<&str, &TypeId> =
-            self.locals.values().map(|local| (&*local.key.topic, &local.key.type_id)).collect();
+        let here: BTreeMap<&str, &TypeId> = self
+            .locals
+            .values()
+            .filter(|local| local.is_of_topic())
+            .map(|local| (&*local.key.topic, &local.key.type_id))
+            .collect();
         for key in self.graph.topics() {
             if let Some(type_id) = here.get(&*key.topic).filter(|type_id| ***type_id != key.type_id) {
                 let (here, there) = (&type_id.name, &key.type_id.name);
@@ -202,7 +212,7 @@ impl Mirror {
         actions
     }
 
-    /// What nodes, publishers and subscriptions exist on this host now, without the gateway's own.
+    /// What nodes and endpoints exist on this host now, without the gateway's own.
     pub fn set_locals(&mut self, nodes: &[NodeName], endpoints: Vec<LocalEndpoint>) -> Vec<Action> {
         let mut actions = Vec::new();
         let mut touched = BTreeSet::new();

@@ -52,6 +52,7 @@ const HEARTBEAT: Duration = Duration::from_millis(500);
 pub(crate) const THREADS: [&str; 5] = ["gw-out", "gw-wait", "gw-bulk", "gw-control", "gw-watch"];
 
 /// What the control thread tells the one that sends.
+#[expect(clippy::large_enum_variant, reason = "few, and only when something is set up")]
 enum Command {
     /// Also of a topic that is being taken: by this subscription from now on.
     Start(TopicKey, RawSubscription, Arc<Counters>),

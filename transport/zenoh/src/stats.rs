@@ -203,6 +203,9 @@ pub struct Stats {
     pub refused_tokens: BTreeMap<String, u64>,
     /// Topics of this host that cannot be mirrored, and why.
     pub not_mirrored: BTreeMap<String, String>,
+    /// What access control refused in this process, if [`access_layer`](crate::access_layer) is installed, such as
+    /// `Put (ingress) on /secret`.
+    pub unauthorized: BTreeMap<String, u64>,
     /// How often the processor budget of the network's threads was used up.
     pub throttled: u64,
     /// Every topic that is or was mirrored.
@@ -221,6 +224,7 @@ impl Stats {
             remote_endpoints: 0,
             refused_tokens: BTreeMap::new(),
             not_mirrored: BTreeMap::new(),
+            unauthorized: BTreeMap::new(),
             throttled: 0,
             topics: Vec::new(),
         }

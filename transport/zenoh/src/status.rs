@@ -57,6 +57,10 @@ fn line(stats: &Stats) -> String {
         way(Direction::Out, "out"),
         way(Direction::In, "in"),
     );
+    let unauthorized: u64 = stats.unauthorized.values().sum();
+    if let Some(refusal) = stats.unauthorized.keys().next() {
+        text += &format!(" | {unauthorized} unauthorized: {refusal}");
+    }
     if let Some((topic, reason)) = stats.not_mirrored.iter().next() {
         text += &format!(" | {} not mirrored: {topic}: {reason}", stats.not_mirrored.len());
     }

@@ -7,7 +7,7 @@ mod support;
 use rand::rngs::SmallRng;
 use rand::{Rng, RngExt, SeedableRng};
 use std::collections::BTreeMap;
-use support::{Host, STRING_HASH, connect, image_type, string_type, take, until};
+use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until};
 use tautline_gateway::wire::Attachment;
 use tautline_gateway::{Direction, GraphLimits};
 use tautline_transport::{Gid, Qos, TopicType};
@@ -28,7 +28,7 @@ fn attachment(sequence_number: i64, source_timestamp_ns: i64) -> [u8; 33] {
 }
 
 fn token(domain: u32, id: u64, kind: &str, topic: &str) -> String {
-    format!("@ros2_lv/{domain}/bad/0/{id}/{kind}/%/%/n/%{topic}/{KEY_TYPE}/{STRING_HASH}/::,10:,:,:,,")
+    format!("@ros2_lv/{domain}/bad/0/{id}/{kind}/%/%/n/%{topic}/{KEY_TYPE}/{UNKNOWN_HASH}/::,10:,:,:,,")
 }
 
 fn dropped(host: &Host, topic: &str) -> BTreeMap<String, u64> {
@@ -53,7 +53,7 @@ fn samples_that_are_none() {
     });
     let subscription = host.subscription("/x", &string_type(), Qos::keep_last(1000));
     let fixed_type = TopicType::new("geometry_msgs/msg/Vector3")
-        .with_hash(STRING_HASH.replace("_df", "_cc"))
+        .with_hash(UNKNOWN_HASH.replace("_df", "_cc"))
         .with_body_bytes(24);
     let fixed = host.subscription("/fixed", &fixed_type, Qos::keep_last(1000));
     let enemy = enemy(&host);
@@ -62,7 +62,7 @@ fn samples_that_are_none() {
         token(196, 2, "MP", "fixed").replace("std_msgs", "geometry_msgs").replace("String_", "Vector3_");
     let of_fixed = of_fixed.replace("_df", "_cc");
     let _fixed_token = enemy.liveliness().declare_token(of_fixed).wait().unwrap();
-    let key = format!("196/x/{KEY_TYPE}/{STRING_HASH}");
+    let key = format!("196/x/{KEY_TYPE}/{UNKNOWN_HASH}");
     let good = [&[0, 1, 0, 0, 3, 0, 0, 0][..], b"ab\0"].concat();
     let put = |payload: Vec<u8>, attachment: Option<Vec<u8>>| {
         let put = enemy.put(&key, payload).congestion_control(zenoh::qos::CongestionControl::Block);
@@ -163,7 +163,7 @@ fn a_claimed_length_allocates_nothing() {
     let enemy = enemy(&a);
     let _token = enemy.liveliness().declare_token(token(197, 1, "MP", "x")).wait().unwrap();
     let payload = [0, 1, 0, 0, 0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
-    let key = format!("197/x/{KEY_TYPE}/{STRING_HASH}");
+    let key = format!("197/x/{KEY_TYPE}/{UNKNOWN_HASH}");
     let before = resident_bytes();
     let mut taken = 0;
     until("what was let through or dropped", || {

@@ -4,9 +4,12 @@
 mod support;
 
 use std::collections::HashSet;
-use support::{Host, connect, image_type, string_type, take, until};
+use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until, wait};
 use tautline_gateway::{Direction, TopicStats};
-use tautline_transport::Qos;
+use tautline_ros_msgs::geometry_msgs::msg::Twist;
+use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
+use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
+use tautline_transport::{EndpointKind, Limits, Qos, ServiceKind};
 
 fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
     host.stats().topics.into_iter().find(|stats| stats.topic == topic && stats.direction == direction)
@@ -34,6 +37,106 @@ fn bytes_of_every_size_arrive_as_they_were() {
     assert_eq!(inward.reading.lost, 0, "{inward:?}");
     assert!(inward.reading.latency_us.is_some() && inward.reading.dropped.is_empty(), "{inward:?}");
     assert!(out.is_none_or(|out| out.active && out.reading.dropped.is_empty()));
+}
+
+/// Ends of generated types, plain and of any length: written in place on one host, read in place on the other.
+#[test]
+fn messages_are_written_here_and_read_there() {
+    let a = Host::first(154, 154);
+    let b = Host::beside(&a, 159);
+    let (qos, limits) = (Qos::keep_last(4), Limits::default());
+    let images = a.participant.create_publisher::<Image>("/image", qos, limits).unwrap();
+    let viewer = b.participant.create_subscription::<Image>("/image", qos, limits).unwrap();
+    let twists = b.participant.create_publisher::<Twist>("/cmd_vel", qos, limits).unwrap();
+    let drive = a.participant.create_subscription::<Twist>("/cmd_vel", qos, limits).unwrap();
+
+    let sizes = ImageSizes { header: HeaderSizes { frame_id: 6 }, encoding: 5, data: 640 * 480 };
+    let sample = wait("an image", || {
+        let loan = images.loan_with(sizes).unwrap().write(|image| {
+            image.header.frame_id.set("camera")?;
+            image.encoding.set("mono8")?;
+            image.width.set(640);
+            image.height.set(480);
+            image.data.slice_mut().iter_mut().zip(0u32..).for_each(|(pixel, n)| *pixel = (n % 251) as u8);
+            image.default_rest();
+            Ok(())
+        });
+        loan.unwrap().publish().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(5));
+        viewer.try_take().unwrap()
+    });
+    let image = sample.view();
+    assert_eq!((image.header().frame_id(), image.encoding()), ("camera", "mono8"));
+    assert_eq!((image.width(), image.height(), image.step()), (640, 480, 0));
+    assert!(
+        image.data().len() == 640 * 480
+            && image.data().iter().zip(0u32..).all(|(p, n)| u32::from(*p) == n % 251)
+    );
+
+    let twist = wait("a twist", || {
+        let mut loan = twists.loan().unwrap();
+        (loan.linear.x, loan.angular.z) = (0.5, -2.0);
+        loan.publish().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(5));
+        drive.try_take().unwrap()
+    });
+    assert_eq!((twist.linear.x, twist.angular.z), (0.5, -2.0));
+}
+
+/// By their real names, also those without topics; services; and ends as they are there, not their stand-ins here.
+#[test]
+fn hosts_see_each_others_nodes() {
+    let a = Host::first(113, 113);
+    let b = Host::beside(&a, 114);
+    let node = a.participant.create_node("talker", "/robot").unwrap();
+    let silent = a.participant.create_node("silent", "/").unwrap();
+    let qos = Qos::keep_last(7).best_effort().transient_local();
+    let publisher = a
+        .participant
+        .for_node(&node)
+        .create_raw_publisher("/chatter", &string_type(), qos, Limits::default())
+        .unwrap();
+    let service = node.register_service("/robot/add", "a_msgs/srv/Add", Some(UNKNOWN_HASH)).unwrap();
+    let _client = silent.register_client("/robot/add", "a_msgs/srv/Add", Some(UNKNOWN_HASH)).unwrap();
+    let subscription = b.subscription("/chatter", &string_type(), Qos::keep_last(7));
+    publisher.publish(b"bytes").unwrap();
+    take(&subscription);
+
+    let names = |host: &Host| -> Vec<(String, bool)> {
+        host.participant.nodes().iter().map(|node| (node.name.full_name(), node.is_remote)).collect()
+    };
+    until("nodes", || names(&b).len() >= 2);
+    assert_eq!(names(&b), [("/silent".into(), true), ("/robot/talker".into(), true)]);
+    let graph = wait("everything", || {
+        let graph = b.participant.graph().unwrap();
+        (graph.endpoints.len() == 2 && graph.services.len() == 2).then_some(graph)
+    });
+    let [there, here] = &*graph.endpoints else { panic!("{graph:?}") };
+    assert_eq!(
+        (there.kind, &*there.topic, &there.topic_type),
+        (EndpointKind::Publisher, "/chatter", &string_type())
+    );
+    assert_eq!((there.node.as_ref(), there.qos, there.is_remote), (Some(node.name()), qos, true));
+    assert!(here.kind == EndpointKind::Subscription && !here.is_remote && here.is_own);
+    let [server, client] = &*graph.services else { panic!("{graph:?}") };
+    assert_eq!(
+        (server.kind, &server.node, client.kind),
+        (ServiceKind::Server, node.name(), ServiceKind::Client)
+    );
+    assert_eq!((&*server.type_name, server.type_hash.as_deref()), ("a_msgs/srv/Add", Some(UNKNOWN_HASH)));
+    // What is nobody's node's is its process's.
+    let theirs = wait("b's subscription", || {
+        let graph = a.participant.graph().unwrap();
+        graph.endpoints.into_iter().find(|end| end.is_remote)
+    });
+    assert!(theirs.node.unwrap().name.ends_with(&std::process::id().to_string()));
+
+    drop(service);
+    until("the end of a service", || b.participant.graph().unwrap().services.len() == 1);
+    drop((node, publisher));
+    until("the end of a node", || names(&b).len() == 1);
+    drop(a);
+    until("the end of a host", || names(&b).is_empty());
 }
 
 #[test]

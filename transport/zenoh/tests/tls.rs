@@ -5,8 +5,10 @@ mod support;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use support::{Host, connect, string_type};
+use support::{Host, connect, string_type, until};
 use tautline_transport::Qos;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 use zenoh::Wait;
 
 const DOMAIN: u32 = 214;
@@ -54,6 +56,7 @@ fn certificates_and_access_as_in_the_guide() {
         println!("skipped: openssl: {error}");
         return;
     }
+    tracing_subscriber::registry().with(tautline_gateway::access_layer()).init();
     let directory = tempfile::tempdir().unwrap();
     let (good, rogue) = (directory.path().join("good"), directory.path().join("rogue"));
     authority(&good, &["first", "second"]);
@@ -93,6 +96,13 @@ fn certificates_and_access_as_in_the_guide() {
         assert_eq!(support::take(subscription).body(), b"secret");
         assert!(subscription.try_take().unwrap().is_none());
     }
+
+    until("the refusal to be reported", || {
+        a.stats()
+            .unauthorized
+            .iter()
+            .any(|(what, count)| what.starts_with("Put") && what.ends_with("/secret") && *count > 0)
+    });
 
     // A certificate of another authority, and none at all: no link.
     let tls = |keys: Option<&Path>| {

@@ -204,12 +204,32 @@ fn each_is_in_the_others_graph() {
         (Reliability::BestEffort, Durability::TransientLocal, 7)
     );
 
-    let subscription = host.subscription(
-        "/ours/scan",
-        &topic_type::<sensor_msgs::msg::LaserScan>(),
-        Qos::keep_last(5).best_effort(),
-    );
+    // In the graph of this host, too.
+    let graph = wait("their publisher here", || {
+        let graph = host.participant.graph().unwrap();
+        (!graph.endpoints.is_empty()).then_some(graph)
+    });
+    let [end] = &*graph.endpoints else { panic!("{graph:?}") };
+    assert_eq!((&*end.topic, end.is_remote, end.qos.depth), ("/theirs/chatter", true, 7));
+    assert_eq!(end.node.as_ref().unwrap().full_name(), "/theirs/their_node");
+    assert!(graph.nodes.iter().any(|node| node.is_remote && node.name.full_name() == "/theirs/their_node"));
+
+    let _silent = host.participant.create_node("silent", "/ours").unwrap();
+    let our_node = host.participant.create_node("our_node", "/ours").unwrap();
+    let hash = format!("RIHS01_{:064x}", 7);
+    let _service = our_node.register_service("/ours/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
+    let subscription = host
+        .participant
+        .for_node(&our_node)
+        .create_raw_subscription(
+            "/ours/scan",
+            &topic_type::<sensor_msgs::msg::LaserScan>(),
+            Qos::keep_last(5).best_effort(),
+            tautline_transport::Limits::default(),
+        )
+        .unwrap();
     let graph = context.graph();
+    until("our service", || graph.count(TheirKind::Service, "/ours/add") == 1);
     until("our subscription", || graph.count(TheirKind::Subscription, "/ours/scan") == 1);
     let entities = graph.get_entities_by_topic(TheirKind::Subscription, "/ours/scan");
     let hiroz_protocol::Entity::Endpoint(entity) = &*entities[0] else { panic!("a node") };
@@ -221,7 +241,10 @@ fn each_is_in_the_others_graph() {
     assert_eq!(entity.qos.history, hiroz_protocol::qos::QosHistory::KeepLast(5));
     let types = graph.get_topic_names_and_types();
     assert!(types.contains(&("/ours/scan".into(), "sensor_msgs::msg::dds_::LaserScan_".into())), "{types:?}");
-    assert!(!graph.get_node_names().is_empty());
+    let names = graph.get_node_names();
+    for name in ["silent", "our_node"] {
+        assert!(names.contains(&(name.into(), "/ours".into())), "{names:?}");
+    }
     // Their graph keeps what somebody holds.
     drop((entities, subscription));
     until("its end", || graph.count(TheirKind::Subscription, "/ours/scan") == 0);

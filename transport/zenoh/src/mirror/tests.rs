@@ -69,6 +69,20 @@ fn said(actions: &[Action]) -> Vec<String> {
 const NOTHING: [&str; 0] = [];
 const QOS: &str = "::,10:,:,:,,";
 
+/// They are announced; no sample goes through them.
+#[test]
+fn services_and_clients_are_announced() {
+    let mut m = mirror(ZID, Filter::default());
+    let (service, client) = (local(1, EndpointKind::Service, "add"), local(2, EndpointKind::Client, "add"));
+    let began = ["declare node /n", "declare Service /add", "declare Client /add"];
+    assert_eq!(said(&m.set_locals(&[], vec![service.clone(), client.clone()])), began);
+    assert_eq!(said(&m.token_up(&remote(1, 1, "SC", "add", "::,10:,:,:,,"))), NOTHING);
+    assert_eq!(said(&m.token_up(&remote(1, 2, "SS", "add", "::,10:,:,:,,"))), NOTHING);
+    assert_eq!(said(&m.set_locals(&[], vec![client])), ["undeclare Service /add"]);
+    let denied = Filter::new(&[], &["/add".into()]).unwrap();
+    assert_eq!(said(&mirror(ZID, denied).set_locals(&[], vec![service])), NOTHING);
+}
+
 #[test]
 fn samples_go_out_while_both_ends_exist() {
     let mut m = mirror(ZID, Filter::default());

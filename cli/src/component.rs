@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut component`: nodes in shared libraries, in a container that runs them in one process.
+
+use crate::sibling::{Sibling, SiblingError};
+use clap::{Args, Subcommand};
+use futures::executor::block_on;
+use serde_json::json;
+use std::ffi::OsString;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
+use tautline::{Context, Node, QosProfile, Realtime};
+use tautline_msgs::Service;
+
+const CONTAINER: Sibling =
+    Sibling { program: "taut-container", package: "tautline-container", folder: "node/components/container" };
+
+/// Making a component may open topics and start threads.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Runs components from shared libraries in one process; loads and unloads them while it runs.
+///
+/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0.
+#[derive(Args, Debug)]
+#[command(after_help = "Examples:
+  taut component run libdemo.so:demo::Counter
+  taut component load libdemo.so:demo::Doubler --namespace /robot
+  taut component list
+  taut component unload 2")]
+pub struct ComponentArgs {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Args, Debug)]
+struct Target {
+    /// The container's node
+    #[arg(long, default_value = "/ComponentManager", value_name = "NODE")]
+    container: String,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Subcommand, Debug)]
+enum Verb {
+    /// Becomes taut-container, the one beside this program, else the one in PATH; its options: taut component run --help
+    #[command(disable_help_flag = true)]
+    Run {
+        /// Passed on
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
+        arguments: Vec<OsString>,
+    },
+    /// Loads a component into a container that runs, and prints its number and its node
+    Load {
+        /// A library, or LIBRARY:COMPONENT if it has several
+        #[arg(value_name = "LIBRARY[:COMPONENT]")]
+        what: String,
+        /// The node's name; otherwise the last part of the component's, in lower case
+        #[arg(long, default_value = "")]
+        name: String,
+        /// The node's namespace
+        #[arg(long, default_value = "")]
+        namespace: String,
+        /// A remapping rule, FROM:=TO; may be given several times
+        #[arg(long, short = 'r', value_name = "RULE")]
+        remap: Vec<String>,
+        #[command(flatten)]
+        target: Target,
+    },
+    /// Unloads a component: its callbacks end
+    Unload {
+        /// Its number, as `load` and `list` print it
+        id: u64,
+        #[command(flatten)]
+        target: Target,
+    },
+    /// Prints the components of a container
+    List {
+        #[command(flatten)]
+        target: Target,
+    },
+}
+
+/// Why nothing was done.
+#[derive(Debug, thiserror::Error)]
+pub enum ComponentError {
+    #[error(transparent)]
+    Run(#[from] SiblingError),
+    #[error(transparent)]
+    Node(#[from] tautline::Error),
+    #[error(
+        "{container} does not answer: {source}; `taut component run` starts a container, `taut node list` prints which nodes there are"
+    )]
+    Container { container: String, source: tautline::Error },
+    #[error("{0}")]
+    Refused(String),
+    #[error("the result cannot be printed: {0}")]
+    Print(#[from] io::Error),
+}
+
+/// Runs the verb. Does not return if it is `run`, and the container could be started.
+pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
+    match args.verb {
+        Verb::Run { arguments } => return Err(CONTAINER.become_it(&arguments).into()),
+        Verb::Load { what, name, namespace, remap, target } => {
+            let (library, component) = what.split_once(':').unwrap_or((&what, ""));
+            // The container may be in another folder.
+            let library = std::path::absolute(library).unwrap_or_else(|_| PathBuf::from(library));
+            let request = LoadNode::Request {
+                package_name: library.to_string_lossy().into_owned(),
+                plugin_name: component.into(),
+                node_name: name,
+                node_namespace: namespace,
+                remap_rules: remap,
+                ..Default::default()
+            };
+            let loaded = ask::<LoadNode::Service>(&target, "load_node", &request)?;
+            if !loaded.success {
+                return Err(ComponentError::Refused(loaded.error_message));
+            }
+            print(&target, &[(loaded.unique_id, loaded.full_node_name)])?;
+        }
+        Verb::Unload { id, target } => {
+            let request = UnloadNode::Request { unique_id: id };
+            let unloaded = ask::<UnloadNode::Service>(&target, "unload_node", &request)?;
+            if !unloaded.success {
+                return Err(ComponentError::Refused(unloaded.error_message));
+            }
+        }
+        Verb::List { target } => {
+            let listed = ask::<ListNodes::Service>(&target, "list_nodes", &ListNodes::Request::default())?;
+            let rows: Vec<_> = listed.unique_ids.into_iter().zip(listed.full_node_names).collect();
+            print(&target, &rows)?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn ask<T: Service>(
+    target: &Target,
+    service: &str,
+    request: &T::Request,
+) -> Result<T::Response, ComponentError> {
+    let context = Context::builder().realtime(Realtime::Off).build()?;
+    let mut node = Node::create(context.clone(), "taut_component", "")?;
+    let name = format!("{}/_container/{service}", target.container);
+    let client = node.create_client::<T>(&name, QosProfile::services_default())?;
+    let sampler = std::thread::spawn({
+        let context = context.clone();
+        move || context.spin()
+    });
+    let answer = client.request_timeout(request, PATIENCE).and_then(block_on);
+    context.shutdown();
+    let _ = sampler.join();
+    answer.map_err(|source| ComponentError::Container { container: target.container.clone(), source })
+}
+
+fn print(target: &Target, rows: &[(u64, String)]) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    if target.json {
+        let rows = rows.iter().map(|(id, node)| json!({ "id": id, "node": node }));
+        return writeln!(out, "{}", serde_json::Value::from_iter(rows));
+    }
+    rows.iter().try_for_each(|(id, node)| writeln!(out, "{id} {node}"))
+}

@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut node`: the nodes of a domain, and what each has.
+
+use clap::{Args, Subcommand};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::process::ExitCode;
+use tautline::{Context, EndpointKind, GraphSnapshot, NodeInfo, ServiceKind};
+use tautline_transport::Participant;
+
+/// Lists nodes; says what a node publishes, subscribes to, answers and asks.
+///
+/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Nodes of other hosts are seen if this host runs `taut gateway`.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut node list
+  taut node info /robot/camera
+  taut node info camera --json")]
+pub struct NodeArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Print JSON
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the nodes, and the process of each or that it is on another host
+    List,
+    /// Prints the topics, services and actions of a node
+    Info {
+        /// The node's name with its namespace; one without is in /
+        #[arg(value_name = "NODE")]
+        node: String,
+    },
+}
+
+/// Why there is nothing to print.
+#[derive(Debug, thiserror::Error)]
+pub enum NodeError {
+    #[error(transparent)]
+    Node(#[from] tautline::Error),
+    #[error(transparent)]
+    Transport(#[from] tautline_transport::TransportError),
+    #[error("there is no node '{0}'; `taut node list` prints which there are")]
+    Unknown(String),
+    #[error("the result cannot be printed: {0}")]
+    Print(#[from] io::Error),
+}
+
+/// Runs the verb.
+pub fn run(args: &NodeArgs) -> Result<ExitCode, NodeError> {
+    let graph = Participant::new(Context::domain_of_environment()?)?.graph()?;
+    for pair in graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1) {
+        eprintln!("taut: {} nodes are called {}", pair.len(), pair[0].name);
+    }
+    let mut out = io::stdout().lock();
+    let printed = match &args.verb {
+        Verb::List if args.json => writeln!(out, "{}", Value::from_iter(graph.nodes.iter().map(facts))),
+        Verb::List => list(&graph.nodes, &mut out),
+        Verb::Info { node } => {
+            let name = if node.starts_with('/') { node.clone() } else { format!("/{node}") };
+            let info = graph.nodes.iter().find(|node| node.name.full_name() == name);
+            let info = info.ok_or(NodeError::Unknown(name))?;
+            let parts = Parts::of(&graph, info);
+            if args.json { writeln!(out, "{}", parts.to_json(info)) } else { parts.print(info, &mut out) }
+        }
+    };
+    match printed {
+        // Whoever reads has seen enough.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
+        printed => Ok(printed.map(|()| ExitCode::SUCCESS)?),
+    }
+}
+
+fn list(nodes: &[NodeInfo], out: &mut impl Write) -> io::Result<()> {
+    let row = |node: &NodeInfo| {
+        let process = node.pid.map_or("on another host".into(), |pid| pid.to_string());
+        (true, vec![node.name.full_name(), process])
+    };
+    crate::table::write_table(&["node", "process"], 2, nodes.iter().map(row).collect(), out)
+}
+
+fn facts(node: &NodeInfo) -> Value {
+    json!({
+        "name": node.name.name,
+        "namespace": node.name.namespace,
+        "pid": node.pid,
+        "remote": node.is_remote,
+    })
+}
+
+/// Names and types, by what they are to the node: in the order in which they are printed.
+struct Parts(Vec<(&'static str, BTreeMap<String, String>)>);
+
+impl Parts {
+    fn of(graph: &GraphSnapshot, node: &NodeInfo) -> Self {
+        let topics = |kind| {
+            let ends = graph.endpoints.iter().filter(move |end| end.kind == kind);
+            let own = ends.filter(|end| end.node.as_ref() == Some(&node.name) && !is_of_action(&end.topic));
+            own.map(|end| (end.topic.clone(), end.topic_type.name.to_string())).collect()
+        };
+        let all = |kind| graph.services.iter().filter(move |end| end.kind == kind && end.node == node.name);
+        let services = |kind| {
+            let own = all(kind).filter(|end| !is_of_action(&end.name));
+            own.map(|end| (end.name.clone(), end.type_name.clone())).collect()
+        };
+        // An action is known by the first of its services.
+        let actions = |kind| {
+            let name = |end: &tautline::ServiceEndpoint| {
+                let action = end.name.strip_suffix("/_action/send_goal")?;
+                Some((action.to_owned(), end.type_name.strip_suffix("_SendGoal")?.to_owned()))
+            };
+            all(kind).filter_map(name).collect()
+        };
+        Parts(vec![
+            ("subscribers", topics(EndpointKind::Subscription)),
+            ("publishers", topics(EndpointKind::Publisher)),
+            ("service_servers", services(ServiceKind::Server)),
+            ("service_clients", services(ServiceKind::Client)),
+            ("action_servers", actions(ServiceKind::Server)),
+            ("action_clients", actions(ServiceKind::Client)),
+        ])
+    }
+
+    fn to_json(&self, node: &NodeInfo) -> Value {
+        let mut object = facts(node);
+        for (part, entries) in &self.0 {
+            object[part] =
+                entries.iter().map(|(name, of_type)| json!({ "name": name, "type": of_type })).collect();
+        }
+        object
+    }
+
+    fn print(&self, node: &NodeInfo, out: &mut impl Write) -> io::Result<()> {
+        let place = node.pid.map_or("on another host".into(), |pid| format!("process {pid}"));
+        writeln!(out, "{} ({place})", node.name)?;
+        for (part, entries) in &self.0 {
+            writeln!(out, "  {}:", part.replace('_', " "))?;
+            entries.iter().try_for_each(|(name, of_type)| writeln!(out, "    {name}: {of_type}"))?;
+        }
+        Ok(())
+    }
+}
+
+fn is_of_action(name: &str) -> bool {
+    name.contains("/_action/")
+}

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut service`: the services of a domain.
+
+use clap::{Args, Subcommand};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::process::ExitCode;
+use tautline::{Context, GraphSnapshot, ServiceKind};
+use tautline_transport::Participant;
+
+/// Lists services.
+///
+/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Services of other hosts are seen if this host runs `taut gateway`.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut service list
+  taut service list --json          with the nodes that answer")]
+pub struct ServiceArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Print JSON
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the services with their types, and how many servers and clients they have
+    List,
+}
+
+/// Why there is nothing to print.
+#[derive(Debug, thiserror::Error)]
+pub enum ServiceError {
+    #[error(transparent)]
+    Node(#[from] tautline::Error),
+    #[error(transparent)]
+    Transport(#[from] tautline_transport::TransportError),
+    #[error("the result cannot be printed: {0}")]
+    Print(#[from] io::Error),
+}
+
+/// Runs the verb.
+pub fn run(args: &ServiceArgs) -> Result<ExitCode, ServiceError> {
+    let graph = Participant::new(Context::domain_of_environment()?)?.graph()?;
+    let services = services(&graph);
+    let mut out = io::stdout().lock();
+    let Verb::List = args.verb;
+    let printed = if args.json {
+        writeln!(out, "{}", Value::from_iter(services.iter().map(Service::to_json)))
+    } else {
+        let head = ["service", "type", "host", "servers", "clients"];
+        crate::table::write_table(&head, 3, services.iter().map(Service::row).collect(), &mut out)
+    };
+    match printed {
+        // Whoever reads has seen enough.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
+        printed => Ok(printed.map(|()| ExitCode::SUCCESS)?),
+    }
+}
+
+struct Service<'g> {
+    name: &'g str,
+    type_name: &'g str,
+    ends: Vec<&'g tautline::ServiceEndpoint>,
+}
+
+/// One for each name and type.
+fn services(graph: &GraphSnapshot) -> Vec<Service<'_>> {
+    let mut found: BTreeMap<(&str, &str), Vec<_>> = BTreeMap::new();
+    for end in &graph.services {
+        found.entry((&end.name, &end.type_name)).or_default().push(end);
+    }
+    found.into_iter().map(|((name, type_name), ends)| Service { name, type_name, ends }).collect()
+}
+
+impl Service<'_> {
+    fn of(&self, kind: ServiceKind) -> impl Iterator<Item = &tautline::ServiceEndpoint> {
+        self.ends.iter().copied().filter(move |end| end.kind == kind)
+    }
+
+    fn row(&self) -> (bool, Vec<String>) {
+        let host = crate::table::host(self.ends.iter().map(|end| end.is_remote));
+        let counts = [ServiceKind::Server, ServiceKind::Client].map(|kind| self.of(kind).count().to_string());
+        (true, [vec![self.name.into(), self.type_name.into(), host.into()], counts.to_vec()].concat())
+    }
+
+    fn to_json(&self) -> Value {
+        let nodes = |kind| {
+            let end = |end: &tautline::ServiceEndpoint| json!({ "node": end.node.full_name(), "remote": end.is_remote });
+            self.of(kind).map(end).collect::<Value>()
+        };
+        json!({
+            "service": self.name,
+            "type": self.type_name,
+            "hash": self.ends.iter().find_map(|end| end.type_hash.as_deref()),
+            "servers": nodes(ServiceKind::Server),
+            "clients": nodes(ServiceKind::Client),
+        })
+    }
+}

@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut topic list` and `taut topic info`: who publishes and who subscribes, here and on other hosts.
+
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::time::Duration;
+use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
+use tautline_transport::{Durability, History, Reliability};
+
+/// A topic of one type, and its ends.
+pub struct Topic<'g> {
+    name: &'g str,
+    type_name: &'g str,
+    ends: Vec<&'g TopicEndpoint>,
+}
+
+/// One for each name and type: hosts may differ.
+pub fn topics(graph: &GraphSnapshot) -> Vec<Topic<'_>> {
+    let mut found: BTreeMap<(&str, &str), Vec<_>> = BTreeMap::new();
+    for end in &graph.endpoints {
+        found.entry((&end.topic, &end.topic_type.name)).or_default().push(end);
+    }
+    found.into_iter().map(|((name, type_name), ends)| Topic { name, type_name, ends }).collect()
+}
+
+/// Prints all, one a line.
+pub fn list(topics: &[Topic<'_>], json: bool, out: &mut impl Write) -> io::Result<()> {
+    if json {
+        return writeln!(out, "{}", Value::from_iter(topics.iter().map(Topic::to_json)));
+    }
+    let head = ["topic", "type", "host", "publishers", "subscriptions"];
+    crate::table::write_table(&head, 3, topics.iter().map(Topic::row).collect(), out)
+}
+
+impl<'g> Topic<'g> {
+    pub fn name(&self) -> &str {
+        self.name
+    }
+
+    fn of(&self, kind: EndpointKind) -> impl Iterator<Item = &'g TopicEndpoint> {
+        self.ends.iter().copied().filter(move |end| end.kind == kind)
+    }
+
+    fn hash(&self) -> Option<&str> {
+        self.ends.iter().find_map(|end| end.topic_type.hash.as_deref())
+    }
+
+    fn row(&self) -> (bool, Vec<String>) {
+        let host = crate::table::host(self.ends.iter().map(|end| end.is_remote));
+        let counts = [EndpointKind::Publisher, EndpointKind::Subscription]
+            .map(|kind| self.of(kind).count().to_string());
+        (true, [vec![self.name.into(), self.type_name.into(), host.into()], counts.to_vec()].concat())
+    }
+
+    fn to_json(&self) -> Value {
+        let remote = |kind| self.of(kind).filter(|end| end.is_remote).count();
+        json!({
+            "topic": self.name,
+            "type": self.type_name,
+            "hash": self.hash(),
+            "publishers": self.of(EndpointKind::Publisher).count(),
+            "subscriptions": self.of(EndpointKind::Subscription).count(),
+            "remote_publishers": remote(EndpointKind::Publisher),
+            "remote_subscriptions": remote(EndpointKind::Subscription),
+        })
+    }
+
+    /// Who has it; of each end, its quality of service too.
+    pub fn info_json(&self) -> Value {
+        let ends = |kind| self.of(kind).map(end_json).collect::<Value>();
+        json!({
+            "topic": self.name,
+            "type": self.type_name,
+            "hash": self.hash(),
+            "publishers": ends(EndpointKind::Publisher),
+            "subscriptions": ends(EndpointKind::Subscription),
+        })
+    }
+
+    /// As `ros2 topic info`.
+    pub fn print(&self, verbose: bool, out: &mut impl Write) -> io::Result<()> {
+        writeln!(out, "Type: {}", self.type_name)?;
+        let kinds = [("Publisher", EndpointKind::Publisher), ("Subscription", EndpointKind::Subscription)];
+        for (what, kind) in kinds {
+            let count = self.of(kind).count();
+            let remote = self.of(kind).filter(|end| end.is_remote).count();
+            let there = if remote > 0 { format!(", {remote} on other hosts") } else { String::new() };
+            if verbose {
+                writeln!(out)?;
+            }
+            writeln!(out, "{what} count: {count}{there}")?;
+            if verbose {
+                self.of(kind).try_for_each(|end| print_end(end, out))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn print_end(end: &TopicEndpoint, out: &mut impl Write) -> io::Result<()> {
+    let node = end.node.as_ref();
+    let qos = words(end);
+    writeln!(out)?;
+    writeln!(out, "Node name: {}", node.map_or("(none)", |node| &node.name))?;
+    writeln!(out, "Node namespace: {}", node.map_or("(none)", |node| &node.namespace))?;
+    match end.pid {
+        Some(pid) => writeln!(out, "Process: {pid}")?,
+        None if end.is_remote => writeln!(out, "Process: on another host")?,
+        None => {}
+    }
+    writeln!(out, "Topic type: {}", end.topic_type.name)?;
+    writeln!(out, "Topic type hash: {}", end.topic_type.hash.as_deref().unwrap_or("unknown"))?;
+    writeln!(out, "GID: {:?}", end.gid)?;
+    writeln!(out, "QoS profile:")?;
+    writeln!(out, "  Reliability: {}", qos.reliability)?;
+    writeln!(out, "  History (Depth): {} ({})", qos.history, end.qos.depth)?;
+    writeln!(out, "  Durability: {}", qos.durability)?;
+    writeln!(out, "  Deadline: {}", duration(end.qos.deadline))?;
+    writeln!(out, "  Lifespan: {}", duration(end.qos.lifespan))
+}
+
+fn end_json(end: &TopicEndpoint) -> Value {
+    let qos = words(end);
+    let ns = |duration: Option<Duration>| duration.map(|duration| duration.as_nanos() as u64);
+    json!({
+        "node": end.node.as_ref().map(|node| node.full_name()),
+        "pid": end.pid,
+        "remote": end.is_remote,
+        "gid": format!("{:?}", end.gid),
+        "hash": end.topic_type.hash,
+        "qos": {
+            "reliability": qos.reliability,
+            "history": qos.history,
+            "depth": end.qos.depth,
+            "durability": qos.durability,
+            "deadline_ns": ns(end.qos.deadline),
+            "lifespan_ns": ns(end.qos.lifespan),
+        },
+    })
+}
+
+struct Words {
+    reliability: &'static str,
+    history: &'static str,
+    durability: &'static str,
+}
+
+/// As ROS 2's tools write them.
+fn words(end: &TopicEndpoint) -> Words {
+    Words {
+        reliability: match end.qos.reliability {
+            Reliability::Reliable => "RELIABLE",
+            Reliability::BestEffort => "BEST_EFFORT",
+        },
+        history: match end.qos.history {
+            History::KeepLast => "KEEP_LAST",
+            History::KeepAll => "KEEP_ALL",
+        },
+        durability: match end.qos.durability {
+            Durability::Volatile => "VOLATILE",
+            Durability::TransientLocal => "TRANSIENT_LOCAL",
+        },
+    }
+}
+
+fn duration(duration: Option<Duration>) -> String {
+    duration.map_or("Infinite".into(), |duration| format!("{duration:?}"))
+}

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What `taut node`, `taut service` and `taut topic info` print of nodes here and on other hosts.
+
+use serde_json::{Value, json};
+use std::process::{Command, Output};
+use tautline_transport::{
+    EndpointKind, Gid, Limits, NodeName, Participant, Qos, RemoteGraph, ServiceEndpoint, ServiceKind,
+    TopicEndpoint, TopicType,
+};
+
+const DOMAIN: u32 = 112;
+
+fn taut(args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+    command.args(args).env("TAUT_DOMAIN", DOMAIN.to_string()).output().unwrap()
+}
+
+fn text(args: &[&str]) -> String {
+    let output = taut(args);
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn parsed(args: &[&str]) -> Value {
+    serde_json::from_str(&text(args)).unwrap()
+}
+
+#[test]
+fn nodes_services_and_ends_of_topics_are_printed() {
+    let participant = Participant::new(DOMAIN).unwrap();
+    let node = participant.create_node("camera", "/robot").unwrap();
+    let topic_type = TopicType::new("a_msgs/msg/Image").with_hash(format!("RIHS01_{:064x}", 1));
+    let qos = Qos::keep_last(3).best_effort();
+    let of_node = participant.for_node(&node);
+    let publisher = of_node.create_raw_publisher("/image", &topic_type, qos, Limits::default()).unwrap();
+    let hash = format!("RIHS01_{:064x}", 2);
+    let _service = node.register_service("/robot/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
+    let goal = "/robot/turn/_action/send_goal";
+    let _action = node.register_service(goal, "a_msgs/action/Turn_SendGoal", None).unwrap();
+    let _client = node.register_client("/theirs/stop", "a_msgs/srv/Stop", None).unwrap();
+
+    // What a gateway would say.
+    let gateway = Participant::new(DOMAIN).unwrap();
+    let theirs = NodeName { namespace: "/".into(), name: "viewer".into() };
+    let subscription = TopicEndpoint {
+        kind: EndpointKind::Subscription,
+        topic: "/image".into(),
+        topic_type,
+        gid: Gid([0xab; 16]),
+        qos: Qos::keep_last(5).transient_local(),
+        node: Some(theirs.clone()),
+        pid: None,
+        is_remote: true,
+        is_own: false,
+    };
+    let service = ServiceEndpoint {
+        kind: ServiceKind::Server,
+        name: "/theirs/stop".into(),
+        type_name: "a_msgs/srv/Stop".into(),
+        type_hash: None,
+        gid: Gid([0xcd; 16]),
+        node: theirs,
+        pid: None,
+        is_remote: true,
+    };
+    let remote = RemoteGraph { nodes: vec![], endpoints: vec![subscription], services: vec![service] };
+    gateway.set_remote(&remote).unwrap();
+
+    let pid = std::process::id();
+    let nodes = parsed(&["node", "list", "--json"]);
+    let expected = json!([
+        { "name": "viewer", "namespace": "/", "pid": null, "remote": true },
+        { "name": "camera", "namespace": "/robot", "pid": pid, "remote": false },
+    ]);
+    assert_eq!(nodes, expected);
+    let table = text(&["node", "list"]);
+    let rows: Vec<Vec<&str>> = table.lines().skip(2).map(|line| line.split_whitespace().collect()).collect();
+    assert_eq!(rows, [vec!["/viewer", "on", "another", "host"], vec!["/robot/camera", &*pid.to_string()]]);
+
+    let expected = format!(
+        "/robot/camera (process {pid})\n  subscribers:\n  publishers:\n    /image: a_msgs/msg/Image\n  service servers:\n    \
+         /robot/add: a_msgs/srv/Add\n  service clients:\n    /theirs/stop: a_msgs/srv/Stop\n  action servers:\n    \
+         /robot/turn: a_msgs/action/Turn\n  action clients:\n"
+    );
+    assert_eq!(text(&["node", "info", "/robot/camera"]), expected);
+    let viewer = parsed(&["node", "info", "viewer", "--json"]);
+    assert_eq!(viewer["subscribers"], json!([{ "name": "/image", "type": "a_msgs/msg/Image" }]));
+    assert_eq!(viewer["remote"], json!(true));
+    let unknown = taut(&["node", "info", "camera"]);
+    assert!(!unknown.status.success());
+    assert!(String::from_utf8(unknown.stderr).unwrap().contains("there is no node '/camera'"));
+
+    let services = parsed(&["service", "list", "--json"]);
+    let expected = json!({
+        "service": "/theirs/stop", "type": "a_msgs/srv/Stop", "hash": null,
+        "servers": [{ "node": "/viewer", "remote": true }], "clients": [{ "node": "/robot/camera", "remote": false }],
+    });
+    assert_eq!((services.as_array().unwrap().len(), &services[2]), (3, &expected));
+    assert_eq!(services[0]["hash"], json!(hash));
+    let table = text(&["service", "list"]);
+    let line = table.lines().find(|line| line.starts_with("/theirs/stop")).unwrap();
+    assert_eq!(
+        line.split_whitespace().collect::<Vec<_>>(),
+        ["/theirs/stop", "a_msgs/srv/Stop", "both", "1", "1"]
+    );
+
+    let list = text(&["topic", "list"]);
+    let line = list.lines().find(|line| line.starts_with("/image")).unwrap();
+    assert_eq!(line.split_whitespace().collect::<Vec<_>>(), ["/image", "a_msgs/msg/Image", "both", "1", "1"]);
+    let short = "Type: a_msgs/msg/Image\nPublisher count: 1\nSubscription count: 1, 1 on other hosts\n";
+    assert_eq!(text(&["topic", "info", "image"]), short);
+    let long = text(&["topic", "info", "/image", "-v"]);
+    for part in
+        ["Node name: camera", "Reliability: BEST_EFFORT", "KEEP_LAST (5)", "TRANSIENT_LOCAL", "abababab"]
+    {
+        assert!(long.contains(part), "{part}: {long}");
+    }
+    let info = &parsed(&["topic", "info", "/image", "--json"])[0];
+    assert_eq!(info["publishers"][0]["gid"], json!(format!("{:?}", publisher.gid())));
+    assert_eq!(info["subscriptions"][0]["qos"]["durability"], json!("TRANSIENT_LOCAL"));
+    assert!(!taut(&["topic", "info", "/nothing"]).status.success());
+
+    // Two of one name: said, as in ROS 2.
+    let _twin = participant.create_node("camera", "/robot").unwrap();
+    let errors = String::from_utf8(taut(&["node", "list"]).stderr).unwrap();
+    assert_eq!(errors, "taut: 2 nodes are called /robot/camera\n");
+}

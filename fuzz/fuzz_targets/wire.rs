@@ -1,0 +1,7 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+#![no_main]
+
+#[global_allocator]
+static ALLOCATOR: fuzz::Counting = fuzz::Counting;
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| fuzz::wire(input));

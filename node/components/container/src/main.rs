@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut-container`: a process that components are loaded into. A program of its own, for it shares Tautline with them as one
+//! library.
+#![forbid(unsafe_code)]
+
+use clap::Parser;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use std::error::Error;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::{Arc, Mutex};
+use tautline::{CallbackOptions, Context, Node, Realtime};
+use tautline_components::{Container, Load};
+use tautline_dylib as _;
+
+/// Runs components from shared libraries in one process, on one sampler.
+///
+/// A component shares the process's context; what components publish to each other is read where it was written. A library that
+/// was built by another compiler or with another version of Tautline is refused before any of it runs.
+#[derive(Parser, Debug)]
+#[command(
+    version,
+    after_help = "Load, unload and list while it runs with `taut component`.\n\nExamples:\n  taut-container libdemo.so:demo::Counter libdemo.so:demo::Doubler\n  \
+                  taut-container --no-rt --namespace /robot libdrive.so"
+)]
+struct Args {
+    /// What to load: a library, or LIBRARY:COMPONENT if it has several.
+    #[arg(value_name = "LIBRARY[:COMPONENT]")]
+    load: Vec<String>,
+    /// The namespace of the components' nodes.
+    #[arg(long, default_value = "")]
+    namespace: String,
+    /// The name of the container's own node, by whose services components are loaded and unloaded.
+    #[arg(long, default_value = "ComponentManager")]
+    name: String,
+    /// Without real-time priorities.
+    #[arg(long)]
+    no_rt: bool,
+}
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("taut-container: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(args: &Args) -> Result<(), Box<dyn Error>> {
+    let mut settings = Context::builder();
+    if args.no_rt {
+        settings = settings.realtime(Realtime::Off);
+    }
+    let context = settings.build()?;
+    let mut node = Node::create(context.clone(), &args.name, "")?;
+    let mut container = Container::new(context.clone());
+    for load in &args.load {
+        // The component's name has colons, too.
+        let (library, component) = load.split_once(':').unwrap_or((load, ""));
+        let (library, component) = (PathBuf::from(library), component.to_owned());
+        let load = Load { library, component, namespace: args.namespace.clone(), ..Load::default() };
+        let id = container.load(&load)?;
+        println!("{id} {}", container.full_name(id).unwrap_or_default());
+    }
+    let container = Arc::new(Mutex::new(container));
+    let serve = tautline_components::serve(&container, &mut node)?;
+    // Below every callback: making a component is no real-time work.
+    let services = node.spawn_callback(CallbackOptions::other().name("container"), serve)?;
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
+    let events = context.events().clone();
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        signals.forever().next();
+        events.stop();
+    })?;
+    context.spin()?;
+    services.stop();
+    services.join()?;
+    Ok(())
+}

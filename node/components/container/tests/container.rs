@@ -1,0 +1,194 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Components in a container, and libraries that it refuses.
+
+use futures::StreamExt;
+use futures::executor::block_on;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
+use tautline::std_msgs::msg::UInt64;
+use tautline::{Context, Node, QosProfile, Realtime};
+use tautline_components::{ComponentError, Container, Load, STAMP};
+
+/// Where cargo puts what it builds. Container and components are built in one go, so that they have the same features.
+fn built() -> PathBuf {
+    let folder = Path::new(env!("CARGO_BIN_EXE_taut-container")).parent().unwrap().to_owned();
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo.args(["build", "--quiet", "-p", "tautline-container", "-p", "tautline-demo-components"]);
+    cargo.arg("--target-dir").arg(folder.parent().unwrap());
+    if folder.ends_with("release") {
+        cargo.arg("--release");
+    }
+    assert!(cargo.current_dir(env!("CARGO_MANIFEST_DIR")).status().unwrap().success());
+    folder
+}
+
+fn demo() -> PathBuf {
+    built().join("libtautline_demo_components.so")
+}
+
+fn container(domain: u32, loads: &[String]) -> Command {
+    let mut command = Command::new(built().join("taut-container"));
+    command.arg("--no-rt").args(loads).env("TAUT_DOMAIN", domain.to_string());
+    // It finds its libraries by itself.
+    command.env_remove("LD_LIBRARY_PATH");
+    command
+}
+
+/// What the container says of what it does not load.
+fn refused(loads: &[String]) -> String {
+    let Output { status, stderr, .. } = container(230, loads).output().unwrap();
+    assert!(!status.success());
+    String::from_utf8(stderr).unwrap()
+}
+
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn components_of_one_process_work_together_until_it_ends() {
+    let context = Context::builder().domain(230).realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context.clone(), "test", "").unwrap();
+    let doubled = node.subscribe_loaned::<UInt64>("/robot/doubled", QosProfile::default()).unwrap();
+    let spinning = std::thread::spawn(move || context.spin().map(|()| context));
+    let library = demo();
+    let loads =
+        ["demo::Counter", "demo::Doubler"].map(|component| format!("{}:{component}", library.display()));
+    let mut command = container(230, &loads);
+    command.args(["--namespace", "/robot"]).stdout(Stdio::piped());
+    let mut running = Running(command.spawn().unwrap());
+    let lines = BufReader::new(running.0.stdout.take().unwrap()).lines().take(2).map(Result::unwrap);
+    assert_eq!(lines.collect::<Vec<_>>(), ["1 /robot/counter", "2 /robot/doubler"]);
+    let values: Vec<u64> = block_on(doubled.take(5).map(|message| message.data).collect());
+    assert!(values.iter().all(|value| value % 2 == 0) && values.is_sorted(), "{values:?}");
+    let pid = rustix::process::Pid::from_child(&running.0);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    assert!(running.0.wait().unwrap().success());
+    node.context().shutdown();
+    drop(spinning.join().unwrap().unwrap());
+}
+
+#[test]
+fn a_library_of_another_build_is_refused_with_both_builds() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(demo()).unwrap();
+    let own = String::from_utf8_lossy(&STAMP).into_owned();
+    let at = bytes.windows(STAMP.len()).position(|window| *window == STAMP).unwrap();
+    for (from, to) in [("rustc 1.", "rustc 0."), ("Tautline 0.", "Tautline 9."), ("linux", "minix")] {
+        let mut other = bytes.clone();
+        let place = at + own.find(from).unwrap();
+        other[place..place + from.len()].copy_from_slice(to.as_bytes());
+        let path = folder.path().join("libother.so");
+        std::fs::write(&path, other).unwrap();
+        let text = refused(&[format!("{}:demo::Counter", path.display())]);
+        assert!(
+            text.contains(from) && text.contains(to) && text.contains("same compiler and Tautline"),
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn what_has_no_entry_point_or_is_no_library_is_refused() {
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
+    let libc =
+        maps.lines().find_map(|line| line.split_whitespace().nth(5).filter(|path| path.contains("libc.so")));
+    let text = refused(&[libc.unwrap().to_owned()]);
+    assert!(text.contains("no entry point for components") && text.contains("components!"), "{text}");
+    let text = refused(&["/proc/self/status".to_owned()]);
+    assert!(text.contains("is not a shared library"), "{text}");
+    let text = refused(&["/nowhere/libx.so".to_owned()]);
+    assert!(text.contains("/nowhere/libx.so cannot be read"), "{text}");
+}
+
+#[test]
+fn unknown_and_broken_components_are_named() {
+    let library = demo();
+    let load = |component: &str| refused(&[format!("{}{component}", library.display())]);
+    let known = "demo::Counter, demo::Doubler, demo::Broken";
+    assert!(load(":demo::Counter2").contains(&format!("no component 'demo::Counter2'; it has: {known}")));
+    assert!(load("").contains(known), "it has several");
+    let text = load(":demo::Broken");
+    assert!(text.contains("component 'demo::Broken' panicked while it was made"), "{text}");
+}
+
+/// This test has a Tautline of its own in it, as every ordinary program.
+#[test]
+fn a_process_that_does_not_share_its_tautline_loads_nothing() {
+    let context = Context::builder().domain(230).realtime(Realtime::Off).build().unwrap();
+    let mut container = Container::new(context);
+    let load = Load { library: demo(), component: "demo::Counter".into(), ..Load::default() };
+    match container.load(&load).unwrap_err() {
+        // As far as it comes without the library's folder in LD_LIBRARY_PATH.
+        ComponentError::OtherCopy { .. } | ComponentError::Load { .. } => {}
+        other => panic!("{other}"),
+    }
+    assert_eq!(container.list().count(), 0);
+    assert!(matches!(container.unload(1), Err(ComponentError::NoSuchId { id: 1 })));
+}
+
+#[test]
+fn components_come_and_go_by_service() {
+    let context = Context::builder().domain(230).realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context.clone(), "manager", "").unwrap();
+    let qos = QosProfile::services_default();
+    let [load, unload, list] = ["load", "unload", "list"]
+        .map(|verb| format!("/served/_container/{verb}_node").replace("list_node", "list_nodes"));
+    let load = node.create_client::<LoadNode::Service>(&load, qos).unwrap();
+    let unload = node.create_client::<UnloadNode::Service>(&unload, qos).unwrap();
+    let list = node.create_client::<ListNodes::Service>(&list, qos).unwrap();
+    let counts = node.subscribe_loaned::<UInt64>("/moved/count", QosProfile::default()).unwrap();
+    let spinning = std::thread::spawn(move || context.spin().map(|()| context));
+
+    let mut command = container(230, &[]);
+    let running = Running(command.args(["--name", "served"]).spawn().unwrap());
+    block_on(Node::is_available(&list).unwrap()).unwrap();
+    let ask = |plugin: &str, rules: &[&str], level: u8| {
+        let request = LoadNode::Request {
+            package_name: demo().to_str().unwrap().into(),
+            plugin_name: plugin.into(),
+            node_name: "mine".into(),
+            node_namespace: "/robot".into(),
+            remap_rules: rules.iter().map(|rule| (*rule).into()).collect(),
+            log_level: level,
+            ..Default::default()
+        };
+        block_on(load.request(&request).unwrap()).unwrap()
+    };
+    let names = || block_on(list.request(&Default::default()).unwrap()).unwrap().full_node_names;
+    let end = |unique_id| block_on(unload.request(&UnloadNode::Request { unique_id }).unwrap()).unwrap();
+
+    assert!(names().is_empty());
+    let loaded = ask("demo::Counter", &["count:=/moved/count"], 0);
+    assert_eq!((loaded.success, &*loaded.full_node_name, loaded.unique_id), (true, "/robot/mine", 1));
+    assert_eq!(names(), ["/robot/mine"]);
+    let values: Vec<u64> = block_on(counts.take(3).map(|message| message.data).collect());
+    assert!(values.is_sorted());
+    for (refused, reason) in [
+        (ask("demo::Nothing", &[], 0), "no component 'demo::Nothing'"),
+        (ask("demo::Broken", &[], 0), "panicked"),
+        (ask("demo::Counter", &["no rule"], 0), "no rule"),
+        (ask("demo::Counter", &[], 10), "'log_level' of a load request is not supported"),
+    ] {
+        assert!(!refused.success && refused.error_message.contains(reason), "{}", refused.error_message);
+    }
+    assert_eq!(names(), ["/robot/mine"], "what is refused changes nothing");
+    assert!(end(1).success);
+    assert!(names().is_empty());
+    let again = end(1);
+    assert!(
+        !again.success && again.error_message.contains("no component has number 1"),
+        "{}",
+        again.error_message
+    );
+    drop(running);
+    node.context().shutdown();
+    drop(spinning.join().unwrap().unwrap());
+}

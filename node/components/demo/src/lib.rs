@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Two components: one counts, one doubles what it hears.
+
+use futures::StreamExt;
+use std::time::Duration;
+use tautline::std_msgs::msg::UInt64;
+use tautline::{CallbackHandle, CallbackOptions, Node, QosProfile, Result};
+
+tautline_components::components! {
+    "demo::Counter" => counter,
+    "demo::Doubler" => doubler,
+    "demo::Broken" => |_| panic!("as it should"),
+}
+
+fn counter(mut node: Node) -> Result<Vec<CallbackHandle>> {
+    let publisher = node.create_publisher::<UInt64>("count", QosProfile::default())?;
+    let mut timer = node.create_wall_timer(Duration::from_millis(5))?;
+    let count = async move {
+        for data in 1.. {
+            timer.next_tick().await;
+            let _ = publisher.publish(&UInt64 { data });
+        }
+    };
+    Ok(vec![node.spawn_callback(CallbackOptions::fifo(10).name("counter"), count)?])
+}
+
+fn doubler(mut node: Node) -> Result<Vec<CallbackHandle>> {
+    let counts = node.subscribe_loaned::<UInt64>("count", QosProfile::default())?;
+    let publisher = node.create_publisher::<UInt64>("doubled", QosProfile::default())?;
+    let double = counts.for_each(move |count| {
+        let _ = publisher.publish(&UInt64 { data: count.data * 2 });
+        async {}
+    });
+    Ok(vec![node.spawn_callback(CallbackOptions::fifo(20).name("doubler"), double)?])
+}

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A process's components: loading libraries, making components of nodes, ending them.
+
+use crate::entry::{Library, Plugin};
+use crate::error::ComponentError;
+use crate::stamp::{self, SYMBOL};
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use tautline::{CallbackHandle, Context, Node, NodeOptions, RemapRules};
+
+/// Loads components into this process. They share its context, and with it one sampler; what they publish to each other is read
+/// where it was written.
+///
+/// A library stays in memory once it is loaded, since nobody could tell when the last of its code has run: unloading a component
+/// ends its callbacks, and drops what these own.
+pub struct Container {
+    context: Context,
+    libraries: BTreeMap<PathBuf, &'static Library>,
+    loaded: BTreeMap<u64, Loaded>,
+    last_id: u64,
+}
+
+struct Loaded {
+    full_name: String,
+    callbacks: Vec<CallbackHandle>,
+}
+
+/// What is to be loaded.
+#[derive(Clone, Debug, Default)]
+pub struct Load {
+    /// The shared library.
+    pub library: PathBuf,
+    /// Which of its components; may be left empty if it has one.
+    pub component: String,
+    /// The node's name; if empty, the last part of the component's, in lower case.
+    pub name: String,
+    /// The node's namespace.
+    pub namespace: String,
+    /// Rules for this node alone.
+    pub remap: RemapRules,
+}
+
+impl Container {
+    /// A container without components.
+    pub fn new(context: Context) -> Self {
+        Container { context, libraries: BTreeMap::new(), loaded: BTreeMap::new(), last_id: 0 }
+    }
+
+    /// Loads a component; returns its number, from 1. A library that was not built as this process was is refused before any of
+    /// it runs.
+    ///
+    /// # Errors
+    /// [`ComponentError`]; nothing was made.
+    pub fn load(&mut self, load: &Load) -> Result<u64, ComponentError> {
+        let library = self.library(&load.library)?;
+        let plugin = find(library.plugins(), load)?;
+        let short = plugin.name.rsplit("::").next().unwrap_or(plugin.name).to_lowercase();
+        let name = if load.name.is_empty() { short } else { load.name.clone() };
+        let component = || plugin.name.to_owned();
+        let create = || -> tautline::Result<(String, Vec<CallbackHandle>)> {
+            let options = NodeOptions::default().remap(load.remap.clone());
+            let node = Node::create_with_options(self.context.clone(), &name, &load.namespace, options)?;
+            let full_name = node.fully_qualified_name()?;
+            Ok((full_name, (plugin.create)(node)?))
+        };
+        let (full_name, callbacks) = catch_unwind(AssertUnwindSafe(create))
+            .map_err(|_| ComponentError::Panicked { component: component() })?
+            .map_err(|source| ComponentError::Create { component: component(), source: source.into() })?;
+        self.last_id += 1;
+        self.loaded.insert(self.last_id, Loaded { full_name, callbacks });
+        Ok(self.last_id)
+    }
+
+    fn library(&mut self, path: &Path) -> Result<&'static Library, ComponentError> {
+        let unreadable = |source| ComponentError::Read { path: path.into(), source };
+        let path = path.canonicalize().map_err(unreadable)?;
+        if let Some(library) = self.libraries.get(&path) {
+            return Ok(library);
+        }
+        stamp::check(&path)?;
+        let library = open(&path)?;
+        self.libraries.insert(path, library);
+        Ok(library)
+    }
+
+    /// Ends a component's callbacks, and waits until they have.
+    ///
+    /// # Errors
+    /// [`ComponentError::NoSuchId`]; [`ComponentError::Callback`] if one had panicked.
+    pub fn unload(&mut self, id: u64) -> Result<(), ComponentError> {
+        let Loaded { callbacks, .. } = self.loaded.remove(&id).ok_or(ComponentError::NoSuchId { id })?;
+        callbacks.iter().for_each(CallbackHandle::stop);
+        let mut ended = Ok(());
+        for callback in callbacks {
+            if let Err(error) = callback.join() {
+                ended = Err(ComponentError::Callback { id, reason: error.to_string() });
+            }
+        }
+        ended
+    }
+
+    /// The components' numbers and the full names of their nodes.
+    pub fn list(&self) -> impl Iterator<Item = (u64, &str)> {
+        self.loaded.iter().map(|(id, loaded)| (*id, loaded.full_name.as_str()))
+    }
+
+    /// The full name of a component's node.
+    pub fn full_name(&self, id: u64) -> Option<&str> {
+        self.loaded.get(&id).map(|loaded| loaded.full_name.as_str())
+    }
+}
+
+impl Drop for Container {
+    fn drop(&mut self) {
+        let ids: Vec<_> = self.loaded.keys().copied().collect();
+        for id in ids {
+            let _ = self.unload(id);
+        }
+    }
+}
+
+fn find<'l>(plugins: &'l [Plugin], load: &Load) -> Result<&'l Plugin, ComponentError> {
+    let found = match plugins {
+        [only] if load.component.is_empty() => Some(only),
+        _ => plugins.iter().find(|plugin| plugin.name == load.component),
+    };
+    found.ok_or_else(|| {
+        let known: Vec<_> = plugins.iter().map(|plugin| plugin.name).collect();
+        let (path, wanted) = (load.library.clone(), load.component.clone());
+        ComponentError::NoComponent { path, wanted, known: known.join(", ") }
+    })
+}
+
+/// Loads a library whose stamp was found right.
+fn open(path: &Path) -> Result<&'static Library, ComponentError> {
+    let refuse =
+        |error: libloading::Error| ComponentError::Load { path: path.into(), reason: error.to_string() };
+    use libloading::os::unix;
+    // All symbols now: one that is missing is an error here, not a crash later.
+    let flags = unix::RTLD_NOW | unix::RTLD_LOCAL;
+    // SAFETY: its stamp says that it was built by this process's compiler with this process's Tautline; what runs while it is
+    // loaded is what its author links, as in any program.
+    let library = unsafe { unix::Library::open(Some(path), flags) }.map_err(refuse)?;
+    // SAFETY: the symbol begins with the stamp of this version, whose layout is Library's.
+    let entry: *const Library = unsafe { *library.get::<*const Library>(SYMBOL.as_bytes()).map_err(refuse)? };
+    // Never closed: see Container.
+    std::mem::forget(library);
+    // SAFETY: a static of a library that stays in memory, of this type by its stamp.
+    let entry = unsafe { &*entry };
+    // The file may have been replaced since it was read.
+    if *entry.stamp() != stamp::STAMP {
+        return Err(ComponentError::NoEntryPoint { path: path.into() });
+    }
+    if !entry.shares_copy() {
+        return Err(ComponentError::OtherCopy { path: path.into() });
+    }
+    Ok(entry)
+}
+
+impl std::fmt::Debug for Container {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Container").field("components", &self.loaded.len()).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use std::io;
+use std::path::PathBuf;
+
+/// Why a component was not loaded or unloaded.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ComponentError {
+    /// The file cannot be read.
+    #[error("{} cannot be read: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The file is none that could be loaded.
+    #[error("{} is not a shared library: {reason}", path.display())]
+    NoLibrary {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        reason: String,
+    },
+    /// The library has no components.
+    #[error(
+        "{} has no entry point for components: export it with tautline_components::components!, in a crate of type cdylib",
+        path.display()
+    )]
+    NoEntryPoint {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The library was built by another compiler, with another Tautline, or for another target. Nothing in it has run.
+    #[error(
+        "{} was built with {found}; this process with {own}: build both with the same compiler and Tautline",
+        path.display()
+    )]
+    OtherBuild {
+        /// The file.
+        path: PathBuf,
+        /// What it was built with.
+        found: String,
+        /// What this process was built with.
+        own: String,
+    },
+    /// The system did not load the library: it needs another build of Tautline, or another library that is not there.
+    #[error(
+        "{} cannot be loaded: {reason}; was it built together with this process, with the same features?",
+        path.display()
+    )]
+    Load {
+        /// The file.
+        path: PathBuf,
+        /// The system's word for it.
+        reason: String,
+    },
+    /// The library and this process do not use the same copy of Tautline: each would take the other's nodes for dead.
+    #[error(
+        "{} and this process each have a Tautline of their own: link both against tautline-dylib, as taut-container is",
+        path.display()
+    )]
+    OtherCopy {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The library has no such component.
+    #[error("{} has no component '{wanted}'; it has: {known}", path.display())]
+    NoComponent {
+        /// The file.
+        path: PathBuf,
+        /// The name asked for; empty if none was, and there are several.
+        wanted: String,
+        /// The names there are.
+        known: String,
+    },
+    /// The component could not be made.
+    #[error("component '{component}' was not made: {source}")]
+    Create {
+        /// The component.
+        component: String,
+        /// Why not.
+        source: Box<tautline::Error>,
+    },
+    /// The component panicked while it was made.
+    #[error("component '{component}' panicked while it was made")]
+    Panicked {
+        /// The component.
+        component: String,
+    },
+    /// No component has this number.
+    #[error("no component has number {id}; `list` tells which there are")]
+    NoSuchId {
+        /// The number.
+        id: u64,
+    },
+    /// A callback of the component panicked.
+    #[error("component {id} is unloaded, but its callback had ended badly: {reason}")]
+    Callback {
+        /// The component's number.
+        id: u64,
+        /// How.
+        reason: String,
+    },
+}

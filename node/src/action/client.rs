@@ -1,0 +1,394 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Action clients: what is common to all, and those of a type.
+
+use super::goals::cancel_code;
+use super::state::GoalStatus;
+use super::{Names, qos, status_qos};
+use crate::error::{Error, Result};
+use crate::node::Node;
+use crate::service::{Client, IsAvailablePollable};
+use futures::channel::{mpsc, oneshot};
+use futures::future::BoxFuture;
+use futures::stream::{BoxStream, FuturesUnordered};
+use futures::{FutureExt, Stream, StreamExt};
+use std::future::Future;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+use tautline_executor::CallbackOptions;
+use tautline_msgs::{Action, GoalId};
+use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
+use tautline_ros_msgs::action_msgs::srv::CancelGoal;
+use tautline_transport::{Availability, ServiceError};
+use uuid::Uuid;
+
+/// How goals, results and feedback of an action travel: as Rust types, or as JSON.
+pub(super) trait Protocol: Send + Sync + 'static {
+    type Goal;
+    type Result: Send + 'static;
+    type Feedback: Send + 'static;
+
+    /// Whether the goal is accepted.
+    fn send_goal(&self, id: GoalId, goal: Self::Goal) -> Result<BoxFuture<'static, Result<bool>>>;
+    fn get_result(&self, id: GoalId) -> Result<ResultFuture<Self>>;
+    fn availability(&self) -> Result<Vec<Availability>>;
+}
+
+pub(super) type Outcome<P> = (GoalStatus, <P as Protocol>::Result);
+pub(super) type ResultFuture<P> = BoxFuture<'static, Result<Outcome<P>>>;
+/// Whose it is, and what.
+pub(super) type FeedbackStream<P> = BoxStream<'static, (GoalId, <P as Protocol>::Feedback)>;
+
+/// What an action client's handles share.
+pub(super) struct Shared<P: Protocol> {
+    name: String,
+    protocol: P,
+    cancel_goal: Client<CancelGoal::Service>,
+    goals: Mutex<Vec<Goal<P>>>,
+    /// Results to wait for; when it is closed, the thread that listens ends.
+    results: mpsc::UnboundedSender<BoxFuture<'static, GoalId>>,
+}
+
+/// A goal that was sent and has not ended, as far as is known.
+struct Goal<P: Protocol> {
+    id: GoalId,
+    status: GoalStatus,
+    /// Until the goal has ended.
+    feedback: Option<mpsc::UnboundedSender<P::Feedback>>,
+    /// Handles to it, and its request.
+    held: usize,
+}
+
+impl<P: Protocol> Shared<P> {
+    /// Makes a client, and the callback that listens for it.
+    pub(super) fn create(
+        node: &mut Node,
+        action: &str,
+        protocol: P,
+        feedback: FeedbackStream<P>,
+    ) -> Result<Arc<Self>> {
+        let names = Names::of(action);
+        let cancel_goal = node.create_client::<CancelGoal::Service>(&names.cancel_goal, qos())?;
+        let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?;
+        let (results, requests) = mpsc::unbounded();
+        let goals = Mutex::new(Vec::new());
+        let shared = Arc::new(Shared { name: action.to_owned(), protocol, cancel_goal, goals, results });
+        let weak = Arc::downgrade(&shared);
+        let listen = async move {
+            let (mut feedback, mut status, mut requests) = (feedback.fuse(), status.fuse(), requests.fuse());
+            let mut results = FuturesUnordered::new();
+            loop {
+                futures::select_biased! {
+                    // First: what was published before the end of a goal comes before it.
+                    (id, feedback) = feedback.select_next_some() => {
+                        let Some(shared) = weak.upgrade() else { return };
+                        shared.pass_on(id, feedback);
+                    }
+                    message = status.select_next_some() => {
+                        let Some(shared) = weak.upgrade() else { return };
+                        shared.note(&message);
+                    }
+                    result = requests.next() => match result {
+                        Some(result) => results.push(result),
+                        None => return,
+                    },
+                    id = results.select_next_some() => {
+                        let Some(shared) = weak.upgrade() else { return };
+                        // The feedback that was there by now is taken before.
+                        while let Some(Some((id, feedback))) = feedback.next().now_or_never() {
+                            shared.pass_on(id, feedback);
+                        }
+                        shared.end(id);
+                    }
+                }
+            }
+        };
+        node.spawn_callback(CallbackOptions::other().name(format!("{action}/_action client")), listen)?;
+        Ok(shared)
+    }
+
+    fn goals(&self) -> MutexGuard<'_, Vec<Goal<P>>> {
+        self.goals.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn pass_on(&self, id: GoalId, feedback: P::Feedback) {
+        let goals = self.goals();
+        if let Some(Goal { feedback: Some(sender), .. }) = goals.iter().find(|goal| goal.id == id) {
+            // Ignored: its stream was dropped.
+            let _ = sender.unbounded_send(feedback);
+        }
+    }
+
+    fn note(&self, message: &GoalStatusArray) {
+        let mut goals = self.goals();
+        for StatusOf { id, status } in message.status_list.iter().map(StatusOf::from) {
+            // An old message must not wake the dead.
+            let goal = goals.iter_mut().find(|goal| goal.id == id);
+            if let Some(goal) = goal.filter(|goal| !goal.status.is_terminal()) {
+                goal.status = status;
+            }
+        }
+    }
+
+    /// Nothing more comes for this goal.
+    fn end(&self, id: GoalId) {
+        if let Some(goal) = self.goals().iter_mut().find(|goal| goal.id == id) {
+            goal.feedback = None;
+        }
+    }
+
+    pub(super) fn status(&self, id: GoalId) -> GoalStatus {
+        self.goals().iter().find(|goal| goal.id == id).map_or(GoalStatus::Unknown, |goal| goal.status)
+    }
+
+    pub(super) fn availability(&self) -> Result<Vec<Availability>> {
+        let mut all = self.protocol.availability()?;
+        all.extend(self.cancel_goal.availability()?);
+        Ok(all)
+    }
+
+    /// Sends a goal; the future ends with its handle, its result to come and its feedback.
+    pub(super) fn send(
+        self: &Arc<Self>,
+        goal: P::Goal,
+    ) -> Result<impl Future<Output = Result<Sent<P>>> + Send + use<P>>
+    where
+        P::Goal: Send,
+    {
+        let id = Uuid::new_v4().into_bytes();
+        let (feedback, received) = mpsc::unbounded();
+        // Before the goal is sent: the first feedback may be as fast as the response.
+        self.goals().push(Goal { id, status: GoalStatus::Unknown, feedback: Some(feedback), held: 1 });
+        let held = Held { id, shared: self.clone() };
+        let accepted = self.protocol.send_goal(id, goal)?;
+        Ok(async move {
+            if !accepted.await? {
+                return Err(Error::GoalRejected { action: held.shared.name.clone() });
+            }
+            let (sender, result) = oneshot::channel();
+            let response = held.shared.protocol.get_result(id)?;
+            let weak = Arc::downgrade(&held.shared);
+            let deliver = response.map(move |result| {
+                if let (Some(shared), Ok((status, _))) = (weak.upgrade(), &result)
+                    && let Some(goal) = shared.goals().iter_mut().find(|goal| goal.id == id)
+                {
+                    goal.status = *status;
+                }
+                // Ignored: nobody waits for it.
+                let _ = sender.send(result);
+                id
+            });
+            // Ignored: the listener lives as long as there are handles, or the context is about to end.
+            let _ = held.shared.results.unbounded_send(deliver.boxed());
+            let name = held.shared.name.clone();
+            Ok((held, GoalResult { result, name }, received))
+        })
+    }
+
+    /// Asks the server to cancel a goal.
+    pub(super) fn cancel(
+        &self,
+        id: GoalId,
+    ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<P>> {
+        let mut request = CancelGoal::Request::default();
+        request.goal_info.goal_id.uuid = id;
+        let response = self.cancel_goal.request(&request)?;
+        Ok(response.map(|response| match response?.return_code {
+            cancel_code::NONE => Ok(()),
+            cancel_code::UNKNOWN_GOAL_ID => Err(Error::GoalCancelUnknownGoalID),
+            cancel_code::GOAL_TERMINATED => Err(Error::GoalCancelAlreadyTerminated),
+            _ => Err(Error::GoalCancelRejected),
+        }))
+    }
+}
+
+struct StatusOf {
+    id: GoalId,
+    status: GoalStatus,
+}
+
+impl From<&tautline_ros_msgs::action_msgs::msg::GoalStatus> for StatusOf {
+    fn from(message: &tautline_ros_msgs::action_msgs::msg::GoalStatus) -> Self {
+        StatusOf { id: message.goal_info.goal_id.uuid, status: GoalStatus::from_rcl(message.status) }
+    }
+}
+
+/// A goal's handle, its result to come, its feedback.
+pub(super) type Sent<P> = (Held<P>, GoalResult<P>, mpsc::UnboundedReceiver<<P as Protocol>::Feedback>);
+
+/// Keeps what is known of a goal.
+pub(super) struct Held<P: Protocol> {
+    pub(super) id: GoalId,
+    pub(super) shared: Arc<Shared<P>>,
+}
+
+impl<P: Protocol> Clone for Held<P> {
+    fn clone(&self) -> Self {
+        if let Some(goal) = self.shared.goals().iter_mut().find(|goal| goal.id == self.id) {
+            goal.held += 1;
+        }
+        Held { id: self.id, shared: self.shared.clone() }
+    }
+}
+
+impl<P: Protocol> Drop for Held<P> {
+    fn drop(&mut self) {
+        let mut goals = self.shared.goals();
+        if let Some(index) = goals.iter().position(|goal| goal.id == self.id) {
+            goals[index].held -= 1;
+            // Who still reads the feedback of a goal that goes on without a handle goes on reading it.
+            if goals[index].held == 0
+                && goals[index].feedback.as_ref().is_none_or(|feedback| feedback.is_closed())
+            {
+                goals.swap_remove(index);
+            }
+        }
+    }
+}
+
+/// The result of a goal, once it is there.
+pub(super) struct GoalResult<P: Protocol> {
+    result: oneshot::Receiver<Result<Outcome<P>>>,
+    name: String,
+}
+
+impl<P: Protocol> Future for GoalResult<P> {
+    type Output = Result<Outcome<P>>;
+
+    fn poll(mut self: std::pin::Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
+        self.result.poll_unpin(context).map(|result| {
+            // Whoever listened has ended with the context.
+            let gone = || ServiceError::ServerGone { service: self.name.as_str().into() }.into();
+            result.unwrap_or_else(|_| Err(gone()))
+        })
+    }
+}
+
+/// An action of a Rust type.
+pub(super) struct Typed<T: Action> {
+    send_goal: Client<T::SendGoal>,
+    get_result: Client<T::GetResult>,
+}
+
+impl<T: Action> Protocol for Typed<T> {
+    type Goal = T::Goal;
+    type Result = T::Result;
+    type Feedback = T::Feedback;
+
+    fn send_goal(&self, id: GoalId, goal: T::Goal) -> Result<BoxFuture<'static, Result<bool>>> {
+        let response = self.send_goal.request(&T::make_goal_request_msg(id, goal))?;
+        Ok(response.map(|response| Ok(T::destructure_goal_response_msg(response?).0)).boxed())
+    }
+
+    fn get_result(&self, id: GoalId) -> Result<ResultFuture<Self>> {
+        let response = self.get_result.request(&T::make_result_request_msg(id))?;
+        let take_apart = |response| {
+            let (status, result) = T::destructure_result_response_msg(response);
+            (GoalStatus::from_rcl(status), result)
+        };
+        Ok(response.map(move |response| response.map(take_apart)).boxed())
+    }
+
+    fn availability(&self) -> Result<Vec<Availability>> {
+        let mut both = self.send_goal.availability()?;
+        both.extend(self.get_result.availability()?);
+        Ok(both)
+    }
+}
+
+/// Sends goals to an action's server. A clone is the same client.
+pub struct ActionClient<T: Action> {
+    shared: Arc<Shared<Typed<T>>>,
+}
+
+impl<T: Action> ActionClient<T> {
+    pub(super) fn create(node: &mut Node, action: &str) -> Result<Self> {
+        let names = Names::of(action);
+        let send_goal = node.create_client::<T::SendGoal>(&names.send_goal, qos())?;
+        let get_result = node.create_client::<T::GetResult>(&names.get_result, qos())?;
+        let feedback = node.subscribe::<T::FeedbackMessage>(&names.feedback, qos())?;
+        let feedback = feedback.map(T::destructure_feedback_msg).boxed();
+        let shared = Shared::create(node, action, Typed { send_goal, get_result }, feedback)?;
+        Ok(ActionClient { shared })
+    }
+
+    /// Sends a goal. If the server accepts it, the future ends with the goal's handle, a future of its result, and a stream of
+    /// its feedback, which ends with the goal.
+    ///
+    /// # Errors
+    /// [`Error::Service`]: there is no server. The future's: [`Error::GoalRejected`]; [`Error::Service`] if the server goes.
+    pub fn send_goal_request(
+        &self,
+        goal: T::Goal,
+    ) -> Result<
+        impl Future<
+            Output = Result<(
+                ActionClientGoal<T>,
+                impl Future<Output = Result<(GoalStatus, T::Result)>> + Unpin + Send + use<T>,
+                impl Stream<Item = T::Feedback> + Unpin + Send + use<T>,
+            )>,
+        > + Send
+        + use<T>,
+    > {
+        let sent = self.shared.send(goal)?;
+        Ok(async move {
+            let (held, result, feedback) = sent.await?;
+            Ok((ActionClientGoal { uuid: Uuid::from_bytes(held.id), held }, result, feedback))
+        })
+    }
+}
+
+/// A goal that was accepted. A clone is the same goal.
+pub struct ActionClientGoal<T: Action> {
+    /// The goal's id.
+    pub uuid: Uuid,
+    held: Held<Typed<T>>,
+}
+
+impl<T: Action> ActionClientGoal<T> {
+    /// What was last heard of the goal.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn get_status(&self) -> Result<GoalStatus> {
+        Ok(self.held.shared.status(self.held.id))
+    }
+
+    /// Asks the server to cancel the goal. The future ends when the server has decided.
+    ///
+    /// # Errors
+    /// [`Error::Service`]: there is no server. The future's: [`Error::GoalCancelRejected`],
+    /// [`Error::GoalCancelUnknownGoalID`], [`Error::GoalCancelAlreadyTerminated`].
+    pub fn cancel(&self) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<T>> {
+        self.held.shared.cancel(self.held.id)
+    }
+}
+
+impl<T: Action> Clone for ActionClient<T> {
+    fn clone(&self) -> Self {
+        ActionClient { shared: self.shared.clone() }
+    }
+}
+
+impl<T: Action> Clone for ActionClientGoal<T> {
+    fn clone(&self) -> Self {
+        ActionClientGoal { uuid: self.uuid, held: self.held.clone() }
+    }
+}
+
+impl<T: Action> IsAvailablePollable for ActionClient<T> {
+    fn availability(&self) -> Result<Vec<Availability>> {
+        self.shared.availability()
+    }
+}
+
+impl<T: Action> std::fmt::Debug for ActionClient<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ActionClient").field("action", &self.shared.name).finish_non_exhaustive()
+    }
+}
+
+impl<T: Action> std::fmt::Debug for ActionClientGoal<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ActionClientGoal").field("uuid", &self.uuid).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A server's goals: their states, who may be cancelled, who waits for a result, what has expired. No input or output.
+
+use super::state::{GoalEvent, GoalStatus};
+use std::time::Duration;
+use tautline_msgs::GoalId;
+
+/// Means every goal in a request to cancel.
+const ANY: GoalId = [0; 16];
+
+/// Answers of a request to cancel, from `action_msgs/srv/CancelGoal`.
+pub(crate) mod cancel_code {
+    pub const NONE: i8 = 0;
+    pub const REJECTED: i8 = 1;
+    pub const UNKNOWN_GOAL_ID: i8 = 2;
+    pub const GOAL_TERMINATED: i8 = 3;
+}
+
+/// Seconds and nanoseconds.
+pub(crate) type Stamp = (i32, u32);
+
+/// `W` is who waits for a result.
+pub(crate) struct Goals<W> {
+    list: Vec<Goal<W>>,
+    /// How long a result is kept.
+    result_timeout: Duration,
+}
+
+struct Goal<W> {
+    id: GoalId,
+    status: GoalStatus,
+    accepted: Stamp,
+    /// The body of the response, and when it came, on the monotonic clock.
+    result: Option<(Vec<u8>, u64)>,
+    waiting: Vec<W>,
+}
+
+/// What is said to someone who asks for a result.
+pub(crate) enum ResultOf<W> {
+    /// The body of the response.
+    Known(W, Vec<u8>),
+    Unknown(W),
+    Later,
+}
+
+impl<W> Goals<W> {
+    pub(crate) fn new(result_timeout: Duration) -> Self {
+        Goals { list: Vec::new(), result_timeout }
+    }
+
+    /// False if there is a goal of this id already.
+    pub(crate) fn accept(&mut self, id: GoalId, accepted: Stamp) -> bool {
+        if self.get(id).is_some() {
+            return false;
+        }
+        let status = GoalStatus::Accepted;
+        self.list.push(Goal { id, status, accepted, result: None, waiting: Vec::new() });
+        true
+    }
+
+    pub(crate) fn status(&self, id: GoalId) -> GoalStatus {
+        self.list.iter().find(|goal| goal.id == id).map_or(GoalStatus::Unknown, |goal| goal.status)
+    }
+
+    /// The status after the event.
+    ///
+    /// # Errors
+    /// The status in which that cannot happen.
+    pub(crate) fn happen(&mut self, id: GoalId, event: GoalEvent) -> Result<GoalStatus, GoalStatus> {
+        let Some(goal) = self.get(id) else { return Err(GoalStatus::Unknown) };
+        goal.status = goal.status.after(event).ok_or(goal.status)?;
+        Ok(goal.status)
+    }
+
+    /// A terminal goal has this result: returns who waits for it.
+    pub(crate) fn finish(&mut self, id: GoalId, body: Vec<u8>, now_ns: u64) -> Vec<W> {
+        let Some(goal) = self.get(id) else { return Vec::new() };
+        goal.result = Some((body, now_ns));
+        std::mem::take(&mut goal.waiting)
+    }
+
+    /// Somebody asks for a result.
+    pub(crate) fn ask(&mut self, id: GoalId, who: W) -> ResultOf<W> {
+        match self.get(id) {
+            None => ResultOf::Unknown(who),
+            Some(Goal { result: Some((body, _)), .. }) => ResultOf::Known(who, body.clone()),
+            Some(goal) => {
+                goal.waiting.push(who);
+                ResultOf::Later
+            }
+        }
+    }
+
+    /// Which goals a request to cancel means, and what is answered if there are none. As in ROS 2: no id and no time mean all;
+    /// a time means all accepted until then; an id means that one, besides.
+    pub(crate) fn to_cancel(&self, id: GoalId, until: Stamp) -> (Vec<GoalId>, i8) {
+        let all = id == ANY && until == (0, 0);
+        let meant = |goal: &Goal<W>| {
+            all || (id != ANY && goal.id == id) || (until != (0, 0) && goal.accepted <= until)
+        };
+        let can = |goal: &Goal<W>| goal.status.after(GoalEvent::CancelGoal).is_some();
+        let goals: Vec<_> =
+            self.list.iter().filter(|goal| meant(goal) && can(goal)).map(|goal| goal.id).collect();
+        let code = match self.status(id) {
+            _ if id == ANY || !goals.is_empty() => cancel_code::NONE,
+            GoalStatus::Unknown => cancel_code::UNKNOWN_GOAL_ID,
+            _ => cancel_code::GOAL_TERMINATED,
+        };
+        (goals, code)
+    }
+
+    /// Forgets the goals whose results were there for longer than the time-out. True if there were any.
+    pub(crate) fn expire(&mut self, now_ns: u64) -> bool {
+        let limit_ns = u64::try_from(self.result_timeout.as_nanos()).unwrap_or(u64::MAX);
+        let before = self.list.len();
+        self.list.retain(|goal| {
+            goal.result.as_ref().is_none_or(|(_, since_ns)| now_ns.saturating_sub(*since_ns) < limit_ns)
+        });
+        self.list.len() < before
+    }
+
+    /// All goals, with time of acceptance and status.
+    pub(crate) fn all(&self) -> impl Iterator<Item = (GoalId, Stamp, GoalStatus)> {
+        self.list.iter().map(|goal| (goal.id, goal.accepted, goal.status))
+    }
+
+    pub(crate) fn accepted(&self, id: GoalId) -> Stamp {
+        self.list.iter().find(|goal| goal.id == id).map_or((0, 0), |goal| goal.accepted)
+    }
+
+    fn get(&mut self, id: GoalId) -> Option<&mut Goal<W>> {
+        self.list.iter_mut().find(|goal| goal.id == id)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cancel_code::{GOAL_TERMINATED, NONE, UNKNOWN_GOAL_ID};
+
+    const A: GoalId = [1; 16];
+    const B: GoalId = [2; 16];
+    const C: GoalId = [3; 16];
+
+    fn goals() -> Goals<u32> {
+        let mut goals = Goals::new(Duration::from_nanos(100));
+        for (id, sec) in [(A, 1), (B, 2), (C, 3)] {
+            assert!(goals.accept(id, (sec, 0)));
+            goals.happen(id, GoalEvent::Execute).unwrap();
+        }
+        goals
+    }
+
+    #[test]
+    fn who_is_cancelled() {
+        let mut goals = goals();
+        assert_eq!(goals.to_cancel(ANY, (0, 0)), (vec![A, B, C], NONE));
+        assert_eq!(goals.to_cancel(B, (0, 0)), (vec![B], NONE));
+        assert_eq!(goals.to_cancel(ANY, (2, 0)), (vec![A, B], NONE));
+        assert_eq!(goals.to_cancel(C, (1, 5)), (vec![A, C], NONE));
+        assert_eq!(goals.to_cancel([9; 16], (0, 0)), (vec![], UNKNOWN_GOAL_ID));
+        goals.happen(B, GoalEvent::Succeed).unwrap();
+        assert_eq!(goals.to_cancel(B, (0, 0)), (vec![], GOAL_TERMINATED));
+        assert_eq!(goals.to_cancel(ANY, (0, 0)), (vec![A, C], NONE));
+        goals.happen(A, GoalEvent::CancelGoal).unwrap();
+        assert_eq!(
+            goals.to_cancel(ANY, (0, 0)),
+            (vec![C], NONE),
+            "one that is being cancelled is not cancelled again"
+        );
+    }
+
+    #[test]
+    fn results_are_given_to_those_who_wait_and_to_those_who_come_later_until_they_expire() {
+        let mut goals = goals();
+        assert!(!goals.accept(A, (9, 9)), "one goal of an id");
+        assert!(matches!(goals.ask(A, 1), ResultOf::Later));
+        assert_eq!(goals.happen(A, GoalEvent::Canceled), Err(GoalStatus::Executing));
+        goals.happen(A, GoalEvent::Succeed).unwrap();
+        assert_eq!(goals.finish(A, vec![7], 1000), [1]);
+        assert!(matches!(goals.ask(A, 2), ResultOf::Known(2, body) if body == [7]));
+        assert!(!goals.expire(1099));
+        assert!(goals.expire(1100));
+        assert!(matches!(goals.ask(A, 3), ResultOf::Unknown(3)));
+        assert_eq!((goals.status(A), goals.status(B)), (GoalStatus::Unknown, GoalStatus::Executing));
+        assert!(!goals.expire(u64::MAX), "what is pursued does not expire");
+        assert_eq!(goals.all().count(), 2);
+    }
+}

@@ -1,0 +1,482 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Action servers.
+
+use super::goals::{Goals, ResultOf, Stamp, cancel_code};
+use super::state::{GoalEvent, GoalStatus};
+use super::{Names, qos, status_qos};
+use crate::error::{Error, Result};
+use crate::node::Node;
+use crate::service::{Reply, ServiceRequest};
+use futures::channel::{mpsc, oneshot};
+use futures::stream::FuturesUnordered;
+use futures::{FutureExt, Stream, StreamExt};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Duration;
+use tautline_executor::CallbackOptions;
+use tautline_msgs::cdr::Endian;
+use tautline_msgs::{Action, GoalId, Message, Service};
+use tautline_ros_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMsg, GoalStatusArray};
+use tautline_ros_msgs::action_msgs::srv::CancelGoal;
+use tautline_rt::clock::{monotonic_ns, wall_ns};
+use tautline_sampler::GuardCondition;
+use tautline_transport::Publisher;
+use uuid::Uuid;
+
+/// Settings of an action server.
+#[derive(Clone, Debug)]
+pub struct ActionServerOptions {
+    /// How long results of goals that have ended are kept: 15 minutes by default, as in ROS 2.
+    pub result_timeout: Duration,
+    /// The thread that answers: of ordinary priority by default.
+    pub callback: CallbackOptions,
+}
+
+impl Default for ActionServerOptions {
+    fn default() -> Self {
+        ActionServerOptions {
+            result_timeout: Duration::from_secs(15 * 60),
+            callback: CallbackOptions::other(),
+        }
+    }
+}
+
+type ResultResponse<T> = <<T as Action>::GetResult as Service>::Response;
+type ResultReply<T> = Reply<<T as Action>::GetResult>;
+
+/// What the goals of a server share with the thread that answers.
+struct Server<T: Action> {
+    name: String,
+    state: Mutex<State<T>>,
+}
+
+/// What the stream of goals and the goals hold: without them, the thread that answers ends.
+struct User<T: Action> {
+    server: Arc<Server<T>>,
+    end: GuardCondition,
+}
+
+impl<T: Action> Drop for User<T> {
+    fn drop(&mut self) {
+        self.end.trigger();
+    }
+}
+
+struct State<T: Action> {
+    goals: Goals<ResultReply<T>>,
+    cancels: Vec<(GoalId, mpsc::UnboundedSender<ActionServerCancelRequest>)>,
+    feedback: Publisher<T::FeedbackMessage>,
+    status: Publisher<GoalStatusArray>,
+}
+
+impl<T: Action> Server<T> {
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes an event happen to a goal and says so to everybody.
+    fn happen(&self, id: GoalId, event: GoalEvent) -> Result<GoalStatus> {
+        let mut state = self.state();
+        let status = state.goals.happen(id, event).map_err(|status| self.goal_error(id, status))?;
+        state.publish_status();
+        Ok(status)
+    }
+
+    fn goal_error(&self, id: GoalId, status: GoalStatus) -> Error {
+        Error::Goal { action: self.name.clone(), goal: Uuid::from_bytes(id).to_string(), status }
+    }
+
+    /// Ends a goal with a result.
+    fn finish(&self, id: GoalId, event: GoalEvent, result: T::Result) -> Result<()> {
+        let mut state = self.state();
+        let before = state.goals.status(id);
+        let status = before.after(event).ok_or_else(|| self.goal_error(id, before))?;
+        let response = T::make_result_response_msg(status.to_rcl(), result);
+        let mut body = vec![0; response.cdr_len()];
+        response.encode(&mut body).map_err(|error| Error::Publish(error.into()))?;
+        state.goals.happen(id, event).map_err(|status| self.goal_error(id, status))?;
+        state.cancels.retain(|(goal, _)| *goal != id);
+        let waiting = state.goals.finish(id, body.clone(), monotonic_ns());
+        state.publish_status();
+        drop(state);
+        waiting.into_iter().for_each(|reply| respond::<T>(reply, &body));
+        Ok(())
+    }
+}
+
+impl<T: Action> Server<T> {
+    /// Answers who asks for a result, now or when it is there.
+    fn answer(&self, request: ServiceRequest<T::GetResult>) {
+        let (message, reply) = request.into_parts();
+        let id = T::destructure_result_request_msg(message);
+        let asked = self.state().goals.ask(id, reply);
+        match asked {
+            ResultOf::Later => {}
+            ResultOf::Known(reply, body) => respond::<T>(reply, &body),
+            ResultOf::Unknown(reply) => {
+                let response =
+                    T::make_result_response_msg(GoalStatus::Unknown.to_rcl(), T::Result::default());
+                if let Err(error) = reply.respond(&response) {
+                    tracing::warn!("{error}");
+                }
+            }
+        }
+    }
+}
+
+impl<T: Action> State<T> {
+    fn publish_status(&self) {
+        let status = |(id, accepted, status): (GoalId, Stamp, GoalStatus)| StatusMsg {
+            goal_info: goal_info(id, accepted),
+            status: status.to_rcl(),
+        };
+        let message = GoalStatusArray { status_list: self.goals.all().map(status).collect() };
+        if let Err(error) = self.status.publish(&message) {
+            tracing::warn!("{}: {error}", self.status.topic());
+        }
+    }
+}
+
+fn goal_info(id: GoalId, (sec, nanosec): Stamp) -> GoalInfo {
+    let mut info = GoalInfo::default();
+    info.goal_id.uuid = id;
+    (info.stamp.sec, info.stamp.nanosec) = (sec, nanosec);
+    info
+}
+
+/// The response was encoded when the goal ended.
+fn respond<T: Action>(reply: ResultReply<T>, body: &[u8]) {
+    let response = ResultResponse::<T>::decode(body, Endian::Little);
+    let responded = match response {
+        Ok(response) => reply.respond(&response).map_err(|error| error.to_string()),
+        Err(error) => Err(error.to_string()),
+    };
+    if let Err(error) = responded {
+        tracing::warn!("a goal's result was not delivered: {error}");
+    }
+}
+
+fn now() -> Stamp {
+    let now_ns = wall_ns();
+    (i32::try_from(now_ns / 1_000_000_000).unwrap_or(i32::MAX), (now_ns % 1_000_000_000) as u32)
+}
+
+pub(super) fn create<T: Action>(
+    node: &mut Node,
+    action: &str,
+    options: ActionServerOptions,
+) -> Result<impl Stream<Item = ActionServerGoalRequest<T>> + Unpin + Send + use<T>> {
+    let names = Names::of(action);
+    let feedback = node.create_publisher(&names.feedback, qos())?;
+    let status = node.create_publisher(&names.status, status_qos())?;
+    let mut send_goal = node.create_service::<T::SendGoal>(&names.send_goal, qos())?.fuse();
+    let mut cancel_goal = node.create_service::<CancelGoal::Service>(&names.cancel_goal, qos())?.fuse();
+    let mut get_result = node.create_service::<T::GetResult>(&names.get_result, qos())?.fuse();
+    let period = options.result_timeout.clamp(Duration::from_millis(1), Duration::from_secs(1));
+    let mut expiry = node.create_wall_timer(period)?.fuse();
+    let end = node.context.events().guard_condition()?;
+    let mut ends = {
+        let mut end = end.clone();
+        futures::stream::poll_fn(move |context| end.poll_triggered(context).map(Some)).fuse()
+    };
+    let state = State { goals: Goals::new(options.result_timeout), cancels: Vec::new(), feedback, status };
+    let server = Arc::new(Server { name: action.to_owned(), state: Mutex::new(state) });
+    let user = Arc::new(User { server: server.clone(), end });
+    let (goals, requests) = mpsc::unbounded();
+    let users = Arc::downgrade(&user);
+    let answer = async move {
+        let mut cancels = FuturesUnordered::new();
+        loop {
+            futures::select! {
+                request = send_goal.select_next_some() => match users.upgrade() {
+                    Some(user) => offer(&user, &goals, request),
+                    None => break,
+                },
+                request = cancel_goal.select_next_some() => cancels.push(ask_to_cancel(&server, request)),
+                () = cancels.select_next_some() => {}
+                request = get_result.select_next_some() => server.answer(request),
+                _ = expiry.select_next_some() => {
+                    let mut state = server.state();
+                    if state.goals.expire(monotonic_ns()) {
+                        state.publish_status();
+                    }
+                }
+                () = ends.select_next_some() => if users.strong_count() == 0 { break },
+            }
+        }
+        // Whoever has asked by now is still answered.
+        while let Some(Some(request)) = cancel_goal.next().now_or_never() {
+            cancels.push(ask_to_cancel(&server, request));
+        }
+        while let Some(()) = cancels.next().await {}
+        while let Some(Some(request)) = get_result.next().now_or_never() {
+            server.answer(request);
+        }
+    };
+    node.spawn_callback(options.callback.name(format!("{action}/_action")), answer)?;
+    Ok(Requests { requests, _user: user })
+}
+
+/// Keeps the server there.
+struct Requests<T: Action> {
+    requests: mpsc::UnboundedReceiver<ActionServerGoalRequest<T>>,
+    _user: Arc<User<T>>,
+}
+
+impl<T: Action> Stream for Requests<T> {
+    type Item = ActionServerGoalRequest<T>;
+
+    fn poll_next(
+        mut self: std::pin::Pin<&mut Self>,
+        context: &mut std::task::Context<'_>,
+    ) -> std::task::Poll<Option<Self::Item>> {
+        self.requests.poll_next_unpin(context)
+    }
+}
+
+/// Gives a goal to whoever decides on it; if nobody is left, it is rejected.
+fn offer<T: Action>(
+    user: &Arc<User<T>>,
+    goals: &mpsc::UnboundedSender<ActionServerGoalRequest<T>>,
+    request: ServiceRequest<T::SendGoal>,
+) {
+    let (message, reply) = request.into_parts();
+    let (id, goal) = T::destructure_goal_request_msg(message);
+    let decision = Decision::<T> { reply: Some(reply) };
+    let request = ActionServerGoalRequest { uuid: Uuid::from_bytes(id), goal, decision, user: user.clone() };
+    // What comes back is dropped, and with it rejected.
+    let _ = goals.unbounded_send(request);
+}
+
+/// Asks those who pursue the goals, and answers when all have decided.
+fn ask_to_cancel<T: Action>(
+    server: &Arc<Server<T>>,
+    request: ServiceRequest<CancelGoal::Service>,
+) -> impl Future<Output = ()> + use<T> {
+    let info = &request.message.goal_info;
+    let state = server.state();
+    let (goals, code) = state.goals.to_cancel(info.goal_id.uuid, (info.stamp.sec, info.stamp.nanosec));
+    let asked = goals.iter().map(|&id| {
+        let (sender, decision) = oneshot::channel();
+        let weak = Arc::downgrade(server);
+        let request = ActionServerCancelRequest {
+            uuid: Uuid::from_bytes(id),
+            accept: Box::new(move || accept_cancel(&weak, id)),
+            decision: sender,
+        };
+        if let Some((_, goal)) = state.cancels.iter().find(|(goal, _)| *goal == id) {
+            // What comes back is dropped, and with it rejected.
+            let _ = goal.unbounded_send(request);
+        }
+        let accepted = state.goals.accepted(id);
+        decision.map(move |decision| (goal_info(id, accepted), decision.unwrap_or(false)))
+    });
+    let asked = futures::future::join_all(asked.collect::<Vec<_>>());
+    drop(state);
+    asked.map(move |decisions| {
+        let any = !decisions.is_empty();
+        let canceling = decisions.into_iter().filter(|(_, accepted)| *accepted);
+        let goals_canceling: Vec<_> = canceling.map(|(info, _)| info).collect();
+        let return_code = if any && goals_canceling.is_empty() { cancel_code::REJECTED } else { code };
+        if let Err(error) = request.respond(CancelGoal::Response { return_code, goals_canceling }) {
+            tracing::warn!("{error}");
+        }
+    })
+}
+
+fn accept_cancel<T: Action>(server: &Weak<Server<T>>, id: GoalId) -> bool {
+    server.upgrade().is_some_and(|server| server.happen(id, GoalEvent::CancelGoal).is_ok())
+}
+
+/// A request to cancel a goal. Dropping it rejects it.
+pub struct ActionServerCancelRequest {
+    /// The goal's id.
+    pub uuid: Uuid,
+    accept: Box<dyn FnOnce() -> bool + Send>,
+    decision: oneshot::Sender<bool>,
+}
+
+impl ActionServerCancelRequest {
+    /// Accepts: the goal is being cancelled from now on, and should end with [`ActionServerGoal::cancel`]. A goal that has ended
+    /// meanwhile has ended.
+    pub fn accept(self) {
+        let accepted = (self.accept)();
+        // Ignored: then nobody is left to be told.
+        let _ = self.decision.send(accepted);
+    }
+
+    /// Rejects: the goal goes on.
+    pub fn reject(self) {
+        let _ = self.decision.send(false);
+    }
+}
+
+/// What is said to whoever sent a goal. Dropping it rejects the goal.
+struct Decision<T: Action> {
+    reply: Option<Reply<T::SendGoal>>,
+}
+
+impl<T: Action> Decision<T> {
+    fn tell(&mut self, accepted: bool, stamp: Stamp) -> Result<()> {
+        let Some(reply) = self.reply.take() else { return Ok(()) };
+        reply.respond(&T::make_goal_response_msg(accepted, stamp))
+    }
+}
+
+impl<T: Action> Drop for Decision<T> {
+    fn drop(&mut self) {
+        if let Err(error) = self.tell(false, (0, 0)) {
+            tracing::warn!("{error}");
+        }
+    }
+}
+
+/// A goal that a client sent, to be accepted or rejected. Dropping it rejects it.
+pub struct ActionServerGoalRequest<T: Action> {
+    /// The goal's id.
+    pub uuid: Uuid,
+    /// The goal.
+    pub goal: T::Goal,
+    decision: Decision<T>,
+    user: Arc<User<T>>,
+}
+
+impl<T: Action> ActionServerGoalRequest<T> {
+    /// Accepts the goal: it is pursued from now on. Returns a handle to it and a stream of requests to cancel it, which ends with
+    /// the goal.
+    ///
+    /// # Errors
+    /// [`Error::Goal`] if there is a goal of this id already; [`Error::Service`] if the client cannot be told.
+    pub fn accept(
+        mut self,
+    ) -> Result<(ActionServerGoal<T>, impl Stream<Item = ActionServerCancelRequest> + Unpin + Send + use<T>)>
+    {
+        let (id, stamp) = (self.uuid.into_bytes(), now());
+        let (sender, cancel_requests) = mpsc::unbounded();
+        let server = &self.user.server;
+        let mut state = server.state();
+        if !state.goals.accept(id, stamp) {
+            let status = state.goals.status(id);
+            return Err(server.goal_error(id, status));
+        }
+        state.cancels.push((id, sender));
+        drop(state);
+        let pursued = Arc::new(Pursued { id, user: self.user.clone() });
+        self.user.server.happen(id, GoalEvent::Execute)?;
+        self.decision.tell(true, stamp)?;
+        Ok((ActionServerGoal { uuid: self.uuid, goal: self.goal, pursued }, cancel_requests))
+    }
+
+    /// Rejects the goal.
+    ///
+    /// # Errors
+    /// [`Error::Service`] if the client cannot be told.
+    pub fn reject(mut self) -> Result<()> {
+        self.decision.tell(false, (0, 0))
+    }
+}
+
+/// A goal that was accepted. When the last clone is dropped before it has a result, it ends without one: cancelled if it was
+/// being cancelled, else aborted.
+pub struct ActionServerGoal<T: Action> {
+    /// The goal's id.
+    pub uuid: Uuid,
+    /// The goal.
+    pub goal: T::Goal,
+    pursued: Arc<Pursued<T>>,
+}
+
+/// As long as somebody pursues it.
+struct Pursued<T: Action> {
+    id: GoalId,
+    user: Arc<User<T>>,
+}
+
+impl<T: Action> Drop for Pursued<T> {
+    fn drop(&mut self) {
+        let status = self.user.server.state().goals.status(self.id);
+        let event = match status {
+            GoalStatus::Canceling => GoalEvent::Canceled,
+            GoalStatus::Executing => GoalEvent::Abort,
+            _ => return,
+        };
+        // Ignored: it cannot have ended, for this was the last one who could end it.
+        let _ = self.user.server.finish(self.id, event, T::Result::default());
+    }
+}
+
+impl<T: Action> ActionServerGoal<T> {
+    /// Whether a request to cancel this goal was accepted.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn is_cancelling(&self) -> Result<bool> {
+        Ok(self.pursued.user.server.state().goals.status(self.pursued.id) == GoalStatus::Canceling)
+    }
+
+    /// Publishes feedback to all clients; that of this goal passes it on.
+    ///
+    /// # Errors
+    /// [`Error::Goal`] if the goal has ended; [`Error::Publish`].
+    pub fn publish_feedback(&self, msg: T::Feedback) -> Result<()> {
+        let Pursued { id, user } = &*self.pursued;
+        let server = &user.server;
+        let state = server.state();
+        match state.goals.status(*id) {
+            GoalStatus::Executing | GoalStatus::Canceling => {
+                Ok(state.feedback.publish(&T::make_feedback_msg(*id, msg))?)
+            }
+            status => Err(server.goal_error(*id, status)),
+        }
+    }
+
+    /// Ends the goal: it was cancelled, after a request to do so was accepted.
+    ///
+    /// # Errors
+    /// [`Error::Goal`] if it is not being cancelled.
+    pub fn cancel(&mut self, msg: T::Result) -> Result<()> {
+        self.pursued.user.server.finish(self.pursued.id, GoalEvent::Canceled, msg)
+    }
+
+    /// Ends the goal: it was given up.
+    ///
+    /// # Errors
+    /// [`Error::Goal`] if it has ended.
+    pub fn abort(&mut self, msg: T::Result) -> Result<()> {
+        self.pursued.user.server.finish(self.pursued.id, GoalEvent::Abort, msg)
+    }
+
+    /// Ends the goal: it was reached.
+    ///
+    /// # Errors
+    /// [`Error::Goal`] if it has ended.
+    pub fn succeed(&mut self, msg: T::Result) -> Result<()> {
+        self.pursued.user.server.finish(self.pursued.id, GoalEvent::Succeed, msg)
+    }
+}
+
+impl<T: Action> Clone for ActionServerGoal<T>
+where
+    T::Goal: Clone,
+{
+    fn clone(&self) -> Self {
+        ActionServerGoal { uuid: self.uuid, goal: self.goal.clone(), pursued: self.pursued.clone() }
+    }
+}
+
+impl std::fmt::Debug for ActionServerCancelRequest {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ActionServerCancelRequest").field("uuid", &self.uuid).finish_non_exhaustive()
+    }
+}
+
+impl<T: Action> std::fmt::Debug for ActionServerGoalRequest<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ActionServerGoalRequest").field("uuid", &self.uuid).finish_non_exhaustive()
+    }
+}
+
+impl<T: Action> std::fmt::Debug for ActionServerGoal<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ActionServerGoal").field("uuid", &self.uuid).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The states of a goal, as ROS 2's action design has them.
+//!
+//! ```text
+//!               execute              succeed
+//!    ACCEPTED ----------> EXECUTING ---------> SUCCEEDED
+//!        |                    |  \   abort
+//!        | cancel goal        |   +----------> ABORTED
+//!        v                    | cancel goal
+//!    CANCELING <--------------+
+//!        |  canceled                succeed: SUCCEEDED, abort: ABORTED
+//!        +----------> CANCELED
+//! ```
+
+use std::fmt;
+
+/// The status of a goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum GoalStatus {
+    /// There is no such goal, or nothing is known of it yet.
+    Unknown,
+    /// Accepted, but nothing is done for it yet.
+    Accepted,
+    /// It is pursued.
+    Executing,
+    /// It is being cancelled.
+    Canceling,
+    /// It was reached.
+    Succeeded,
+    /// It was cancelled.
+    Canceled,
+    /// It was given up.
+    Aborted,
+}
+
+/// What happens to a goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum GoalEvent {
+    Execute,
+    CancelGoal,
+    Succeed,
+    Abort,
+    Canceled,
+}
+
+impl GoalStatus {
+    /// The number in ROS 2's messages.
+    pub fn to_rcl(&self) -> i8 {
+        *self as i8
+    }
+
+    /// What the number in ROS 2's messages stands for; [`Unknown`](Self::Unknown) for one that stands for nothing.
+    pub fn from_rcl(s: i8) -> Self {
+        use GoalStatus::{Aborted, Accepted, Canceled, Canceling, Executing, Succeeded, Unknown};
+        let all = [Unknown, Accepted, Executing, Canceling, Succeeded, Canceled, Aborted];
+        usize::try_from(s).ok().and_then(|index| all.get(index)).copied().unwrap_or(Unknown)
+    }
+
+    /// Whether it stays so.
+    pub fn is_terminal(&self) -> bool {
+        matches!(self, GoalStatus::Succeeded | GoalStatus::Canceled | GoalStatus::Aborted)
+    }
+
+    /// What it is after `event`; `None` if that cannot happen to it.
+    pub(crate) fn after(self, event: GoalEvent) -> Option<Self> {
+        match (self, event) {
+            (Self::Accepted, GoalEvent::Execute) => Some(Self::Executing),
+            (Self::Accepted | Self::Executing, GoalEvent::CancelGoal) => Some(Self::Canceling),
+            (Self::Executing | Self::Canceling, GoalEvent::Succeed) => Some(Self::Succeeded),
+            (Self::Executing | Self::Canceling, GoalEvent::Abort) => Some(Self::Aborted),
+            (Self::Canceling, GoalEvent::Canceled) => Some(Self::Canceled),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for GoalStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            GoalStatus::Unknown => "unknown",
+            GoalStatus::Accepted => "accepted",
+            GoalStatus::Executing => "executing",
+            GoalStatus::Canceling => "canceling",
+            GoalStatus::Succeeded => "succeeded",
+            GoalStatus::Canceled => "canceled",
+            GoalStatus::Aborted => "aborted",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use GoalEvent::{Abort, CancelGoal, Execute, Succeed};
+    use GoalStatus::{Aborted, Accepted, Canceled, Canceling, Executing, Succeeded, Unknown};
+
+    #[test]
+    fn every_transition() {
+        let states = [Unknown, Accepted, Executing, Canceling, Succeeded, Canceled, Aborted];
+        let events = [Execute, CancelGoal, Succeed, Abort, GoalEvent::Canceled];
+        let possible = [
+            (Accepted, Execute, Executing),
+            (Accepted, CancelGoal, Canceling),
+            (Executing, CancelGoal, Canceling),
+            (Executing, Succeed, Succeeded),
+            (Executing, Abort, Aborted),
+            (Canceling, GoalEvent::Canceled, Canceled),
+            (Canceling, Succeed, Succeeded),
+            (Canceling, Abort, Aborted),
+        ];
+        for state in states {
+            for event in events {
+                let expected =
+                    possible.iter().find(|(from, by, _)| (*from, *by) == (state, event)).map(|(.., to)| *to);
+                assert_eq!(state.after(event), expected, "{state:?} {event:?}");
+            }
+            assert_eq!(state.is_terminal(), [Succeeded, Canceled, Aborted].contains(&state));
+            assert_eq!(GoalStatus::from_rcl(state.to_rcl()), state);
+        }
+        assert_eq!([-1, 7, i8::MAX].map(GoalStatus::from_rcl), [Unknown; 3]);
+        assert_eq!((Accepted.to_rcl(), Aborted.to_rcl()), (1, 6), "action_msgs/msg/GoalStatus");
+    }
+}

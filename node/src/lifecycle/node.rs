@@ -1,0 +1,335 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use super::machine::{CallbackReturn, InvalidTransition, State, StateMachine, Transition};
+use crate::context::Context;
+use crate::error::Result;
+use crate::node::Node;
+use crate::qos::QosProfile;
+use std::ops::{Deref, DerefMut};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
+use tautline_msgs::Message;
+use tautline_ros_msgs::lifecycle_msgs::msg;
+use tautline_rt::clock::wall_ns;
+use tautline_transport::{Gate, Publisher};
+
+/// What a managed node does on its way. Whatever is not written succeeds, but for `on_error`, which fails: the node is then
+/// finalized. A callback that panics returns an error.
+pub trait LifecycleCallbacks: Send + 'static {
+    /// Makes what the node needs: publishers, subscriptions, timers.
+    fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
+        let _ = node;
+        CallbackReturn::Success
+    }
+
+    /// Begins to work. Publishers speak once this has succeeded.
+    fn on_activate(&mut self, node: &mut ManagedNode) -> CallbackReturn {
+        let _ = node;
+        CallbackReturn::Success
+    }
+
+    /// Ends working. Publishers are silent already.
+    fn on_deactivate(&mut self, node: &mut ManagedNode) -> CallbackReturn {
+        let _ = node;
+        CallbackReturn::Success
+    }
+
+    /// Undoes what `on_configure` did.
+    fn on_cleanup(&mut self, node: &mut ManagedNode) -> CallbackReturn {
+        let _ = node;
+        CallbackReturn::Success
+    }
+
+    /// Ends for good, from the state `previous`.
+    fn on_shutdown(&mut self, node: &mut ManagedNode, previous: State) -> CallbackReturn {
+        let _ = (node, previous);
+        CallbackReturn::Success
+    }
+
+    /// Clears up after a callback's error. Success leads back to unconfigured.
+    fn on_error(&mut self, node: &mut ManagedNode, previous: State) -> CallbackReturn {
+        let _ = (node, previous);
+        CallbackReturn::Failure
+    }
+}
+
+/// The node inside a managed node, for its callbacks: a [`Node`] whose publishers can be made silent.
+pub struct ManagedNode {
+    node: Node,
+    gate: Gate,
+}
+
+impl ManagedNode {
+    /// Creates a publisher that sends while the node is active. While it is not, publishing succeeds, costs an atomic load, and
+    /// is counted by [`PublisherCounters::silenced`](crate::PublisherCounters::silenced). [`Node::create_publisher`], through
+    /// the node below, makes one that always sends.
+    ///
+    /// # Errors
+    /// As [`Node::create_publisher`].
+    pub fn create_publisher<T: Message>(
+        &mut self,
+        topic: &str,
+        qos_profile: QosProfile,
+    ) -> Result<Publisher<T>> {
+        Ok(self.node.create_publisher(topic, qos_profile)?.with_gate(self.gate.clone()))
+    }
+}
+
+impl Deref for ManagedNode {
+    type Target = Node;
+
+    fn deref(&self) -> &Node {
+        &self.node
+    }
+}
+
+impl DerefMut for ManagedNode {
+    fn deref_mut(&mut self) -> &mut Node {
+        &mut self.node
+    }
+}
+
+/// Why a managed node did not begin a transition.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LifecycleError {
+    /// It does not begin in the node's state.
+    #[error(transparent)]
+    InvalidTransition(#[from] InvalidTransition),
+    /// Another transition's callback runs.
+    #[error(
+        "the node is in state '{state}', from which it goes on by itself: ask again when its callback has returned"
+    )]
+    Busy {
+        /// The state that lasts as long as the callback.
+        state: State,
+    },
+}
+
+/// Where a transition led.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transitioned {
+    /// What its callback returned.
+    pub result: CallbackReturn,
+    /// Where the node is now.
+    pub state: State,
+}
+
+/// A node with ROS 2's lifecycle. A clone is the same node: transitions may be asked for in any thread, and through its services
+/// as long as [`serve`](LifecycleNode::serve) is polled. Each change of state is published on `~/transition_event`.
+///
+/// ```
+/// use tautline::lifecycle::{CallbackReturn, LifecycleCallbacks, LifecycleNode, ManagedNode, State};
+/// # use tautline::{Context, Message, Publisher, QosProfile, Realtime};
+/// # #[derive(Message, Clone, Copy)] #[repr(C)] #[message(name = "demo_msgs/msg/Speed")] struct Speed { v: f64 }
+///
+/// #[derive(Default)]
+/// struct Drive { speed: Option<Publisher<Speed>> }
+///
+/// impl LifecycleCallbacks for Drive {
+///     fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
+///         self.speed = node.create_publisher("~/speed", QosProfile::default()).ok();
+///         if self.speed.is_some() { CallbackReturn::Success } else { CallbackReturn::Failure }
+///     }
+/// }
+///
+/// # let ctx = Context::builder().domain(217).realtime(Realtime::Off).build()?;
+/// let node = LifecycleNode::create(ctx, "drive", "", Drive::default())?;
+/// assert_eq!(node.configure()?.state, State::Inactive);
+/// assert_eq!(node.activate()?.state, State::Active);
+/// assert!(node.cleanup().is_err()); // not while it is active
+/// # Ok::<(), tautline::Error>(())
+/// ```
+#[derive(Clone)]
+pub struct LifecycleNode {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    inner: Mutex<Inner>,
+    /// As in the machine, to be read while a callback runs.
+    state: AtomicU8,
+}
+
+struct Inner {
+    node: ManagedNode,
+    machine: StateMachine,
+    callbacks: Box<dyn LifecycleCallbacks>,
+    events: Publisher<msg::TransitionEvent>,
+}
+
+impl LifecycleNode {
+    /// Creates a node in state unconfigured.
+    ///
+    /// # Errors
+    /// As [`Node::create`]; [`Error::Transport`](crate::Error::Transport) if the topic of its transitions cannot be had.
+    pub fn create(
+        ctx: Context,
+        name: &str,
+        namespace: &str,
+        callbacks: impl LifecycleCallbacks,
+    ) -> Result<LifecycleNode> {
+        let mut node = Node::create(ctx, name, namespace)?;
+        let events = node.create_publisher("~/transition_event", QosProfile::default())?;
+        let (machine, gate) = (StateMachine::new(), Gate::new());
+        let state = AtomicU8::new(machine.state().id());
+        let (node, callbacks) = (ManagedNode { node, gate }, Box::new(callbacks));
+        let inner = Mutex::new(Inner { node, machine, callbacks, events });
+        Ok(LifecycleNode { shared: Arc::new(Shared { inner, state }) })
+    }
+
+    /// Where the node is. May be asked in a callback.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn state(&self) -> State {
+        State::from_id(self.shared.state.load(Ordering::Acquire)).unwrap_or(State::Unconfigured)
+    }
+
+    /// Runs `on_configure`.
+    ///
+    /// # Errors
+    /// [`LifecycleError`]; the state stays.
+    pub fn configure(&self) -> std::result::Result<Transitioned, LifecycleError> {
+        self.change_state_by_label("configure")
+    }
+
+    /// Runs `on_activate`.
+    ///
+    /// # Errors
+    /// As [`configure`](Self::configure).
+    pub fn activate(&self) -> std::result::Result<Transitioned, LifecycleError> {
+        self.change_state_by_label("activate")
+    }
+
+    /// Runs `on_deactivate`.
+    ///
+    /// # Errors
+    /// As [`configure`](Self::configure).
+    pub fn deactivate(&self) -> std::result::Result<Transitioned, LifecycleError> {
+        self.change_state_by_label("deactivate")
+    }
+
+    /// Runs `on_cleanup`.
+    ///
+    /// # Errors
+    /// As [`configure`](Self::configure).
+    pub fn cleanup(&self) -> std::result::Result<Transitioned, LifecycleError> {
+        self.change_state_by_label("cleanup")
+    }
+
+    /// Runs `on_shutdown`, from whichever state.
+    ///
+    /// # Errors
+    /// As [`configure`](Self::configure).
+    pub fn shutdown(&self) -> std::result::Result<Transitioned, LifecycleError> {
+        self.change_state_by_label("shutdown")
+    }
+
+    /// Does the transition with this number, as in `lifecycle_msgs/msg/Transition`.
+    ///
+    /// # Errors
+    /// As [`configure`](Self::configure).
+    pub fn change_state(&self, id: u8) -> std::result::Result<Transitioned, LifecycleError> {
+        let mut inner = self.try_lock()?;
+        let transition = inner.machine.begin(id)?;
+        Ok(inner.run(transition, &self.shared.state))
+    }
+
+    /// Does the transition of this name.
+    ///
+    /// # Errors
+    /// As [`configure`](Self::configure).
+    pub fn change_state_by_label(&self, label: &str) -> std::result::Result<Transitioned, LifecycleError> {
+        let mut inner = self.try_lock()?;
+        let transition = inner.machine.begin_by_label(label)?;
+        Ok(inner.run(transition, &self.shared.state))
+    }
+
+    /// The transitions that can be asked for now, and while a callback runs those that its result leads to.
+    pub fn available_transitions(&self) -> Vec<Transition> {
+        Transition::from(self.state()).collect()
+    }
+
+    /// Does something with the node inside, if no callback of a transition runs.
+    ///
+    /// # Errors
+    /// [`LifecycleError::Busy`].
+    pub fn with_node<R>(
+        &self,
+        action: impl FnOnce(&mut ManagedNode) -> R,
+    ) -> std::result::Result<R, LifecycleError> {
+        Ok(action(&mut self.try_lock()?.node))
+    }
+
+    fn try_lock(&self) -> std::result::Result<MutexGuard<'_, Inner>, LifecycleError> {
+        match self.shared.inner.try_lock() {
+            Ok(inner) => Ok(inner),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(LifecycleError::Busy { state: self.state() }),
+        }
+    }
+}
+
+impl Inner {
+    /// Runs the callback of a transition that has begun, and that of an error.
+    fn run(&mut self, begun: Transition, state: &AtomicU8) -> Transitioned {
+        self.note(begun, state);
+        let result = self.call(begun);
+        if let Some(done) = self.machine.finish(result) {
+            self.note(done, state);
+            if done.goal == State::ErrorProcessing {
+                let cleared = self.call(done);
+                if let Some(done) = self.machine.finish(cleared) {
+                    self.note(done, state);
+                }
+            }
+        }
+        Transitioned { result, state: self.machine.state() }
+    }
+
+    /// The callback of the state that `begun` leads to.
+    fn call(&mut self, begun: Transition) -> CallbackReturn {
+        let (callbacks, node, previous) = (&mut self.callbacks, &mut self.node, begun.start);
+        let call = AssertUnwindSafe(|| match begun.goal {
+            State::Configuring => callbacks.on_configure(node),
+            State::Activating => callbacks.on_activate(node),
+            State::Deactivating => callbacks.on_deactivate(node),
+            State::CleaningUp => callbacks.on_cleanup(node),
+            State::ShuttingDown => callbacks.on_shutdown(node, previous),
+            _ => callbacks.on_error(node, previous),
+        });
+        catch_unwind(call).unwrap_or_else(|_| {
+            tracing::error!("a callback panicked in state '{}': this counts as its error", begun.goal);
+            CallbackReturn::Error
+        })
+    }
+
+    /// A transition was made: publishers and the world are told.
+    fn note(&self, transition: Transition, state: &AtomicU8) {
+        let Transition { id, label, start, goal } = transition;
+        // Before the callback of what ends being active, after that of what begins to be.
+        self.node.gate.set_open(goal == State::Active);
+        state.store(goal.id(), Ordering::Release);
+        let event = msg::TransitionEvent {
+            timestamp: wall_ns().max(0) as u64,
+            transition: msg::Transition { id, label: label.into() },
+            start_state: described(start),
+            goal_state: described(goal),
+        };
+        if let Err(error) = self.events.publish(&event) {
+            tracing::warn!("{}: a transition is not published: {error}", self.events.topic());
+        }
+    }
+}
+
+/// A state as its message.
+pub(super) fn described(state: State) -> msg::State {
+    msg::State { id: state.id(), label: state.label().into() }
+}
+
+impl std::fmt::Debug for LifecycleNode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LifecycleNode").field("state", &self.state()).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The services of a managed node: what each answers, and the task that does.
+
+use super::machine::{CallbackReturn, State, Transition};
+use super::node::{LifecycleError, LifecycleNode, Transitioned, described};
+use crate::error;
+use crate::qos::QosProfile;
+use crate::service::ServiceRequest;
+use futures::StreamExt;
+use std::future::{Future, ready};
+use tautline_msgs::Service;
+use tautline_ros_msgs::lifecycle_msgs::{msg, srv};
+
+impl LifecycleNode {
+    /// Offers the node's services, as in ROS 2: `~/change_state`, `~/get_state`, `~/get_available_states`,
+    /// `~/get_available_transitions` and `~/get_transition_graph`. They answer as long as the future is polled, which never ends:
+    /// give it a callback of its own. Callbacks of transitions run there when they are asked for by service.
+    ///
+    /// # Errors
+    /// [`LifecycleError::Busy`]; [`Error::Transport`](crate::Error::Transport) if a service cannot be had.
+    pub fn serve(&self) -> error::Result<impl Future<Output = ()> + Send + use<>> {
+        let qos = QosProfile::services_default();
+        let services = self.with_node(|node| -> error::Result<_> {
+            Ok((
+                node.create_service::<srv::ChangeState::Service>("~/change_state", qos)?,
+                node.create_service::<srv::GetState::Service>("~/get_state", qos)?,
+                node.create_service::<srv::GetAvailableStates::Service>("~/get_available_states", qos)?,
+                node.create_service::<srv::GetAvailableTransitions::Service>(
+                    "~/get_available_transitions",
+                    qos,
+                )?,
+                node.create_service::<srv::GetAvailableTransitions::Service>("~/get_transition_graph", qos)?,
+            ))
+        })??;
+        let node = self.clone();
+        Ok(async move {
+            let (changes, states, all_states, available, graphs) = services;
+            let changes = changes.for_each(|request| {
+                let done = change_state(&node, &request.message);
+                if let Err(error) = &done {
+                    tracing::warn!("{error}");
+                }
+                ready(respond(request, changed(&done)))
+            });
+            let states = states.for_each(|request| ready(respond(request, state(node.state()))));
+            let all_states = all_states.for_each(|request| ready(respond(request, available_states())));
+            let available = available
+                .for_each(|request| ready(respond(request, transitions(node.available_transitions()))));
+            let graphs = graphs.for_each(|request| ready(respond(request, transitions(Transition::ALL))));
+            futures::join!(changes, states, all_states, available, graphs);
+        })
+    }
+}
+
+fn respond<T: Service>(request: ServiceRequest<T>, response: T::Response) {
+    if let Err(error) = request.respond(response) {
+        tracing::warn!("a lifecycle service did not answer: {error}");
+    }
+}
+
+/// As in rclcpp: a transition whose number is 0 is looked for by its name.
+pub(super) fn change_state(
+    node: &LifecycleNode,
+    request: &srv::ChangeState::Request,
+) -> Result<Transitioned, LifecycleError> {
+    let msg::Transition { id, label } = &request.transition;
+    if *id == 0 && !label.is_empty() { node.change_state_by_label(label) } else { node.change_state(*id) }
+}
+
+pub(super) fn changed(done: &Result<Transitioned, LifecycleError>) -> srv::ChangeState::Response {
+    let success = done.as_ref().is_ok_and(|done| done.result == CallbackReturn::Success);
+    srv::ChangeState::Response { success }
+}
+
+pub(super) fn state(state: State) -> srv::GetState::Response {
+    srv::GetState::Response { current_state: described(state) }
+}
+
+pub(super) fn available_states() -> srv::GetAvailableStates::Response {
+    let unknown = msg::State { id: msg::State::PRIMARY_STATE_UNKNOWN, label: "unknown".into() };
+    let known = State::ALL.into_iter().map(described);
+    srv::GetAvailableStates::Response { available_states: [unknown].into_iter().chain(known).collect() }
+}
+
+/// For the transitions that begin where the node is, and for all of them.
+pub(super) fn transitions(
+    transitions: impl IntoIterator<Item = Transition>,
+) -> srv::GetAvailableTransitions::Response {
+    let described = |Transition { id, label, start, goal }| msg::TransitionDescription {
+        transition: msg::Transition { id, label: String::from(label) },
+        start_state: described(start),
+        goal_state: described(goal),
+    };
+    let available_transitions = transitions.into_iter().map(described).collect();
+    srv::GetAvailableTransitions::Response { available_transitions }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_and_transitions_are_described() {
+        let states = available_states().available_states;
+        assert_eq!(states.len(), 11);
+        assert_eq!((states[1].id, states[1].label.as_str()), (1, "unconfigured"));
+        let of_inactive = transitions(Transition::from(State::Inactive)).available_transitions;
+        let labels: Vec<_> = of_inactive.iter().map(|found| found.transition.label.as_str()).collect();
+        assert_eq!(labels, ["cleanup", "activate", "shutdown"]);
+        assert_eq!(of_inactive[1].goal_state, described(State::Activating));
+        assert_eq!(transitions(Transition::ALL).available_transitions.len(), 25);
+        assert!(!changed(&Err(LifecycleError::Busy { state: State::Configuring })).success);
+    }
+}

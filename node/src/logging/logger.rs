@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Loggers, and what the macros do.
+
+use super::line::Line;
+use super::severity::LEVELS;
+use super::{LogSeverity, output};
+use std::fmt;
+use std::ops::Deref;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tautline_rt::clock::{monotonic_ns, wall_ns};
+
+/// A name under which lines are logged. It can stand for the `&str` that r2r's is.
+///
+/// ```
+/// use std::time::Duration;
+/// use tautline::{LogSeverity, Logger, log_debug, log_info, log_warn};
+///
+/// let logger = Logger::new("arm");
+/// log_info!(logger, "moved to {:.1}", 0.25);
+/// log_info!("another", "any name will do");
+/// for attempt in 0..1000 {
+///     log_warn!(logger.throttle(Duration::from_secs(1)), "attempt {attempt}"); // at most each second
+///     log_info!(logger.once(), "the first attempt");
+/// }
+/// let driver = logger.child("driver"); // arm.driver: has arm's level unless it gets one
+/// driver.set_level(LogSeverity::Debug);
+/// log_debug!(driver, "{} bytes", 12);
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Logger {
+    name: Arc<str>,
+}
+
+impl Logger {
+    /// A logger of this name; `a.b` is below `a`.
+    ///
+    /// # Real-time
+    /// Setup only: allocates, starts the thread that writes what real-time threads log.
+    pub fn new(name: impl Into<Arc<str>>) -> Logger {
+        output::start();
+        Logger { name: name.into() }
+    }
+
+    pub(crate) fn of_node(fully_qualified_name: &str) -> Logger {
+        Logger { name: fully_qualified_name.trim_start_matches('/').replace('/', ".").into() }
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The logger `name` below this one.
+    pub fn child(&self, name: &str) -> Logger {
+        Logger { name: format!("{}.{name}", self.name).into() }
+    }
+
+    /// Sets the least severe lines that are wanted of this logger and those below it; [`LogSeverity::Unset`]: of as those
+    /// above it.
+    ///
+    /// # Real-time
+    /// Allocates the first time.
+    pub fn set_level(&self, level: LogSeverity) {
+        LEVELS.set(&self.name, level);
+    }
+
+    /// Whether a line of this severity would be written.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn is_enabled(&self, severity: LogSeverity) -> bool {
+        LEVELS.enabled(&self.name, severity)
+    }
+
+    /// For the first line only of the statement in which this stands.
+    pub fn once(&self) -> Occasional<'_> {
+        Occasional { logger: self, period: None }
+    }
+
+    /// For a line each `period` at most of the statement in which this stands.
+    pub fn throttle(&self, period: Duration) -> Occasional<'_> {
+        Occasional { logger: self, period: Some(period) }
+    }
+}
+
+impl Deref for Logger {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        &self.name
+    }
+}
+
+impl fmt::Display for Logger {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.name)
+    }
+}
+
+/// A logger for some of the lines of a statement: see [`Logger::once`] and [`Logger::throttle`].
+#[derive(Clone, Copy, Debug)]
+#[must_use = "give it to a log macro"]
+pub struct Occasional<'l> {
+    logger: &'l Logger,
+    /// `None`: once.
+    period: Option<Duration>,
+}
+
+/// What a log macro takes: a [`Logger`], a name, or a logger for [some lines](Occasional).
+pub trait LogTarget {
+    /// The logger's name.
+    fn logger(&self) -> &str;
+
+    /// Whether `site` may log now.
+    fn permits(&self, _site: &Site) -> bool {
+        true
+    }
+}
+
+impl LogTarget for str {
+    fn logger(&self) -> &str {
+        self
+    }
+}
+
+impl LogTarget for String {
+    fn logger(&self) -> &str {
+        self
+    }
+}
+
+impl LogTarget for Logger {
+    fn logger(&self) -> &str {
+        &self.name
+    }
+}
+
+impl LogTarget for Occasional<'_> {
+    fn logger(&self) -> &str {
+        self.logger
+    }
+
+    fn permits(&self, site: &Site) -> bool {
+        site.is_due(self.period, monotonic_ns())
+    }
+}
+
+impl<T: LogTarget + ?Sized> LogTarget for &T {
+    fn logger(&self) -> &str {
+        (**self).logger()
+    }
+
+    fn permits(&self, site: &Site) -> bool {
+        (**self).permits(site)
+    }
+}
+
+/// A statement that logs.
+#[doc(hidden)]
+pub struct Site {
+    file: &'static str,
+    line: u32,
+    /// When it last did, for those that do not always; zero: never.
+    last_ns: AtomicU64,
+}
+
+impl Site {
+    /// For the macros.
+    pub const fn new(file: &'static str, line: u32) -> Site {
+        Site { file, line, last_ns: AtomicU64::new(0) }
+    }
+
+    /// Whether the line is wanted now.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn permits(&self, severity: LogSeverity, target: &impl LogTarget) -> bool {
+        LEVELS.enabled(target.logger(), severity) && target.permits(self)
+    }
+
+    /// Writes a line.
+    ///
+    /// # Real-time
+    /// In a thread with a real-time policy: wait-free; no allocation, unless what is formatted allocates. In others:
+    /// waits until it is written.
+    pub fn log(&self, severity: LogSeverity, target: &impl LogTarget, text: fmt::Arguments<'_>) {
+        let (logger, file, line) = (target.logger(), self.file, self.line);
+        output::log(Line { time_ns: wall_ns(), severity, logger, text: "", file, line }, text);
+    }
+
+    fn is_due(&self, period: Option<Duration>, now_ns: u64) -> bool {
+        let last = self.last_ns.load(Ordering::Relaxed);
+        let due = match period {
+            _ if last == 0 => true,
+            None => false,
+            Some(period) => u128::from(now_ns.saturating_sub(last)) >= period.as_nanos(),
+        };
+        // Of several threads one is the first.
+        due && self
+            .last_ns
+            .compare_exchange(last, now_ns.max(1), Ordering::Relaxed, Ordering::Relaxed)
+            .is_ok()
+    }
+}
+
+/// Behind the other log macros.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! __log {
+    ($severity:expr, $logger:expr, $($text:tt)+) => {{
+        static SITE: $crate::__private::Site = $crate::__private::Site::new(file!(), line!());
+        match &$logger {
+            target => {
+                if SITE.permits($severity, target) {
+                    SITE.log($severity, target, format_args!($($text)+));
+                }
+            }
+        }
+    }};
+}
+
+/// Logs a line at debug level: `log_debug!(node.logger(), "x is {x}")`. What is formatted is only looked at if the line is
+/// wanted.
+#[macro_export]
+macro_rules! log_debug {
+    ($logger:expr, $($text:tt)+) => { $crate::__log!($crate::LogSeverity::Debug, $logger, $($text)+) };
+}
+
+/// Logs a line at info level: see [`log_debug!`].
+#[macro_export]
+macro_rules! log_info {
+    ($logger:expr, $($text:tt)+) => { $crate::__log!($crate::LogSeverity::Info, $logger, $($text)+) };
+}
+
+/// Logs a line at warn level: see [`log_debug!`].
+#[macro_export]
+macro_rules! log_warn {
+    ($logger:expr, $($text:tt)+) => { $crate::__log!($crate::LogSeverity::Warn, $logger, $($text)+) };
+}
+
+/// Logs a line at error level: see [`log_debug!`].
+#[macro_export]
+macro_rules! log_error {
+    ($logger:expr, $($text:tt)+) => { $crate::__log!($crate::LogSeverity::Error, $logger, $($text)+) };
+}
+
+/// Logs a line at fatal level: see [`log_debug!`].
+#[macro_export]
+macro_rules! log_fatal {
+    ($logger:expr, $($text:tt)+) => { $crate::__log!($crate::LogSeverity::Fatal, $logger, $($text)+) };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statements_log_once_or_each_period() {
+        let site = Site::new("", 0);
+        assert!(site.is_due(None, 5) && !site.is_due(None, 6));
+        let site = Site::new("", 0);
+        let second = Some(Duration::from_secs(1));
+        let due: Vec<_> = (1..=40).filter(|n| site.is_due(second, n * 100_000_000)).collect();
+        assert_eq!(due, [1, 11, 21, 31]);
+    }
+
+    #[test]
+    fn what_is_not_wanted_is_not_formatted() {
+        let logger = Logger::of_node("/quiet/node");
+        assert_eq!(logger.name(), "quiet.node");
+        let mut evaluated = 0;
+        log_debug!(logger, "{}", {
+            evaluated += 1;
+            evaluated
+        });
+        logger.child("x").set_level(LogSeverity::Debug);
+        assert!(logger.child("x").is_enabled(LogSeverity::Debug));
+        assert_eq!(evaluated, 0);
+    }
+}

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Logging as ROS 2 does it: named loggers with levels, lines on the console and on `/rosout`.
+//!
+//! - [`log_info!`](crate::log_info) and the like take a [`Logger`], as of [`Node::logger`](crate::Node::logger), or a name.
+//! - Levels are the process's and can be changed at any time: [`set_level`], [`Logger::set_level`],
+//!   `--ros-args --log-level warn --log-level robot.arm:=debug`.
+//! - A thread with a real-time policy never waits: its line is formatted into 464 bytes (what is longer is cut off) and put
+//!   into a ring of 64 lines; a low-priority thread, `log`, writes it within 20 ms. Lines that find the ring full are
+//!   counted, and a line says how many were lost. Other threads write their lines themselves.
+//! - What the nodes' loggers, and loggers below them, log is published on `/rosout`; the topic is there with the first
+//!   line. Other names are only printed.
+//! - `TracingLayer` (feature `tracing-layer`) brings what `tracing` macros say the same way: Tautline's own warnings, and
+//!   those of other crates.
+
+mod console;
+#[cfg(feature = "tracing-layer")]
+mod layer;
+mod line;
+mod logger;
+mod output;
+mod rings;
+mod rosout;
+mod severity;
+
+#[cfg(feature = "tracing-layer")]
+pub use layer::TracingLayer;
+pub use logger::{LogTarget, Logger, Occasional};
+pub use output::{flush, lost_lines};
+pub use severity::LogSeverity;
+
+#[doc(hidden)]
+pub use logger::Site;
+
+pub(crate) use output::{FlushOnDrop, add_topic, start};
+pub(crate) use rosout::Rosout;
+
+use crate::args::Arguments;
+use line::Line;
+use std::sync::atomic::Ordering;
+
+/// Sets the least severe lines that are wanted of loggers without a level of their own.
+pub fn set_level(level: LogSeverity) {
+    severity::LEVELS.set_all(level);
+}
+
+/// Does what the command line says.
+pub(crate) fn configure(arguments: &Arguments) {
+    for (logger, level) in &arguments.log_levels {
+        match logger {
+            Some(logger) => severity::LEVELS.set(logger, *level),
+            None => set_level(*level),
+        }
+    }
+    if let Some(console) = arguments.outputs.console {
+        output::TO_CONSOLE.store(console, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `/rosout`: what the nodes of a context log, for others.
+
+use super::line::Line;
+use tautline_transport::Participant;
+
+#[cfg(feature = "rcl_interfaces")]
+pub(crate) use topic::Rosout;
+
+#[cfg(feature = "rcl_interfaces")]
+mod topic {
+    use super::super::line::floor_char_boundary;
+    use super::{Line, Participant};
+    use crate::QosProfile;
+    use std::sync::{Mutex, PoisonError};
+    use tautline_ros_msgs::builtin_interfaces::msg::Time;
+    use tautline_ros_msgs::rcl_interfaces::msg::Log;
+    use tautline_transport::{Limits, Publisher, TransportError};
+
+    /// ROS 2's depth. A line is one of our own fixed size, or shortened.
+    const DEPTH: usize = 1000;
+    const TEXT_BYTES: usize = 3 * 1024;
+
+    /// A context's publisher, made with the first line.
+    pub(crate) struct Rosout {
+        participant: Participant,
+        publisher: Mutex<Option<Publisher<Log>>>,
+    }
+
+    impl Rosout {
+        pub(crate) fn new(participant: Participant) -> Rosout {
+            Rosout { participant, publisher: Mutex::new(None) }
+        }
+
+        pub(in super::super) fn publish(&self, line: &Line<'_>) {
+            let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
+            if publisher.is_none() {
+                match self.open() {
+                    Ok(opened) => *publisher = Some(opened),
+                    Err(error) => return tracing::warn!("/rosout: {error}"),
+                }
+            }
+            let stamp = Time {
+                sec: line.time_ns.div_euclid(1_000_000_000) as i32,
+                nanosec: line.time_ns.rem_euclid(1_000_000_000) as u32,
+            };
+            let text = &line.text[..floor_char_boundary(line.text, TEXT_BYTES)];
+            let log = Log {
+                stamp,
+                level: line.severity as u8,
+                name: line.logger.to_owned(),
+                msg: text.to_owned(),
+                file: line.file.to_owned(),
+                function: String::new(),
+                line: line.line,
+            };
+            if let Some(Err(error)) = publisher.as_ref().map(|publisher| publisher.publish(&log)) {
+                tracing::warn!("/rosout: {error}");
+            }
+        }
+
+        fn open(&self) -> Result<Publisher<Log>, TransportError> {
+            let qos = QosProfile::default().keep_last(DEPTH).transient_local();
+            let limits = Limits { publishers: Limits::MAX_PUBLISHERS, may_grow: false, ..Limits::default() };
+            self.participant.create_publisher("/rosout", qos.to_transport(), limits)
+        }
+    }
+}
+
+#[cfg(not(feature = "rcl_interfaces"))]
+pub(crate) struct Rosout;
+
+#[cfg(not(feature = "rcl_interfaces"))]
+impl Rosout {
+    pub(crate) fn new(_participant: Participant) -> Rosout {
+        Rosout
+    }
+
+    pub(super) fn publish(&self, _line: &Line<'_>) {}
+}

@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use super::ParameterValue;
+use std::path::PathBuf;
+
+/// Why a parameter was not declared, read or set.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParameterError {
+    /// Nobody declared it, and it was not given.
+    #[error("parameter '{name}' is not declared: declare it with `Node::declare_parameter`")]
+    NotDeclared {
+        /// The parameter.
+        name: String,
+    },
+    /// It is declared already.
+    #[error(
+        "parameter '{name}' is declared already: declare it once, and use `Node::parameter` for further readers"
+    )]
+    AlreadyDeclared {
+        /// The parameter.
+        name: String,
+    },
+    /// A name that none can have.
+    #[error("'{name}' is not a parameter's name: {reason}")]
+    InvalidName {
+        /// The name.
+        name: String,
+        /// The rule that it breaks.
+        reason: &'static str,
+    },
+    /// The value has another type than the parameter.
+    #[error("parameter '{name}' is of type {expected}, but {value} is of type {actual}{}", .hint.map(|hint| format!(": {hint}")).unwrap_or_default())]
+    WrongType {
+        /// The parameter.
+        name: String,
+        /// Its type.
+        expected: &'static str,
+        /// The value's type.
+        actual: &'static str,
+        /// The value.
+        value: ParameterValue,
+        /// What to write instead.
+        hint: Option<&'static str>,
+    },
+    /// A message's type is none of `rcl_interfaces/msg/ParameterType`.
+    #[error("parameter '{name}': {number} is no type of parameters, which are 0 to 9")]
+    UnknownType {
+        /// The parameter.
+        name: String,
+        /// The type's number.
+        number: u8,
+    },
+    /// A number does not fit into the type of the struct's field.
+    #[error("parameter '{name}': {value} does not fit: {reason}")]
+    Conversion {
+        /// The parameter.
+        name: String,
+        /// The value.
+        value: ParameterValue,
+        /// Why.
+        reason: String,
+    },
+    /// The value is outside of the range of the descriptor.
+    #[error("parameter '{name}': {value} is not in {range}")]
+    OutOfRange {
+        /// The parameter.
+        name: String,
+        /// The value.
+        value: ParameterValue,
+        /// The range that it has.
+        range: String,
+    },
+    /// It can be set only when it is declared.
+    #[error("parameter '{name}' is read-only: give its value when the program starts (-p {name}:=VALUE)")]
+    ReadOnly {
+        /// The parameter.
+        name: String,
+    },
+    /// A callback refused the values.
+    #[error("refused: {reason}")]
+    Rejected {
+        /// What the callback said.
+        reason: String,
+    },
+    /// A callback that checks parameters wants to set some.
+    #[error(
+        "parameter '{name}' cannot be changed by a callback that checks changes: do it after the change, when a reader has `changed`"
+    )]
+    InCallback {
+        /// The parameter.
+        name: String,
+    },
+    /// A parameter file that cannot be read or understood.
+    #[error("parameter file {}: {reason}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and in which line.
+        reason: String,
+    },
+}
+
+impl ParameterError {
+    /// The same of a field of the struct `prefix`.
+    pub(crate) fn below(mut self, prefix: &str) -> ParameterError {
+        if let ParameterError::NotDeclared { name }
+        | ParameterError::WrongType { name, .. }
+        | ParameterError::Conversion { name, .. } = &mut self
+        {
+            *name = match name.as_str() {
+                "" => prefix.to_owned(),
+                rest => format!("{prefix}.{rest}"),
+            };
+        }
+        self
+    }
+
+    pub(crate) fn wrong_type(
+        name: &str,
+        expected: super::ParameterType,
+        value: &ParameterValue,
+    ) -> ParameterError {
+        let hint = match (expected, value) {
+            (super::ParameterType::Double, ParameterValue::Integer(_)) => Some("write a double with a point"),
+            (super::ParameterType::String, _) => Some("quote a string"),
+            _ => None,
+        };
+        let (name, value) = (name.to_owned(), value.clone());
+        ParameterError::WrongType { name, expected: expected.name(), actual: value.type_name(), value, hint }
+    }
+}

@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Values as `rcl_interfaces` has them.
+
+use super::ParameterValue;
+use tautline_ros_msgs::rcl_interfaces::msg;
+
+impl From<&ParameterValue> for msg::ParameterValue {
+    fn from(value: &ParameterValue) -> msg::ParameterValue {
+        let mut message = msg::ParameterValue { r#type: value.parameter_type() as u8, ..Default::default() };
+        match value.clone() {
+            ParameterValue::NotSet => {}
+            ParameterValue::Bool(value) => message.bool_value = value,
+            ParameterValue::Integer(value) => message.integer_value = value,
+            ParameterValue::Double(value) => message.double_value = value,
+            ParameterValue::String(value) => message.string_value = value,
+            ParameterValue::BoolArray(values) => message.bool_array_value = values,
+            ParameterValue::ByteArray(values) => message.byte_array_value = values,
+            ParameterValue::IntegerArray(values) => message.integer_array_value = values,
+            ParameterValue::DoubleArray(values) => message.double_array_value = values,
+            ParameterValue::StringArray(values) => message.string_array_value = values,
+        }
+        message
+    }
+}

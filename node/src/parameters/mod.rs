@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Parameters: declared by a node, given on the command line or in files, set from other threads and nodes.
+
+mod descriptor;
+mod error;
+mod events;
+#[cfg(feature = "rcl_interfaces")]
+mod messages;
+mod node;
+mod parameter;
+mod reader;
+mod ros_params;
+mod store;
+mod value;
+pub(crate) mod yaml;
+
+pub use descriptor::{ParameterDescriptor, ParameterRange};
+pub use error::ParameterError;
+pub use parameter::Parameter;
+pub use reader::ParameterReader;
+pub use ros_params::RosParams;
+#[doc(hidden)]
+pub use ros_params::{field, no_field};
+pub use store::{OnSetParameters, Parameters};
+pub use value::{ParameterType, ParameterValue, ParameterVariant, WrongParameterType};
+
+pub(crate) use events::{EventTopic, ParameterEvents};
+pub(crate) use node::given;
+pub(crate) use store::ParameterMap;

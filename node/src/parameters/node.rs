@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a node does with its parameters.
+
+use super::{
+    Parameter, ParameterDescriptor, ParameterMap, ParameterReader, ParameterValue, ParameterVariant,
+    Parameters, WrongParameterType, yaml,
+};
+use crate::error::Result;
+use crate::node::Node;
+
+/// What the command line, parameter files and a node's options give the node of this name. Later ones count.
+pub(crate) fn given(
+    rules: &[(String, Vec<(String, ParameterValue)>)],
+    own: &[(String, ParameterValue)],
+    fully_qualified_name: &str,
+) -> ParameterMap {
+    let global = rules.iter().filter(|(pattern, _)| yaml::means(pattern, fully_qualified_name));
+    let all = global.flat_map(|(_, parameters)| parameters).chain(own);
+    all.map(|(name, value)| (name.clone(), Parameter::new(value.clone()))).collect()
+}
+
+impl Node {
+    /// Declares a parameter: it starts with the value from the command line or a parameter file, else with `default`. The
+    /// type of `default` is the parameter's.
+    ///
+    /// # Real-time
+    /// Setup only; reading the [`ParameterReader`] is wait-free.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`](crate::Error::Parameter): declared already; a value that was given is of another type.
+    pub fn declare_parameter<T: ParameterVariant>(
+        &mut self,
+        name: &str,
+        default: T,
+    ) -> Result<ParameterReader<T>> {
+        self.declare_parameter_with(name, default, ParameterDescriptor::new())
+    }
+
+    /// As [`declare_parameter`](Self::declare_parameter), with a description, a range and so on.
+    ///
+    /// # Errors
+    /// As [`declare_parameter`](Self::declare_parameter); a value that was given is out of range.
+    pub fn declare_parameter_with<T: ParameterVariant>(
+        &mut self,
+        name: &str,
+        default: T,
+        descriptor: ParameterDescriptor,
+    ) -> Result<ParameterReader<T>> {
+        self.parameters.declare(name, default, descriptor)
+    }
+
+    /// A parameter's value, declared or given. An `Option` is `None` if there is none.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`](crate::Error::Parameter): there is none, or it is of another type.
+    pub fn get_parameter<T>(&self, name: &str) -> Result<T>
+    where
+        ParameterValue: TryInto<T, Error = WrongParameterType>,
+    {
+        self.parameters.get(name)
+    }
+
+    /// Sets a parameter: see [`Parameters::set`].
+    ///
+    /// # Errors
+    /// [`Error::Parameter`](crate::Error::Parameter): not declared, another type, out of range, read-only, refused.
+    pub fn set_parameter(&self, name: &str, value: impl Into<ParameterValue>) -> Result<()> {
+        self.parameters.set(name, value)
+    }
+
+    /// A reader of a parameter that was declared or given: as a stream, its changes.
+    ///
+    /// # Real-time
+    /// Setup only; reading is wait-free.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`](crate::Error::Parameter): there is none, or it is of another type.
+    pub fn parameter<T: ParameterVariant>(&self, name: &str) -> Result<ParameterReader<T>> {
+        self.parameters.reader(name)
+    }
+
+    /// The node's parameters, for any thread.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+}

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A parameter as the node keeps it.
+
+use super::{ParameterDescriptor, ParameterError, ParameterValue};
+
+/// A parameter in [`Node::params`](crate::Node::params).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Parameter {
+    /// Its value.
+    pub value: ParameterValue,
+    /// What was said about it.
+    pub descriptor: ParameterDescriptor,
+    /// If not, it was given on the command line, or put here: then nothing is checked.
+    pub(crate) declared: bool,
+}
+
+impl Parameter {
+    /// A parameter with a value, of which nothing is said.
+    pub fn new(value: ParameterValue) -> Parameter {
+        Parameter { value, ..Parameter::default() }
+    }
+
+    /// A parameter that is not set.
+    pub fn empty() -> Parameter {
+        Parameter::default()
+    }
+
+    /// A parameter that is not set yet, for [`RosParams::register_parameters`](super::RosParams::register_parameters).
+    pub fn with_descriptor(descriptor: ParameterDescriptor) -> Parameter {
+        Parameter { descriptor, ..Parameter::default() }
+    }
+
+    /// Whether it may be set to `value`.
+    pub(super) fn check(&self, name: &str, value: &ParameterValue) -> Result<(), ParameterError> {
+        if !self.declared {
+            return Ok(());
+        }
+        if self.descriptor.read_only {
+            return Err(ParameterError::ReadOnly { name: name.to_owned() });
+        }
+        let same = self.value.parameter_type() == value.parameter_type();
+        if !same && !self.descriptor.dynamic_typing && self.value != ParameterValue::NotSet {
+            return Err(ParameterError::wrong_type(name, self.value.parameter_type(), value));
+        }
+        self.descriptor.check(name, value)
+    }
+}

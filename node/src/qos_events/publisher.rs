@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use super::event::{DeadlineMissed, LivelinessLost, PublisherEvent, Ready};
+use crate::error::Result;
+use futures::Stream;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use tautline_executor::stop_requested;
+use tautline_sampler::{Alarm, Events, Watchdog};
+use tautline_transport::{PublisherMonitor, RawPublisher};
+
+/// What happens to a publisher: a stream. See [`Node::publisher_events`](crate::Node::publisher_events).
+#[must_use = "nothing is told unless it is polled"]
+pub struct PublisherEvents {
+    // Before what is rung for it.
+    monitor: PublisherMonitor,
+    alarm: Alarm,
+    deadline: Option<Watchdog>,
+    lease: Option<Lease>,
+    ready: Ready<PublisherEvent>,
+}
+
+/// A lease that is to be kept.
+struct Lease {
+    watchdog: Watchdog,
+    /// When the expiry that was told last was due, and how many there were by then.
+    told: Option<(u64, u64)>,
+    period_ns: u64,
+    lost: u64,
+}
+
+impl Lease {
+    /// A lease that is lost is lost once, however long the silence: until there was a sign of life.
+    fn poll_lost(&mut self, context: &mut Context<'_>) -> Option<LivelinessLost> {
+        let Poll::Ready(expiry) = self.watchdog.poll_expired(context) else { return None };
+        let silent = self.told.is_some_and(|(due_ns, count)| {
+            expiry.due_ns.saturating_sub(due_ns) == (expiry.count - count).saturating_mul(self.period_ns)
+        });
+        self.told = Some((expiry.due_ns, expiry.count));
+        if silent {
+            return None;
+        }
+        self.lost += 1;
+        Some(LivelinessLost { total_count: self.lost, total_count_change: 1 })
+    }
+}
+
+impl PublisherEvents {
+    pub(super) fn new(events: &Events, publisher: &RawPublisher) -> Result<Self> {
+        let alarm = events.alarm()?;
+        let monitor = publisher.monitor(alarm.slot());
+        let watchdog = |(pulse, period)| events.watchdog(pulse, period);
+        let deadline = monitor.deadline().map(watchdog).transpose()?;
+        let lease = match monitor.lease() {
+            Some((pulse, period)) => {
+                let (watchdog, period_ns) = (events.watchdog(pulse, period)?, period.as_nanos() as u64);
+                Some(Lease { watchdog, told: None, period_ns, lost: 0 })
+            }
+            None => None,
+        };
+        Ok(PublisherEvents { monitor, alarm, deadline, lease, ready: Ready::new() })
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.monitor.topic()
+    }
+
+    fn look(&mut self, context: &mut Context<'_>) {
+        let changes = self.monitor.look();
+        self.ready.add(PublisherEvent::Matched, changes.matched);
+        self.ready.add(PublisherEvent::OfferedIncompatibleQos, changes.incompatible_qos);
+        if let Some(Poll::Ready(expiry)) =
+            self.deadline.as_mut().map(|watchdog| watchdog.poll_expired(context))
+        {
+            self.ready.add(PublisherEvent::OfferedDeadlineMissed, Some(DeadlineMissed::from(expiry)));
+        }
+        let lost = self.lease.as_mut().and_then(|lease| lease.poll_lost(context));
+        self.ready.add(PublisherEvent::LivelinessLost, lost);
+    }
+}
+
+impl Stream for PublisherEvents {
+    type Item = PublisherEvent;
+
+    /// # Real-time
+    /// No allocation; no syscall. O(subscriptions) when some came or went. Ends with the publisher.
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<PublisherEvent>> {
+        if stop_requested() {
+            return Poll::Pending;
+        }
+        if let Some(event) = self.ready.next() {
+            return Poll::Ready(Some(event));
+        }
+        // Registers for a ring before it looks. No time is set.
+        let _ = self.alarm.poll(context);
+        if self.monitor.has_ended() {
+            return Poll::Ready(None);
+        }
+        self.look(context);
+        self.ready.next().map_or(Poll::Pending, |event| Poll::Ready(Some(event)))
+    }
+}
+
+impl std::fmt::Debug for PublisherEvents {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PublisherEvents").field("topic", &self.topic()).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use super::event::{DeadlineMissed, Ready, SubscriptionEvent};
+use crate::error::Result;
+use futures::Stream;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use tautline_executor::stop_requested;
+use tautline_rt::clock::monotonic_ns;
+use tautline_sampler::{Alarm, Events, Watchdog};
+use tautline_transport::{RawSubscription, SubscriptionMonitor};
+
+/// What happens to a subscription: a stream. See [`Node::subscription_events`](crate::Node::subscription_events).
+#[must_use = "nothing is told unless it is polled"]
+pub struct SubscriptionEvents {
+    // Before what is rung for it.
+    monitor: SubscriptionMonitor,
+    /// When the next lease of a publisher ends.
+    alarm: Alarm,
+    deadline: Option<Watchdog>,
+    ready: Ready<SubscriptionEvent>,
+}
+
+impl SubscriptionEvents {
+    pub(super) fn new(events: &Events, subscription: &RawSubscription) -> Result<Self> {
+        let alarm = events.alarm()?;
+        let monitor = subscription.monitor(alarm.slot());
+        let watchdog = |(pulse, period)| events.watchdog(pulse, period);
+        let deadline = monitor.deadline().map(watchdog).transpose()?;
+        Ok(SubscriptionEvents { monitor, alarm, deadline, ready: Ready::new() })
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.monitor.topic()
+    }
+
+    fn look(&mut self, context: &mut Context<'_>) {
+        let changes = self.monitor.look(monotonic_ns());
+        self.ready.add(SubscriptionEvent::Matched, changes.matched);
+        self.ready.add(SubscriptionEvent::RequestedIncompatibleQos, changes.incompatible_qos);
+        self.ready.add(SubscriptionEvent::LivelinessChanged, changes.liveliness);
+        self.ready.add(SubscriptionEvent::MessageLost, changes.message_lost);
+        if let Some(Poll::Ready(expiry)) =
+            self.deadline.as_mut().map(|watchdog| watchdog.poll_expired(context))
+        {
+            self.ready.add(SubscriptionEvent::RequestedDeadlineMissed, Some(DeadlineMissed::from(expiry)));
+        }
+        self.alarm.set(changes.look_again_ns);
+    }
+}
+
+impl Stream for SubscriptionEvents {
+    type Item = SubscriptionEvent;
+
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall, but for at most one futex wake when publishers have leases. Ends with the
+    /// subscription.
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<SubscriptionEvent>> {
+        if stop_requested() {
+            return Poll::Pending;
+        }
+        if let Some(event) = self.ready.next() {
+            return Poll::Ready(Some(event));
+        }
+        loop {
+            // Registers for a ring before it looks.
+            let _ = self.alarm.poll(context);
+            if self.monitor.has_ended() {
+                return Poll::Ready(None);
+            }
+            self.look(context);
+            if let Some(event) = self.ready.next() {
+                return Poll::Ready(Some(event));
+            }
+            // Set for a time that has come meanwhile: at most once for each lease.
+            if self.alarm.poll(context).is_pending() {
+                return Poll::Pending;
+            }
+        }
+    }
+}
+
+impl std::fmt::Debug for SubscriptionEvents {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SubscriptionEvents").field("topic", &self.topic()).finish_non_exhaustive()
+    }
+}

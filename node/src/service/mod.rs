@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Services: with owned messages as in r2r, in place, and with types that are known at run time only.
+
+mod client;
+mod server;
+#[cfg(feature = "untyped")]
+mod untyped;
+
+pub use client::{Client, IsAvailablePollable, ResponseFuture};
+#[cfg(feature = "action_msgs")]
+pub(crate) use server::Reply;
+pub use server::{ServiceLoaned, ServiceRequest};
+#[cfg(feature = "untyped")]
+pub use untyped::{ClientUntyped, ServiceRequestUntyped};
+
+#[allow(unused_imports, reason = "for the documentation")]
+use crate::error::Error;
+use crate::error::Result;
+use crate::node::Node;
+use crate::qos::QosProfile;
+use futures::{FutureExt, Stream};
+use std::future::Future;
+use tautline_msgs::Service;
+use tautline_transport::Limits;
+
+/// A service's queues keep all: of the quality of service the depth counts, which is how many requests of one client can
+/// wait at a server.
+///
+/// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error, where r2r
+/// would wait for ever: wait with [`is_available`](Node::is_available) first. If all servers that got it end or are
+/// killed, it ends with an error as well.
+impl Node {
+    /// Creates a service: a stream of requests, copied out of shared memory, each to be answered with
+    /// [`respond`](ServiceRequest::respond), in any thread. The service ends with the stream and the last request.
+    ///
+    /// ```
+    /// # #[cfg(feature = "example_interfaces")] {
+    /// use futures::{StreamExt, executor::LocalPool, task::LocalSpawnExt};
+    /// use tautline::example_interfaces::srv::AddTwoInts;
+    /// # use tautline::{Context, Node, QosProfile, Realtime};
+    /// # use std::time::Duration;
+    /// # let ctx = Context::builder().domain(129).realtime(Realtime::Off).build()?;
+    /// # let mut node = Node::create(ctx.clone(), "example", "")?;
+    /// let requests = node.create_service::<AddTwoInts::Service>("/add", QosProfile::default())?;
+    /// let client = node.create_client::<AddTwoInts::Service>("/add", QosProfile::default())?;
+    /// let mut pool = LocalPool::new();
+    /// pool.spawner().spawn_local(requests.for_each(|request| async move {
+    ///     let sum = request.message.a + request.message.b;
+    ///     request.respond(AddTwoInts::Response { sum }).expect("the client waits");
+    /// })).unwrap();
+    /// pool.spawner().spawn_local(async move {
+    ///     let response = client.request(&AddTwoInts::Request { a: 1, b: 2 }).unwrap().await.unwrap();
+    ///     assert_eq!(response.sum, 3);
+    ///     ctx.shutdown();
+    /// }).unwrap();
+    /// while node.context().is_valid() {
+    ///     node.spin_once(Duration::from_millis(100));
+    ///     pool.run_until_stalled();
+    /// }
+    /// # }
+    /// # Ok::<(), tautline::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit.
+    pub fn create_service<T: Service>(
+        &mut self,
+        service_name: &str,
+        qos_profile: QosProfile,
+    ) -> Result<impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T>> {
+        Ok(server::Requests::new(self.create_service_loaned(service_name, qos_profile)?))
+    }
+
+    /// Creates a service whose requests are read, and whose responses are written, in shared memory.
+    ///
+    /// # Errors
+    /// As [`create_service`](Self::create_service).
+    pub fn create_service_loaned<T: Service>(
+        &mut self,
+        service_name: &str,
+        qos_profile: QosProfile,
+    ) -> Result<ServiceLoaned<T>> {
+        let (name, limits) = self.resolve_service(service_name, qos_profile)?;
+        let depth = qos_profile.to_transport().depth;
+        let _node = tautline_trace::in_node(self.trace.id());
+        Ok(ServiceLoaned::new(self.participant.create_server(&name, depth, limits)?))
+    }
+
+    /// Creates a client of a service.
+    ///
+    /// # Errors
+    /// As [`create_service`](Self::create_service).
+    pub fn create_client<T: Service>(
+        &mut self,
+        service_name: &str,
+        qos_profile: QosProfile,
+    ) -> Result<Client<T>> {
+        let client = self.create_client_loaned(service_name, qos_profile)?;
+        Ok(Client::new(client, self.context.events()))
+    }
+
+    /// Creates a client whose requests are written, and whose responses are read, in shared memory.
+    ///
+    /// # Errors
+    /// As [`create_service`](Self::create_service).
+    pub fn create_client_loaned<T: Service>(
+        &mut self,
+        service_name: &str,
+        qos_profile: QosProfile,
+    ) -> Result<tautline_transport::Client<T>> {
+        let (name, limits) = self.resolve_service(service_name, qos_profile)?;
+        let _node = tautline_trace::in_node(self.trace.id());
+        Ok(self.participant.create_client(&name, limits)?)
+    }
+
+    /// Sets the limits that this node gives a service if it is the first to open it: how many clients (`publishers`) and
+    /// servers (`subscribers`) it can have, and `message_bytes` for requests and responses. Call it before.
+    /// [`Limits::SERVICE`] otherwise.
+    ///
+    /// # Errors
+    /// [`Error::Name`].
+    pub fn set_service_limits(&mut self, service_name: &str, limits: Limits) -> Result<()> {
+        let name = self.resolve_service_name(service_name)?;
+        self.service_limits.insert(name, limits);
+        Ok(())
+    }
+
+    /// Waits until the client's service, or all that the client's action consists of, has a server. The wait counts as a
+    /// pending request of the client.
+    ///
+    /// # Errors
+    /// [`Error::Service`] if the client has no room for one more. The future's result is r2r's: it has none.
+    pub fn is_available(
+        client: &dyn IsAvailablePollable,
+    ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<>> {
+        let all = client.availability()?;
+        Ok(futures::future::join_all(all).map(|_| Ok(())))
+    }
+
+    pub(crate) fn resolve_service(
+        &self,
+        service_name: &str,
+        _qos_profile: QosProfile,
+    ) -> Result<(String, Limits)> {
+        let name = self.resolve_service_name(service_name)?;
+        let limits = self.service_limits.get(&name).copied().unwrap_or(Limits::SERVICE);
+        Ok((name, limits))
+    }
+}

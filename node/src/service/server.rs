@@ -1,0 +1,249 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Servers: in place, and on top of that with owned messages.
+
+use crate::error::Result;
+use crate::subscription::{Samples, Source};
+use futures::Stream;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+use tautline_msgs::Service;
+use tautline_msgs::cdr::Fill;
+use tautline_transport::{
+    Counters, RawSubscription, Request, RequestId, Response, Server, ServiceError, TakeError,
+    UnwrittenResponse,
+};
+
+/// Serves in place: a stream of [`Request`]s, each read where the client wrote it, and the means to answer them, written where
+/// the client reads them.
+///
+/// On a callback thread each request is a job: its response time counts from the request's release, and the next poll of this
+/// stream ends it. May be moved to another thread, and is used by one at a time.
+///
+/// ```
+/// # #[cfg(feature = "example_interfaces")] {
+/// use futures::StreamExt;
+/// use tautline::example_interfaces::srv::AddTwoInts;
+/// use tautline::{CallbackOptions, Context, Node, QosProfile, Realtime};
+///
+/// let ctx = Context::builder().domain(129).realtime(Realtime::Off).build()?;
+/// let mut node = Node::create(ctx.clone(), "example", "")?;
+/// let mut service = node.create_service_loaned::<AddTwoInts::Service>("/sum", QosProfile::default())?;
+/// node.spawn_callback(CallbackOptions::fifo(20), async move {
+///     while let Some(request) = service.next().await {
+///         let mut response = service.loan(&request).expect("the client waits");
+///         response.sum = request.a + request.b; // both in shared memory
+///         response.send().expect("the client takes what it asked for");
+///     }
+/// })?;
+/// let client = node.create_client_loaned::<AddTwoInts::Service>("/sum", QosProfile::default())?;
+/// let stop = ctx.events().clone();
+/// node.spawn_callback(CallbackOptions::fifo(10), async move {
+///     let mut request = client.loan().expect("a loan is free");
+///     (request.a, request.b) = (1, 2);
+///     let response = client.send(request).expect("there is a server").await.expect("it answers");
+///     assert_eq!(response.sum, 3);
+///     stop.stop();
+/// })?;
+/// ctx.spin()?;
+/// # }
+/// # Ok::<(), tautline::Error>(())
+/// ```
+#[must_use = "nothing is served unless it is polled; dropping it ends the service"]
+pub struct ServiceLoaned<T: Service> {
+    requests: Samples<Server<T>>,
+}
+
+impl<T: Service> ServiceLoaned<T> {
+    pub(super) fn new(server: Server<T>) -> Self {
+        ServiceLoaned { requests: Samples::new(server) }
+    }
+
+    fn server(&self) -> &Server<T> {
+        self.requests.source()
+    }
+
+    /// Loans memory for the response to `request`, to write in place as `&mut T::Response`.
+    ///
+    /// # Real-time
+    /// Wait-free, O(clients); one allocation of 48 bytes (iceoryx2's); no syscall.
+    ///
+    /// # Errors
+    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
+    pub fn loan(&self, request: &Request<T>) -> std::result::Result<Response<'_, T>, ServiceError>
+    where
+        T::Response: tautline_msgs::Plain,
+    {
+        self.server().loan(request.id())
+    }
+
+    /// Loans memory for a response of these lengths, to be [written](UnwrittenResponse::write) in place.
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan); linear in the number of fields; a longer response than all before and than
+    /// `Limits::message_bytes` takes a larger segment: allocates, maps memory.
+    ///
+    /// # Errors
+    /// As [`loan`](Self::loan).
+    pub fn loan_with<'z>(
+        &self,
+        request: &Request<T>,
+        sizes: <T::Response as Fill>::Sizes<'z>,
+    ) -> std::result::Result<UnwrittenResponse<'_, 'z, T>, ServiceError>
+    where
+        T::Response: Fill,
+    {
+        self.server().loan_with(request.id(), sizes)
+    }
+
+    /// Writes `response` into a loan and sends it.
+    ///
+    /// # Real-time
+    /// As [`loan_with`](Self::loan_with) and [`Response::send`], and one copy of the message.
+    ///
+    /// # Errors
+    /// As [`loan`](Self::loan) and [`Response::send`].
+    pub fn respond(
+        &self,
+        request: &Request<T>,
+        response: &T::Response,
+    ) -> std::result::Result<(), ServiceError> {
+        self.server().respond(request.id(), response)
+    }
+
+    /// Requests received, invalid, highest queue fill: to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.requests.counters()
+    }
+
+    /// The service's fully qualified name.
+    pub fn service_name(&self) -> &str {
+        self.server().service()
+    }
+}
+
+impl<T: Service> Stream for ServiceLoaned<T> {
+    type Item = Request<T>;
+
+    /// # Real-time
+    /// Wait-free; no allocation; the request is checked: see [`Message::view`](crate::Message::view). The first request of a
+    /// client allocates and opens files. Never ends.
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Request<T>>> {
+        self.requests.poll_next(context).map(Some)
+    }
+}
+
+impl<T: Service> Source for Server<T> {
+    type Sample = Request<T>;
+
+    fn raw(&self) -> &RawSubscription {
+        self.requests()
+    }
+
+    fn try_take_valid(&mut self) -> std::result::Result<Option<Request<T>>, TakeError> {
+        self.try_take()
+    }
+
+    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Request<T>> {
+        Server::poll_take(self, context)
+    }
+
+    fn released_ns(request: &Request<T>) -> u64 {
+        request.info().released_ns
+    }
+}
+
+/// A service's stream of requests with owned messages.
+pub(super) struct Requests<T: Service> {
+    service: Arc<Mutex<ServiceLoaned<T>>>,
+}
+
+impl<T: Service> Requests<T> {
+    pub(super) fn new(service: ServiceLoaned<T>) -> Self {
+        Requests { service: Arc::new(Mutex::new(service)) }
+    }
+}
+
+impl<T: Service> Stream for Requests<T> {
+    type Item = ServiceRequest<T>;
+
+    fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<ServiceRequest<T>>> {
+        let mut service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
+        service.requests.poll_next(context).map(|request| {
+            let message = request.message().to_owned();
+            let reply = Reply { id: request.id(), service: self.service.clone() };
+            Some(ServiceRequest { message, reply })
+        })
+    }
+}
+
+/// A request with an owned message, to be answered with [`respond`](Self::respond), now or later, in any thread.
+pub struct ServiceRequest<T: Service> {
+    /// What is asked.
+    pub message: T::Request,
+    reply: Reply<T>,
+}
+
+impl<T: Service> ServiceRequest<T> {
+    /// Answers the request. If its client has gone meanwhile, nothing happens, as in ROS 2.
+    ///
+    /// # Real-time
+    /// Takes a lock that only other threads which answer requests of this service, or take them, hold:
+    /// [`create_service_loaned`](crate::Node::create_service_loaned) takes none.
+    ///
+    /// # Errors
+    /// [`Error::Service`](crate::Error::Service): the client's queue is full, the response cannot be written.
+    pub fn respond(self, msg: T::Response) -> Result<()> {
+        self.reply.respond(&msg)
+    }
+
+    /// Which request of which client this is.
+    pub fn id(&self) -> RequestId {
+        self.reply.id
+    }
+
+    /// What is asked, and the means to answer.
+    #[cfg(feature = "action_msgs")]
+    pub(crate) fn into_parts(self) -> (T::Request, Reply<T>) {
+        (self.message, self.reply)
+    }
+}
+
+impl<T: Service> Clone for ServiceRequest<T>
+where
+    T::Request: Clone,
+{
+    fn clone(&self) -> Self {
+        let Reply { id, service } = &self.reply;
+        ServiceRequest { message: self.message.clone(), reply: Reply { id: *id, service: service.clone() } }
+    }
+}
+
+/// The means to answer one request.
+pub(crate) struct Reply<T: Service> {
+    id: RequestId,
+    /// Held while a response is written and sent, and while requests are taken.
+    service: Arc<Mutex<ServiceLoaned<T>>>,
+}
+
+impl<T: Service> Reply<T> {
+    pub(crate) fn respond(self, msg: &T::Response) -> Result<()> {
+        let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
+        match service.server().respond(self.id, msg) {
+            Err(ServiceError::ClientGone { .. }) => Ok(()),
+            responded => Ok(responded?),
+        }
+    }
+}
+
+impl<T: Service> std::fmt::Debug for ServiceRequest<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ServiceRequest").field("id", &self.id()).finish_non_exhaustive()
+    }
+}
+
+impl<T: Service> std::fmt::Debug for ServiceLoaned<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ServiceLoaned").field("service", &self.service_name()).finish_non_exhaustive()
+    }
+}

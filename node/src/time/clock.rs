@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Clocks as ROS 2 has them.
+
+use super::source::{ClockJump, JumpCallback, JumpThreshold, TimeSource};
+use crate::context::Context;
+use crate::error::{Error, Result};
+use std::fmt;
+use std::future::poll_fn;
+use std::task::Poll;
+use std::time::Duration;
+use tautline_rt::clock::{monotonic_ns, wall_ns};
+
+/// What a clock shows.
+#[derive(Debug, Copy, Clone, PartialEq, Eq)]
+pub enum ClockType {
+    /// The system's time, or that of `/clock` in nodes with `use_sim_time`.
+    RosTime,
+    /// The system's time: since 1970, and set now and then.
+    SystemTime,
+    /// The time since an arbitrary start; never set.
+    SteadyTime,
+}
+
+/// A clock. A clone shows the same time.
+///
+/// ```
+/// use tautline::{Clock, ClockType};
+///
+/// let mut clock = Clock::create(ClockType::SystemTime)?;
+/// let now = clock.get_now()?;
+/// let stamp = Clock::to_builtin_time(&now); // for the header of a message
+/// # assert!(stamp.sec > 0);
+/// # Ok::<(), tautline::Error>(())
+/// ```
+#[derive(Clone)]
+pub struct Clock {
+    kind: ClockType,
+    source: Option<TimeSource>,
+}
+
+impl Clock {
+    /// A clock of this type. One of [`ClockType::RosTime`] shows the system's time until it is
+    /// [attached](TimeSource::attach_ros_clock) to a node's time source: see [`Node::get_ros_clock`](crate::Node::get_ros_clock).
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn create(ct: ClockType) -> Result<Clock> {
+        Ok(Clock { kind: ct, source: None })
+    }
+
+    pub(crate) fn of_source(source: TimeSource) -> Clock {
+        Clock { kind: ClockType::RosTime, source: Some(source) }
+    }
+
+    pub(super) fn attach(&mut self, source: TimeSource) -> Result<()> {
+        if self.kind != ClockType::RosTime {
+            return Err(Error::ClockTypeNotRosTime);
+        }
+        self.source = Some(source);
+        Ok(())
+    }
+
+    /// The time, as r2r has it.
+    ///
+    /// # Real-time
+    /// As [`now`](Self::now).
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn get_now(&mut self) -> Result<Duration> {
+        Ok(self.now())
+    }
+
+    /// The time.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. Simulated: takes a lock while it reads what `/clock` brought.
+    pub fn now(&self) -> Duration {
+        Duration::from_nanos(u64::try_from(self.now_ns()).unwrap_or_default())
+    }
+
+    /// The time in nanoseconds.
+    ///
+    /// # Real-time
+    /// As [`now`](Self::now).
+    pub fn now_ns(&self) -> i64 {
+        let simulated = || self.source.as_ref().and_then(TimeSource::simulated_ns);
+        match self.kind {
+            ClockType::SteadyTime => monotonic_ns().cast_signed(),
+            ClockType::SystemTime => wall_ns(),
+            ClockType::RosTime => simulated().unwrap_or_else(wall_ns),
+        }
+    }
+
+    /// Whether it shows the time of `/clock`.
+    pub fn is_simulated(&self) -> bool {
+        self.kind == ClockType::RosTime && self.source.as_ref().is_some_and(TimeSource::is_enabled)
+    }
+
+    /// What it shows.
+    pub fn get_clock_type(&self) -> ClockType {
+        self.kind
+    }
+
+    /// A time as messages have it; what does not fit into their 32 bits is cut off.
+    pub fn to_builtin_time(d: &Duration) -> tautline_ros_msgs::builtin_interfaces::msg::Time {
+        tautline_ros_msgs::builtin_interfaces::msg::Time {
+            sec: d.as_secs() as i32,
+            nanosec: d.subsec_nanos(),
+        }
+    }
+
+    /// Waits until the clock shows `until`; no longer, if it jumps there. The context's sampler wakes it.
+    ///
+    /// # Real-time
+    /// Setting up takes a slot of the context, and a subscription if the time is simulated; then each poll is wait-free. That
+    /// the system's clock was set is noticed within a second.
+    ///
+    /// # Errors
+    /// [`Error::Transport`]: no slot is left, or `/clock` cannot be subscribed to.
+    pub async fn sleep_until(&self, until: Duration, context: &Context) -> Result<()> {
+        /// How long the system's clock is trusted not to be set.
+        const LONGEST: Duration = Duration::from_secs(1);
+        // Also woken when the clock comes to show another time.
+        let seat = self.source.as_ref().map(TimeSource::seat).transpose()?;
+        loop {
+            let left = until.saturating_sub(self.now());
+            if left.is_zero() {
+                return Ok(());
+            }
+            let mut timer = match self.kind {
+                ClockType::SteadyTime => Some(context.events().timer(left)?),
+                _ if self.is_simulated() => None,
+                _ => Some(context.events().timer(left.min(LONGEST))?),
+            };
+            let simulated = self.is_simulated();
+            poll_fn(|task| {
+                if let Some(seat) = &seat {
+                    seat.register(task);
+                }
+                let due = timer.as_mut().is_some_and(|timer| timer.poll_tick(task).is_ready());
+                if due || self.is_simulated() != simulated || self.now() >= until {
+                    Poll::Ready(())
+                } else {
+                    Poll::Pending
+                }
+            })
+            .await;
+        }
+    }
+
+    /// Calls `callback` after the clock of `/clock` has jumped as far as `threshold` says, or the clock has come to show
+    /// another time; in the thread that reads the jump. For a clock of a node with [`ClockType::RosTime`].
+    ///
+    /// # Errors
+    /// [`Error::ClockTypeNotRosTime`]: no other clock knows of jumps.
+    pub fn on_jump(
+        &self,
+        threshold: JumpThreshold,
+        callback: impl Fn(ClockJump) + Send + Sync + 'static,
+    ) -> Result<JumpCallback> {
+        let source = self.source.as_ref().ok_or(Error::ClockTypeNotRosTime)?;
+        Ok(source.on_jump(threshold, callback))
+    }
+}
+
+impl fmt::Debug for Clock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Clock").field("kind", &self.kind).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,12 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Clocks, and time that is simulated.
+
+mod clock;
+mod node;
+mod source;
+mod timer;
+
+pub use clock::{Clock, ClockType};
+pub use source::{ClockChange, ClockJump, JumpCallback, JumpThreshold, TimeSource};
+
+pub(crate) use timer::RosTimer;

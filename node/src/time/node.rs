@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A node's clock, and timers on it.
+
+use super::{Clock, RosTimer, TimeSource};
+use crate::error::{Error, Result};
+use crate::node::Node;
+use crate::timer::Timer;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+impl Node {
+    /// The node's ROS clock: the system's time or, with `use_sim_time`, that of `/clock`.
+    pub fn get_ros_clock(&self) -> Arc<Mutex<Clock>> {
+        self.ros_clock.clone()
+    }
+
+    /// The node's ROS clock, without a lock.
+    pub fn clock(&self) -> Clock {
+        Clock::of_source(self.time_source.clone())
+    }
+
+    /// What gives the node's ROS clock its time.
+    pub fn get_time_source(&self) -> TimeSource {
+        self.time_source.clone()
+    }
+
+    /// Creates a timer on the node's ROS clock, whose first release is one period from now. On simulated time it pauses, runs
+    /// and jumps with `/clock`: a jump forward is one release, and the others it skipped are counted as missed; one back
+    /// begins a new period. While the clock shows the system's time, releases are on the monotonic clock, as those of
+    /// [`create_wall_timer`](Self::create_wall_timer): setting the system's time does not disturb them.
+    ///
+    /// # Errors
+    /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left; [`Error::ClockUsers`].
+    pub fn create_timer(&mut self, period: Duration) -> Result<Timer> {
+        if period.is_zero() {
+            return Err(Error::ZeroPeriod);
+        }
+        let _node = tautline_trace::in_node(self.trace.id());
+        let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
+        let events = self.context.events().clone();
+        Ok(Timer::on_ros_clock(RosTimer::new(self.time_source.seat()?, events, period_ns)?))
+    }
+}

@@ -1,0 +1,344 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Simulated time: what `/clock` says, for the clocks and timers of a node.
+//!
+//! There is no thread for it. Whoever asks for the time, or waits for it, reads what `/clock` has brought; the sampler
+//! wakes all who wait when something came.
+
+use super::Clock;
+use crate::error::{Error, Result};
+use crate::node::Node;
+use crate::qos::QosProfile;
+use futures::task::{ArcWake, AtomicWaker, waker};
+use std::fmt;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+use tautline_ros_msgs::rosgraph_msgs::msg::Clock as ClockMessage;
+use tautline_transport::{Limits, Participant, Subscription};
+
+/// Gives a node's ROS clock the time of `/clock` when the parameter `use_sim_time` is set, at the start or later, or after
+/// [`enable_sim_time`](Self::enable_sim_time). Until the first message the time is 0. A clone is of the same node.
+#[derive(Clone)]
+pub struct TimeSource {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    participant: Participant,
+    topic: String,
+    enabled: AtomicBool,
+    now_ns: AtomicI64,
+    /// Held while messages are taken.
+    reading: Mutex<Reading>,
+    waiting: Arc<Waiting>,
+    callbacks: Mutex<Callbacks>,
+}
+
+struct Reading {
+    subscription: Option<Subscription<ClockMessage>>,
+    waker: Waker,
+}
+
+type JumpFn = Arc<dyn Fn(ClockJump) + Send + Sync>;
+
+#[derive(Default)]
+struct Callbacks {
+    list: Vec<(u64, JumpThreshold, JumpFn)>,
+    next: u64,
+}
+
+/// How a clock has jumped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClockJump {
+    /// Whether the clock shows another time from now on.
+    pub change: ClockChange,
+    /// How far, in nanoseconds; negative: back.
+    pub delta_ns: i64,
+}
+
+/// Whether a ROS clock came to show another time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockChange {
+    /// It shows simulated time as before.
+    NoChange,
+    /// It showed the system's time, and now that of `/clock`.
+    Activated,
+    /// It showed the time of `/clock`, and now the system's.
+    Deactivated,
+}
+
+/// Of which jumps a callback wants to know. Each message of `/clock` is one forward.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct JumpThreshold {
+    /// Those forward that are at least this far.
+    pub min_forward: Option<Duration>,
+    /// Those back that are at least this far.
+    pub min_backward: Option<Duration>,
+    /// Those that come from a [`ClockChange`].
+    pub on_clock_change: bool,
+}
+
+impl Default for JumpThreshold {
+    /// All back, and changes of the clock.
+    fn default() -> JumpThreshold {
+        JumpThreshold { min_forward: None, min_backward: Some(Duration::ZERO), on_clock_change: true }
+    }
+}
+
+impl JumpThreshold {
+    fn wants(&self, jump: ClockJump) -> bool {
+        let far = |min: Option<Duration>| {
+            min.is_some_and(|min| u128::from(jump.delta_ns.unsigned_abs()) >= min.as_nanos())
+        };
+        match jump.change {
+            ClockChange::NoChange if jump.delta_ns > 0 => far(self.min_forward),
+            ClockChange::NoChange => jump.delta_ns < 0 && far(self.min_backward),
+            ClockChange::Activated | ClockChange::Deactivated => self.on_clock_change,
+        }
+    }
+}
+
+/// A callback for jumps; dropping this ends it.
+#[must_use = "dropping it ends the callback"]
+pub struct JumpCallback {
+    shared: Weak<Shared>,
+    number: u64,
+}
+
+/// Most that wait for a node's simulated time at once.
+const WAITING: usize = 64;
+
+/// Those that the sampler wakes when `/clock` brought something.
+struct Waiting {
+    claimed: AtomicU64,
+    wakers: [AtomicWaker; WAITING],
+}
+
+impl Waiting {
+    /// # Real-time
+    /// One wake for each that waits; no allocation; no lock.
+    fn wake_all(&self) {
+        let claimed = self.claimed.load(Ordering::Acquire);
+        for (index, waker) in self.wakers.iter().enumerate() {
+            if claimed & (1 << index) != 0 {
+                waker.wake();
+            }
+        }
+    }
+}
+
+impl ArcWake for Waiting {
+    fn wake_by_ref(arc_self: &Arc<Waiting>) {
+        arc_self.wake_all();
+    }
+}
+
+/// A place among those that wait.
+pub(crate) struct Seat {
+    source: TimeSource,
+    index: usize,
+}
+
+impl TimeSource {
+    pub(crate) fn new(participant: Participant, topic: String) -> TimeSource {
+        let waiting =
+            Arc::new(Waiting { claimed: AtomicU64::new(0), wakers: [const { AtomicWaker::new() }; WAITING] });
+        let reading = Reading { subscription: None, waker: waker(waiting.clone()) };
+        let shared = Shared {
+            participant,
+            topic,
+            enabled: AtomicBool::new(false),
+            now_ns: AtomicI64::new(0),
+            reading: Mutex::new(reading),
+            waiting,
+            callbacks: Mutex::default(),
+        };
+        TimeSource { shared: Arc::new(shared) }
+    }
+
+    /// From now on `clock`, of type [`ClockType::RosTime`](super::ClockType::RosTime), shows what the node's ROS clock does.
+    ///
+    /// # Errors
+    /// [`Error::ClockTypeNotRosTime`].
+    pub fn attach_ros_clock(&self, clock: Weak<Mutex<Clock>>) -> Result<()> {
+        match clock.upgrade() {
+            Some(clock) => lock(&clock).attach(self.clone()),
+            None => Ok(()),
+        }
+    }
+
+    /// Shows the time of `/clock`, for `node`, whose time source this is.
+    ///
+    /// # Errors
+    /// [`Error::Transport`]: `/clock` cannot be subscribed to.
+    pub fn enable_sim_time(&self, _node: &mut Node) -> Result<()> {
+        self.set_enabled(true)
+    }
+
+    /// Shows the system's time.
+    pub fn disable_sim_time(&self) {
+        // Only enabling can fail.
+        let _ = self.set_enabled(false);
+    }
+
+    /// Whether it shows the time of `/clock`.
+    pub fn is_enabled(&self) -> bool {
+        self.shared.enabled.load(Ordering::Acquire)
+    }
+
+    pub(crate) fn set_enabled(&self, enabled: bool) -> Result<()> {
+        let Shared { participant, topic, .. } = &*self.shared;
+        let mut reading = lock(&self.shared.reading);
+        if enabled == self.is_enabled() {
+            return Ok(());
+        }
+        let qos = QosProfile::default().keep_last(1).best_effort().to_transport();
+        reading.subscription = match enabled {
+            true => Some(participant.create_subscription(topic, qos, Limits::default())?),
+            false => None,
+        };
+        let (simulated_ns, wall_ns) =
+            (self.shared.now_ns.load(Ordering::Relaxed), tautline_rt::clock::wall_ns());
+        self.shared.enabled.store(enabled, Ordering::Release);
+        drop(reading);
+        self.call(match enabled {
+            true => ClockJump { change: ClockChange::Activated, delta_ns: simulated_ns - wall_ns },
+            false => ClockJump { change: ClockChange::Deactivated, delta_ns: wall_ns - simulated_ns },
+        });
+        self.shared.waiting.wake_all();
+        Ok(())
+    }
+
+    /// The simulated time, if it is to be shown.
+    pub(super) fn simulated_ns(&self) -> Option<i64> {
+        if !self.is_enabled() {
+            return None;
+        }
+        self.update();
+        Some(self.shared.now_ns.load(Ordering::Relaxed))
+    }
+
+    /// Reads what `/clock` has brought.
+    pub(crate) fn update(&self) {
+        let mut jumps = Vec::new();
+        {
+            let reading = lock(&self.shared.reading);
+            let Some(subscription) = &reading.subscription else { return };
+            let mut context = Context::from_waker(&reading.waker);
+            // One, unless a message comes just now: the queue's depth is 1.
+            while let Poll::Ready(sample) = subscription.poll_take(&mut context) {
+                let time = sample.to_owned().clock;
+                let now_ns = i64::from(time.sec) * 1_000_000_000 + i64::from(time.nanosec);
+                let before_ns = self.shared.now_ns.swap(now_ns, Ordering::Relaxed);
+                jumps.push(ClockJump { change: ClockChange::NoChange, delta_ns: now_ns - before_ns });
+            }
+        }
+        jumps.into_iter().for_each(|jump| self.call(jump));
+    }
+
+    fn call(&self, jump: ClockJump) {
+        let callbacks = lock(&self.shared.callbacks);
+        let wanted = callbacks.list.iter().filter(|(_, threshold, _)| threshold.wants(jump));
+        let wanted: Vec<JumpFn> = wanted.map(|(.., callback)| callback.clone()).collect();
+        drop(callbacks);
+        wanted.iter().for_each(|callback| callback(jump));
+    }
+
+    pub(super) fn on_jump(
+        &self,
+        threshold: JumpThreshold,
+        callback: impl Fn(ClockJump) + Send + Sync + 'static,
+    ) -> JumpCallback {
+        let mut callbacks = lock(&self.shared.callbacks);
+        let number = callbacks.next;
+        callbacks.next += 1;
+        callbacks.list.push((number, threshold, Arc::new(callback)));
+        JumpCallback { shared: Arc::downgrade(&self.shared), number }
+    }
+
+    /// A place to be woken.
+    pub(super) fn seat(&self) -> Result<Seat> {
+        let claimed = &self.shared.waiting.claimed;
+        let claim = |claimed: u64| (claimed != u64::MAX).then(|| claimed | (claimed + 1));
+        match claimed.fetch_update(Ordering::AcqRel, Ordering::Acquire, claim) {
+            Ok(before) => Ok(Seat { source: self.clone(), index: before.trailing_ones() as usize }),
+            Err(_) => Err(Error::ClockUsers { max: WAITING }),
+        }
+    }
+}
+
+impl Seat {
+    pub(super) fn source(&self) -> &TimeSource {
+        &self.source
+    }
+
+    /// From now on the task is woken when the time may have changed, or another one is shown.
+    pub(super) fn register(&self, context: &Context<'_>) {
+        self.source.shared.waiting.wakers[self.index].register(context.waker());
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        let waiting = &self.source.shared.waiting;
+        waiting.claimed.fetch_and(!(1 << self.index), Ordering::AcqRel);
+        waiting.wakers[self.index].take();
+    }
+}
+
+impl Drop for JumpCallback {
+    fn drop(&mut self) {
+        if let Some(shared) = self.shared.upgrade() {
+            lock(&shared.callbacks).list.retain(|(number, ..)| *number != self.number);
+        }
+    }
+}
+
+fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl fmt::Debug for TimeSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("TimeSource").field("enabled", &self.is_enabled()).finish_non_exhaustive()
+    }
+}
+
+impl fmt::Debug for JumpCallback {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("JumpCallback").finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_callback_gets_the_jumps_that_it_wants() {
+        let jump = |change, delta_ns| ClockJump { change, delta_ns };
+        let far = JumpThreshold {
+            min_forward: Some(Duration::from_nanos(10)),
+            min_backward: Some(Duration::from_nanos(5)),
+            on_clock_change: false,
+        };
+        use ClockChange::*;
+        for (change, delta_ns, wanted, by_default) in [
+            (NoChange, 9, false, false),
+            (NoChange, 10, true, false),
+            (NoChange, -4, false, true),
+            (NoChange, -5, true, true),
+            (NoChange, 0, false, false),
+            (Activated, 100, false, true),
+            (Deactivated, -100, false, true),
+        ] {
+            assert_eq!(far.wants(jump(change, delta_ns)), wanted, "{change:?} {delta_ns}");
+            assert_eq!(
+                JumpThreshold::default().wants(jump(change, delta_ns)),
+                by_default,
+                "{change:?} {delta_ns}"
+            );
+        }
+    }
+}

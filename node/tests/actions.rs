@@ -1,0 +1,283 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Actions: goals accepted, rejected, pursued, cancelled, forgotten; with Rust types and as JSON.
+#![cfg(all(feature = "action_msgs", feature = "example_interfaces"))]
+
+mod common;
+
+use std::time::Duration;
+
+use common::{Log, context, spin};
+use futures::executor::block_on;
+use futures::future::{Either, select};
+use futures::{FutureExt, StreamExt};
+use tautline::example_interfaces::action::Fibonacci;
+use tautline::{
+    ActionClient, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest, ActionServerOptions,
+    CallbackOptions, Context, Error, GoalStatus, Node,
+};
+
+type Goal = ActionServerGoal<Fibonacci::Action>;
+type GoalRequest = ActionServerGoalRequest<Fibonacci::Action>;
+
+fn node(ctx: &Context) -> Node {
+    Node::create(ctx.clone(), "acting", "").unwrap()
+}
+
+fn numbers(order: i32) -> Vec<i32> {
+    let mut sequence = vec![0, 1];
+    for n in 1..order as usize {
+        sequence.push(sequence[n] + sequence[n - 1]);
+    }
+    sequence
+}
+
+/// A server whose goals of order 0 are rejected, of order 1 dropped, of order 2 aborted; those of more than 100 wait until they are
+/// cancelled, of which those over 200 reject it; the others succeed.
+fn serve(node: &mut Node, name: &str) {
+    let goals = node.create_action_server::<Fibonacci::Action>(name).unwrap();
+    let answer = goals.for_each_concurrent(None, |request: GoalRequest| async move {
+        match request.goal.order {
+            0 => request.reject().unwrap(),
+            1 => drop(request),
+            2 => {
+                let (mut goal, _cancel) = request.accept().unwrap();
+                goal.abort(Fibonacci::Result { sequence: vec![2] }).unwrap();
+                assert!(goal.succeed(Fibonacci::Result::default()).is_err(), "it has ended");
+                assert!(goal.publish_feedback(Fibonacci::Feedback::default()).is_err());
+            }
+            3 => drop(request.accept().unwrap()),
+            101.. => {
+                let (mut goal, mut cancels) = request.accept().unwrap();
+                goal.publish_feedback(Fibonacci::Feedback { sequence: vec![100] }).unwrap();
+                assert!(goal.cancel(Fibonacci::Result::default()).is_err(), "nobody asked for that");
+                let cancel = cancels.next().await.unwrap();
+                assert_eq!(cancel.uuid, goal.uuid);
+                if goal.goal.order > 200 {
+                    cancel.reject();
+                    goal.succeed(Fibonacci::Result { sequence: vec![200] }).unwrap();
+                } else {
+                    assert!(!goal.is_cancelling().unwrap());
+                    cancel.accept();
+                    assert!(goal.is_cancelling().unwrap());
+                    goal.publish_feedback(Fibonacci::Feedback { sequence: vec![101] }).unwrap();
+                    goal.cancel(Fibonacci::Result { sequence: vec![100] }).unwrap();
+                }
+                assert!(cancels.next().await.is_none(), "it ends with the goal");
+            }
+            order => {
+                let (mut goal, _cancel) = request.accept().unwrap();
+                for n in 1..order {
+                    goal.publish_feedback(Fibonacci::Feedback { sequence: numbers(n + 1) }).unwrap();
+                }
+                goal.succeed(Fibonacci::Result { sequence: numbers(order) }).unwrap();
+            }
+        }
+    });
+    node.spawn_callback(CallbackOptions::other(), answer).unwrap();
+}
+
+fn client(node: &mut Node, name: &str) -> ActionClient<Fibonacci::Action> {
+    let client = node.create_action_client(name).unwrap();
+    block_on(Node::is_available(&client).unwrap()).unwrap();
+    client
+}
+
+#[test]
+fn goals_and_their_ends() {
+    let ctx = context(165);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    serve(&mut node, "ends");
+    let client = client(&mut node, "ends");
+    let run = |order| {
+        block_on(async {
+            let sent = client.send_goal_request(Fibonacci::Goal { order }).unwrap();
+            let (goal, result, feedback) = sent.await?;
+            let feedback: Vec<_> = feedback.map(|feedback| feedback.sequence).collect().await;
+            let (status, result) = result.await?;
+            assert_eq!(goal.get_status().unwrap(), status);
+            // A goal that has ended.
+            let error = goal.cancel().unwrap().await.unwrap_err();
+            assert!(matches!(error, Error::GoalCancelAlreadyTerminated), "{error}");
+            Ok::<_, Error>((status, result.sequence, feedback))
+        })
+    };
+    for _ in 0..3 {
+        let feedback: Vec<_> = (2..=8).map(numbers).collect();
+        assert_eq!(run(8).unwrap(), (GoalStatus::Succeeded, numbers(8), feedback));
+        assert_eq!(run(2).unwrap(), (GoalStatus::Aborted, vec![2], vec![]));
+        assert_eq!(run(3).unwrap(), (GoalStatus::Aborted, vec![], vec![]), "its handle was dropped");
+        for rejected in [0, 1] {
+            let error = run(rejected).unwrap_err();
+            assert!(matches!(error, Error::GoalRejected { .. }), "{error}");
+            assert!(error.to_string().contains("'/ends'"), "{error}");
+        }
+    }
+}
+
+#[test]
+fn cancelling() {
+    let ctx = context(167);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    serve(&mut node, "cancelled");
+    let client = client(&mut node, "cancelled");
+    let run = |order| {
+        block_on(async {
+            let sent = client.send_goal_request(Fibonacci::Goal { order }).unwrap();
+            let (goal, result, mut feedback) = sent.await.unwrap();
+            assert_eq!(feedback.next().await.unwrap().sequence, [100]);
+            let cancelled = goal.clone().cancel().unwrap().await;
+            let (status, result) = result.await.unwrap();
+            (cancelled.is_ok(), status, result.sequence, feedback.count().await)
+        })
+    };
+    assert_eq!(run(101), (true, GoalStatus::Canceled, vec![100], 1));
+    assert_eq!(run(201), (false, GoalStatus::Succeeded, vec![200], 0));
+}
+
+#[test]
+fn results_expire_and_goals_are_forgotten() {
+    let ctx = context(168);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    let options =
+        ActionServerOptions { result_timeout: Duration::from_millis(10), ..ActionServerOptions::default() };
+    let goals = node.create_action_server_with::<Fibonacci::Action>("forgetful", options).unwrap();
+    let answer = goals.for_each(|request| async move {
+        let (mut goal, _cancel) = request.accept().unwrap();
+        goal.succeed(Fibonacci::Result::default()).unwrap();
+    });
+    node.spawn_callback(CallbackOptions::other(), answer).unwrap();
+    let client = client(&mut node, "forgetful");
+    block_on(async {
+        let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
+        let (goal, result, _feedback) = sent.await.unwrap();
+        result.await.unwrap();
+        // As a client that came too late.
+        loop {
+            match goal.cancel().unwrap().await {
+                Err(Error::GoalCancelAlreadyTerminated) => {}
+                Err(Error::GoalCancelUnknownGoalID) => break,
+                other => panic!("{other:?}"),
+            }
+        }
+    });
+}
+
+#[test]
+fn a_server_that_goes_ends_what_waits_for_it() {
+    let ctx = context(169);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    let lonely = node.create_action_client::<Fibonacci::Action>("gone").unwrap();
+    let error = lonely.send_goal_request(Fibonacci::Goal { order: 1 }).err().unwrap();
+    assert!(error.to_string().contains("'/gone/_action/send_goal' has no server"), "{error}");
+
+    let goals = node.create_action_server::<Fibonacci::Action>("gone").unwrap();
+    let client = client(&mut node, "gone");
+    let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
+    let (request, goals) = block_on(goals.into_future());
+    let (goal, cancels): (Goal, _) = request.unwrap().accept().unwrap();
+    let (_handle, result, feedback) = block_on(sent).unwrap();
+    // The goal goes on without the stream of goals, but new ones are rejected.
+    drop(goals);
+    goal.publish_feedback(Fibonacci::Feedback { sequence: vec![5] }).unwrap();
+    let error = block_on(client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap()).err().unwrap();
+    assert!(matches!(error, Error::GoalRejected { .. }), "{error}");
+    drop((goal, cancels));
+    let (status, _) = block_on(result).unwrap();
+    assert_eq!(status, GoalStatus::Aborted);
+    assert_eq!(block_on(feedback.map(|feedback| feedback.sequence).collect::<Vec<_>>()), [[5]]);
+    // With the last goal the server has gone.
+    common_wait(|| client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
+}
+
+/// A test that would hang fails after a minute instead.
+fn common_wait(mut condition: impl FnMut() -> bool) {
+    let start = std::time::Instant::now();
+    while !condition() {
+        assert!(start.elapsed() < Duration::from_secs(60));
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn two_clients_hear_of_their_own_goals() {
+    static HEARD: Log<(usize, Vec<i32>)> = Log::new();
+    let ctx = context(181);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    serve(&mut node, "shared");
+    let clients = [client(&mut node, "shared"), client(&mut node, "shared")];
+    for (index, client) in clients.iter().cloned().enumerate() {
+        let run = async move {
+            for order in [4, 9] {
+                let order = order + index as i32;
+                let sent = client.send_goal_request(Fibonacci::Goal { order }).unwrap();
+                let (_goal, result, feedback) = sent.await.unwrap();
+                let last = feedback.fold(vec![], |_, feedback| async { feedback.sequence }).await;
+                assert_eq!(last, numbers(order));
+                HEARD.add((index, result.await.unwrap().1.sequence));
+            }
+        };
+        node.spawn_callback(CallbackOptions::other(), run).unwrap();
+    }
+    let mut heard = HEARD.wait_for(4);
+    heard.sort();
+    assert_eq!(heard, [(0, numbers(4)), (0, numbers(9)), (1, numbers(5)), (1, numbers(10))]);
+}
+
+#[cfg(feature = "untyped")]
+#[test]
+fn goals_as_json() {
+    use serde_json::json;
+    let ctx = context(198);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    serve(&mut node, "json");
+    let client = node.create_action_client_untyped("json", "example_interfaces/action/Fibonacci").unwrap();
+    block_on(async {
+        Node::is_available(&client).unwrap().await.unwrap();
+        let sent = client.send_goal_request(json!({ "order": 5 })).unwrap();
+        let (goal, result, feedback) = sent.await.unwrap();
+        let feedback: Vec<_> = feedback.map(Result::unwrap).collect().await;
+        assert_eq!((feedback.len(), &feedback[0]), (4, &json!({ "sequence": [0, 1, 1] })));
+        let (status, result) = result.await.unwrap();
+        assert_eq!((status, result.unwrap()), (GoalStatus::Succeeded, json!({ "sequence": numbers(5) })));
+        assert_eq!(goal.get_status().unwrap(), GoalStatus::Succeeded);
+        assert!(goal.cancel().unwrap().await.is_err());
+        let error = client.send_goal_request(json!({ "orders": 5 })).err().unwrap().to_string();
+        assert!(error.contains("orders"), "{error}");
+    });
+    let error = node.create_action_client_untyped("json", "no_msgs/action/None").unwrap_err().to_string();
+    assert!(error.contains("no_msgs/action/None"), "{error}");
+}
+
+/// A cancel request that comes while the goal's own work goes on, as in r2r's example.
+#[test]
+fn work_and_cancel_requests_side_by_side() {
+    let ctx = context(200);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    let mut goals = node.create_action_server::<Fibonacci::Action>("beside").unwrap();
+    let mut timer = node.create_wall_timer(Duration::from_secs(3600)).unwrap();
+    let serve = async move {
+        let (mut goal, mut cancels) = goals.next().await.unwrap().accept().unwrap();
+        let work = async { timer.tick().await }.boxed();
+        match select(work, cancels.next()).await {
+            Either::Left(_) => unreachable!("an hour"),
+            Either::Right((request, _)) => ActionServerCancelRequest::accept(request.unwrap()),
+        }
+        goal.cancel(Fibonacci::Result::default()).unwrap();
+    };
+    let served = node.spawn_callback(CallbackOptions::other(), serve).unwrap();
+    let client = client(&mut node, "beside");
+    block_on(async {
+        let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
+        let (goal, result, _feedback) = sent.await.unwrap();
+        goal.cancel().unwrap().await.unwrap();
+        assert_eq!(result.await.unwrap().0, GoalStatus::Canceled);
+    });
+    served.join().unwrap();
+}

@@ -1,0 +1,120 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a node sees of others, under the names they have after remapping, and how it waits for them.
+
+mod common;
+
+use common::{Number, context};
+use futures::executor::block_on;
+use futures::{FutureExt, StreamExt};
+use std::collections::HashMap;
+use tautline::{Context, HistoryPolicy, Node, NodeOptions, QosProfile, Realtime, RemapRules};
+
+fn map(pairs: &[(&str, &str)]) -> HashMap<String, Vec<String>> {
+    pairs.iter().map(|(name, of_type)| ((*name).into(), vec![(*of_type).into()])).collect()
+}
+
+#[test]
+fn a_node_sees_what_others_have() {
+    let ctx = context(109);
+    let mut talker = Node::create(ctx.clone(), "talker", "/robot").unwrap();
+    let mut listener = Node::create(ctx, "listener", "").unwrap();
+    let qos = QosProfile::default().keep_last(7).best_effort().transient_local();
+    let publisher = talker.create_publisher::<Number>("count", qos).unwrap();
+    let _subscription = listener.subscribe_loaned::<Number>("/robot/count", QosProfile::default()).unwrap();
+    let service = "/robot/turn/_action/send_goal";
+    let _server = talker.handle().register_service(service, "a_msgs/action/Turn_SendGoal", None).unwrap();
+    let _add = talker.handle().register_service("/robot/add", "a_msgs/srv/Add", None).unwrap();
+    let _client = listener.handle().register_client("/robot/add", "a_msgs/srv/Add", None).unwrap();
+    let _other = listener.handle().register_client("/nobody", "a_msgs/srv/Add", None).unwrap();
+
+    assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
+    let pair = |name: &str, namespace: &str| (name.to_owned(), namespace.to_owned());
+    assert_eq!(
+        listener.get_node_names_and_namespaces().unwrap(),
+        [pair("listener", "/"), pair("talker", "/robot")]
+    );
+    let topics = map(&[("/robot/count", "test_msgs/msg/Number")]);
+    assert_eq!(listener.get_topic_names_and_types().unwrap(), topics);
+    assert_eq!(listener.get_publisher_names_and_types_by_node("talker", "/robot").unwrap(), topics);
+    assert!(listener.get_publisher_names_and_types_by_node("talker", "/").unwrap().is_empty());
+    assert!(listener.get_subscriber_names_and_types_by_node("talker", "/robot").unwrap().is_empty());
+    assert_eq!(listener.get_subscriber_names_and_types_by_node("listener", "/").unwrap(), topics);
+
+    let [found] = &*talker.get_publishers_info_by_topic("count", false).unwrap() else { panic!("not one") };
+    assert_eq!((&*found.node_name, &*found.node_namespace), ("talker", "/robot"));
+    assert_eq!((&*found.topic_type, found.endpoint_gid), ("test_msgs/msg/Number", publisher.gid().0));
+    assert_eq!((found.pid, found.is_remote), (Some(std::process::id()), false));
+    let expected = QosProfile::default().keep_last(7).best_effort().transient_local();
+    assert_eq!(found.qos_profile, expected);
+    let [found] = &*talker.get_subscriptions_info_by_topic("count", false).unwrap() else {
+        panic!("not one")
+    };
+    assert_eq!((&*found.node_name, found.qos_profile.history), ("listener", HistoryPolicy::KeepLast));
+    assert_eq!(
+        (talker.count_publishers("count").unwrap(), talker.count_subscribers("count").unwrap()),
+        (1, 1)
+    );
+    assert_eq!(listener.count_publishers("count").unwrap(), 0);
+
+    let services = map(&[(service, "a_msgs/action/Turn_SendGoal"), ("/robot/add", "a_msgs/srv/Add")]);
+    assert_eq!(listener.get_service_names_and_types().unwrap(), services);
+    assert_eq!(listener.get_service_names_and_types_by_node("talker", "/robot").unwrap(), services);
+    let clients = map(&[("/robot/add", "a_msgs/srv/Add"), ("/nobody", "a_msgs/srv/Add")]);
+    assert_eq!(listener.get_client_names_and_types_by_node("listener", "/").unwrap(), clients);
+    let actions = map(&[("/robot/turn", "a_msgs/action/Turn")]);
+    assert_eq!(listener.get_action_names_and_types().unwrap(), actions);
+
+    // It is there as long as a publisher of it.
+    drop((talker, _server, _add));
+    assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
+    drop(publisher);
+    assert_eq!(listener.get_node_names().unwrap(), ["/listener"]);
+}
+
+#[test]
+fn a_node_waits_for_others() {
+    let node = Node::create(context(110), "waits", "").unwrap();
+    let there = node.wait_for_node("/robot/comes").unwrap();
+    let publishers = node.wait_for_publishers("/robot/count", 2).unwrap();
+    let subscribers = node.wait_for_subscribers("/robot/count", 1).unwrap();
+    let service = node.wait_for_service("/robot/add").unwrap();
+    let mut all = Box::pin(async { futures::try_join!(there, publishers, subscribers, service).unwrap() });
+    assert!((&mut all).now_or_never().is_none());
+
+    let comes = std::thread::spawn(|| {
+        let mut node = Node::create(context(110), "comes", "/robot").unwrap();
+        let publishers =
+            [(); 2].map(|()| node.create_publisher::<Number>("count", QosProfile::default()).unwrap());
+        let subscription = node.subscribe_loaned::<Number>("count", QosProfile::default()).unwrap();
+        let service = node.handle().register_service("/robot/add", "a_msgs/srv/Add", None).unwrap();
+        (node, publishers, subscription, service)
+    });
+    block_on(all);
+    let mut events = node.graph_events().unwrap();
+    drop(comes.join().unwrap());
+    while node.get_node_names().unwrap().len() > 1 {
+        block_on(events.next()).unwrap();
+    }
+}
+
+#[test]
+fn nodes_are_remapped_from_end_to_end() {
+    let rules = RemapRules::parse(&["__ns:=/robot", "first:__node:=renamed", "count:=/all/count"]).unwrap();
+    let ctx = Context::builder().domain(111).realtime(Realtime::Off).remap(rules).build().unwrap();
+    let mut first = Node::create(ctx.clone(), "first", "/ignored").unwrap();
+    assert_eq!(first.fully_qualified_name().unwrap(), "/robot/renamed");
+    let publisher = first.create_publisher::<Number>("count", QosProfile::default()).unwrap();
+    assert_eq!(publisher.topic(), "/all/count");
+
+    let own = NodeOptions::default().remap(RemapRules::parse(&["count:=~/count"]).unwrap());
+    let mut second = Node::create_with_options(ctx.clone(), "second", "", own.clone()).unwrap();
+    let publisher = second.create_publisher::<Number>("count", QosProfile::default()).unwrap();
+    assert_eq!(publisher.topic(), "/robot/second/count");
+    assert_eq!(second.get_node_names().unwrap(), ["/robot/renamed", "/robot/second"]);
+
+    let alone = Node::create_with_options(ctx, "first", "", own.use_global_arguments(false)).unwrap();
+    assert_eq!(alone.resolve_topic_name("count").unwrap(), "/first/count");
+    assert_eq!(alone.expand_topic_name("count").unwrap(), "/count");
+    assert_eq!(alone.resolve_service_name("count").unwrap(), "/first/count");
+    assert_eq!(alone.get_node_names().unwrap(), ["/first", "/robot/renamed", "/robot/second"]);
+}

@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Managed nodes: which callbacks run, when publishers speak, what the world is told.
+#![cfg(feature = "lifecycle_msgs")]
+
+mod common;
+
+use common::{Log, Number, context, spin};
+use futures::executor::block_on;
+use std::sync::{Arc, Mutex};
+use tautline::lifecycle::{
+    CallbackReturn, LifecycleCallbacks, LifecycleError, LifecycleNode, ManagedNode, State, Transitioned,
+};
+use tautline::lifecycle_msgs::msg::TransitionEvent;
+use tautline::lifecycle_msgs::srv::{ChangeState, GetAvailableStates, GetAvailableTransitions, GetState};
+use tautline::{CallbackOptions, Node, Publisher, QosProfile};
+
+const DOMAIN: u32 = 217;
+
+/// Notes what is called, and returns what it was told to.
+#[derive(Clone, Default)]
+struct Script {
+    calls: Arc<Mutex<Vec<&'static str>>>,
+    results: Arc<Mutex<Vec<(&'static str, CallbackReturn)>>>,
+    publisher: Arc<Mutex<Option<Publisher<Number>>>>,
+}
+
+impl Script {
+    fn call(&self, name: &'static str, default: CallbackReturn) -> CallbackReturn {
+        self.calls.lock().unwrap().push(name);
+        let results = self.results.lock().unwrap();
+        results.iter().find(|(of, _)| *of == name).map_or(default, |(_, result)| *result)
+    }
+
+    fn returns(&self, name: &'static str, result: CallbackReturn) {
+        self.results.lock().unwrap().insert(0, (name, result));
+    }
+
+    fn calls(&self) -> Vec<&'static str> {
+        std::mem::take(&mut *self.calls.lock().unwrap())
+    }
+
+    fn publish(&self, value: u64) {
+        if let Some(publisher) = &*self.publisher.lock().unwrap() {
+            publisher.publish(&Number { value }).unwrap();
+        }
+    }
+}
+
+impl LifecycleCallbacks for Script {
+    fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
+        *self.publisher.lock().unwrap() =
+            Some(node.create_publisher("~/number", QosProfile::default()).unwrap());
+        self.call("configure", CallbackReturn::Success)
+    }
+
+    fn on_activate(&mut self, _: &mut ManagedNode) -> CallbackReturn {
+        self.publish(100);
+        self.call("activate", CallbackReturn::Success)
+    }
+
+    fn on_deactivate(&mut self, _: &mut ManagedNode) -> CallbackReturn {
+        self.publish(200);
+        self.call("deactivate", CallbackReturn::Success)
+    }
+
+    fn on_cleanup(&mut self, _: &mut ManagedNode) -> CallbackReturn {
+        self.publisher.lock().unwrap().take();
+        self.call("cleanup", CallbackReturn::Success)
+    }
+
+    fn on_shutdown(&mut self, _: &mut ManagedNode, previous: State) -> CallbackReturn {
+        assert!([State::Unconfigured, State::Inactive, State::Active].contains(&previous));
+        self.call("shutdown", CallbackReturn::Success)
+    }
+
+    fn on_error(&mut self, _: &mut ManagedNode, _: State) -> CallbackReturn {
+        self.call("error", CallbackReturn::Failure)
+    }
+}
+
+fn managed(name: &str) -> (LifecycleNode, Script) {
+    let script = Script::default();
+    (LifecycleNode::create(context(DOMAIN), name, "", script.clone()).unwrap(), script)
+}
+
+fn done(result: CallbackReturn, state: State) -> Result<Transitioned, LifecycleError> {
+    Ok(Transitioned { result, state })
+}
+
+#[test]
+fn publishers_are_silent_unless_the_node_is_active() {
+    let (node, script) = managed("quiet");
+    let mut other = Node::create(context(DOMAIN), "other", "").unwrap();
+    let numbers = other.subscribe_loaned::<Number>("/quiet/number", QosProfile::default()).unwrap();
+    let take =
+        || std::iter::from_fn(|| numbers.try_take().unwrap().map(|sample| sample.value)).collect::<Vec<_>>();
+    node.configure().unwrap();
+    script.publish(1);
+    node.activate().unwrap();
+    script.publish(2);
+    {
+        let publisher = script.publisher.lock().unwrap();
+        let mut loan = publisher.as_ref().unwrap().loan().unwrap();
+        loan.value = 3;
+        loan.publish().unwrap();
+    }
+    node.deactivate().unwrap();
+    script.publish(4);
+    let loan_while_silent = || {
+        let publisher = script.publisher.lock().unwrap();
+        publisher.as_ref().unwrap().loan().unwrap().publish().unwrap();
+        publisher.as_ref().unwrap().counters().silenced()
+    };
+    assert_eq!(loan_while_silent(), 5, "1, 100, 200, 4 and the loan");
+    assert_eq!(take(), [2, 3]);
+    node.activate().unwrap();
+    script.publish(5);
+    assert_eq!(take(), [5]);
+    assert_eq!(numbers.counters().lost(), 0, "what was not sent is not missed");
+    node.shutdown().unwrap();
+    script.publish(6);
+    assert!(take().is_empty());
+}
+
+#[test]
+fn the_way_through_all_states_is_told() {
+    let (node, script) = managed("teller");
+    let mut other = Node::create(context(DOMAIN), "listener", "").unwrap();
+    let qos = QosProfile::default().keep_last(20);
+    let events = other.subscribe_loaned::<TransitionEvent>("/teller/transition_event", qos).unwrap();
+    let told = || {
+        let next = || {
+            let sample = events.try_take().unwrap()?;
+            let event = sample.to_owned();
+            assert!(event.timestamp > 0);
+            Some((event.transition.id, event.start_state.label, event.goal_state.label))
+        };
+        std::iter::from_fn(next).collect::<Vec<_>>()
+    };
+    let event = |id: u8, start: &str, goal: &str| (id, start.to_owned(), goal.to_owned());
+    assert_eq!(node.state(), State::Unconfigured);
+    assert_eq!(node.configure(), done(CallbackReturn::Success, State::Inactive));
+    assert_eq!(told(), [event(1, "unconfigured", "configuring"), event(10, "configuring", "inactive")]);
+    assert_eq!(node.activate(), done(CallbackReturn::Success, State::Active));
+    assert_eq!(told(), [event(3, "inactive", "activating"), event(30, "activating", "active")]);
+    assert_eq!(node.deactivate(), done(CallbackReturn::Success, State::Inactive));
+    assert_eq!(node.cleanup(), done(CallbackReturn::Success, State::Unconfigured));
+    assert_eq!(told().len(), 4);
+    assert_eq!(node.change_state(5), done(CallbackReturn::Success, State::Finalized));
+    assert_eq!(told(), [event(5, "unconfigured", "shuttingdown"), event(50, "shuttingdown", "finalized")]);
+    assert_eq!(script.calls(), ["configure", "activate", "deactivate", "cleanup", "shutdown"]);
+    assert!(node.available_transitions().is_empty());
+}
+
+#[test]
+fn failures_go_back_and_errors_are_processed() {
+    let (node, script) = managed("unlucky");
+    script.returns("configure", CallbackReturn::Failure);
+    assert_eq!(node.configure(), done(CallbackReturn::Failure, State::Unconfigured));
+    script.returns("configure", CallbackReturn::Error);
+    script.returns("error", CallbackReturn::Success);
+    assert_eq!(node.configure(), done(CallbackReturn::Error, State::Unconfigured));
+    script.returns("configure", CallbackReturn::Success);
+    script.returns("activate", CallbackReturn::Failure);
+    node.configure().unwrap();
+    assert_eq!(node.activate(), done(CallbackReturn::Failure, State::Inactive));
+    script.returns("activate", CallbackReturn::Success);
+    script.returns("deactivate", CallbackReturn::Error);
+    script.returns("error", CallbackReturn::Failure);
+    node.activate().unwrap();
+    assert_eq!(node.deactivate(), done(CallbackReturn::Error, State::Finalized));
+    let expected =
+        ["configure", "configure", "error", "configure", "activate", "activate", "deactivate", "error"];
+    assert_eq!(script.calls(), expected);
+}
+
+#[test]
+fn what_does_not_begin_here_is_refused_and_runs_nothing() {
+    let (node, script) = managed("strict");
+    for refused in
+        [node.activate(), node.deactivate(), node.cleanup(), node.change_state(10), node.change_state(200)]
+    {
+        let text = refused.unwrap_err().to_string();
+        assert!(text.contains("'unconfigured'") && text.contains("configure, shutdown"), "{text}");
+    }
+    assert_eq!((node.state(), script.calls()), (State::Unconfigured, vec![]));
+}
+
+#[test]
+fn a_panic_is_an_error_and_a_transition_in_a_transition_is_refused() {
+    static SEEN: Log<String> = Log::new();
+    struct Careless(Arc<Mutex<Option<LifecycleNode>>>);
+    impl LifecycleCallbacks for Careless {
+        fn on_configure(&mut self, _: &mut ManagedNode) -> CallbackReturn {
+            let node = self.0.lock().unwrap().clone().unwrap();
+            SEEN.add(format!("{}: {}", node.state(), node.activate().unwrap_err()));
+            panic!("as the test wants");
+        }
+        fn on_error(&mut self, _: &mut ManagedNode, previous: State) -> CallbackReturn {
+            SEEN.add(format!("error of {previous}"));
+            CallbackReturn::Success
+        }
+    }
+    let own = Arc::new(Mutex::new(None));
+    let node = LifecycleNode::create(context(DOMAIN), "careless", "", Careless(own.clone())).unwrap();
+    *own.lock().unwrap() = Some(node.clone());
+    assert_eq!(node.configure(), done(CallbackReturn::Error, State::Unconfigured));
+    let seen = SEEN.events();
+    assert!(seen[0].starts_with("configuring: the node is in state 'configuring'"), "{}", seen[0]);
+    assert_eq!(seen[1], "error of configuring");
+    own.lock().unwrap().take();
+}
+
+#[test]
+fn its_services_are_ros_2s() {
+    let context = context(DOMAIN);
+    let _sampler = spin(&context);
+    let script = Script::default();
+    let node = LifecycleNode::create(context.clone(), "served", "", script.clone()).unwrap();
+    let serve = node.serve().unwrap();
+    let callback =
+        node.with_node(|node| node.spawn_callback(CallbackOptions::other(), serve)).unwrap().unwrap();
+
+    let mut other = Node::create(context.clone(), "manager", "").unwrap();
+    let qos = QosProfile::services_default();
+    let change = other.create_client::<ChangeState::Service>("/served/change_state", qos).unwrap();
+    let state = other.create_client::<GetState::Service>("/served/get_state", qos).unwrap();
+    let states =
+        other.create_client::<GetAvailableStates::Service>("/served/get_available_states", qos).unwrap();
+    let [transitions, graph] = ["available_transitions", "transition_graph"].map(|name| {
+        other.create_client::<GetAvailableTransitions::Service>(&format!("/served/get_{name}"), qos).unwrap()
+    });
+    block_on(Node::is_available(&change).unwrap()).unwrap();
+    let ask = |id: u8, label: &str| {
+        let mut request = ChangeState::Request::default();
+        (request.transition.id, request.transition.label) = (id, label.to_owned());
+        block_on(change.request(&request).unwrap()).unwrap().success
+    };
+    let now = || block_on(state.request(&GetState::Request::default()).unwrap()).unwrap().current_state.label;
+    let possible = |client: &tautline::Client<GetAvailableTransitions::Service>| {
+        let response = block_on(client.request(&Default::default()).unwrap()).unwrap();
+        response.available_transitions.into_iter().map(|found| found.transition.label).collect::<Vec<_>>()
+    };
+    assert!(!ask(3, ""), "not from here");
+    assert_eq!(now(), "unconfigured");
+    assert!(ask(1, ""));
+    assert_eq!(
+        (now(), possible(&transitions)),
+        ("inactive".into(), vec!["cleanup".into(), "activate".into(), "shutdown".into()])
+    );
+    assert!(ask(0, "activate"), "by name");
+    script.returns("deactivate", CallbackReturn::Failure);
+    assert!(!ask(4, ""), "its callback failed");
+    assert_eq!((now(), node.state()), ("active".into(), State::Active));
+    assert_eq!(possible(&graph).len(), 25);
+    let known = block_on(states.request(&Default::default()).unwrap()).unwrap().available_states;
+    assert_eq!(known.len(), 11);
+    assert_eq!(script.calls(), ["configure", "activate", "deactivate"]);
+    callback.stop();
+    callback.join().unwrap();
+}

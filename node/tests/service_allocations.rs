@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A round trip in place allocates what iceoryx2 does, 48 bytes for each of the two loans, and nothing else: in the client, the
+//! server and the sampler.
+#![cfg(feature = "example_interfaces")]
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use common::context;
+use futures::StreamExt;
+use futures::executor::block_on;
+use tautline::example_interfaces::srv::AddTwoInts;
+use tautline::{CallbackOptions, Node, QosProfile};
+
+/// Heap allocations of one thread.
+static CLIENT: AtomicU64 = AtomicU64::new(0);
+static SERVER: AtomicU64 = AtomicU64::new(0);
+static SAMPLER: AtomicU64 = AtomicU64::new(0);
+
+thread_local!(static MINE: Cell<Option<&'static AtomicU64>> = const { Cell::new(None) });
+
+fn count() {
+    if let Ok(Some(calls)) = MINE.try_with(Cell::get) {
+        calls.fetch_add(1, Ordering::SeqCst);
+    }
+}
+
+struct Counting;
+
+// SAFETY: every call is handed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(block, layout) }
+    }
+    unsafe fn realloc(&self, block: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.realloc(block, layout, bytes) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const ROUND_TRIPS: u64 = 10_000;
+
+#[test]
+fn ten_thousand_round_trips_allocate_only_their_loans() {
+    let ctx = context(159);
+    let mut node = Node::create(ctx.clone(), "frugal", "").unwrap();
+    let qos = QosProfile::default();
+    let mut service = node.create_service_loaned::<AddTwoInts::Service>("frugal", qos).unwrap();
+    let client = node.create_client_loaned::<AddTwoInts::Service>("frugal", qos).unwrap();
+    node.spawn_callback(CallbackOptions::other(), async move {
+        while let Some(request) = service.next().await {
+            let mut response = service.loan(&request).unwrap();
+            response.sum = request.a + request.b;
+            response.send().unwrap();
+            // Before this the thread was setting up.
+            MINE.set(Some(&SERVER));
+        }
+    })
+    .unwrap();
+    let sampler = std::thread::spawn({
+        let ctx = ctx.clone();
+        move || {
+            MINE.set(Some(&SAMPLER));
+            ctx.spin().unwrap();
+            MINE.set(None);
+        }
+    });
+    let round = |count: u64| {
+        let before = [&CLIENT, &SERVER, &SAMPLER].map(|calls| calls.load(Ordering::SeqCst));
+        // All in one task: entering `block_on` is no part of a round trip.
+        block_on(async {
+            for n in 0..count as i64 {
+                let mut request = client.loan().unwrap();
+                (request.a, request.b) = (n, 1);
+                let response = client.send(request).unwrap().await.unwrap();
+                assert_eq!(response.sum, n + 1);
+            }
+        });
+        let after = [&CLIENT, &SERVER, &SAMPLER].map(|calls| calls.load(Ordering::SeqCst));
+        std::array::from_fn::<_, 3, _>(|index| after[index] - before[index])
+    };
+    round(100);
+    MINE.set(Some(&CLIENT));
+    // The janitor may report a change of the topics' ports during a round, not during two.
+    let rounds = [round(ROUND_TRIPS), round(ROUND_TRIPS)];
+    MINE.set(None);
+    assert!(rounds.contains(&[ROUND_TRIPS, ROUND_TRIPS, 0]), "{rounds:?}");
+    ctx.shutdown();
+    sampler.join().unwrap();
+}

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A task woken once, at a time that it sets itself.
+
+use crate::events::Shared;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use tautline_rt::clock::monotonic_ns;
+use tautline_transport::Slot;
+
+/// Wakes one task at a time that can be set anew. Its slot may be rung besides, which wakes the task too: what waits for several
+/// things needs one alarm.
+pub struct Alarm {
+    shared: Arc<Shared>,
+    slot: Slot,
+    at_ns: Option<u64>,
+}
+
+impl Alarm {
+    pub(crate) fn new(shared: Arc<Shared>, slot: Slot) -> Self {
+        Alarm { shared, slot, at_ns: None }
+    }
+
+    /// The slot behind it.
+    pub fn slot(&self) -> &Slot {
+        &self.slot
+    }
+
+    /// Sets the time, in `CLOCK_MONOTONIC` nanoseconds. Nothing happens if it is the same as before.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; at most one futex wake. The sampler then looks through its timers once.
+    pub fn set(&mut self, at_ns: Option<u64>) {
+        if at_ns == self.at_ns {
+            return;
+        }
+        self.at_ns = at_ns;
+        let words = &self.shared.timers[self.slot.index()];
+        match at_ns {
+            Some(at_ns) => drop(words.arm(at_ns, u64::MAX, None)),
+            None => words.disarm(),
+        }
+        self.slot.ring();
+    }
+
+    /// Ready when the time has come. Wakes the task then, and whenever the slot is rung.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn poll(&self, context: &mut Context<'_>) -> Poll<()> {
+        self.slot.waker().register(context.waker());
+        if self.at_ns.is_some_and(|at_ns| monotonic_ns() >= at_ns) { Poll::Ready(()) } else { Poll::Pending }
+    }
+}
+
+impl Drop for Alarm {
+    fn drop(&mut self) {
+        self.shared.timers[self.slot.index()].disarm();
+        self.slot.ring();
+    }
+}

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Waking tasks when the graph changes: one thread sleeps on the domain's epoch for all tasks of a participant.
+
+use crate::error::TransportError;
+use crate::graph::Graph;
+use crate::janitor::low_priority_thread;
+use futures::Stream;
+use futures::task::AtomicWaker;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tautline_rt::JoinHandle;
+
+/// The thread looks this often whether it is to end; to end it, it is also woken.
+const PATIENCE: Duration = Duration::from_millis(250);
+
+/// A stream that yields when a node, publisher, subscription, service or client of the domain appeared or went since it last
+/// did, or since it was made; several changes may be one event. Ends with its participant.
+///
+/// Whoever waits for a state of the graph makes the stream first, then looks, then awaits the next event, then looks again.
+pub struct GraphEvents {
+    graph: Arc<Graph>,
+    listener: Arc<Listener>,
+    seen: u32,
+}
+
+struct Listener {
+    waker: AtomicWaker,
+    watched: Arc<Watched>,
+}
+
+#[derive(Default)]
+struct Watched {
+    listeners: Mutex<Vec<Weak<Listener>>>,
+    stop: AtomicBool,
+}
+
+/// The listeners of a participant, and their thread once there is one.
+pub(crate) struct Watchers {
+    graph: Arc<Graph>,
+    watched: Arc<Watched>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Watchers {
+    pub(crate) fn new(graph: Arc<Graph>) -> Self {
+        Watchers { graph, watched: Arc::default(), thread: Mutex::default() }
+    }
+
+    pub(super) fn subscribe(&self) -> Result<GraphEvents, TransportError> {
+        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        if thread.is_none() {
+            let (graph, watched) = (self.graph.clone(), self.watched.clone());
+            let builder = low_priority_thread("graph").map_err(TransportError::Janitor)?;
+            let run = move || move || watch(&graph, &watched);
+            *thread = Some(builder.spawn(run).map_err(TransportError::Janitor)?);
+        }
+        let listener = Arc::new(Listener { waker: AtomicWaker::new(), watched: self.watched.clone() });
+        let mut listeners = self.watched.listeners.lock().unwrap_or_else(PoisonError::into_inner);
+        listeners.retain(|listener| listener.strong_count() > 0);
+        listeners.push(Arc::downgrade(&listener));
+        Ok(GraphEvents { graph: self.graph.clone(), listener, seen: self.graph.epoch() })
+    }
+}
+
+impl Drop for Watchers {
+    fn drop(&mut self) {
+        // Release: pairs with the Acquire of the thread and of the listeners.
+        self.watched.stop.store(true, Ordering::Release);
+        self.graph.wake();
+        if let Some(thread) = self.thread.get_mut().unwrap_or_else(PoisonError::into_inner).take() {
+            let _ = thread.join();
+        }
+        self.watched.wake_all();
+    }
+}
+
+fn watch(graph: &Graph, watched: &Watched) {
+    let mut seen = graph.epoch().wrapping_sub(1);
+    while !watched.stop.load(Ordering::Acquire) {
+        let epoch = graph.wait_unless(seen, PATIENCE, &watched.stop);
+        if epoch != seen {
+            seen = epoch;
+            watched.wake_all();
+        }
+    }
+}
+
+impl Watched {
+    fn wake_all(&self) {
+        let mut listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
+        listeners.retain(|listener| {
+            listener.upgrade().is_some_and(|listener| {
+                listener.waker.wake();
+                true
+            })
+        });
+    }
+}
+
+impl Stream for GraphEvents {
+    type Item = ();
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<()>> {
+        // Before looking: a change after this wakes the task.
+        self.listener.waker.register(cx.waker());
+        let epoch = self.graph.epoch();
+        if epoch != self.seen {
+            self.seen = epoch;
+            return Poll::Ready(Some(()));
+        }
+        match self.listener.watched.stop.load(Ordering::Acquire) {
+            true => Poll::Ready(None),
+            false => Poll::Pending,
+        }
+    }
+}
+
+impl std::fmt::Debug for GraphEvents {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("GraphEvents").field("seen", &self.seen).finish_non_exhaustive()
+    }
+}

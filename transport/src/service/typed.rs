@@ -1,0 +1,435 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Clients and servers of a service's type: a thin layer over those of bytes.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::client::{Availability, RawClient, RawPending, Unsent};
+use super::server::{RequestId, Responders};
+use super::{ServiceError, ServiceType, request_topic};
+use crate::error::{TakeError, TransportError};
+use crate::participant::Participant;
+use crate::publisher::RawPublisher;
+use crate::qos::{Limits, Qos};
+use crate::subscription::RawSubscription;
+use crate::typed::{Loan, Sample, Subscription, Unwritten};
+use core::fmt;
+use core::future::Future;
+use core::marker::PhantomData;
+use core::ops::{Deref, DerefMut};
+use core::pin::Pin;
+use core::task::{Context, Poll};
+use std::sync::Arc;
+use tautline_msgs::cdr::{Fill, WriteError};
+use tautline_msgs::{Message, Plain, Service};
+
+/// Asks a service: requests written in place, responses read in place.
+///
+/// May be moved to another thread, and is used by one at a time; what waits for its answers may be in any thread.
+pub struct Client<S> {
+    raw: RawClient,
+    _service: PhantomData<fn(S)>,
+}
+
+/// The response to one request, once it is there. Dropping it cancels the wait; the server is not told.
+#[must_use = "the response is lost unless it is awaited"]
+pub struct PendingResponse<S> {
+    raw: RawPending,
+    _service: PhantomData<fn() -> S>,
+}
+
+/// Takes requests, read in place, and answers them in place.
+///
+/// May be moved to another thread, and is used by one at a time.
+pub struct Server<S: Service> {
+    requests: Subscription<S::Request>,
+    responders: Responders,
+}
+
+/// A request, read in place. At most `Limits::held` of one server are alive at once.
+pub struct Request<S: Service> {
+    message: Sample<S::Request>,
+}
+
+/// A response that is written in place. Dropping it gives it back unsent.
+#[must_use = "nothing is sent before it is sent"]
+pub struct Response<'s, S: Service> {
+    responders: &'s Responders,
+    id: RequestId,
+    loan: Loan<'s, S::Response>,
+}
+
+/// Memory for a response of stated lengths, not written yet. Dropping it gives it back.
+#[must_use = "nothing is sent before it is written and sent"]
+pub struct UnwrittenResponse<'s, 'z, S: Service>
+where
+    S::Response: Fill,
+{
+    responders: &'s Responders,
+    id: RequestId,
+    loan: Unwritten<'s, 'z, S::Response>,
+}
+
+impl Participant {
+    /// Creates a client of `service`, a fully qualified name.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: another type, a limit.
+    pub fn create_client<S: Service>(
+        &self,
+        service: &str,
+        limits: Limits,
+    ) -> Result<Client<S>, TransportError> {
+        let raw = self.create_raw_client(service, &ServiceType::of::<S>(), limits)?;
+        Ok(Client { raw, _service: PhantomData })
+    }
+
+    /// Creates a server of `service`, a fully qualified name. `depth` is how many requests of one client can wait here.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: another type, a limit.
+    pub fn create_server<S: Service>(
+        &self,
+        service: &str,
+        depth: usize,
+        limits: Limits,
+    ) -> Result<Server<S>, TransportError> {
+        let service_type = ServiceType::of::<S>();
+        let request = &service_type.request;
+        let requests =
+            self.create_raw_subscription(&request_topic(service), request, Qos::keep_all(depth), limits)?;
+        let responders = Responders::new(self, service, &service_type, limits, &requests)?;
+        Ok(Server { requests: Subscription::of_raw(requests), responders })
+    }
+}
+
+impl<S: Service> Client<S> {
+    /// The client of bytes below.
+    pub fn raw(&self) -> &RawClient {
+        &self.raw
+    }
+
+    /// The service's fully qualified name.
+    pub fn service(&self) -> &str {
+        self.raw.service()
+    }
+
+    /// Number of servers.
+    pub fn server_count(&self) -> usize {
+        self.raw.server_count()
+    }
+
+    /// Waits until there is a server. Counts as a pending request.
+    ///
+    /// # Errors
+    /// [`ServiceError::TooManyPending`].
+    pub fn availability(&self) -> Result<Availability, ServiceError> {
+        self.raw.availability()
+    }
+
+    /// Loans memory for a request to write in place, as `&mut S::Request`. See [`Publisher::loan`](crate::Publisher::loan).
+    ///
+    /// # Real-time
+    /// As [`Publisher::loan`](crate::Publisher::loan).
+    ///
+    /// # Errors
+    /// [`ServiceError::Loan`].
+    pub fn loan(&self) -> Result<Loan<'_, S::Request>, ServiceError>
+    where
+        S::Request: Plain,
+    {
+        Loan::of_plain(self.raw.publisher()).map_err(|source| self.raw.shared.loan_error(source))
+    }
+
+    /// Loans memory for a request of these lengths, to be [written](Unwritten::write) in place.
+    ///
+    /// # Real-time
+    /// As [`Publisher::loan_with`](crate::Publisher::loan_with).
+    ///
+    /// # Errors
+    /// [`ServiceError::Loan`].
+    pub fn loan_with<'s>(
+        &self,
+        sizes: <S::Request as Fill>::Sizes<'s>,
+    ) -> Result<Unwritten<'_, 's, S::Request>, ServiceError>
+    where
+        S::Request: Fill,
+    {
+        Unwritten::of_sizes(self.raw.publisher(), sizes).map_err(|source| self.raw.shared.loan_error(source))
+    }
+
+    /// Sends a request that was written in place, to every server. The first response counts.
+    ///
+    /// # Real-time
+    /// As [`RawClient::send`].
+    ///
+    /// # Errors
+    /// [`Unsent`], with the loan if nothing was sent.
+    pub fn send<'c>(
+        &'c self,
+        request: Loan<'c, S::Request>,
+    ) -> Result<PendingResponse<S>, Unsent<Loan<'c, S::Request>>> {
+        let sent = self.raw.send(request.ready());
+        sent.map(PendingResponse::of).map_err(|unsent| unsent.map(Loan::back))
+    }
+
+    /// Writes `message` into a loan and sends it.
+    ///
+    /// # Real-time
+    /// As [`send`](Self::send) and the loan, and one copy of the message.
+    ///
+    /// # Errors
+    /// [`ServiceError`]; nothing was sent.
+    pub fn request(&self, message: &S::Request) -> Result<PendingResponse<S>, ServiceError> {
+        let mut loan = self.raw.loan(message.cdr_len())?;
+        let service = || self.raw.shared.service.clone();
+        message
+            .encode(&mut loan)
+            .map_err(|source| ServiceError::Encode { service: service(), source: source.into() })?;
+        Ok(PendingResponse::of(self.raw.send(loan)?))
+    }
+}
+
+impl<S> PendingResponse<S> {
+    fn of(raw: RawPending) -> Self {
+        PendingResponse { raw, _service: PhantomData }
+    }
+}
+
+impl<S: Service> Future for PendingResponse<S> {
+    type Output = Result<Sample<S::Response>, ServiceError>;
+
+    /// # Real-time
+    /// As [`RawPending`]; the response is checked: see [`Message::view`].
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
+        Pin::new(&mut self.raw).poll(context).map(|response| {
+            let invalid = |source| ServiceError::Invalid { service: self.raw.shared.service.clone(), source };
+            Sample::new(response?).map_err(|error| invalid(error.into()))
+        })
+    }
+}
+
+impl<S: Service> Server<S> {
+    /// The service's fully qualified name.
+    pub fn service(&self) -> &str {
+        &self.responders.service
+    }
+
+    /// The subscription to the requests.
+    pub fn requests(&self) -> &RawSubscription {
+        self.requests.raw()
+    }
+
+    /// Those who can be answered.
+    pub fn responders(&self) -> &Responders {
+        &self.responders
+    }
+
+    /// Takes the oldest request, if there is one; invalid ones are counted and passed over.
+    ///
+    /// # Real-time
+    /// As [`Subscription::try_take_valid`]. The first request of a client allocates and opens files.
+    ///
+    /// # Errors
+    /// [`TakeError`].
+    pub fn try_take(&mut self) -> Result<Option<Request<S>>, TakeError> {
+        self.responders.forget_gone(self.requests.raw());
+        Ok(self.requests.try_take_valid()?.map(|message| self.admit(message)))
+    }
+
+    /// Polls for a request.
+    ///
+    /// # Real-time
+    /// As [`try_take`](Self::try_take).
+    pub fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Request<S>> {
+        let message = self.requests.poll_take(context);
+        self.responders.forget_gone(self.requests.raw());
+        message.map(|message| self.admit(message))
+    }
+
+    fn admit(&mut self, message: Sample<S::Request>) -> Request<S> {
+        self.responders.admit(self.requests.raw(), message.info().publisher_gid);
+        Request { message }
+    }
+
+    /// Loans memory for the response to a request, to write in place as `&mut S::Response`.
+    ///
+    /// # Real-time
+    /// As [`Publisher::loan`](crate::Publisher::loan), and O(clients).
+    ///
+    /// # Errors
+    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
+    pub fn loan(&self, id: RequestId) -> Result<Response<'_, S>, ServiceError>
+    where
+        S::Response: Plain,
+    {
+        let loan = Loan::of_plain(self.publisher(id)?).map_err(|source| self.loan_error(source))?;
+        Ok(Response { responders: &self.responders, id, loan })
+    }
+
+    /// Loans memory for a response of these lengths, to be [written](UnwrittenResponse::write) in place.
+    ///
+    /// # Real-time
+    /// As [`Publisher::loan_with`](crate::Publisher::loan_with), and O(clients).
+    ///
+    /// # Errors
+    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
+    pub fn loan_with<'z>(
+        &self,
+        id: RequestId,
+        sizes: <S::Response as Fill>::Sizes<'z>,
+    ) -> Result<UnwrittenResponse<'_, 'z, S>, ServiceError>
+    where
+        S::Response: Fill,
+    {
+        let loan = Unwritten::of_sizes(self.publisher(id)?, sizes);
+        let loan = loan.map_err(|source| self.loan_error(source))?;
+        Ok(UnwrittenResponse { responders: &self.responders, id, loan })
+    }
+
+    /// Writes `message` into a loan and sends it.
+    ///
+    /// # Real-time
+    /// As the loan and [`Response::send`], and one copy of the message.
+    ///
+    /// # Errors
+    /// [`ServiceError`]; nothing was sent.
+    pub fn respond(&self, id: RequestId, message: &S::Response) -> Result<(), ServiceError> {
+        let mut loan = self.responders.loan(id, message.cdr_len())?;
+        let service = || self.responders.service.clone();
+        message
+            .encode(&mut loan)
+            .map_err(|source| ServiceError::Encode { service: service(), source: source.into() })?;
+        Ok(loan.send()?)
+    }
+
+    fn publisher(&self, id: RequestId) -> Result<&RawPublisher, ServiceError> {
+        self.responders.publisher(id.client)
+    }
+
+    fn loan_error(&self, source: crate::error::LoanError) -> ServiceError {
+        let service: Arc<str> = self.responders.service.clone();
+        ServiceError::Loan { service, source }
+    }
+}
+
+impl<S: Service> Request<S> {
+    /// Which request of which client: what it is answered by.
+    pub fn id(&self) -> RequestId {
+        RequestId::of(self.message.info())
+    }
+
+    /// The request, in shared memory.
+    pub fn message(&self) -> &Sample<S::Request> {
+        &self.message
+    }
+}
+
+/// The sample, which derefs to the request itself if that is plain.
+impl<S: Service> Deref for Request<S> {
+    type Target = Sample<S::Request>;
+
+    fn deref(&self) -> &Sample<S::Request> {
+        &self.message
+    }
+}
+
+impl<'s, 'z, S: Service> UnwrittenResponse<'s, 'z, S>
+where
+    S::Response: Fill,
+{
+    /// Lets `write` set each field in place. See [`Unwritten::write`].
+    ///
+    /// # Real-time
+    /// As [`Unwritten::write`].
+    ///
+    /// # Errors
+    /// As [`Unwritten::write`].
+    pub fn write(
+        self,
+        write: impl for<'a> FnOnce(&mut <S::Response as Fill>::Writer<'a, 'z>) -> Result<(), WriteError>,
+    ) -> Result<Response<'s, S>, WriteError> {
+        let UnwrittenResponse { responders, id, loan } = self;
+        Ok(Response { responders, id, loan: loan.write(write)? })
+    }
+}
+
+impl<S: Service> Response<'_, S> {
+    /// Sends the response to the client that asked.
+    ///
+    /// # Real-time
+    /// As [`Loan::publish`].
+    ///
+    /// # Errors
+    /// [`Unsent`]: [`ServiceError::ResponsesFull`] with the response.
+    #[allow(clippy::result_large_err, reason = "it gives the response back")]
+    pub fn send(self) -> Result<(), Unsent<Self>> {
+        let Response { responders, id, loan } = self;
+        let unsent = responders.send(id, loan.ready());
+        unsent.map_err(|unsent| unsent.map(|loan| Response { responders, id, loan: Loan::back(loan) }))
+    }
+}
+
+impl<S: Service> Deref for Response<'_, S>
+where
+    S::Response: Plain,
+{
+    type Target = S::Response;
+
+    fn deref(&self) -> &S::Response {
+        &self.loan
+    }
+}
+
+impl<S: Service> DerefMut for Response<'_, S>
+where
+    S::Response: Plain,
+{
+    fn deref_mut(&mut self) -> &mut S::Response {
+        &mut self.loan
+    }
+}
+
+impl<S> fmt::Debug for Client<S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Client").field("service", &self.raw.service()).finish_non_exhaustive()
+    }
+}
+
+impl<S> fmt::Debug for PendingResponse<S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.raw.fmt(f)
+    }
+}
+
+impl<S: Service> fmt::Debug for Server<S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Server").field("service", &self.service()).finish_non_exhaustive()
+    }
+}
+
+impl<S: Service> fmt::Debug for Request<S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Request").field("id", &self.id()).finish_non_exhaustive()
+    }
+}
+
+impl<S: Service> fmt::Debug for Response<'_, S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Response").field("id", &self.id).finish_non_exhaustive()
+    }
+}
+
+impl<S: Service> fmt::Debug for UnwrittenResponse<'_, '_, S>
+where
+    S::Response: Fill,
+{
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("UnwrittenResponse").field("id", &self.id).finish_non_exhaustive()
+    }
+}

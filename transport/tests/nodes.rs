@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Nodes, whose publishers and subscriptions are whose, services: in other processes, after a kill, from other hosts.
+
+mod support;
+
+use futures::{FutureExt, StreamExt};
+use std::collections::HashSet;
+use std::time::Duration;
+use support::{Count, Part, clean, domain, say, shared_memory, wait_for_the_end};
+use tautline_transport::{
+    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Participant, Qos, RemoteGraph,
+    ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
+};
+
+/// The child's part; without its variable it is no test.
+#[test]
+fn child_main() {
+    let Some((part, domain)) = support::part() else { return };
+    let participant = Participant::new(domain).unwrap();
+    match part.as_str() {
+        "node" => {
+            let node = participant.create_node("child", "/robot").unwrap();
+            let of_node = participant.for_node(&node);
+            let _publisher = of_node
+                .create_publisher::<Count>("/count", Qos::keep_last(7).best_effort(), Limits::default())
+                .unwrap();
+            let _service = node.register_service("/robot/add", "a_msgs/srv/Add", None).unwrap();
+            say("ready");
+            wait_for_the_end();
+        }
+        "busy" => {
+            let _node = participant.create_node("busy", "/").unwrap();
+            say("ready");
+            let parent = rustix::process::getppid();
+            while rustix::process::getppid() == parent {
+                let node = participant.create_node("coming", "/").unwrap();
+                let _service = node.register_client("/add", "a_msgs/srv/Add", None).unwrap();
+            }
+        }
+        other => panic!("no part {other}"),
+    }
+}
+
+fn name(namespace: &str, name: &str) -> NodeName {
+    NodeName { namespace: namespace.into(), name: name.into() }
+}
+
+fn names(graph: &GraphSnapshot) -> Vec<String> {
+    graph.nodes.iter().map(|node| node.name.full_name()).collect()
+}
+
+#[test]
+fn nodes_and_what_is_theirs_are_seen_until_they_end() {
+    let domain = domain(102);
+    clean(domain);
+    let participant = Participant::new(domain).unwrap();
+    let observer = Participant::new(domain).unwrap();
+    assert!(observer.nodes().is_empty() && !shared_memory(domain).keys().any(|file| file.contains("nodes")));
+
+    let epoch = observer.graph_epoch();
+    let node = participant.create_node("listener", "/robot").unwrap();
+    assert_ne!(observer.graph_epoch(), epoch);
+    let me = NodeInfo { name: name("/robot", "listener"), pid: Some(std::process::id()), is_remote: false };
+    assert_eq!(observer.nodes(), [me]);
+    assert!(observer.graph().unwrap().endpoints.is_empty());
+
+    let of_node = participant.for_node(&node);
+    let subscription =
+        of_node.create_subscription::<Count>("/count", Qos::keep_last(3), Limits::default()).unwrap();
+    let loose = participant.create_publisher::<Count>("/count", Qos::default(), Limits::default()).unwrap();
+    let graph = observer.graph().unwrap();
+    let [publisher, found] = graph.endpoints.as_slice() else { panic!("{graph:?}") };
+    assert_eq!(
+        (publisher.kind, &publisher.node, publisher.gid),
+        (EndpointKind::Publisher, &None, loose.gid())
+    );
+    assert_eq!(
+        (found.kind, found.node.as_ref(), &*found.topic, &*found.topic_type.name, found.qos),
+        (EndpointKind::Subscription, Some(node.name()), "/count", "test_msgs/msg/Count", Qos::keep_last(3))
+    );
+    assert!(!found.is_own && participant.graph().unwrap().endpoints.iter().all(|end| end.is_own));
+
+    let epoch = observer.graph_epoch();
+    let hash = format!("RIHS01_{:064x}", 1);
+    let service = node.register_service("/robot/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
+    let client = node.register_client("/robot/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
+    assert_ne!(observer.graph_epoch(), epoch);
+    let graph = observer.graph().unwrap();
+    let full_name = node.name().clone();
+    let gids: HashSet<Gid> = graph.services.iter().map(|service| service.gid).collect();
+    assert_eq!(gids.len(), 2);
+    let expected = |kind| ServiceEndpoint {
+        gid: graph.services[usize::from(kind == ServiceKind::Client)].gid,
+        kind,
+        name: "/robot/add".into(),
+        type_name: "a_msgs/srv/Add".into(),
+        type_hash: Some(hash.clone()),
+        node: full_name.clone(),
+        pid: Some(std::process::id()),
+        is_remote: false,
+    };
+    assert_eq!(graph.services, [expected(ServiceKind::Server), expected(ServiceKind::Client)]);
+
+    // A node is there as long as something of it is.
+    drop((node, of_node, service));
+    let left = observer.graph().unwrap();
+    assert_eq!(
+        (names(&left), left.services),
+        (vec!["/robot/listener".into()], vec![expected(ServiceKind::Client)])
+    );
+    drop(subscription);
+    assert_eq!(observer.nodes().len(), 1);
+    let epoch = observer.graph_epoch();
+    drop(client);
+    assert_ne!(observer.graph_epoch(), epoch);
+    assert!(observer.nodes().is_empty());
+    drop((participant, loose));
+    assert!(!shared_memory(domain).keys().any(|file| file.contains("nodes")));
+}
+
+#[test]
+fn what_no_node_can_be_called_is_refused() {
+    let participant = Participant::new(domain(103)).unwrap();
+    for (namespace, name) in [("", "n"), ("/", ""), ("/", "a/b"), ("/x/", "n"), ("x", "n"), ("/", "a-b")] {
+        let error = participant.create_node(name, namespace).unwrap_err();
+        assert!(matches!(error, TransportError::NodeName { .. }), "{namespace} {name}: {error}");
+    }
+    let node = participant.create_node("n", "/").unwrap();
+    for (service, type_name, hash) in [
+        ("add", "a/srv/B", None),
+        ("/a b", "a/srv/B", None),
+        ("/add", "", None),
+        ("/add", "a/srv/B", Some("x")),
+    ] {
+        let error = node.register_service(service, type_name, hash).unwrap_err();
+        assert!(matches!(error, TransportError::ServiceName { .. }), "{service}: {error}");
+    }
+    assert!(participant.graph().unwrap().services.is_empty());
+}
+
+#[test]
+fn nodes_of_a_killed_process_are_gone_and_those_of_others_stay() {
+    let domain = domain(104);
+    clean(domain);
+    let participant = Participant::new(domain).unwrap();
+    let _node = participant.create_node("here", "/").unwrap();
+    let mut child = Part::start("node", domain);
+    assert_eq!(child.hear(), "ready");
+    let graph = participant.graph().unwrap();
+    assert_eq!(names(&graph), ["/here", "/robot/child"]);
+    assert!(graph.nodes[1].pid.is_some_and(|pid| pid != std::process::id()));
+    let [publisher] = graph.endpoints.as_slice() else { panic!("{graph:?}") };
+    assert_eq!(publisher.node, Some(name("/robot", "child")));
+    assert_eq!(publisher.qos, Qos::keep_last(7).best_effort());
+    assert_eq!(graph.services[0].node, name("/robot", "child"));
+
+    let mut events = participant.graph_events().unwrap();
+    let files = || shared_memory(domain).keys().filter(|file| file.contains("nodes")).count();
+    assert_eq!(files(), 2);
+    child.kill();
+    // At once: nobody has to clean up before.
+    assert_eq!(names(&participant.graph().unwrap()), ["/here"]);
+    // The janitor removes the file, and says so to those who wait.
+    while files() == 2 || !participant.graph().unwrap().services.is_empty() {
+        futures::executor::block_on(events.next()).unwrap();
+    }
+    assert_eq!(names(&participant.graph().unwrap()), ["/here"]);
+}
+
+#[test]
+fn what_is_read_while_it_changes_is_whole() {
+    let domain = domain(105);
+    clean(domain);
+    let participant = Participant::new(domain).unwrap();
+    for _ in 0..5 {
+        let mut child = Part::start("busy", domain);
+        assert_eq!(child.hear(), "ready");
+        let (mut with, mut without) = (0, 0);
+        while with < 20 || without < 20 {
+            match participant.nodes().len() {
+                1 => without += 1,
+                2 => with += 1,
+                other => panic!("{other} nodes"),
+            }
+        }
+        // Whatever it was writing.
+        child.kill();
+        assert!(participant.nodes().is_empty());
+    }
+}
+
+#[test]
+fn events_come_for_every_change_and_end_with_the_participant() {
+    let domain = domain(106);
+    let participant = Participant::new(domain).unwrap();
+    let other = Participant::new(domain).unwrap();
+    let mut events = participant.graph_events().unwrap();
+    // What the janitor finds of earlier runs is a change, too.
+    while events.next().now_or_never().is_some() {}
+    let changes = std::thread::spawn(move || {
+        let node = other.create_node("n", "/").unwrap();
+        let client = node.register_client("/add", "a/srv/B", None).unwrap();
+        (other, node, client)
+    });
+    while participant.graph().unwrap().services.is_empty() {
+        futures::executor::block_on(events.next()).unwrap();
+    }
+    drop(changes.join().unwrap());
+    while !participant.nodes().is_empty() {
+        futures::executor::block_on(events.next()).unwrap();
+    }
+    drop(participant);
+    futures::executor::block_on(async { while events.next().await.is_some() {} });
+}
+
+#[test]
+fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
+    let domain = domain(107);
+    clean(domain);
+    let gateway = Participant::new(domain).unwrap();
+    let observer = Participant::new(domain).unwrap();
+    gateway.set_remote(&RemoteGraph::default()).unwrap();
+    let topic_type = TopicType::new("std_msgs/msg/String").with_hash(format!("RIHS01_{:064x}", 1));
+    // For a publisher elsewhere.
+    let _stand_in =
+        gateway.create_raw_publisher("/chatter", &topic_type, Qos::default(), Limits::default()).unwrap();
+    let node = observer.create_node("here", "/").unwrap();
+    let _here = observer
+        .for_node(&node)
+        .create_raw_subscription("/chatter", &topic_type, Qos::default(), Limits::default())
+        .unwrap();
+    let deadline = Some(Duration::from_millis(5));
+    let end = |topic: &str, kind, gid| TopicEndpoint {
+        kind,
+        topic: topic.into(),
+        topic_type: topic_type.clone(),
+        gid: Gid([gid; 16]),
+        qos: Qos { deadline, ..Qos::keep_last(9).transient_local() },
+        node: Some(name("/theirs", "talker")),
+        pid: None,
+        is_remote: true,
+        is_own: false,
+    };
+    let service = ServiceEndpoint {
+        kind: ServiceKind::Server,
+        name: "/theirs/add".into(),
+        type_name: "a/srv/B".into(),
+        type_hash: None,
+        gid: Gid([3; 16]),
+        node: name("/theirs", "talker"),
+        pid: None,
+        is_remote: true,
+    };
+    let remote = RemoteGraph {
+        nodes: vec![name("/theirs", "silent"), name("/theirs", "talker")],
+        endpoints: vec![
+            end("/chatter", EndpointKind::Publisher, 1),
+            end("/only_there", EndpointKind::Subscription, 2),
+        ],
+        services: vec![service.clone()],
+    };
+    let epoch = observer.graph_epoch();
+    gateway.set_remote(&remote).unwrap();
+    let after = observer.graph_epoch();
+    assert_ne!(after, epoch);
+    gateway.set_remote(&remote).unwrap();
+    assert_eq!(observer.graph_epoch(), after, "nothing changed");
+
+    let graph = observer.graph().unwrap();
+    assert_eq!(names(&graph), ["/here", "/theirs/silent", "/theirs/talker"]);
+    assert!(!graph.nodes[0].is_remote && graph.nodes[1].is_remote && graph.nodes[1].pid.is_none());
+    let [there, here, only_there] = graph.endpoints.as_slice() else { panic!("{graph:?}") };
+    assert_eq!((there, only_there), (&remote.endpoints[0], &remote.endpoints[1]));
+    assert!(here.node.as_ref() == Some(node.name()) && !here.is_remote);
+    assert_eq!(graph.services, [service]);
+
+    gateway.set_remote(&RemoteGraph::default()).unwrap();
+    assert_eq!(names(&observer.graph().unwrap()), ["/here"]);
+    gateway.set_remote(&remote).unwrap();
+    drop((gateway, _stand_in));
+    assert_eq!(names(&observer.graph().unwrap()), ["/here"]);
+}

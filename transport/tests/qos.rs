@@ -1,0 +1,274 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Quality of service: who fits whom, what is too old, who is alive, who has come and gone.
+
+mod support;
+
+use std::time::Duration;
+use support::{Count, Part, clean, domain, say, take_all, wait_for, wait_for_the_end};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline_transport::{
+    EndpointInfo, IncompatibleQos, Limits, Liveliness, LivelinessChanged, Matched, MessageLost, Participant,
+    Publisher, Qos, QosPolicyKind, Subscription, TopicType,
+};
+
+const HOUR: Option<Duration> = Some(Duration::from_secs(3600));
+const LIMITS: Limits = Limits {
+    publishers: 8,
+    subscribers: 16,
+    depth: 100,
+    held: 4,
+    loans: 4,
+    message_bytes: 4096,
+    may_grow: true,
+};
+
+/// The child's part; without its variable it is no test.
+#[test]
+fn child_main() {
+    let Some((part, domain)) = support::part() else { return };
+    assert_eq!(part, "publisher");
+    let participant = Participant::new(domain).unwrap();
+    let _publisher = publisher(&participant, "/killed", Qos::default());
+    say("ready");
+    wait_for_the_end();
+}
+
+fn publisher(participant: &Participant, topic: &str, qos: Qos) -> Publisher<Count> {
+    participant.create_publisher(topic, qos, LIMITS).unwrap()
+}
+
+fn subscription(participant: &Participant, topic: &str, qos: Qos) -> Subscription<Count> {
+    participant.create_subscription(topic, qos, LIMITS).unwrap()
+}
+
+#[test]
+fn who_does_not_fit_gets_nothing_whoever_came_first() {
+    let participant = Participant::new(domain(113)).unwrap();
+    let reliable = subscription(&participant, "/mixed", Qos::default());
+    let any = subscription(&participant, "/mixed", Qos::default().best_effort());
+    let late_first = subscription(&participant, "/mixed", Qos::default().transient_local());
+    let sensor = publisher(&participant, "/mixed", Qos::default().best_effort());
+    let latched = publisher(&participant, "/mixed", Qos::default().transient_local());
+    let late = subscription(&participant, "/mixed", Qos::default().transient_local());
+    assert_eq!((sensor.subscription_count(), latched.subscription_count()), (1, 4));
+    let counts = [&reliable, &any, &late_first, &late].map(Subscription::publisher_count);
+    assert_eq!(counts, [1, 2, 1, 1]);
+    sensor.publish(&Count { n: 1 }).unwrap();
+    latched.publish(&Count { n: 2 }).unwrap();
+    sensor.publish(&Count { n: 3 }).unwrap();
+    assert_eq!(take_all(&reliable), [2]);
+    assert_eq!(take_all(&late_first), [2]);
+    let mut all = take_all(&any);
+    all.sort();
+    assert_eq!(all, [1, 2, 3]);
+    wait_for("the history", || take_all(&late) == [2]);
+    assert_eq!([&reliable, &any, &late].map(|s| s.counters().lost()), [0; 3]);
+}
+
+#[test]
+fn a_full_queue_that_does_not_fit_holds_nobody_up() {
+    let participant = Participant::new(domain(113)).unwrap();
+    let _full = subscription(&participant, "/apart", Qos::keep_all(2));
+    let publisher = publisher(&participant, "/apart", Qos::keep_all(2).best_effort());
+    for n in 0..10 {
+        publisher.publish(&Count { n }).unwrap();
+    }
+}
+
+#[test]
+fn relays_fit_everybody() {
+    let participant = Participant::new(domain(113)).unwrap();
+    let topic_type = TopicType::of::<Count>();
+    let [sensor, plain] =
+        [Qos::default().best_effort(), Qos::default()].map(|qos| publisher(&participant, "/relayed", qos));
+    let relay = participant.create_relay_subscription(
+        "/relayed",
+        &topic_type,
+        Qos::default().transient_local(),
+        LIMITS,
+    );
+    let relay = relay.unwrap();
+    let strict = Qos { deadline: HOUR, ..Qos::default() };
+    let strict = subscription(&participant, "/relayed", strict);
+    let out = participant
+        .create_relay_publisher("/relayed", &topic_type, Qos::default().best_effort(), LIMITS)
+        .unwrap();
+    sensor.publish(&Count { n: 1 }).unwrap();
+    plain.publish(&Count { n: 2 }).unwrap();
+    out.publish(&3u64.to_le_bytes()).unwrap();
+    assert_eq!(std::iter::from_fn(|| relay.try_take().unwrap()).count(), 3);
+    assert_eq!(take_all(&strict), [3]);
+}
+
+#[test]
+fn all_of_it_is_listed() {
+    let [one, other] = [(); 2].map(|()| Participant::new(domain(113)).unwrap());
+    let times = |n| Some(Duration::new(n, 123_456_789));
+    let qos = Qos {
+        deadline: times(1),
+        lifespan: times(2),
+        liveliness: Liveliness::ManualByTopic,
+        liveliness_lease_duration: times(3),
+        ..Qos::keep_all(Limits::default().depth).best_effort().transient_local()
+    };
+    let _ends = (publisher(&one, "/listed", qos), subscription(&one, "/listed", qos));
+    let topics = other.topics().unwrap();
+    let topic = topics.iter().find(|topic| topic.name == "/listed").unwrap();
+    let listed = |ends: &[EndpointInfo]| ends.iter().map(|end| end.qos).collect::<Vec<_>>();
+    assert_eq!((listed(&topic.publishers), listed(&topic.subscriptions)), (vec![qos], vec![qos]));
+}
+
+#[test]
+fn what_is_too_old_is_not_delivered_but_counted() {
+    let participant = Participant::new(domain(113)).unwrap();
+    let long = publisher(&participant, "/old", Qos { lifespan: HOUR, ..Qos::default() });
+    let short = Qos { lifespan: Some(Duration::from_nanos(1)), ..Qos::default().transient_local() };
+    let short = publisher(&participant, "/old", short);
+    let subscription = subscription(&participant, "/old", Qos::default().transient_local());
+    let volatile = self::subscription(&participant, "/old", Qos::default());
+    for n in 0..3 {
+        long.publish(&Count { n }).unwrap();
+        short.publish(&Count { n: 10 + n }).unwrap();
+    }
+    sleep_until_monotonic(monotonic_ns() + 1);
+    assert_eq!(take_all(&volatile), [0, 1, 2]);
+    let counters = volatile.counters();
+    assert_eq!((counters.received(), counters.expired(), counters.lost()), (3, 3, 0));
+    // The late joiner finds them in the history, or live, and once.
+    wait_for("what is kept", || {
+        assert!(take_all(&subscription).is_empty());
+        subscription.counters().expired() == 3
+    });
+}
+
+#[test]
+fn monitors_tell_of_matches() {
+    let participant = Participant::new(domain(113)).unwrap();
+    let events = participant.claim_slot().unwrap();
+    let publisher = publisher(&participant, "/matches", Qos { deadline: HOUR, ..Qos::default() });
+    let mut monitor = publisher.raw().monitor(&events);
+    assert_eq!(monitor.look(), Default::default());
+    let first = subscription(&participant, "/matches", Qos::default());
+    let strict = subscription(
+        &participant,
+        "/matches",
+        Qos { deadline: Some(Duration::from_secs(1)), ..Qos::default() },
+    );
+    let changes = monitor.look();
+    assert_eq!(
+        changes.matched,
+        Some(Matched { total_count: 1, total_count_change: 1, current_count: 1, current_count_change: 1 })
+    );
+    let found =
+        IncompatibleQos { total_count: 1, total_count_change: 1, last_policy_kind: QosPolicyKind::Deadline };
+    assert_eq!(changes.incompatible_qos, Some(found));
+    assert_eq!(monitor.look(), Default::default(), "once");
+    drop((first, strict));
+    let gone = Matched { total_count: 1, total_count_change: 0, current_count: 0, current_count_change: -1 };
+    assert_eq!(monitor.look().matched, Some(gone));
+    assert!(!monitor.has_ended());
+    drop(publisher);
+    assert!(monitor.has_ended());
+
+    let subscription = subscription(&participant, "/matches", Qos::default());
+    let mut monitor = subscription.raw().monitor(&events);
+    let one = self::publisher(&participant, "/matches", Qos::default());
+    let changes = monitor.look(monotonic_ns());
+    assert_eq!(changes.matched.unwrap().current_count, 1);
+    let alive = LivelinessChanged {
+        alive_count: 1,
+        not_alive_count: 0,
+        alive_count_change: 1,
+        not_alive_count_change: 0,
+    };
+    assert_eq!(changes.liveliness, Some(alive));
+    drop(one);
+    // It said that it went: it did not die.
+    let gone = LivelinessChanged { alive_count: 0, alive_count_change: -1, ..alive };
+    assert_eq!(monitor.look(monotonic_ns()).liveliness, Some(gone));
+    drop(subscription);
+    assert!(monitor.has_ended());
+}
+
+#[test]
+fn losses_are_told() {
+    let participant = Participant::new(domain(113)).unwrap();
+    let events = participant.claim_slot().unwrap();
+    let subscription = subscription(&participant, "/losses", Qos::keep_last(2));
+    let publisher = publisher(&participant, "/losses", Qos::keep_last(1));
+    let mut monitor = subscription.raw().monitor(&events);
+    monitor.look(0);
+    for (round, total) in [(1, 3), (2, 6)] {
+        for n in 0..5 {
+            publisher.publish(&Count { n }).unwrap();
+        }
+        assert_eq!(monitor.look(0).message_lost, None, "round {round}: nobody has looked into the queue");
+        assert_eq!(take_all(&subscription), [3, 4]);
+        let lost = MessageLost { total_count: total, total_count_change: 3 };
+        assert_eq!(monitor.look(0).message_lost, Some(lost), "round {round}");
+    }
+}
+
+#[test]
+fn a_lease_is_kept_by_publishing_or_by_word() {
+    let participant = Participant::new(domain(113)).unwrap();
+    let events = participant.claim_slot().unwrap();
+    let lease = Duration::from_secs(3600);
+    let manual = Qos {
+        liveliness: Liveliness::ManualByTopic,
+        liveliness_lease_duration: Some(lease),
+        ..Qos::default()
+    };
+    let subscription = subscription(&participant, "/lease", manual);
+    let publisher = publisher(&participant, "/lease", manual);
+    let mut monitor = subscription.raw().monitor(&events);
+    let lease_ns = lease.as_nanos() as u64;
+    let look = |monitor: &mut tautline_transport::SubscriptionMonitor, now_ns: u64| {
+        let changes = monitor.look(now_ns);
+        let counts = changes.liveliness.map(|change| (change.alive_count, change.not_alive_count));
+        (counts, changes.look_again_ns.unwrap())
+    };
+    let created_ns = monotonic_ns();
+    let (counts, due_ns) = look(&mut monitor, created_ns);
+    assert_eq!(counts, Some((1, 0)));
+    assert!(due_ns <= created_ns + lease_ns);
+    // The time is what the monitor is told.
+    assert_eq!(look(&mut monitor, due_ns - 1), (None, due_ns));
+    assert_eq!(look(&mut monitor, due_ns), (Some((0, 1)), due_ns + lease_ns));
+    assert_eq!(look(&mut monitor, due_ns + 1).0, None, "it stays dead");
+    publisher.assert_liveliness();
+    let (counts, by_word) = look(&mut monitor, monotonic_ns());
+    assert_eq!(counts, Some((1, 0)));
+    assert!(by_word > due_ns);
+    publisher.publish(&Count { n: 1 }).unwrap();
+    assert!(look(&mut monitor, monotonic_ns()).1 > by_word, "publishing is a sign of life");
+}
+
+#[test]
+fn a_killed_publisher_is_told_from_one_that_went() {
+    let participant = Participant::new(domain(114)).unwrap();
+    let events = participant.claim_slot().unwrap();
+    let subscription = subscription(&participant, "/killed", Qos::default());
+    let mut monitor = subscription.raw().monitor(&events);
+    for cycle in 0..3 {
+        let mut part = Part::start("publisher", 114);
+        assert_eq!(part.hear(), "ready");
+        let look =
+            |monitor: &mut tautline_transport::SubscriptionMonitor| monitor.look(monotonic_ns()).liveliness;
+        let mut last = None;
+        let mut until = |monitor: &mut _, counts: (u64, u64)| {
+            wait_for("the liveliness", || {
+                let change = look(monitor);
+                last = change.or(last);
+                last.is_some_and(|last: LivelinessChanged| (last.alive_count, last.not_alive_count) == counts)
+            });
+            last.unwrap()
+        };
+        until(&mut monitor, (1, 0));
+        part.kill();
+        let lost = until(&mut monitor, (0, 1));
+        assert_eq!((lost.alive_count_change, lost.not_alive_count_change), (-1, 1), "cycle {cycle}");
+    }
+    drop((monitor, subscription, events, participant));
+    clean(114);
+}

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What Zenoh's access control refused. Zenoh says so in its trace events only: here they are counted.
+
+use crate::wire::TopicKey;
+use std::collections::BTreeMap;
+use std::fmt::{Debug, Write};
+use std::sync::{Mutex, PoisonError};
+use tracing::field::{Field, Visit};
+use tracing::{Event, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::filter_fn;
+use tracing_subscriber::layer::Context;
+use tracing_subscriber::registry::LookupSpan;
+
+/// Where Zenoh decides.
+const TARGET: &str = "zenoh::net::routing::interceptor::access_control";
+/// Kinds of refusals that are told apart; a hostile peer may try any key.
+const MAX_REFUSALS: usize = 256;
+/// Longest event that is looked at: a key and an address.
+const MAX_EVENT_BYTES: usize = 4096;
+
+static REFUSED: Mutex<BTreeMap<String, u64>> = Mutex::new(BTreeMap::new());
+
+/// A layer for the process's `tracing` subscriber, without which [`Stats::unauthorized`](crate::Stats::unauthorized) stays
+/// empty. It switches the events of Zenoh's access control on for itself alone.
+///
+/// ```
+/// use tracing_subscriber::layer::SubscriberExt;
+/// use tracing_subscriber::util::SubscriberInitExt;
+///
+/// tracing_subscriber::registry().with(tautline_gateway::access_layer()).init();
+/// ```
+pub fn access_layer<S: Subscriber + for<'span> LookupSpan<'span>>() -> impl Layer<S> {
+    Refusals.with_filter(filter_fn(|event| event.target() == TARGET))
+}
+
+/// What was refused in this process so far, such as `Put (ingress) on /secret`, and how often.
+pub(crate) fn refused() -> BTreeMap<String, u64> {
+    REFUSED.lock().unwrap_or_else(PoisonError::into_inner).clone()
+}
+
+struct Refusals;
+
+impl<S: Subscriber> Layer<S> for Refusals {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        let mut text = Text::default();
+        event.record(&mut text);
+        if let Some(refusal) = refusal(&text.0) {
+            let mut refused = REFUSED.lock().unwrap_or_else(PoisonError::into_inner);
+            let is_known = refused.contains_key(&refusal) || refused.len() < MAX_REFUSALS;
+            *refused.entry(if is_known { refusal } else { "others".to_owned() }).or_default() += 1;
+        }
+    }
+}
+
+/// What an event says, cut off where no honest one ends.
+#[derive(Default)]
+struct Text(String);
+
+impl Visit for Text {
+    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+        if field.name() == "message" {
+            let _ = write!(self, "{value:?}");
+        }
+    }
+}
+
+impl Write for Text {
+    fn write_str(&mut self, part: &str) -> std::fmt::Result {
+        if self.0.len() + part.len() > MAX_EVENT_BYTES {
+            return Err(std::fmt::Error);
+        }
+        self.0.push_str(part);
+        Ok(())
+    }
+}
+
+/// `[..] is unauthorized to Put (ingress) on 0/secret/type/hash`: what was to be done, and the topic or the key.
+fn refusal(event: &str) -> Option<String> {
+    let (_, refused) = event.split_once(" is unauthorized to ")?;
+    let (action, key) = refused.split_once(" on ")?;
+    // Who may not see a node does not see its tokens either: the topic's own refusals say enough.
+    if key.contains("@ros2_lv/") {
+        return None;
+    }
+    let topic = TopicKey::parse(key).map_or_else(|_| key.to_owned(), |key| key.topic);
+    Some(format!("{action} on {topic}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refusals_are_told_from_permissions() {
+        let key = "0/secret/std_msgs::msg::dds_::String_/RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+        let cached = format!("Using cached result: ab12 is unauthorized to Put (ingress) on {key}");
+        assert_eq!(refusal(&cached).as_deref(), Some("Put (ingress) on /secret"));
+        let first = "ab12 on second is unauthorized to Query (egress) on some/other/key";
+        assert_eq!(refusal(first).as_deref(), Some("Query (egress) on some/other/key"));
+        assert_eq!(refusal(&cached.replace("unauthorized", "authorized")), None);
+        assert_eq!(
+            refusal("ab12 is unauthorized to Liveliness Token (ingress) on @ros2_lv/0/1/0/0/NN/%/%/n"),
+            None
+        );
+    }
+}
