@@ -282,7 +282,7 @@ mod tests {
             rows.extend(vec![row(experiment, "zenoh"); count]);
         }
         let file = std::env::temp_dir().join(format!("taut_network_report_{}.json", std::process::id()));
-        let mut judged = |rows: &[Value]| {
+        let judged = |rows: &[Value]| {
             std::fs::write(&file, Value::from(rows).to_string()).unwrap();
             let outcome = check_network(&file);
             std::fs::remove_file(&file).unwrap();
