@@ -379,10 +379,11 @@ fn network_tables(run: &Value) -> String {
     );
     let lost: u64 =
         rows.iter().filter(|row| row["system"] == "tautline").filter_map(|row| row["lost"].as_u64()).sum();
+    let hiroz = if rows.iter().any(|row| row["system"] == "hiroz") { " and hiroz" } else { "" };
     let _ = writeln!(
         out,
-        "\n`cargo xtask bench network`: from a node over two gateways to a node, beside Zenoh's own publishers and subscribers \
-         and hiroz, TCP over loopback, two processes, each with its gateway on a core, alternating rounds; {lost} messages of \
+        "\n`cargo xtask bench network`: from a node over two gateways to a node, beside Zenoh's own publishers and \
+         subscribers{hiroz}, TCP over loopback, two processes, each with its gateway on a core, alternating rounds; {lost} messages of \
          Tautline's lost; {}.",
         machine()
     );

@@ -67,6 +67,9 @@ fn lints(steps: &mut Steps) {
     );
     let mut lock = cargo("fetch --quiet --locked --manifest-path");
     steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
+    let hiroz = "--manifest-path benches/network-hiroz/Cargo.toml";
+    steps.command("fmt: network-hiroz", &mut cargo(&format!("fmt {hiroz} --check")));
+    steps.command("lock: network-hiroz", &mut cargo(&format!("fetch --quiet --locked {hiroz}")));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
@@ -206,7 +209,8 @@ fn network(steps: &mut Steps) {
     let target = machine::target_dir();
     let json = target.join("network.json");
     let _ = std::fs::remove_file(&json);
-    let build = "build -p tautline-gateway -p tautline-bench-network --bins";
+    // All that `tests` built, with its features: only the bench itself is not there yet.
+    let build = "build --workspace --features tautline-ros-msgs/all --tests --bin network --bin taut-gateway";
     if !steps.command("bench: network: build", &mut cargo(build)) {
         return steps.skip("bench: network", "not built");
     }

@@ -10,6 +10,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use hiroz::context::{ZContext, ZContextBuilder};
+use hiroz::msg::ZMessage;
 use hiroz::node::ZNode;
 use hiroz::pubsub::ZPub;
 use hiroz::{Builder, ZBuf};
@@ -65,7 +66,7 @@ fn context(job: &Job, listen: &str) -> Result<ZContext> {
 }
 
 struct Ends {
-    publisher: ZPub<ByteMultiArray>,
+    publisher: ZPub<ByteMultiArray, <ByteMultiArray as ZMessage>::Serdes>,
     received: mpsc::Receiver<u64>,
     /// All but the number: made once.
     body: ZSlice,
@@ -137,7 +138,7 @@ fn far(node: &ZNode, job: &Job, endpoint: String) -> Result<()> {
 fn message(number: u64, body: Option<&ZSlice>) -> ByteMultiArray {
     let mut data = zenoh_buffers::ZBuf::default();
     data.push_zslice(ZSlice::from(number.to_le_bytes().to_vec()));
-    data.extend(body.cloned());
+    body.cloned().into_iter().for_each(|body| data.push_zslice(body));
     ByteMultiArray { data: ZBuf(data), ..Default::default() }
 }
 

@@ -43,7 +43,7 @@ type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 #[derive(Parser)]
 #[command(after_help = "Examples:
   cargo xtask bench network --quick                           under two minutes
-  cargo xtask bench network --json network.json               some six minutes
+  cargo xtask bench network --json network.json               some nine minutes
   cargo xtask bench network -- --only stream --systems tautline,zenoh")]
 struct Options {
     /// Fewer and shorter rounds

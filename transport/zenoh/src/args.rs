@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn a_system_file_says_what_the_command_line_does_not() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        let text = "[hosts.h]\ncores = 1\n[nodes.n]\n[topics]\n\"/a\" = { priority = \"data\" }\n";
+        let text = "[hosts.h]\ncores = 1\n[nodes.n]\n[callbacks.c]\nperiod = \"10ms\"\nwcet = \"1ms\"\n[topics]\n\"/a\" = { priority = \"data\" }\n";
         std::fs::write(&file, text).unwrap();
         let path = file.path().to_str().unwrap();
         let options = options(&["--domain", "0", "--urgency", "/b=background", "--system", path]);

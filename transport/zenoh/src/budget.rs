@@ -306,7 +306,7 @@ mod tests {
         let calm = trial.looks(100, 10, 5);
         let windows = LOOKS_PER_WINDOW * CALM_WINDOWS;
         assert!(
-            matches!(calm[..], [(look, Verdict::Promote)] if (windows - 1..windows + 8).contains(&look)),
+            matches!(calm[..], [(look, Verdict::Promote)] if (windows - LOOKS_PER_WINDOW..windows + LOOKS_PER_WINDOW).contains(&look)),
             "{calm:?}"
         );
     }

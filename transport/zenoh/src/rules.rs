@@ -120,7 +120,7 @@ mod tests {
             format!("\"/{0}\" = {{ priority = \"{0}\", express = true }}\n", priority.as_str())
         });
         let text = format!(
-            "[hosts.robot]\ncores = 1\n[nodes.n]\n[topics]\nimu = {{ priority = \"data\" }}\n\"/odom\" = {{ remote = true }}\n{}",
+            "[hosts.robot]\ncores = 1\n[nodes.n]\n[callbacks.c]\nperiod = \"10ms\"\nwcet = \"1ms\"\n[topics]\nimu = {{ priority = \"data\" }}\n\"/odom\" = {{ remote = true }}\n{}",
             priorities.concat()
         );
         let rules = Rule::of_system(&SystemFile::parse(&text).unwrap()).unwrap();
