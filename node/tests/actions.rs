@@ -205,7 +205,7 @@ fn common_wait(mut condition: impl FnMut() -> bool) {
 #[test]
 fn two_clients_hear_of_their_own_goals() {
     static HEARD: Log<(usize, Vec<i32>)> = Log::new();
-    let ctx = context(181);
+    let ctx = context(53);
     let mut node = node(&ctx);
     let _spinning = spin(&ctx);
     serve(&mut node, "shared");
@@ -257,7 +257,7 @@ fn goals_as_json() {
 /// A cancel request that comes while the goal's own work goes on, as in r2r's example.
 #[test]
 fn work_and_cancel_requests_side_by_side() {
-    let ctx = context(200);
+    let ctx = context(54);
     let mut node = node(&ctx);
     let _spinning = spin(&ctx);
     let mut goals = node.create_action_server::<Fibonacci::Action>("beside").unwrap();

@@ -43,7 +43,7 @@ fn parameters_and_lines_cost_no_heap_calls() {
     if !realtime() {
         return;
     }
-    let mut node = Node::create(context(128), "control", "/robot").unwrap();
+    let mut node = Node::create(context(61), "control", "/robot").unwrap();
     let mut gain = node.declare_parameter("gain", 1.5).unwrap();
     let mut gains = node.declare_parameter("gains", vec![0.5; 16]).unwrap();
     let mut frame = node.declare_parameter("frame", "base_link".to_owned()).unwrap();

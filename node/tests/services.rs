@@ -37,7 +37,7 @@ fn question(a: i64, b: i64) -> AddTwoInts::Request {
 
 #[test]
 fn several_clients_get_their_own_answers() {
-    let ctx = context(123);
+    let ctx = context(31);
     let mut node = node(&ctx, "several");
     let _service = serve(&mut node, "several");
     let _spinning = spin(&ctx);
@@ -55,7 +55,7 @@ fn several_clients_get_their_own_answers() {
 #[test]
 fn a_request_goes_to_every_server_and_the_first_answer_counts() {
     static ASKED: Log<&str> = Log::new();
-    let ctx = context(124);
+    let ctx = context(34);
     let mut node = node(&ctx, "servers");
     for name in ["one", "other"] {
         let requests = node.create_service::<SetBool::Service>("both", QOS()).unwrap();
@@ -80,7 +80,7 @@ fn a_request_goes_to_every_server_and_the_first_answer_counts() {
 #[test]
 fn in_place_both_ways_and_of_any_length() {
     use tautline::std_srvs::srv::SetBool::ResponseSizes;
-    let ctx = context(125);
+    let ctx = context(35);
     let mut node = node(&ctx, "in_place");
     let mut service = node.create_service_loaned::<SetBool::Service>("place", QOS()).unwrap();
     let client = node.create_client_loaned::<SetBool::Service>("place", QOS()).unwrap();
@@ -111,7 +111,7 @@ fn in_place_both_ways_and_of_any_length() {
 
 #[test]
 fn a_service_without_a_server_is_an_error_and_can_be_waited_for() {
-    let ctx = context(126);
+    let ctx = context(36);
     let mut node = node(&ctx, "waiting");
     let client = node.create_client::<AddTwoInts::Service>("nobody", QOS()).unwrap();
     let _spinning = spin(&ctx);
@@ -131,7 +131,7 @@ fn a_service_without_a_server_is_an_error_and_can_be_waited_for() {
 
 #[test]
 fn a_server_that_ends_ends_its_requests() {
-    let ctx = context(127);
+    let ctx = context(37);
     let mut node = node(&ctx, "ending");
     let client = node.create_client::<AddTwoInts::Service>("ending", QOS()).unwrap();
     let _spinning = spin(&ctx);
@@ -158,7 +158,7 @@ fn a_server_that_ends_ends_its_requests() {
 
 #[test]
 fn another_server_that_got_the_request_may_still_answer() {
-    let ctx = context(128);
+    let ctx = context(38);
     let mut node = node(&ctx, "surviving");
     let client = node.create_client::<AddTwoInts::Service>("surviving", QOS()).unwrap();
     let _spinning = spin(&ctx);
@@ -178,7 +178,7 @@ fn another_server_that_got_the_request_may_still_answer() {
 
 #[test]
 fn time_outs_and_requests_that_are_dropped() {
-    let ctx = context(129);
+    let ctx = context(39);
     let mut node = node(&ctx, "slow");
     let client = node.create_client::<AddTwoInts::Service>("slow", QOS()).unwrap();
     let requests = node.create_service::<AddTwoInts::Service>("slow", QOS().keep_last(100)).unwrap();
@@ -201,7 +201,7 @@ fn time_outs_and_requests_that_are_dropped() {
 
 #[test]
 fn full_queues_are_errors_and_lose_nothing() {
-    let ctx = context(130);
+    let ctx = context(41);
     let mut node = node(&ctx, "full");
     let client = node.create_client_loaned::<AddTwoInts::Service>("full", QOS()).unwrap();
     let mut requests = node.create_service::<AddTwoInts::Service>("full", QOS().keep_last(3)).unwrap();
@@ -232,7 +232,7 @@ fn full_queues_are_errors_and_lose_nothing() {
 
 #[test]
 fn more_pending_requests_than_a_client_can_have() {
-    let ctx = context(131);
+    let ctx = context(43);
     let mut node = node(&ctx, "many");
     let mut requests = node.create_service::<AddTwoInts::Service>("many", QOS().keep_last(100)).unwrap();
     let client = node.create_client::<AddTwoInts::Service>("many", QOS()).unwrap();
@@ -256,7 +256,7 @@ fn more_pending_requests_than_a_client_can_have() {
 
 #[test]
 fn another_type_is_an_error_that_names_both() {
-    let ctx = context(132);
+    let ctx = context(44);
     let mut node = node(&ctx, "types");
     let _requests = node.create_service::<AddTwoInts::Service>("typed", QOS()).unwrap();
     let error = node.create_client::<SetBool::Service>("typed", QOS()).unwrap_err().to_string();
@@ -264,7 +264,7 @@ fn another_type_is_an_error_that_names_both() {
         assert!(error.contains(part), "{error}");
     }
     assert!(node.create_client::<SetBool::Service>("a b", QOS()).is_err());
-    let participant = tautline_transport::Participant::new(132).unwrap();
+    let participant = tautline_transport::Participant::new(44).unwrap();
     assert!(participant.topics().unwrap().is_empty(), "services are no topics");
     let services = participant.services().unwrap();
     assert_eq!(services.len(), 1);
@@ -273,7 +273,7 @@ fn another_type_is_an_error_that_names_both() {
 
 #[test]
 fn answers_come_from_any_thread_and_in_any_order() {
-    let ctx = context(133);
+    let ctx = context(46);
     let mut node = node(&ctx, "threads");
     let requests = node.create_service::<AddTwoInts::Service>("threads", QOS().keep_last(100)).unwrap();
     let client = node.create_client::<AddTwoInts::Service>("threads", QOS()).unwrap();
@@ -315,7 +315,7 @@ fn answers_come_from_any_thread_and_in_any_order() {
 
 #[test]
 fn a_client_that_goes_is_forgotten() {
-    let ctx = context(134);
+    let ctx = context(47);
     let mut node = node(&ctx, "leaving");
     let mut service = node.create_service::<AddTwoInts::Service>("leaving", QOS()).unwrap();
     let _spinning = spin(&ctx);
@@ -340,7 +340,7 @@ fn a_client_that_goes_is_forgotten() {
 #[test]
 fn json_to_a_typed_server_and_a_typed_client_to_a_json_server() {
     use serde_json::json;
-    let ctx = context(135);
+    let ctx = context(52);
     let mut node = node(&ctx, "json");
     let _service = serve(&mut node, "sum");
     let _spinning = spin(&ctx);

@@ -58,7 +58,7 @@ fn server(pool: &LocalPool, node: &Arc<Mutex<r2r::Node>>) {
 
 #[test]
 fn client() {
-    let ctx = crate::context(119, "");
+    let ctx = crate::context(56, "");
     let node = Arc::new(Mutex::new(r2r::Node::create(ctx, "testnode", "").unwrap()));
     let mut pool = LocalPool::new();
     server(&pool, &node);
@@ -93,7 +93,7 @@ fn client() {
 #[cfg(feature = "untyped")]
 #[test]
 fn client_untyped_that_cancels() {
-    let ctx = crate::context(118, "");
+    let ctx = crate::context(55, "");
     let node = Arc::new(Mutex::new(r2r::Node::create(ctx, "testnode", "").unwrap()));
     let mut pool = LocalPool::new();
     server(&pool, &node);

@@ -26,7 +26,7 @@ async fn requester_task(
 /// A service that passes its requests on to another one, which answers after a while.
 #[test]
 fn chained_services() {
-    let ctx = crate::context(217, "");
+    let ctx = crate::context(57, "");
     let mut node = r2r::Node::create(ctx, "testnode", "").unwrap();
     let qos = QosProfile::default();
     let mut service = node.create_service::<AddTwoInts::Service>("/add_two_ints", qos).unwrap();
@@ -100,7 +100,7 @@ fn untyped_client() {
         }
         Ok(sums)
     }
-    let ctx = crate::context(230, "");
+    let ctx = crate::context(58, "");
     let mut node = r2r::Node::create(ctx, "testnode", "").unwrap();
     let service = node.create_service::<AddTwoInts::Service>("/add_two_ints", QosProfile::default()).unwrap();
     let client = node

@@ -38,7 +38,7 @@ fn container(domain: u32, loads: &[String]) -> Command {
 
 /// What the container says of what it does not load.
 fn refused(loads: &[String]) -> String {
-    let Output { status, stderr, .. } = container(230, loads).output().unwrap();
+    let Output { status, stderr, .. } = container(59, loads).output().unwrap();
     assert!(!status.success());
     String::from_utf8(stderr).unwrap()
 }
@@ -54,14 +54,14 @@ impl Drop for Running {
 
 #[test]
 fn components_of_one_process_work_together_until_it_ends() {
-    let context = Context::builder().domain(230).realtime(Realtime::Off).build().unwrap();
+    let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "test", "").unwrap();
     let doubled = node.subscribe_loaned::<UInt64>("/robot/doubled", QosProfile::default()).unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
     let library = demo();
     let loads =
         ["demo::Counter", "demo::Doubler"].map(|component| format!("{}:{component}", library.display()));
-    let mut command = container(230, &loads);
+    let mut command = container(59, &loads);
     command.args(["--namespace", "/robot"]).stdout(Stdio::piped());
     let mut running = Running(command.spawn().unwrap());
     let lines = BufReader::new(running.0.stdout.take().unwrap()).lines().take(2).map(Result::unwrap);
@@ -122,7 +122,7 @@ fn unknown_and_broken_components_are_named() {
 /// This test has a Tautline of its own in it, as every ordinary program.
 #[test]
 fn a_process_that_does_not_share_its_tautline_loads_nothing() {
-    let context = Context::builder().domain(230).realtime(Realtime::Off).build().unwrap();
+    let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut container = Container::new(context);
     let load = Load { library: demo(), component: "demo::Counter".into(), ..Load::default() };
     match container.load(&load).unwrap_err() {
@@ -136,7 +136,7 @@ fn a_process_that_does_not_share_its_tautline_loads_nothing() {
 
 #[test]
 fn components_come_and_go_by_service() {
-    let context = Context::builder().domain(230).realtime(Realtime::Off).build().unwrap();
+    let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "manager", "").unwrap();
     let qos = QosProfile::services_default();
     let [load, unload, list] = ["load", "unload", "list"]
@@ -147,7 +147,7 @@ fn components_come_and_go_by_service() {
     let counts = node.subscribe_loaned::<UInt64>("/moved/count", QosProfile::default()).unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
 
-    let mut command = container(230, &[]);
+    let mut command = container(59, &[]);
     let running = Running(command.args(["--name", "served"]).spawn().unwrap());
     block_on(Node::is_available(&list).unwrap()).unwrap();
     let ask = |plugin: &str, rules: &[&str], level: u8| {
