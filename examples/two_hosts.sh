@@ -24,7 +24,7 @@ trap 'kill $(jobs -p) 2> /dev/null || true; wait' EXIT
 # A process that holds the namespaces of a host.
 host() {
     unshare --net --mount setpriv --pdeathsig KILL sh -c '
-        mount -t tmpfs tmpfs /dev/shm && mkdir -p /tmp/tautline_0 && mount -t tmpfs tmpfs /tmp/tautline_0 &&
+        mount -t tmpfs tmpfs /dev/shm && mkdir -p /tmp/tautline_0 && mount -t tmpfs -o mode=700 tmpfs /tmp/tautline_0 &&
         ip link set lo up && exec sleep infinity' &
     hosts+=($!)
     # Ready once it sleeps.

@@ -73,7 +73,7 @@ pub struct Namespace {
 impl Namespace {
     fn new(name: &str) -> Self {
         // A private /dev/shm, and a private place for what iceoryx2 keeps beside it.
-        let script = "mount -t tmpfs tmpfs /dev/shm && mkdir -p /tmp/tautline_0 && mount -t tmpfs tmpfs /tmp/tautline_0 \
+        let script = "mount -t tmpfs tmpfs /dev/shm && mkdir -p /tmp/tautline_0 && mount -t tmpfs -o mode=700 tmpfs /tmp/tautline_0 \
                       && ip link set lo up && echo ready && exec sleep 1000";
         let mut holder = Command::new("unshare")
             .args(["-n", "-m", "setpriv", "--pdeathsig", "KILL", "sh", "-c", script])
