@@ -132,3 +132,9 @@ pub mod __private {
 #[cfg(doctest)]
 #[doc = include_str!("../../README.md")]
 struct Readme;
+
+/// The programs of the guides compile.
+#[cfg(all(doctest, feature = "std_srvs"))]
+#[doc = include_str!("../../docs/from-r2r.md")]
+#[doc = include_str!("../../docs/from-rclcpp.md")]
+struct Guides;
