@@ -21,7 +21,18 @@ struct Possessions {
     bookkeeping: Vec<String>,
 }
 
+/// As three looks in a row say: for a moment the janitor has a file open.
 fn possessions() -> Possessions {
+    let (mut last, mut same) = (look(), 1);
+    while same < 3 {
+        let now = look();
+        same = if now == last { same + 1 } else { 1 };
+        last = now;
+    }
+    last
+}
+
+fn look() -> Possessions {
     let count = |folder| std::fs::read_dir(folder).unwrap().count();
     let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
     Possessions {
