@@ -10,7 +10,7 @@ use clap::Args;
 /// The template; it passes `taut check` as it is.
 const TEMPLATE: &str = include_str!("init.toml");
 
-/// Write a commented system file to begin with
+/// Writes a commented system file to begin with
 ///
 /// The file describes a small robot and passes `taut check`; change it until it describes yours. A file that exists is
 /// never overwritten.

@@ -12,7 +12,7 @@ mod json;
 mod sensitivity;
 mod table;
 
-/// Check that every callback and chain of a system file meets its deadline
+/// Checks that every callback and chain of a system file meets its deadline
 ///
 /// Computes worst-case response times with overheads, queue capacities and end-to-end latencies from periods, execution
 /// times and priorities. Exits with 0 if all deadlines are met, 1 if not, 2 if the file cannot be used; everything that

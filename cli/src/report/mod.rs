@@ -23,7 +23,7 @@ use watch::Watched;
 
 const REFRESH: Duration = Duration::from_secs(1);
 
-/// Compare what callbacks did with what was predicted
+/// Compares what callbacks did with what was predicted
 ///
 /// Reads the statistics of every process of the domain whose context has a system file, without disturbing it, and sets
 /// them beside the analysis of that file: response times and bounds, execution times and wcet, releases and periods,
