@@ -31,8 +31,10 @@ impl fmt::Display for Verdict {
 pub fn verdicts(rows: &[Row]) -> Vec<Verdict> {
     let find = |experiment, system, mode: &str, bytes| {
         rows.iter().find(|row| {
-            (row.experiment, row.system, row.mode.as_str(), row.payload_bytes)
-                == (experiment, system, mode, bytes)
+            // Without real-time priorities the mode says so.
+            let is_mode =
+                row.mode.strip_prefix(mode).is_some_and(|rest| rest.is_empty() || rest.starts_with(", "));
+            is_mode && (row.experiment, row.system, row.payload_bytes) == (experiment, system, bytes)
         })
     };
     let of_zenoh = |experiment, bytes| {
