@@ -39,10 +39,12 @@ use tautline_transport::{
 /// let client = node.create_client_loaned::<AddTwoInts::Service>("/sum", QosProfile::default())?;
 /// let stop = ctx.events().clone();
 /// node.spawn_callback(CallbackOptions::fifo(10), async move {
-///     let mut request = client.loan().expect("a loan is free");
-///     (request.a, request.b) = (1, 2);
-///     let response = client.send(request).expect("there is a server").await.expect("it answers");
-///     assert_eq!(response.sum, 3);
+///     let response = {
+///         let mut request = client.loan().expect("a loan is free"); // stays in its thread: gone before the wait
+///         (request.a, request.b) = (1, 2);
+///         client.send(request).expect("there is a server")
+///     };
+///     assert_eq!(response.await.expect("it answers").sum, 3);
 ///     stop.stop();
 /// })?;
 /// ctx.spin()?;
