@@ -124,9 +124,11 @@ impl RawSubscription {
     /// Takes the oldest sample of a publisher, if there is one.
     ///
     /// # Real-time
-    /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
-    /// and its sampler sleeps, and one if messages were lost and somebody watches for that. When publishers have appeared or gone since the last call, or one of them took a larger
-    /// segment: allocates and maps memory.
+    /// Wait-free, O(publishers), and O(1) more for each sample that is passed over: expired, a duplicate, or of a publisher that
+    /// does not fit. Those are what is queued, at most depth x publishers, and what is published meanwhile. No allocation; no
+    /// syscall, except one futex wake if a keep-all publisher waits for room and its sampler sleeps, and one if messages were
+    /// lost and somebody watches for that. When publishers have appeared or gone since the last call, or one of them took a
+    /// larger segment: allocates and maps memory.
     ///
     /// # Errors
     /// [`TakeError`]. A sample whose header is invalid is consumed.

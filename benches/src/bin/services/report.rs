@@ -48,10 +48,9 @@ pub fn print(cells: &[Cell], disturbance: &str) -> Vec<Verdict> {
 }
 
 fn verdicts(cells: &[Cell]) -> Vec<Verdict> {
-    use System::{Iceoryx2, ServiceLoaned, Topics};
+    use System::{ServiceLoaned, Topics};
     [
         ("64 B in place: p50 beside topics", (ServiceLoaned, 64), (Topics, 64), 1.2),
-        ("64 B in place: p50 beside iceoryx2's request-response", (ServiceLoaned, 64), (Iceoryx2, 64), 1.2),
         ("1 MiB in place: p50 beside 64 B", (ServiceLoaned, 1 << 20), (ServiceLoaned, 64), 1.2),
     ]
     .into_iter()
