@@ -54,8 +54,10 @@ fn a_topic_with_two_types_in_ros() {
     const DOMAIN: u32 = 7;
     let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let participant = Participant::new(DOMAIN).unwrap();
+    // A process has one type of a topic.
     let mut peer = Peer::start(&venv, DOMAIN, "two_types");
-    let wrong = peer.publisher("/both", "std_msgs/msg/Int32", json!({}));
+    let mut other = Peer::start(&venv, DOMAIN, "of_the_other_type");
+    let wrong = other.publisher("/both", "std_msgs/msg/Int32", json!({}));
     let here = subscription(&participant, "/both", STRING, Qos::default());
     let said = bridge.wait_for("the mismatch", |stats| stats["not_bridged"]["/both"].is_string());
     let said = said["not_bridged"]["/both"].as_str().unwrap().to_owned();
@@ -71,7 +73,7 @@ fn a_topic_with_two_types_in_ros() {
     matched(&here, 2);
     here.publish(&text_body("back")).unwrap();
     assert_eq!(peer.take_texts(there, 1), ["back"]);
-    peer.matched(wrong, 0);
+    other.matched(wrong, 0);
 }
 
 #[test]

@@ -30,33 +30,41 @@ pub enum BridgeRosError {
     #[error(transparent)]
     Start(#[from] SiblingError),
     #[error(
-        "taut-bridge-ros needs libraries of ROS 2 that are not found ({}): source the ROS 2 that it was built with \
-         (source /opt/ros/jazzy/setup.bash), and run it again", missing.join(", ")
+        "taut-bridge-ros does not find the libraries of ROS 2: {said}; source the ROS 2 that it was built with \
+         (source /opt/ros/jazzy/setup.bash), and run it again"
     )]
-    Libraries { missing: Vec<String> },
+    Libraries { said: String },
+    #[error(
+        "ROS 2 does not start with RMW_IMPLEMENTATION={value}: {said}; unset it, or install that one (apt install \
+         ros-$ROS_DISTRO-{}) and source ROS 2 again", value.replace('_', "-")
+    )]
+    Rmw { value: String, said: String },
+    #[error("taut-bridge-ros does not start: {said}")]
+    Other { said: String },
 }
 
 /// Does not return if the bridge could be started.
 pub fn run(args: BridgeRosArgs) -> Result<ExitCode, BridgeRosError> {
+    // The loader and ROS may end it before it can say a word: whether it can run at all is asked first.
     let program = BRIDGE.path();
-    // What the loader would say is no help to somebody who has not sourced ROS 2: it is asked first.
-    let mut ask = Command::new(&program);
-    let answer = ask.env("LD_TRACE_LOADED_OBJECTS", "1").stdin(Stdio::null()).output();
+    let answer = Command::new(&program).arg("--version").stdin(Stdio::null()).output();
     let answer = answer.map_err(|source| BRIDGE.error(program, source))?;
-    let missing = missing_libraries(&String::from_utf8_lossy(&answer.stdout));
-    if !missing.is_empty() {
-        return Err(BridgeRosError::Libraries { missing });
+    if !answer.status.success() {
+        let rmw = std::env::var("RMW_IMPLEMENTATION").ok().filter(|value| !value.is_empty());
+        return Err(explained(&String::from_utf8_lossy(&answer.stderr), rmw));
     }
     Err(BRIDGE.become_it(&args.arguments).into())
 }
 
-/// Of lines such as `librcl.so => not found`.
-fn missing_libraries(text: &str) -> Vec<String> {
-    let name = |line: &str| Some(line.split_once(" => not found")?.0.trim().to_owned());
-    let mut missing: Vec<String> = text.lines().filter_map(name).collect();
-    missing.sort();
-    missing.dedup();
-    missing
+fn explained(stderr: &str, rmw: Option<String>) -> BridgeRosError {
+    let said = stderr.trim().lines().next().unwrap_or("it says nothing").to_owned();
+    match rmw {
+        _ if stderr.contains("shared librar") && !stderr.contains("rmw") => {
+            BridgeRosError::Libraries { said }
+        }
+        Some(value) => BridgeRosError::Rmw { value, said },
+        None => BridgeRosError::Other { said },
+    }
 }
 
 #[cfg(test)]
@@ -64,9 +72,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_loader_says_what_is_missing() {
-        let text = "\tlinux-vdso.so.1 (0x7f)\n\tlibrcl.so => not found\n\tlibc.so.6 => /lib/libc.so.6 (0x7f)\n\tlibrcl.so => not found\n";
-        assert_eq!(missing_libraries(text), ["librcl.so"]);
-        assert!(missing_libraries("").is_empty());
+    fn what_the_loader_and_ros_say_is_explained() {
+        let loader = "taut-bridge-ros: error while loading shared libraries: librcl.so: cannot open shared object file\n";
+        let said = explained(loader, None).to_string();
+        assert!(said.contains("librcl.so") && said.contains("source /opt/ros/jazzy/setup.bash"), "{said}");
+        let rcl = "[ERROR] [rcl]: Expected RMW implementation identifier of 'rmw_x_cpp' but instead found 'rmw_fastrtps_cpp'\n";
+        let said = explained(rcl, Some("rmw_x_cpp".into())).to_string();
+        assert!(
+            said.contains("RMW_IMPLEMENTATION=rmw_x_cpp: ") && said.contains("ros-$ROS_DISTRO-rmw-x-cpp"),
+            "{said}"
+        );
+        assert!(explained("", None).to_string().contains("it says nothing"));
     }
 }
