@@ -362,6 +362,13 @@ impl Wanted {
                 min_period: choice.min_period,
                 type_hash: topic_type.hash.as_ref().map(ToString::to_string),
             };
+            // Only what the configuration says can ask for more than there is.
+            if let Some(policy) = publishers.iter().find_map(|end| end.qos.incompatibility(&qos)) {
+                let reason = format!(
+                    "a publisher in ROS does not offer what `qos` requests ({policy:?}): leave that out of the configuration"
+                );
+                self.problems.insert(key.topic.clone(), reason);
+            }
             self.inward.insert(InKey { topic: key.clone(), class }, inward);
         }
     }

@@ -254,9 +254,15 @@ fn each_side_lists_the_other() {
 #[test]
 fn two_bridges_neither_loop_nor_double() {
     let Some(venv) = ros() else { return };
-    // The same domains, and another of Tautline's.
+    // Two domains of Tautline, one of ROS. A second one for a pair of domains is refused.
     const DOMAINS: [u32; 2] = [13, 14];
-    let _bridges = [BridgeProcess::start(DOMAINS[0], 13, &[]), BridgeProcess::start(DOMAINS[1], 13, &[])];
+    let bridges = [BridgeProcess::start(DOMAINS[0], 13, &[]), BridgeProcess::start(DOMAINS[1], 13, &[])];
+    let refused = support::failure_of(&["--domain", "14", "--ros-domain", "13", "--no-rt"], |_| {});
+    let pid = bridges[1].pid();
+    assert!(
+        refused.contains("have a bridge already") && refused.contains(&format!("process {pid}")),
+        "{refused}"
+    );
     let participants = DOMAINS.map(|domain| Participant::new(domain).unwrap());
     let mut peer = Peer::start(&venv, 13, "between");
     let publishers = participants.each_ref().map(|one| publisher(one, "/x", STRING, Qos::default()));

@@ -175,6 +175,10 @@ fn what_rules_say() {
         panic!()
     };
     assert_eq!((*out, inward.qos), (Qos::keep_last(3).best_effort(), Qos::keep_last(3).best_effort()));
+    let qos = QosOverride { durability: Some(Durability::TransientLocal), ..QosOverride::default() };
+    let mut demanding = ruled(Rule { qos, ..rule("/x") });
+    demanding.update(&here, &[publisher("/x", 7)]);
+    assert!(demanding.problems()["/x"].contains("Durability"), "{:?}", demanding.problems());
 }
 
 #[test]
