@@ -46,6 +46,8 @@ pub(crate) struct Control {
     incoming: Incoming,
     shared: Arc<Shared>,
     graph: RosGraph,
+    /// Whether the last look at what exists failed.
+    is_stale: bool,
     book: Book,
     writers: HashMap<(TopicKey, Gid), Counterpart>,
     out: BTreeMap<TopicKey, Outward>,
@@ -86,6 +88,7 @@ impl Control {
             incoming,
             shared,
             graph: RosGraph::default(),
+            is_stale: false,
             book: Book::default(),
             writers: HashMap::new(),
             out: BTreeMap::new(),
@@ -117,7 +120,7 @@ impl Control {
             }
             if Instant::now() >= next_tick {
                 next_tick += TICK;
-                is_changed |= self.graph.has_unknown();
+                is_changed |= self.is_stale || self.graph.has_unknown();
                 self.try_again();
                 self.look_for_incompatible();
                 self.read_numbers(TICK);
@@ -131,13 +134,17 @@ impl Control {
 
     /// Brings everything in line with what exists.
     fn update(&mut self) {
-        let here = match self.participant.graph() {
-            Ok(graph) => graph,
-            Err(error) => return tracing::warn!("{error}"),
+        let here = self.participant.graph().map_err(|error| error.to_string());
+        let read = here.and_then(|here| match self.graph.read(&self.node) {
+            Ok(()) => Ok(here),
+            Err(error) => Err(error.to_string()),
+        });
+        // Looked at again with the next tick.
+        self.is_stale = read.is_err();
+        let here = match read {
+            Ok(here) => here,
+            Err(error) => return tracing::warn!("what exists is not known: {error}"),
         };
-        if let Err(error) = self.graph.read(&self.node) {
-            return tracing::warn!("{error}");
-        }
         self.note_relays(&here);
         let ends: Vec<_> = here.endpoints.iter().filter(|end| !end.is_remote).cloned().collect();
         for action in self.mirror.update(&ends, &self.graph.endpoints) {
