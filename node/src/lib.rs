@@ -72,7 +72,8 @@ pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
 pub use parameters::{
     OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
-    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
+    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, UnknownParameterType,
+    WrongParameterType,
 };
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use qos_events::{
