@@ -33,6 +33,7 @@
 #[cfg(feature = "action_msgs")]
 mod action;
 mod args;
+mod callbacks;
 mod context;
 mod error;
 mod graph;
@@ -63,6 +64,7 @@ pub use action::{
 };
 #[cfg(all(feature = "action_msgs", feature = "untyped"))]
 pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
+pub use callbacks::NodeCallbacks;
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use graph::TopicEndpointInfo;
