@@ -45,8 +45,7 @@ impl<T: ParameterVariant> ParameterReader<T> {
                 return false;
             }
             if let Some(Ok(value)) = value.map(|value| T::from_value(value.clone())) {
-                writer.write(value);
-                changed.wake();
+                writer.write_and_wake(value, || changed.wake());
             }
             true
         };
@@ -87,8 +86,8 @@ impl<T: ParameterVariant> ParameterReader<T> {
     }
 
     fn poll_changed(&self, context: &mut Context<'_>) -> Poll<()> {
-        self.changed.register(context.waker());
-        if self.latest.is_fresh() { Poll::Ready(()) } else { Poll::Pending }
+        let is_fresh = self.latest.is_fresh_after(|| self.changed.register(context.waker()));
+        if is_fresh { Poll::Ready(()) } else { Poll::Pending }
     }
 }
 
