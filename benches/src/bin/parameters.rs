@@ -203,8 +203,7 @@ impl Read {
 
 fn main() -> ExitCode {
     match measure(&Options::parse()) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
+        Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("parameters: {error}");
             ExitCode::FAILURE
@@ -228,8 +227,7 @@ impl Readers {
     }
 }
 
-/// Whether everything is as it was asked for. Without real-time priorities, on one core or in a quick run nothing is asked.
-fn measure(options: &Options) -> Result<bool, Box<dyn std::error::Error>> {
+fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     let (rounds, reads, parts, part) = match options.quick {
         true => (5, 100_000, 3, Duration::from_millis(500)),
         false => (21, 1_000_000, 15, Duration::from_secs(4)),
@@ -254,15 +252,15 @@ fn measure(options: &Options) -> Result<bool, Box<dyn std::error::Error>> {
     if let Some(path) = &options.json {
         std::fs::write(path, serde_json::to_string_pretty(&report.rows())?)?;
     }
-    let counts = realtime && callback_core != setter_core && !options.quick;
-    if !counts {
-        println!("no verdict: it takes real-time priorities, two cores, and a run that is not quick");
+    if !realtime || callback_core == setter_core {
+        println!("no verdict: it takes real-time priorities and two cores");
+        return Ok(());
     }
-    let verdicts = report.verdicts();
-    for (holds, what) in verdicts.iter().filter(|_| counts) {
-        println!("{} {what}", if *holds { "OK  " } else { "MISS" });
+    // A miss is printed, never an error: the machine has its part in it.
+    for (holds, what) in report.verdicts() {
+        println!("{}: {what}", if holds { "holds" } else { "MISSED" });
     }
-    Ok(!counts || verdicts.iter().all(|(holds, _)| *holds))
+    Ok(())
 }
 
 /// Sets the parameters, one after the other, until it is dropped.
