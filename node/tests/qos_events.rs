@@ -148,6 +148,14 @@ fn times_of_any_length_can_be_asked_for() {
         .liveliness(LivelinessPolicy::ManualByTopic);
     let publisher = node.create_publisher::<Number>("/t", all).unwrap();
     let _events = node.publisher_events(&publisher).unwrap();
+    // A lease that is over before anybody can look: the stream ends a look all the same.
+    let brief = QosProfile::default()
+        .liveliness_lease_duration(Duration::from_nanos(1))
+        .liveliness(LivelinessPolicy::ManualByTopic);
+    let _brief = node.create_publisher::<Number>("/brief", brief).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/brief", QosProfile::default()).unwrap();
+    let mut told = node.subscription_events(&subscription).unwrap();
+    while told.poll_next_unpin(&mut std::task::Context::from_waker(std::task::Waker::noop())).is_ready() {}
     // As many as there are slots, and then a sentence.
     let mut events = Vec::new();
     let error = loop {

@@ -42,6 +42,9 @@ pub struct SubscriptionChanges {
     pub look_again_ns: Option<u64>,
 }
 
+/// A publisher that is not alive is looked for this often at most.
+const SHORTEST_NS: u64 = 1_000_000;
+
 /// What is known of a publisher's liveliness.
 struct Life {
     /// Of one that has to show that it is alive, the time within which it has to.
@@ -114,8 +117,9 @@ impl SubscriptionMonitor {
             let due_ns = last_ns.saturating_add(lease_ns);
             let is_alive = due_ns > now_ns;
             *if is_alive { &mut alive } else { &mut not_alive } += 1;
-            // One that comes to life again rings nobody: it is looked for once in each lease.
-            let again_ns = if is_alive { due_ns } else { now_ns.saturating_add(lease_ns) };
+            // One that comes to life again rings nobody: it is looked for once in each lease. Leases are what others ask for: a
+            // very short one is no reason to look all the time.
+            let again_ns = if is_alive { due_ns } else { now_ns.saturating_add(lease_ns.max(SHORTEST_NS)) };
             changes.look_again_ns = Some(changes.look_again_ns.map_or(again_ns, |other| other.min(again_ns)));
         }
         changes.liveliness = self.note_liveliness(alive, not_alive, killed);
