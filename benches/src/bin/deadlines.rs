@@ -171,18 +171,19 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
         let context = context.clone();
         move || context.spin()
     });
+    let policy = |priority: u8| realtime.then_some(Policy::Fifo(priority));
     let publishing = std::thread::spawn({
-        let recorder = recorder.clone();
-        move || publish(&publishers, &recorder, publishing_core)
+        // As a driver: what it leaves out is what is missed, and no more.
+        let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY - 1));
+        move || publish(&publishers, &recorder, publishing_core, policy)
     });
     let sleeping = std::thread::spawn({
-        let (recorder, policy) =
-            (recorder.clone(), realtime.then_some(Policy::Fifo(ContextBuilder::SAMPLER_PRIORITY)));
+        let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY));
         move || sleep(&recorder, core, policy)
     });
     let measured = run(&recorder, rounds, part);
     recorder.stop.store(true, Ordering::Relaxed);
-    publishing.join().map_err(|_| "the publishing thread panicked")?;
+    publishing.join().map_err(|_| "the publishing thread panicked")??;
     sleeping.join().map_err(|_| "the sleeping thread panicked")??;
     context.shutdown();
     sampler.join().map_err(|_| "the sampler panicked")??;
@@ -195,14 +196,19 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// All topics, one after the other, in each period; while deadlines are measured some messages are left out.
-fn publish(publishers: &[Publisher<UInt64>], recorder: &Recorder, core: usize) {
-    // Where the sampler does not run, if there is another core.
-    let _ = tautline_rt::set_affinity(CoreSet::one(core));
+fn publish(
+    publishers: &[Publisher<UInt64>],
+    recorder: &Recorder,
+    core: usize,
+    policy: Option<Policy>,
+) -> Result<(), tautline_rt::RtError> {
+    tautline_rt::set_affinity(CoreSet::one(core))?;
+    policy.map_or(Ok(()), tautline_rt::set_policy)?;
     let start_ns = monotonic_ns() + PERIOD_NS;
     for round in 0.. {
         for (index, publisher) in (0..).zip(publishers) {
             if recorder.stop.load(Ordering::Relaxed) {
-                return;
+                return Ok(());
             }
             sleep_until_monotonic(start_ns + round * PERIOD_NS + index * (PERIOD_NS / TOPICS));
             if recorder.is_on(Part::Deadline) && (round + index) % LEFT_OUT == 0 {
@@ -213,6 +219,7 @@ fn publish(publishers: &[Publisher<UInt64>], recorder: &Recorder, core: usize) {
             }
         }
     }
+    Ok(())
 }
 
 fn sleep(recorder: &Recorder, core: usize, policy: Option<Policy>) -> Result<(), tautline_rt::RtError> {
