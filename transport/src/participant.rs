@@ -82,9 +82,10 @@ impl Participant {
         let graph = Graph::open(domain)?;
         dead_nodes::remove(&node, &graph);
         nodes::remove_dead_files(domain, &graph);
-        let janitor = Janitor::start(domain, doorbell.clone(), graph.clone(), node.clone())?;
-        let trace = tautline_trace::context_init(domain);
         let registry = Registry::new(domain, doorbell.arena().id(), graph.clone());
+        let janitor =
+            Janitor::start(domain, doorbell.clone(), graph.clone(), registry.clone(), node.clone())?;
+        let trace = tautline_trace::context_init(domain);
         let watchers = Watchers::new(graph.clone());
         let shared =
             Shared { domain, doorbell, janitor, graph, registry, watchers, node, trace, _tracing: tracing };

@@ -170,6 +170,10 @@ impl RawPublisher {
         (&self.topic, &self.slot, self.address)
     }
 
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.shared
+    }
+
     /// The topic's fully qualified name.
     pub fn topic(&self) -> &str {
         &self.topic.name
