@@ -128,8 +128,9 @@ impl<T: Service> Stream for ServiceLoaned<T> {
     type Item = Request<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; the request is checked: see [`Message::view`](crate::Message::view). The first request of a
-    /// client allocates and opens files. Never ends.
+    /// Wait-free; no allocation; the request is checked: see [`Message::view`](crate::Message::view). When clients have appeared
+    /// or gone: allocates, starts a thread for each that makes a publisher, and waits for that if the request is of a client that
+    /// has only just appeared. Never ends.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Request<T>>> {
         self.requests.poll_next(context).map(Some)
     }

@@ -233,12 +233,13 @@ impl<S: Service> Server<S> {
     /// Takes the oldest request, if there is one; invalid ones are counted and passed over.
     ///
     /// # Real-time
-    /// As [`Subscription::try_take_valid`]. The first request of a client allocates and opens files.
+    /// As [`Subscription::try_take_valid`]. When clients have appeared or gone: allocates, starts a thread for each that makes a
+    /// publisher, and waits for that if the request is of a client that has only just appeared.
     ///
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&mut self) -> Result<Option<Request<S>>, TakeError> {
-        self.responders.forget_gone(self.requests.raw());
+        self.responders.attend(self.requests.raw());
         Ok(self.requests.try_take_valid()?.map(|message| self.admit(message)))
     }
 
@@ -248,7 +249,7 @@ impl<S: Service> Server<S> {
     /// As [`try_take`](Self::try_take).
     pub fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Request<S>> {
         let message = self.requests.poll_take(context);
-        self.responders.forget_gone(self.requests.raw());
+        self.responders.attend(self.requests.raw());
         message.map(|message| self.admit(message))
     }
 
