@@ -132,7 +132,9 @@ impl<S: Service> Client<S> {
         self.raw.availability()
     }
 
-    /// Loans memory for a request to write in place, as `&mut S::Request`. See [`Publisher::loan`](crate::Publisher::loan).
+    /// Loans memory for a request to write in place, as `&mut S::Request`. See [`Publisher::loan`](crate::Publisher::loan): a loan
+    /// stays in its thread, so a future that may change threads sends it before it waits, in a block of its own or with
+    /// [`request_with`](Self::request_with).
     ///
     /// # Real-time
     /// As [`Publisher::loan`](crate::Publisher::loan).
@@ -176,6 +178,25 @@ impl<S: Service> Client<S> {
     ) -> Result<PendingResponse<S>, Unsent<Loan<'c, S::Request>>> {
         let sent = self.raw.send(request.ready());
         sent.map(PendingResponse::of).map_err(|unsent| unsent.map(Loan::back))
+    }
+
+    /// Loans memory for a request, lets `write` write it in place, and sends it.
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan) and [`send`](Self::send).
+    ///
+    /// # Errors
+    /// [`ServiceError`]; nothing was sent.
+    pub fn request_with(
+        &self,
+        write: impl FnOnce(&mut S::Request),
+    ) -> Result<PendingResponse<S>, ServiceError>
+    where
+        S::Request: Plain,
+    {
+        let mut request = self.loan()?;
+        write(&mut request);
+        Ok(self.send(request)?)
     }
 
     /// Writes `message` into a loan and sends it.

@@ -22,6 +22,9 @@ impl<T: Message> Publisher<T> {
     /// Loans a sample to write in place, as `&mut T`. Its content is a valid `T` but otherwise unspecified: zeros, or an
     /// earlier message of this publisher; write what the message needs.
     ///
+    /// A loan stays in its thread: a future that keeps one over an `.await` is not `Send`, even if the loan was published by then.
+    /// Loan and publish in a block or function of its own, or run the future with `Node::spawn_local`.
+    ///
     /// # Real-time
     /// Wait-free; one allocation of 48 bytes (iceoryx2's); no syscall. For a type with bool, char or enum fields,
     /// O(number of these) to check that the memory holds a valid `T`.
