@@ -13,7 +13,7 @@ use futures::{FutureExt, StreamExt};
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::{
     ActionClient, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest, ActionServerOptions,
-    CallbackOptions, Context, Error, GoalStatus, Node,
+    CallbackOptions, Context, Error, GoalStatus, Node, QosProfile,
 };
 
 type Goal = ActionServerGoal<Fibonacci::Action>;
@@ -258,6 +258,31 @@ fn a_request_to_cancel_that_nobody_decided_on_ends_with_the_goal() {
     drop((goal, goals));
     common_wait(|| client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
     drop((unread, cancels));
+}
+
+#[test]
+fn feedback_that_nobody_reads_is_not_kept_for_ever() {
+    let ctx = context(71);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    let goals = node.create_action_server::<Fibonacci::Action>("talkative").unwrap();
+    let client = client(&mut node, "talkative");
+    let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
+    let (request, _goals) = block_on(goals.into_future());
+    let (mut goal, _cancels): (Goal, _) = request.unwrap().accept().unwrap();
+    let (_handle, result, feedback) = block_on(sent).unwrap();
+    let all =
+        node.subscribe::<Fibonacci::FeedbackMessage>("talkative/_action/feedback", QosProfile::default());
+    let mut all = all.unwrap();
+    for n in 0..1100 {
+        goal.publish_feedback(Fibonacci::Feedback { sequence: vec![n] }).unwrap();
+        block_on(all.next()).unwrap();
+    }
+    goal.succeed(Fibonacci::Result::default()).unwrap();
+    block_on(result).unwrap();
+    let heard: Vec<_> = block_on(feedback.map(|feedback| feedback.sequence[0]).collect());
+    assert!((1..=1001).contains(&heard.len()), "{}", heard.len());
+    assert!(heard.is_sorted() && heard[0] < 100, "the first ones: {heard:?}");
 }
 
 /// A test that would hang fails after a minute instead.

@@ -21,6 +21,9 @@ use tautline_ros_msgs::action_msgs::srv::CancelGoal;
 use tautline_transport::{Availability, ServiceError};
 use uuid::Uuid;
 
+/// Feedback of a goal that waits for its reader.
+const FEEDBACK_DEPTH: usize = 1000;
+
 /// How goals, results and feedback of an action travel: as Rust types, or as JSON.
 pub(super) trait Protocol: Send + Sync + 'static {
     type Goal;
@@ -53,7 +56,9 @@ struct Goal<P: Protocol> {
     id: GoalId,
     status: GoalStatus,
     /// Until the goal has ended.
-    feedback: Option<mpsc::UnboundedSender<P::Feedback>>,
+    feedback: Option<mpsc::Sender<P::Feedback>>,
+    /// Whether it was said that feedback is lost because nobody reads it.
+    is_warned: bool,
     /// Its request, handles, result and feedback.
     held: usize,
 }
@@ -113,10 +118,18 @@ impl<P: Protocol> Shared<P> {
     }
 
     fn pass_on(&self, id: GoalId, feedback: P::Feedback) {
-        let goals = self.goals();
-        if let Some(Goal { feedback: Some(sender), .. }) = goals.iter().find(|goal| goal.id == id) {
-            // Ignored: its stream was dropped.
-            let _ = sender.unbounded_send(feedback);
+        let mut goals = self.goals();
+        let Some(goal) = goals.iter_mut().find(|goal| goal.id == id) else { return };
+        let Some(sender) = &mut goal.feedback else { return };
+        // Else its stream was dropped.
+        let is_full = sender.try_send(feedback).is_err_and(|error| error.is_full());
+        if is_full && !goal.is_warned {
+            goal.is_warned = true;
+            tracing::warn!(
+                "action '{}': nobody reads the feedback of a goal, of which {FEEDBACK_DEPTH} messages wait: what comes is lost \
+                 until somebody does (drop the stream if it is not needed)",
+                self.name
+            );
         }
     }
 
@@ -157,9 +170,10 @@ impl<P: Protocol> Shared<P> {
         P::Goal: Send,
     {
         let id = Uuid::new_v4().into_bytes();
-        let (feedback, received) = mpsc::unbounded();
+        let (feedback, received) = mpsc::channel(FEEDBACK_DEPTH);
         // Before the goal is sent: the first feedback may be as fast as the response.
-        self.goals().push(Goal { id, status: GoalStatus::Unknown, feedback: Some(feedback), held: 1 });
+        let (status, feedback) = (GoalStatus::Unknown, Some(feedback));
+        self.goals().push(Goal { id, status, feedback, is_warned: false, held: 1 });
         let held = Held { id, shared: self.clone() };
         let accepted = self.protocol.send_goal(id, goal)?;
         Ok(async move {
@@ -278,7 +292,7 @@ impl<P: Protocol> Future for GoalResult<P> {
 
 /// The feedback of a goal, until that has ended.
 pub(super) struct GoalFeedback<P: Protocol> {
-    received: mpsc::UnboundedReceiver<P::Feedback>,
+    received: mpsc::Receiver<P::Feedback>,
     _held: Held<P>,
 }
 
@@ -339,7 +353,7 @@ impl<T: Action> ActionClient<T> {
     }
 
     /// Sends a goal. If the server accepts it, the future ends with the goal's handle, a future of its result, and a stream of
-    /// its feedback, which ends with the goal.
+    /// its feedback, which ends with the goal. 1000 messages of it wait to be read; what comes then is lost, with a warning.
     ///
     /// # Errors
     /// [`Error::Service`]: there is no server. The future's: [`Error::GoalRejected`]; [`Error::Service`] if the server goes.

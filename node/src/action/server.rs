@@ -40,6 +40,9 @@ impl Default for ActionServerOptions {
     }
 }
 
+/// Goals that wait to be decided on; more are rejected.
+const GOALS_WAITING: usize = 1000;
+
 type ResultResponse<T> = <<T as Action>::GetResult as Service>::Response;
 type ResultReply<T> = Reply<<T as Action>::GetResult>;
 
@@ -193,14 +196,14 @@ pub(super) fn create<T: Action>(
     let state = State { goals: Goals::new(options.result_timeout), cancels: Vec::new(), feedback, status };
     let server = Arc::new(Server { name: action.to_owned(), clock: node.clock(), state: Mutex::new(state) });
     let user = Arc::new(User { server: server.clone(), end });
-    let (goals, requests) = mpsc::unbounded();
+    let (mut goals, requests) = mpsc::channel(GOALS_WAITING);
     let users = Arc::downgrade(&user);
     let answer = async move {
         let mut cancels = FuturesUnordered::new();
         loop {
             futures::select! {
                 request = send_goal.select_next_some() => match users.upgrade() {
-                    Some(user) => offer(&user, &goals, request),
+                    Some(user) => offer(&user, &mut goals, request),
                     None => break,
                 },
                 request = cancel_goal.select_next_some() => cancels.push(ask_to_cancel(&server, request)),
@@ -230,7 +233,7 @@ pub(super) fn create<T: Action>(
 
 /// Keeps the server there.
 struct Requests<T: Action> {
-    requests: mpsc::UnboundedReceiver<ActionServerGoalRequest<T>>,
+    requests: mpsc::Receiver<ActionServerGoalRequest<T>>,
     _user: Arc<User<T>>,
 }
 
@@ -245,10 +248,10 @@ impl<T: Action> Stream for Requests<T> {
     }
 }
 
-/// Gives a goal to whoever decides on it; if nobody is left, it is rejected.
+/// Gives a goal to whoever decides on it; if nobody is left, or too many wait for that, it is rejected.
 fn offer<T: Action>(
     user: &Arc<User<T>>,
-    goals: &mpsc::UnboundedSender<ActionServerGoalRequest<T>>,
+    goals: &mut mpsc::Sender<ActionServerGoalRequest<T>>,
     request: ServiceRequest<T::SendGoal>,
 ) {
     let (message, reply) = request.into_parts();
@@ -256,7 +259,7 @@ fn offer<T: Action>(
     let decision = Decision::<T> { reply: Some(reply) };
     let request = ActionServerGoalRequest { uuid: Uuid::from_bytes(id), goal, decision, user: user.clone() };
     // What comes back is dropped, and with it rejected.
-    let _ = goals.unbounded_send(request);
+    let _ = goals.try_send(request);
 }
 
 /// Asks those who pursue the goals, and answers when all have decided.
