@@ -13,6 +13,7 @@
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
+//! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
@@ -24,6 +25,7 @@ mod machine;
 mod network;
 mod paper;
 mod peers;
+mod programs;
 mod r2r;
 mod readme;
 mod reports;
@@ -62,6 +64,8 @@ enum Verb {
     Ros,
     /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
+    /// Runs the programs of the test r2r_programs on r2r, with the ROS 2 that is sourced or that under target/ros
+    R2r,
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
@@ -176,6 +180,7 @@ fn main() -> ExitCode {
         }
         Verb::Ros => ros::run(),
         Verb::Peers => peers::run(),
+        Verb::R2r => programs::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
             steps::run(bench("wake", quick, json.as_deref()).args(arguments))
         }
