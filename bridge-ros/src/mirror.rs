@@ -308,7 +308,9 @@ impl Wanted {
             });
             self.writers.insert((key.clone(), end.gid), (qos, hash.clone()));
         }
-        let is_read = there.iter().any(|end| end.kind == EndpointKind::Subscription);
+        // A client's first goal may be sent, and told of, before its subscription is seen here.
+        let is_action = key.topic.contains("/_action/");
+        let is_read = is_action || there.iter().any(|end| end.kind == EndpointKind::Subscription);
         if let (true, Some(depth)) = (is_read, writers().map(|end| depth(&end.qos)).max()) {
             let is_kept = writers().any(|end| end.qos.durability == Durability::TransientLocal);
             let outward = Outward {
