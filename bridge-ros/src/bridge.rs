@@ -15,7 +15,7 @@ use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
+use tautline_rt::{JoinHandle, Realtime, RtError, Seat, SeatError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
 
 /// What a bridge is to do. Every field has a default.
@@ -59,6 +59,22 @@ impl Default for Options {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BridgeError {
+    /// There is one: two would pass on everything twice.
+    #[error(
+        "domain {domain} of this host and ROS domain {ros_domain} have a bridge already{}: stop that one, or give it these topics \
+         too", holder(*.pid)
+    )]
+    Taken {
+        /// Tautline's domain.
+        domain: u32,
+        /// ROS's domain.
+        ros_domain: u32,
+        /// Process id of the other, if it wrote it.
+        pid: Option<u32>,
+    },
+    /// The lock that says so.
+    #[error(transparent)]
+    Seat(SeatError),
     /// ROS.
     #[error("{0}; is ROS 2 sourced, and RMW_IMPLEMENTATION unset or one that is installed?")]
     Ros(#[from] RclError),
@@ -68,6 +84,10 @@ pub enum BridgeError {
     /// A thread.
     #[error(transparent)]
     Threads(#[from] RtError),
+}
+
+fn holder(pid: Option<u32>) -> String {
+    pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
 }
 
 impl From<OutgoingError> for BridgeError {
@@ -105,6 +125,7 @@ pub struct Bridge {
     wake: Arc<GuardCondition>,
     threads: Vec<JoinHandle<()>>,
     info: Vec<ThreadInfo>,
+    _seat: Seat,
 }
 
 /// What is read from outside.
@@ -137,6 +158,7 @@ impl Bridge {
         participant.set_remote(&RemoteGraph::default())?;
         let before = tautline_rt::threads()?;
         let context = Context::new(options.ros_domain)?;
+        let seat = take_seat(options.domain, context.domain())?;
         let node = Node::new(&context, &node_name(options.domain), "/")?;
         let priorities = threads::Priorities::new(options.priority, options.realtime)?;
         let rmw = threads::started_since(&before)?;
@@ -176,7 +198,7 @@ impl Bridge {
         };
         let threads = vec![control, here, there];
         info.extend(threads.iter().map(|thread| thread.info().clone()));
-        Ok(Bridge { events, shared, wake, threads, info })
+        Ok(Bridge { events, shared, wake, threads, info, _seat: seat })
     }
 
     /// What went through and what did not. Rates are those of the second before.
@@ -202,7 +224,16 @@ impl Drop for Bridge {
     }
 }
 
-/// The same after a restart, so that what ROS still lists of the one before is known to be a bridge's.
+/// One bridge per user and pair of domains on a host.
+fn take_seat(domain: u32, ros_domain: u32) -> Result<Seat, BridgeError> {
+    let name = format!("{}bridge_ros_{ros_domain}", tautline_transport::file_prefix(domain));
+    Seat::take(&name).map_err(|error| match error {
+        SeatError::Taken { pid, .. } => BridgeError::Taken { domain, ros_domain, pid },
+        error => BridgeError::Seat(error),
+    })
+}
+
+/// Begins as all bridges' do: what is left of one in ROS after it was killed is known by it.
 fn node_name(domain: u32) -> String {
     format!("{BRIDGE_PREFIX}{domain}_{}", std::process::id())
 }

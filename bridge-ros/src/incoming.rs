@@ -185,14 +185,10 @@ impl Loop {
     fn obey(&mut self, command: Command) {
         match command {
             Command::Start(key, inlet) => {
-                let route = Route {
-                    inlet,
-                    numbers: Numbers::default(),
-                    early: Vec::new(),
-                    early_bytes: 0,
-                    has_more: true,
-                };
-                self.end(&key);
+                // One that takes over goes on where the other ended: both may have got the same.
+                let (numbers, early) = self.end(&key);
+                let mut route = Route { inlet, numbers, early, early_bytes: 0, has_more: true };
+                route.settle();
                 self.routes.push((key, route));
             }
             Command::Change(key, senders, limiter, port) => {
@@ -207,21 +203,24 @@ impl Loop {
                     route.settle();
                 }
             }
-            Command::Stop(key) => self.end(&key),
+            Command::Stop(key) => drop(self.end(&key)),
         }
     }
 
-    /// What arrived before still goes through.
-    fn end(&mut self, key: &InKey) {
-        if let Some(at) = self.routes.iter().position(|(other, _)| other == key) {
-            let (_, mut route) = self.routes.swap_remove(at);
-            for _ in 0..64 {
-                route.serve(&mut self.buffer);
-                if !route.has_more {
-                    break;
-                }
+    /// What arrived before still goes through, or is left over.
+    fn end(&mut self, key: &InKey) -> (Numbers, Vec<Early>) {
+        let Some(at) = self.routes.iter().position(|(other, _)| other == key) else {
+            return Default::default();
+        };
+        let (_, mut route) = self.routes.swap_remove(at);
+        // Bounded, for a publisher could be faster than this.
+        for _ in 0..64 {
+            route.serve(&mut self.buffer);
+            if !route.has_more {
+                break;
             }
         }
+        (route.numbers, route.early)
     }
 }
 
@@ -252,7 +251,7 @@ impl Route {
 
     fn pass(&mut self, bytes: &[u8], info: RosMessageInfo) {
         if let Some(number) = info.sequence_number {
-            let missing = self.numbers.missing(info.gid, number);
+            let Some(missing) = self.numbers.missing(info.gid, number) else { return };
             self.inlet.counters.lost(missing);
         }
         match self.inlet.pass(bytes, info) {

@@ -80,7 +80,7 @@ pub struct Inward {
     pub publishers: BTreeSet<Gid>,
     /// See [`Choice::min_period`].
     pub min_period: Option<Duration>,
-    /// What both sides say of the type.
+    /// What the topic says of its type.
     pub type_hash: Option<String>,
 }
 
@@ -343,7 +343,6 @@ impl Wanted {
             let default = Class { is_reliable: true, is_kept: false };
             classes.insert(Class::of(&choice.qos.applied_to(default.qos(1))), Vec::new());
         }
-        let hash = there.iter().find_map(|end| end.topic_type.hash.clone());
         for (class, publishers) in classes {
             let late = readers().filter(|end| end.qos.durability == Durability::TransientLocal);
             let kept = publishers.iter().map(|end| depth(&end.qos)).fold(0, usize::saturating_add);
@@ -363,8 +362,15 @@ impl Wanted {
                 },
                 publishers: publishers.iter().map(|end| end.gid).collect(),
                 min_period: choice.min_period,
-                type_hash: topic_type.hash.clone().or_else(|| hash.clone()).map(Into::into),
+                type_hash: topic_type.hash.as_ref().map(ToString::to_string),
             };
+            // Only what the configuration says can ask for more than there is.
+            if let Some(policy) = publishers.iter().find_map(|end| end.qos.incompatibility(&qos)) {
+                let reason = format!(
+                    "a publisher in ROS does not offer what `qos` requests ({policy:?}): leave that out of the configuration"
+                );
+                self.problems.insert(key.topic.clone(), reason);
+            }
             self.inward.insert(InKey { topic: key.clone(), class }, inward);
         }
     }

@@ -99,14 +99,18 @@ class Peer:
         messages = [ros_values.random_message(rng, cls) for _ in range(count)]
         return [[serialize_message(message).hex(), json.dumps(ros_values.plain_message(message))] for message in messages]
 
-    def publish_random(self, end, type, count, seed):
-        """Publishes random messages at once; their values."""
+    def prepare_random(self, type, count, seed):
+        """Makes random messages for `publish_prepared`; their values."""
         rng = random.Random(f"{seed} {type}")
         cls = ros_values.find(type)
-        messages = [ros_values.random_message(rng, cls) for _ in range(count)]
-        for message in messages:
+        self.prepared = [ros_values.random_message(rng, cls) for _ in range(count)]
+        return [ros_values.plain_message(message) for message in self.prepared]
+
+    def publish_prepared(self, end, count):
+        """Publishes so many of them, which are then gone."""
+        for message in self.prepared[:count]:
             self.ends[end].publish(message)
-        return [ros_values.plain_message(message) for message in messages]
+        del self.prepared[:count]
 
     def publish_text(self, end, texts):
         cls = ros_values.find("std_msgs/msg/String")

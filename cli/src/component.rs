@@ -14,8 +14,10 @@ use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
 use tautline::{Context, Node, QosProfile, Realtime};
 use tautline_msgs::Service;
 
-const CONTAINER: Sibling =
-    Sibling { program: "taut-container", package: "tautline-container", folder: "node/components/container" };
+const CONTAINER: Sibling = Sibling {
+    program: "taut-container",
+    build: "build it with `cargo build --release -p tautline-container`, or install it with `cargo install --path node/components/container`",
+};
 
 /// Making a component may open topics and start threads.
 const PATIENCE: Duration = Duration::from_secs(10);

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
+//! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
@@ -18,6 +19,7 @@
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
+mod bridge;
 mod examples;
 mod fuzz;
 mod lttng;
@@ -60,8 +62,10 @@ enum Verb {
         #[arg(long)]
         bless: bool,
     },
-    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
+    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it, and the bridge is built with it
     Ros,
+    /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
+    Bridge,
     /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
     /// Runs the programs of the test r2r_programs on r2r, with the ROS 2 that is sourced or that under target/ros
@@ -179,6 +183,7 @@ fn main() -> ExitCode {
             steps.finish()
         }
         Verb::Ros => ros::run(),
+        Verb::Bridge => bridge::run(),
         Verb::Peers => peers::run(),
         Verb::R2r => programs::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {

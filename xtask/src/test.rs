@@ -4,7 +4,9 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_network, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, fuzz, lttng, paper as evaluation, peers, programs, ros, stress_doorbell};
+use crate::{
+    bench, bridge, examples, fuzz, lttng, paper as evaluation, peers, programs, ros, stress_doorbell,
+};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -16,6 +18,7 @@ pub fn run(quick: bool) -> ExitCode {
     lints(&mut steps);
     ros(&mut steps);
     tests(&mut steps);
+    bridge::test(&mut steps);
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
@@ -75,6 +78,7 @@ fn lints(steps: &mut Steps) {
     let hiroz = "--manifest-path benches/network-hiroz/Cargo.toml";
     steps.command("fmt: network-hiroz", &mut cargo(&format!("fmt {hiroz} --check")));
     steps.command("lock: network-hiroz", &mut cargo(&format!("fetch --quiet --locked {hiroz}")));
+    steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));

@@ -4,7 +4,7 @@
 use super::error::check;
 use r2r_rcl::*;
 
-/// Offered or requested incompatible QoS. Dropped before what it is an event of.
+/// Offered incompatible QoS. Dropped before the publisher that it is an event of.
 pub(super) struct Incompatible {
     raw: Box<rcl_event_t>,
 }
@@ -24,20 +24,6 @@ impl Incompatible {
         }
     }
 
-    /// As [`of_publisher`](Self::of_publisher).
-    ///
-    /// # Safety
-    /// The subscription is initialised, and lives longer than this.
-    pub(super) unsafe fn of_subscription(subscription: *const rcl_subscription_t) -> Option<Self> {
-        // SAFETY: rcl's protocol; the caller says the rest.
-        unsafe {
-            let mut raw = Box::new(rcl_get_zero_initialized_event());
-            let kind = rcl_subscription_event_type_e::RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS;
-            check("watching", rcl_subscription_event_init(&mut *raw, subscription, kind)).ok()?;
-            Some(Incompatible { raw })
-        }
-    }
-
     /// How many in all, and the policy of the last one, if there are new ones.
     pub(super) fn take(&self) -> Option<(u64, &'static str)> {
         let mut status = rmw_qos_incompatible_event_status_t {
@@ -45,7 +31,7 @@ impl Incompatible {
             total_count_change: 0,
             last_policy_kind: rmw_qos_policy_kind_e::RMW_QOS_POLICY_INVALID,
         };
-        // SAFETY: both kinds of events have a status of this type.
+        // SAFETY: the event has a status of this type.
         let code = unsafe { rcl_take_event(&*self.raw, (&raw mut status).cast()) };
         check("taking an event", code).ok()?;
         let total = u64::try_from(status.total_count).unwrap_or(0);

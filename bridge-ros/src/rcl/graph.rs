@@ -53,20 +53,6 @@ impl Node {
         }
     }
 
-    /// All services.
-    ///
-    /// # Errors
-    /// [`RclError`].
-    pub fn services(&self) -> Result<RosTopics, RclError> {
-        // SAFETY: as in `topics`.
-        unsafe {
-            let mut allocator = rcutils_get_default_allocator();
-            let mut list = rmw_get_zero_initialized_names_and_types();
-            let code = rcl_get_service_names_and_types(self.raw(), &mut allocator, &mut list);
-            collect("listing services", code, list)
-        }
-    }
-
     /// The services that a node answers.
     ///
     /// # Errors
@@ -228,10 +214,9 @@ unsafe fn strings(data: *mut *mut c_char, size: usize) -> Vec<String> {
 /// # Safety
 /// A text that ends with a zero, or null.
 unsafe fn string(text: *const c_char) -> String {
-    // SAFETY: as the caller says.
     if text.is_null() {
-        String::new()
-    } else {
-        unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
+        return String::new();
     }
+    // SAFETY: as the caller says.
+    unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
 }

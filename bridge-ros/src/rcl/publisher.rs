@@ -9,12 +9,11 @@ use super::type_support::MessageSupport;
 use crate::qos::to_ros;
 use r2r_rcl::*;
 use std::sync::Arc;
-use tautline_transport::{Gid, Qos};
+use tautline_transport::Qos;
 
 /// A publisher of bytes.
 pub struct RosPublisher {
     raw: *mut rcl_publisher_t,
-    gid: Gid,
     incompatible: Option<Incompatible>,
     node: Arc<Node>,
     _support: MessageSupport,
@@ -43,11 +42,8 @@ impl RosPublisher {
                 drop(Box::from_raw(raw));
                 return Err(error);
             }
-            let mut rmw_gid: rmw_gid_t = std::mem::zeroed();
-            let _ = rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(raw), &mut rmw_gid);
             let incompatible = Incompatible::of_publisher(raw);
-            let gid = super::graph::gid(&rmw_gid.data);
-            Ok(RosPublisher { raw, gid, incompatible, node: node.clone(), _support: support.clone() })
+            Ok(RosPublisher { raw, incompatible, node: node.clone(), _support: support.clone() })
         }
     }
 
@@ -67,11 +63,6 @@ impl RosPublisher {
         // SAFETY: it is initialised until it is dropped.
         let code = unsafe { rcl_publisher_get_subscription_count(self.raw, &mut count) };
         check("counting subscriptions", code).map_or(0, |()| count)
-    }
-
-    /// Its identifier in ROS.
-    pub fn gid(&self) -> Gid {
-        self.gid
     }
 
     /// If subscriptions have appeared since the last call that request what this publisher does not offer: how many in

@@ -3,7 +3,6 @@
 
 use super::context::{Node, text};
 use super::error::{RclError, check};
-use super::events::Incompatible;
 use super::serialized::SerializedMessage;
 use super::type_support::MessageSupport;
 use crate::qos::to_ros;
@@ -14,7 +13,6 @@ use tautline_transport::{Gid, Qos};
 /// A subscription to bytes, but not to what publishers of the same context send.
 pub struct RosSubscription {
     raw: *mut rcl_subscription_t,
-    incompatible: Option<Incompatible>,
     node: Arc<Node>,
     _support: MessageSupport,
 }
@@ -54,8 +52,7 @@ impl RosSubscription {
                 drop(Box::from_raw(raw));
                 return Err(error);
             }
-            let incompatible = Incompatible::of_subscription(raw);
-            Ok(RosSubscription { raw, incompatible, node: node.clone(), _support: support.clone() })
+            Ok(RosSubscription { raw, node: node.clone(), _support: support.clone() })
         }
     }
 
@@ -84,19 +81,6 @@ impl RosSubscription {
         }))
     }
 
-    /// Publishers that have been found and fit.
-    pub fn publisher_count(&self) -> usize {
-        let mut count = 0;
-        // SAFETY: it is initialised until it is dropped.
-        let code = unsafe { rcl_subscription_get_publisher_count(self.raw, &mut count) };
-        check("counting publishers", code).map_or(0, |()| count)
-    }
-
-    /// As [`RosPublisher::incompatible`](super::RosPublisher::incompatible).
-    pub fn incompatible(&self) -> Option<(u64, &'static str)> {
-        self.incompatible.as_ref()?.take()
-    }
-
     pub(crate) fn raw(&self) -> *const rcl_subscription_t {
         self.raw
     }
@@ -105,8 +89,7 @@ impl RosSubscription {
 impl Drop for RosSubscription {
     fn drop(&mut self) {
         let _making = self.node.making();
-        self.incompatible = None;
-        // SAFETY: nobody else has it; its event has ended before it, its node lives.
+        // SAFETY: nobody else has it; its node lives.
         unsafe {
             let _ = rcl_subscription_fini(self.raw, self.node.raw());
             drop(Box::from_raw(self.raw));

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, RawSubscription, TopicType};
 
 /// Nothing takes so long unless it is broken: the end of every wait.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Looks until it is so.
 pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
