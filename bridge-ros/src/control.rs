@@ -165,7 +165,7 @@ impl Control {
 
     fn route_services(&mut self, here: &GraphSnapshot, there: &[ServiceEndpoint]) {
         let ends: Vec<_> = here.services.iter().filter(|end| !end.is_remote).cloned().collect();
-        let routes = Routes::of(&self.service_rules, &ends, there);
+        let routes = Routes::of(&self.service_rules, &ends, there, self.services.routes());
         self.services.set_routes(routes, shown(&self.nodes));
     }
 

@@ -110,6 +110,11 @@ impl Services {
         }
     }
 
+    /// As they were set last.
+    pub(crate) fn routes(&self) -> &Routes {
+        &self.routes
+    }
+
     /// Services that are not bridged, and why.
     pub(crate) fn problems(&self) -> BTreeMap<String, String> {
         let mut problems = self.routes.problems.clone();

@@ -46,18 +46,31 @@ pub(crate) struct Routes {
 }
 
 impl Routes {
-    /// What follows from what exists: `here` in Tautline, `there` in ROS, both without what bridges made.
-    pub(crate) fn of(rules: &Rules, here: &[ServiceEndpoint], there: &[ServiceEndpoint]) -> Self {
+    /// What follows from what exists: `here` in Tautline, `there` in ROS, both without what this bridge made. What was offered
+    /// `before` stays so though ROS gets a server of it, perhaps another bridge's: two would make way for each other for ever.
+    pub(crate) fn of(
+        rules: &Rules,
+        here: &[ServiceEndpoint],
+        there: &[ServiceEndpoint],
+        before: &Routes,
+    ) -> Self {
         let mut routes = Routes::default();
         let names: BTreeSet<&str> = here.iter().map(|end| &*end.name).collect();
         for name in names {
             let ends: Vec<&ServiceEndpoint> = here.iter().filter(|end| end.name == name).collect();
-            routes.add(rules, name, &ends, there);
+            routes.add(rules, name, &ends, there, before);
         }
         routes
     }
 
-    fn add(&mut self, rules: &Rules, service: &str, here: &[&ServiceEndpoint], there: &[ServiceEndpoint]) {
+    fn add(
+        &mut self,
+        rules: &Rules,
+        service: &str,
+        here: &[&ServiceEndpoint],
+        there: &[ServiceEndpoint],
+        before: &Routes,
+    ) {
         let Some(choice) = rules.choice(service) else { return };
         let servers =
             there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.ros_topic);
@@ -78,15 +91,17 @@ impl Routes {
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
             servers.partition(|server| server.type_name == end.type_name);
         match (server, other.first()) {
-            // Who asks in ROS would get two answers.
-            (Some(_), _) if !(same.is_empty() && other.is_empty()) => {
-                let reason = "both Tautline and ROS have a server of it: stop or rename one of them";
-                self.problems.insert(service.to_owned(), reason.to_owned());
-            }
             (Some(server), _) if choice.goes(Direction::ToRos) => {
-                let offered =
-                    OfferedService { type_hash: server.type_hash.clone(), node: server.node.clone() };
-                self.offered.insert(key, offered);
+                let is_alone = same.is_empty() && other.is_empty();
+                if !is_alone {
+                    // Who asks in ROS would get two answers.
+                    let reason = "both Tautline and ROS have a server of it: stop or rename one of them";
+                    self.problems.insert(service.to_owned(), reason.to_owned());
+                }
+                if is_alone || before.offered.contains_key(&key) {
+                    let (type_hash, node) = (server.type_hash.clone(), server.node.clone());
+                    self.offered.insert(key, OfferedService { type_hash, node });
+                }
             }
             (None, _) if choice.goes(Direction::FromRos) && !same.is_empty() => {
                 let sought = SoughtService { type_hash: end.type_hash.clone(), servers: same.len() };
@@ -137,18 +152,23 @@ mod tests {
         keys.keys().map(|key| (&*key.service, &*key.ros_service)).collect()
     }
 
+    fn of(rules: &Rules, here: &[ServiceEndpoint], there: &[ServiceEndpoint]) -> Routes {
+        Routes::of(rules, here, there, &Routes::default())
+    }
+
     #[test]
     fn servers_here_are_offered_and_those_of_ros_only_to_clients_here() {
         let rules = Rules { auto: true, ..Rules::default() };
         let here = [server("/here"), client("/here"), client("/there"), client("/nowhere"), server("/both")];
         let there =
             [server("/there"), server("/there"), client("/here"), server("/unasked"), server("/both")];
-        let routes = Routes::of(&rules, &here, &there);
+        let routes = of(&rules, &here, &there);
         assert_eq!(names(&routes.offered), [("/here", "/here")]);
         assert_eq!(names(&routes.sought), [("/there", "/there")]);
         assert_eq!(routes.sought.values().next().unwrap().servers, 2);
+        assert!(routes.sought.keys().all(|key| key.service != "/both"));
         assert!(routes.problems["/both"].contains("both Tautline and ROS"), "{:?}", routes.problems);
-        assert_eq!(Routes::of(&Rules::default(), &here, &there), Routes::default());
+        assert_eq!(of(&Rules::default(), &here, &there), Routes::default());
     }
 
     #[test]
@@ -156,17 +176,26 @@ mod tests {
         let mut rule = Rule::new("/a".parse().unwrap());
         rule.ros_topic = Some("/b".parse().unwrap());
         let rules = |rule: &Rule| Rules { rules: vec![rule.clone()], ..Rules::default() };
-        let routes = Routes::of(&rules(&rule), &[client("/a")], &[server("/b")]);
+        let routes = of(&rules(&rule), &[client("/a")], &[server("/b")]);
         assert_eq!(names(&routes.sought), [("/a", "/b")]);
         let trigger = end(ServiceKind::Server, "/b", "std_srvs/srv/Trigger");
-        let routes = Routes::of(&rules(&rule), &[client("/a")], std::slice::from_ref(&trigger));
+        let routes = of(&rules(&rule), &[client("/a")], std::slice::from_ref(&trigger));
         assert!(routes.sought.is_empty() && routes.problems["/a"].contains("std_srvs/srv/Trigger"));
         rule.direction = Some(Direction::FromRos);
-        assert_eq!(Routes::of(&rules(&rule), &[server("/a")], &[]), Routes::default());
+        assert_eq!(of(&rules(&rule), &[server("/a")], &[]), Routes::default());
         rule.direction = Some(Direction::ToRos);
-        assert_eq!(names(&Routes::of(&rules(&rule), &[server("/a")], &[]).offered), [("/a", "/b")]);
+        assert_eq!(names(&of(&rules(&rule), &[server("/a")], &[]).offered), [("/a", "/b")]);
         rule.type_name = Some("std_srvs/srv/Empty".into());
-        let routes = Routes::of(&rules(&rule), &[server("/a")], &[]);
+        let routes = of(&rules(&rule), &[server("/a")], &[]);
         assert!(routes.offered.is_empty() && routes.problems["/a"].contains("std_srvs/srv/Empty"));
+    }
+
+    #[test]
+    fn what_is_offered_stays_so() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let first = of(&rules, &[server("/a")], &[]);
+        let second = Routes::of(&rules, &[server("/a")], &[server("/a")], &first);
+        assert_eq!((names(&second.offered), second.problems.len()), (vec![("/a", "/a")], 1));
+        assert!(Routes::of(&rules, &[], &[server("/a")], &second).offered.is_empty());
     }
 }
