@@ -49,6 +49,8 @@ pub(crate) struct Control {
     service_rules: Rules,
     shared: Arc<Shared>,
     graph: RosGraph,
+    /// Whether the last look at what exists failed.
+    is_stale: bool,
     book: Book,
     writers: HashMap<(TopicKey, Gid), Counterpart>,
     out: BTreeMap<TopicKey, Outward>,
@@ -92,6 +94,7 @@ impl Control {
             service_rules: options.services.clone(),
             shared,
             graph: RosGraph::default(),
+            is_stale: false,
             book: Book::default(),
             writers: HashMap::new(),
             out: BTreeMap::new(),
@@ -123,7 +126,7 @@ impl Control {
             }
             if Instant::now() >= next_tick {
                 next_tick += TICK;
-                is_changed |= self.graph.has_unknown();
+                is_changed |= self.is_stale || self.graph.has_unknown();
                 self.try_again();
                 self.services.try_again(|| shown(&self.nodes));
                 self.look_for_incompatible();
@@ -138,13 +141,17 @@ impl Control {
 
     /// Brings everything in line with what exists.
     fn update(&mut self) {
-        let here = match self.participant.graph() {
-            Ok(graph) => graph,
-            Err(error) => return tracing::warn!("{error}"),
+        let here = self.participant.graph().map_err(|error| error.to_string());
+        let read = here.and_then(|here| match self.graph.read(&self.node) {
+            Ok(()) => Ok(here),
+            Err(error) => Err(error.to_string()),
+        });
+        // Looked at again with the next tick.
+        self.is_stale = read.is_err();
+        let here = match read {
+            Ok(here) => here,
+            Err(error) => return tracing::warn!("what exists is not known: {error}"),
         };
-        if let Err(error) = self.graph.read(&self.node) {
-            return tracing::warn!("{error}");
-        }
         self.note_relays(&here);
         let ends: Vec<_> = here.endpoints.iter().filter(|end| !end.is_remote).cloned().collect();
         for action in self.mirror.update(&ends, &self.graph.endpoints) {

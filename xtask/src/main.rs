@@ -157,6 +157,8 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
+    Bridge(bridge::Options),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),
 }
@@ -200,6 +202,7 @@ fn main() -> ExitCode {
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
+        Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),
         Verb::Miri => {

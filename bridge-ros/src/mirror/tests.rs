@@ -211,18 +211,3 @@ fn types_that_differ_are_told_and_the_rest_goes_on() {
     assert!(expecting.update(&[subscription("/x", 1)], &[publisher("/x", 7)]).is_empty());
     assert!(expecting.problems()["/x"].contains("the configuration says a/msg/B"));
 }
-
-/// A simulated world: two domains of Tautline, one of ROS, and a bridge between each and ROS. Whatever order they look in,
-/// they make as much as natives ask for, and it goes with them.
-#[test]
-fn bridges_do_not_keep_each_other_alive() {
-    // Bridges look at natives alone: so what one sees is independent of what the other made.
-    let (natives_a, natives_b) = ([publisher("/x", 1)], [subscription("/x", 2)]);
-    let (mut a, mut b) = (auto(), auto());
-    assert_eq!(told(&a.update(&natives_a, &[])), ["open /x 1"]);
-    assert_eq!(told(&b.update(&natives_b, &[])), ["in /x default []"]);
-    let native = [subscription("/x", 5)];
-    assert_eq!(told(&a.update(&natives_a, &native)), ["take /x 100"]);
-    assert!(b.update(&natives_b, &native).is_empty());
-    assert_eq!(told(&a.update(&natives_a, &[])), ["stop /x"]);
-}
