@@ -9,6 +9,7 @@
 //!
 //! Its lock is taken by creating and dropping ports, never by publish or take.
 
+use crate::dead_nodes;
 use crate::doorbell::{Doorbell, Owner, remove_stale_arenas};
 use crate::error::TransportError;
 use crate::graph::Graph;
@@ -127,26 +128,19 @@ fn run(shared: &Shared) {
         // Acquire: pairs with the Release of `call_janitor`; a call after this load ends the wait below at once.
         let calls = word.0.load(Ordering::Acquire);
         if shared.stop.load(std::sync::atomic::Ordering::Acquire) {
-            remove_dead_nodes(&shared.node, &shared.graph);
+            dead_nodes::remove(&shared.node, &shared.graph);
             return;
         }
         look_around(shared);
         tautline_trace::attend();
         if Instant::now() >= next_cleanup {
-            remove_dead_nodes(&shared.node, &shared.graph);
+            dead_nodes::remove(&shared.node, &shared.graph);
             remove_stale_arenas(shared.domain);
             nodes::remove_dead_files(shared.domain, &shared.graph);
             tautline_trace::remove_dead_files(shared.domain);
             next_cleanup = Instant::now() + CLEANUP_PERIOD;
         }
         word.wait(calls, Some(monotonic_ns() + PERIOD.as_nanos() as u64));
-    }
-}
-
-/// Removes what dead processes left of their iceoryx2 nodes, and says so to those who wait for changes.
-pub(crate) fn remove_dead_nodes(node: &IoxNode, graph: &Graph) {
-    if node.try_cleanup_dead_nodes().cleanups > 0 {
-        graph.advance();
     }
 }
 
