@@ -27,7 +27,7 @@ impl TryFrom<msg::ParameterValue> for ParameterValue {
     type Error = UnknownParameterType;
 
     fn try_from(value: msg::ParameterValue) -> Result<ParameterValue, UnknownParameterType> {
-        Ok(match value.r#type {
+        Ok(match value.type_ {
             0 => ParameterValue::NotSet,
             1 => ParameterValue::Bool(value.bool_value),
             2 => ParameterValue::Integer(value.integer_value),
