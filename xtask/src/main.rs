@@ -9,6 +9,7 @@
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
+//! | `compare` | the comparison with other middleware: builds the rivals, and runs all |
 //! | `network` | the bench of the gateways: builds Zenoh's and hiroz's sides, and runs all |
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
@@ -17,6 +18,7 @@
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
+mod compare;
 mod examples;
 mod fuzz;
 mod lttng;
@@ -135,6 +137,8 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up
+    Compare(compare::Options),
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
     Network(network::Options),
     /// A request and its response, beside a topic each way and iceoryx2's request-response
@@ -189,6 +193,7 @@ fn main() -> ExitCode {
             steps::run(&mut bench("parameters", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
+        Verb::Bench(Bench::Compare(options)) => compare::run(&options),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),

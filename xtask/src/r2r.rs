@@ -23,10 +23,24 @@ pub fn cargo(arguments: &str) -> Result<Command, String> {
     Ok(command)
 }
 
-fn use_wheels(command: &mut Command) -> Result<(), String> {
+/// The ROS 2 that the user has sourced, else the one under the target directory, which is made first: `include` and `lib`.
+pub fn prefix() -> Result<PathBuf, String> {
+    let sourced = env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
+    match env::split_paths(&sourced).find(|prefix| prefix.join("lib/libfastrtps.so").exists()) {
+        Some(prefix) => Ok(prefix),
+        None => wheels(),
+    }
+}
+
+fn wheels() -> Result<PathBuf, String> {
     done(ros::prepare())?;
     let prefix = machine::target_dir().join("ros/prefix");
     make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;
+    Ok(prefix)
+}
+
+fn use_wheels(command: &mut Command) -> Result<(), String> {
+    let prefix = wheels()?;
     // RPATH, for RUNPATH does not reach what the libraries themselves need.
     let flags = format!("-Clink-arg=-Wl,--disable-new-dtags,-rpath,{}/lib", prefix.display());
     command.env("AMENT_PREFIX_PATH", &prefix).env("ROS_DISTRO", "jazzy").env("RUSTFLAGS", flags);
