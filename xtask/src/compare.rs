@@ -43,10 +43,6 @@ const RIVALS: [Rival; 5] = [
     ("hiroz", network::build_hiroz),
 ];
 
-/// Those that take no part yet, and why.
-const MISSING: [(&str, &str); 1] =
-    [("copper", "nobody has written its program yet; nor dora's, nor taktora-executor's")];
-
 pub fn run(options: &Options) -> ExitCode {
     steps::run(&mut command(options))
 }
@@ -61,9 +57,6 @@ pub fn command(options: &Options) -> Command {
             Ok(program) => command.arg(format!("--program={name}={}", program.display())),
             Err(reason) => command.arg(format!("--without={name}={reason}")),
         };
-    }
-    for (name, reason) in MISSING.iter().filter(|(name, _)| is_wanted(name)) {
-        command.arg(format!("--without={name}={reason}"));
     }
     if options.quick {
         command.arg("--quick");

@@ -165,6 +165,10 @@ void receive_flow(Participant& participant, const Job& job) {
 }  // namespace
 
 int main(int argc, char** argv) try {
+    if (argc == 2 && argv[1] == std::string("version")) {
+        puts("Cyclone DDS " DDS_VERSION);
+        return 0;
+    }
     Job job(argc, argv);
     exchange::stop_flag();
     Participant participant(job);

@@ -253,6 +253,10 @@ void receive_flow(Participant& participant, const Job& job) {
 }  // namespace
 
 int main(int argc, char** argv) try {
+    if (argc == 2 && argv[1] == std::string("version")) {
+        puts("Fast DDS " FASTRTPS_VERSION_STR);
+        return 0;
+    }
     Job job(argc, argv);
     exchange::stop_flag();
     Participant participant(job);

@@ -12,6 +12,8 @@ const WIDTH: i32 = 720;
 const LABELS: i32 = 230;
 const TOP: i32 = 40;
 const HEIGHT: i32 = 400;
+/// Lines of at most so many points have a mark at each.
+const MARKED: usize = 12;
 /// Between two labels.
 const LABEL: i32 = 14;
 const BAR: i32 = 20;
@@ -183,11 +185,13 @@ fn chart(lines: &[Line], x: &Axis, y: &Axis) -> Result<String> {
     canvas.text(y.title, (LEFT, TOP - 18), Words::PLAIN)?;
     canvas.text(x.title, (right, bottom + 32), Words { align: Align::Right, ..Words::PLAIN })?;
     for line in lines {
-        let points: Vec<_> = line.points.iter().map(|point| at(*point)).collect();
+        let mut points: Vec<_> = line.points.iter().map(|point| at(*point)).collect();
+        points.dedup();
+        let mut drawn = 0.0;
         for pair in points.windows(2) {
-            dashed(&canvas, pair[0], pair[1], line)?;
+            drawn = dashed(&canvas, pair[0], pair[1], line, drawn)?;
         }
-        if points.len() < 40 {
+        if points.len() <= MARKED {
             for (across, up) in points {
                 canvas.rectangle((across - 2, up - 2), (across + 3, up + 3), line.colour)?;
             }
@@ -217,29 +221,34 @@ fn label(
         limit = *place - LABEL;
     }
     for (place, line) in ends {
-        dashed(canvas, (right + 8, place), (right + 36, place), line)?;
+        dashed(canvas, (right + 8, place), (right + 36, place), line, 0.0)?;
         canvas.text(&line.label, (right + 42, place), Words { pixels: 11, ..Words::PLAIN })?;
     }
     Ok(())
 }
 
-fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), line: &Line) -> Result<()> {
+/// Draws a piece of a line of which so many pixels are drawn already; returns how many then are.
+fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), line: &Line, drawn: f64) -> Result<f64> {
     let length = f64::from(to.0 - from.0).hypot(f64::from(to.1 - from.1));
-    if line.dash == 0 || length < 1.0 {
-        return canvas.line(from, to, line.colour, 2);
+    if line.dash == 0 {
+        canvas.line(from, to, line.colour, 2)?;
+        return Ok(drawn + length);
     }
     let along = |done: f64| {
-        let share = (done / length).min(1.0);
+        let share = (done / length).clamp(0.0, 1.0);
         let between = |a: i32, b: i32| (f64::from(a) + f64::from(b - a) * share).round() as i32;
         (between(from.0, to.0), between(from.1, to.1))
     };
-    let step = f64::from(line.dash);
-    let mut done = 0.0;
-    while done < length {
-        canvas.line(along(done), along(done + step), line.colour, 2)?;
-        done += 2.0 * step;
+    let dash = f64::from(line.dash);
+    // Where the dash began that the piece before ended in.
+    let mut start = -(drawn % (2.0 * dash));
+    while start < length {
+        if start + dash > 0.0 {
+            canvas.line(along(start), along(start + dash), line.colour, 2)?;
+        }
+        start += 2.0 * dash;
     }
-    Ok(())
+    Ok(drawn + length)
 }
 
 /// A bar and its spread.

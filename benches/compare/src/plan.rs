@@ -107,6 +107,8 @@ pub struct Plan {
     pub programs: Programs,
     /// Modes that would have taken part, and why they do not.
     pub missing: Vec<(&'static Mode, String)>,
+    /// Those asked for; none: all.
+    systems: Vec<String>,
     pub quick: bool,
 }
 
@@ -125,11 +127,9 @@ impl Plan {
             Options { quick: true, .. } => Extent::Quick,
             _ => Extent::Full,
         };
-        let chosen = |mode: &&Mode| {
-            options.systems.is_empty() || options.systems.iter().any(|name| name == mode.system)
-        };
+        let is_wanted = |mode: &&Mode| is_among(&options.systems, mode.system);
         let (mut modes, mut missing) = (Vec::new(), Vec::new());
-        for mode in MODES.iter().filter(chosen) {
+        for mode in MODES.iter().filter(is_wanted) {
             match mode.program {
                 Program::Own => modes.push(mode),
                 Program::Json(name) | Program::Words(name) => match programs.find(name) {
@@ -149,13 +149,23 @@ impl Plan {
         }
         let rounds = cases.iter().map(|case| case.rounds).max().unwrap_or(0);
         let quick = extent != Extent::Full;
-        Plan { realtime: !options.no_rt, cores, cases, rounds, programs, missing, quick }
+        let systems = options.systems.clone();
+        Plan { realtime: !options.no_rt, cores, cases, rounds, programs, missing, systems, quick }
+    }
+
+    /// Whether a system was asked for.
+    pub fn is_wanted(&self, system: &str) -> bool {
+        is_among(&self.systems, system)
     }
 
     /// How many measurements there will be.
     pub fn runs(&self) -> u64 {
         self.cases.iter().map(|case| u64::from(case.rounds)).sum()
     }
+}
+
+fn is_among(systems: &[String], system: &str) -> bool {
+    systems.is_empty() || systems.iter().any(|name| name == system)
 }
 
 /// One setting of an experiment, for every mode that takes part.

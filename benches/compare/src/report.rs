@@ -9,6 +9,7 @@ use tautline_exchange::APPLICATION_PRIORITY;
 
 use crate::Result;
 use crate::load::LOAD;
+use crate::modes::NOT_JOINED;
 use crate::plan::{Experiment, Plan, Task};
 use crate::rounds::Cell;
 use crate::verdict::{Verdict, verdicts};
@@ -69,10 +70,8 @@ impl Report {
         for (mode, reason) in &plan.missing {
             rows.push(missing(mode.system, mode.mode, reason));
         }
-        for (name, reason) in plan.programs.missing() {
-            if !rows.iter().any(|row| row.system == *name) {
-                rows.push(missing(name, "-", reason));
-            }
+        for (system, mode, reason) in NOT_JOINED.iter().filter(|(system, ..)| plan.is_wanted(system)) {
+            rows.push(missing(system, mode, reason));
         }
         let verdicts = verdicts(&rows);
         let machine = notes(plan, disturbance);
@@ -195,7 +194,8 @@ fn note(cell: &Cell) -> String {
     match cell.case.task {
         Task::Stream => {
             let gb_per_s = rate * cell.case.payload_bytes as f64 / 1e9;
-            words.push(format!("{rate:.0} messages/s, {gb_per_s:.3} GB/s, held back by the receiver"));
+            let loss = if cell.lost == 0 { "the sender is held back" } else { "the sender is not held back" };
+            words.push(format!("{rate:.0} messages/s, {gb_per_s:.3} GB/s, {loss}"));
         }
         Task::Paced { .. } if cell.case.experiment == Experiment::Robot => {
             let percent = cell.cpu_ns as f64 / 1e7 / cell.seconds.max(1e-9);
@@ -228,14 +228,13 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
         "NO REAL-TIME PRIORITY".to_owned()
     };
     let [near, far] = plan.cores;
+    let mut versions =
+        vec![format!("tautline {}", version("tautline")), format!("iceoryx2 {}", version("iceoryx2"))];
+    versions.extend(["fastdds", "cyclonedds"].into_iter().filter_map(|name| plan.programs.version(name)));
     vec![
         machine(),
         disturbance,
-        format!(
-            "tautline {}, iceoryx2 {}; Fast DDS 2.14.5 (as in ROS 2 Jazzy)",
-            version("tautline"),
-            version("iceoryx2")
-        ),
+        versions.join(", "),
         format!(
             "sender on core {near}, receivers on core {far}; {priorities}; {} rounds to and fro",
             plan.rounds

@@ -138,8 +138,10 @@ fn sweep(before: &BTreeSet<String>) {
         mapped += &fs::read_to_string(process.path().join("maps")).unwrap_or_default();
     }
     for name in left.iter().filter(|name| !mapped.contains(name.as_str())) {
-        // Ignored: somebody else's.
-        let _ = fs::remove_file(format!("/dev/shm/{name}"));
+        // With its lock and its semaphore. Ignored: somebody else's, or there is none.
+        for file in [name.clone(), format!("{name}_el"), format!("sem.{name}_mutex")] {
+            let _ = fs::remove_file(format!("/dev/shm/{file}"));
+        }
     }
 }
 

@@ -4,16 +4,15 @@
 //! `typed`: messages are Rust structs. `native`: messages are the middleware's C structs, made once and written and read in
 //! place. Loans are for types of a fixed size, and no package of ROS 2 has one that carries these payloads.
 
-use std::pin::Pin;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use futures::stream::BoxStream;
+use futures::stream::LocalBoxStream;
 use futures::{FutureExt, StreamExt};
 use r2r::std_msgs::msg::UInt8MultiArray;
-use r2r::{Context, Node, Publisher, QosProfile, WrappedNativeMsg};
+use r2r::{Context, Node, QosProfile};
 use tautline_exchange::{
     Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
 };
@@ -134,32 +133,35 @@ fn qos(job: &Job) -> QosProfile {
 
 /// A publisher and its message, made once.
 struct Outlet {
-    publisher: Publisher<UInt8MultiArray>,
-    message: UInt8MultiArray,
-    native: Option<WrappedNativeMsg<UInt8MultiArray>>,
-    whole: bool,
+    send: Box<dyn FnMut(Stamp) -> Result<()>>,
 }
 
 impl Outlet {
     fn new(node: &mut Node, job: &Job, topic: &str) -> Result<Self> {
-        let message = UInt8MultiArray { data: vec![0; job.payload_bytes], ..Default::default() };
-        let native = is_native(job).then(|| WrappedNativeMsg::<UInt8MultiArray>::from(&message));
-        Ok(Outlet { publisher: node.create_publisher(topic, qos(job))?, message, native, whole: job.way.whole })
+        let mut message = UInt8MultiArray { data: vec![0; job.payload_bytes], ..Default::default() };
+        let publisher = node.create_publisher::<UInt8MultiArray>(topic, qos(job))?;
+        let whole = job.way.whole;
+        if !is_native(job) {
+            let send = move |stamp: Stamp| {
+                stamp.write(&mut message.data, whole);
+                Ok(publisher.publish(&message)?)
+            };
+            return Ok(Outlet { send: Box::new(send) });
+        }
+        // Of a type that cannot be loaned this is memory of its own.
+        let mut native = publisher.borrow_loaned_message()?;
+        native.data.update(&message.data);
+        let send = move |stamp: Stamp| {
+            // SAFETY: a sequence owns `size` bytes at `data`, and nobody else has this one.
+            let bytes = unsafe { std::slice::from_raw_parts_mut(native.data.data, native.data.size) };
+            stamp.write(bytes, whole);
+            Ok(publisher.publish_native(&mut native)?)
+        };
+        Ok(Outlet { send: Box::new(send) })
     }
 
     fn send(&mut self, stamp: Stamp) -> Result<()> {
-        match &mut self.native {
-            Some(native) => {
-                // SAFETY: a sequence owns `size` bytes at `data`, and nobody else has this one.
-                let bytes = unsafe { std::slice::from_raw_parts_mut(native.data.data, native.data.size) };
-                stamp.write(bytes, self.whole);
-                Ok(self.publisher.publish_native(native)?)
-            }
-            None => {
-                stamp.write(&mut self.message.data, self.whole);
-                Ok(self.publisher.publish(&self.message)?)
-            }
-        }
+        (self.send)(stamp)
     }
 }
 
@@ -167,22 +169,21 @@ fn is_native(job: &Job) -> bool {
     job.way.mode == "native"
 }
 
-type Input = Pin<Box<dyn futures::Stream<Item = Result<Stamp>> + Send>>;
+type Input = LocalBoxStream<'static, Result<Stamp>>;
 
 /// What is read of the messages of a topic.
 fn stamps(node: &mut Node, job: &Job, topic: &str) -> Result<Input> {
     let whole = job.way.whole;
-    let stamps: BoxStream<'static, Result<Stamp>> = if is_native(job) {
+    Ok(if is_native(job) {
         let messages = node.subscribe_native::<UInt8MultiArray>(topic, qos(job))?;
-        let read = move |message: WrappedNativeMsg<UInt8MultiArray>| {
+        let stamps = messages.map(move |message| {
             // SAFETY: a sequence owns `size` bytes at `data`.
             let bytes = unsafe { std::slice::from_raw_parts(message.data.data, message.data.size) };
             Stamp::read(bytes, whole)
-        };
-        messages.map(read).boxed()
+        });
+        stamps.boxed_local()
     } else {
         let messages = node.subscribe::<UInt8MultiArray>(topic, qos(job))?;
-        messages.map(move |message| Stamp::read(&message.data, whole)).boxed()
-    };
-    Ok(stamps)
+        messages.map(move |message| Stamp::read(&message.data, whole)).boxed_local()
+    })
 }
