@@ -33,6 +33,7 @@
 #[cfg(feature = "action_msgs")]
 mod action;
 mod args;
+mod callbacks;
 mod context;
 mod error;
 mod graph;
@@ -63,6 +64,7 @@ pub use action::{
 };
 #[cfg(all(feature = "action_msgs", feature = "untyped"))]
 pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
+pub use callbacks::NodeCallbacks;
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
 pub use graph::TopicEndpointInfo;
@@ -72,7 +74,8 @@ pub use logging::{LogSeverity, Logger};
 pub use node::{Node, NodeOptions};
 pub use parameters::{
     OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
-    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, WrongParameterType,
+    ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, UnknownParameterType,
+    WrongParameterType,
 };
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use qos_events::{

@@ -95,6 +95,15 @@ enum Verb {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// How late the event of a missed deadline is with 200 topics on a sampler, beside a timer and a bare sleep
+    Deadlines {
+        /// Fewer and shorter rounds: some seconds
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it
     Parameters {
         /// Fewer rounds: some seconds
@@ -188,6 +197,9 @@ fn main() -> ExitCode {
         }
         Verb::Bench(Bench::Services { quick, json, arguments }) => {
             steps::run(bench("services", quick, json.as_deref()).args(arguments))
+        }
+        Verb::Bench(Bench::Deadlines { quick, json }) => {
+            steps::run(&mut bench("deadlines", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Parameters { quick, json }) => {
             steps::run(&mut bench("parameters", quick, json.as_deref()))

@@ -99,26 +99,11 @@ fn result(set: Result<Changed>, changed: &mut Changed) -> SetParametersResult {
 }
 
 fn values(parameters: impl IntoIterator<Item = msg::Parameter>) -> Result<Changed> {
-    parameters.into_iter().map(|parameter| Ok((parameter.name.clone(), value_of(parameter)?))).collect()
-}
-
-/// # Errors
-/// The message's type is none that there is.
-fn value_of(parameter: msg::Parameter) -> Result<ParameterValue> {
-    let msg::Parameter { name, value: message } = parameter;
-    Ok(match message.r#type {
-        0 => ParameterValue::NotSet,
-        1 => ParameterValue::Bool(message.bool_value),
-        2 => ParameterValue::Integer(message.integer_value),
-        3 => ParameterValue::Double(message.double_value),
-        4 => ParameterValue::String(message.string_value),
-        5 => ParameterValue::ByteArray(message.byte_array_value),
-        6 => ParameterValue::BoolArray(message.bool_array_value),
-        7 => ParameterValue::IntegerArray(message.integer_array_value),
-        8 => ParameterValue::DoubleArray(message.double_array_value),
-        9 => ParameterValue::StringArray(message.string_array_value),
-        unknown => return Err(ParameterError::UnknownType { name, number: unknown }.into()),
-    })
+    let of_message = |msg::Parameter { name, value }| match value.try_into() {
+        Ok(value) => Ok((name, value)),
+        Err(source) => Err(ParameterError::UnknownType { name, source }.into()),
+    };
+    parameters.into_iter().map(of_message).collect()
 }
 
 fn descriptor(

@@ -153,8 +153,7 @@ impl RawPublisher {
             shared,
         };
         publisher.peers.borrow_mut().refresh(&publisher.topic, &publisher.slot, gid);
-        let Shared { domain, doorbell, .. } = &*publisher.shared;
-        ports::announce_publisher(*domain, doorbell, &publisher.topic);
+        publisher.announce();
         Ok(publisher)
     }
 
@@ -168,6 +167,10 @@ impl RawPublisher {
     /// What its monitor watches.
     pub(crate) fn place(&self) -> (&Arc<Topic>, &Arc<Slot>, Address) {
         (&self.topic, &self.slot, self.address)
+    }
+
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.shared
     }
 
     /// The topic's fully qualified name.
@@ -204,6 +207,16 @@ impl RawPublisher {
         // Acquire: pairs with the Release in the subscription's tracker.
         let taken = |link: &crate::doorbell::Link| link.taken.0.load(crate::sync::Ordering::Acquire) >= sent;
         peers.matched.iter().filter_map(|matched| matched.link()).all(taken)
+    }
+
+    /// How many samples were sent.
+    pub(crate) fn sent(&self) -> u64 {
+        self.peers.borrow().sequence_number
+    }
+
+    /// Tells the topic's subscriptions once more that this publisher has come.
+    pub(crate) fn announce(&self) {
+        ports::announce_publisher(self.shared.domain, &self.shared.doorbell, &self.topic);
     }
 
     /// Its slot, which is rung when the topic's ports change.
