@@ -10,6 +10,7 @@
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
+//! | `compare` | the comparison with other middleware: builds the rivals, and runs all |
 //! | `network` | the bench of the gateways: builds Zenoh's and hiroz's sides, and runs all |
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
@@ -20,6 +21,7 @@
 //! | `machine` | where things are built, and what this user may do |
 
 mod bridge;
+mod compare;
 mod examples;
 mod fuzz;
 mod lttng;
@@ -152,6 +154,8 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up
+    Compare(compare::Options),
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
     Network(network::Options),
     /// A request and its response, beside a topic each way and iceoryx2's request-response
@@ -213,6 +217,7 @@ fn main() -> ExitCode {
             steps::run(&mut bench("parameters", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
+        Verb::Bench(Bench::Compare(options)) => compare::run(&options),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
         Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The README's tables and its picture, made from a run on this machine: no number in them is typed.
 
-use crate::{bench, network, paper, steps};
+use crate::{bench, compare, network, paper, steps};
 use serde_json::Value;
 use std::fmt::Write;
 use std::fs;
@@ -10,6 +10,8 @@ use std::process::{Command, ExitCode};
 
 /// Where the picture goes.
 const PICTURE: &str = "docs/demo.svg";
+/// That of the comparison.
+const COMPARISON: &str = "docs/compare.svg";
 
 /// A part of the README that is made from a run.
 #[derive(clap::ValueEnum, Clone, Copy, PartialEq, Eq)]
@@ -20,11 +22,12 @@ pub enum Part {
     Parameters,
     Network,
     Paper,
+    Compare,
 }
 
 impl Part {
-    const ALL: [Part; 6] =
-        [Part::Demo, Part::Wake, Part::Messages, Part::Parameters, Part::Network, Part::Paper];
+    const ALL: [Part; 7] =
+        [Part::Demo, Part::Wake, Part::Messages, Part::Parameters, Part::Network, Part::Paper, Part::Compare];
 
     /// Its mark in the README.
     fn mark(self) -> &'static str {
@@ -35,6 +38,7 @@ impl Part {
             Part::Parameters => "parameters",
             Part::Network => "network",
             Part::Paper => "paper",
+            Part::Compare => "compare",
         }
     }
 
@@ -54,6 +58,13 @@ impl Part {
                 json: Some(json.to_owned()),
                 ..Default::default()
             })?,
+            Part::Compare => compare::command(&compare::Options {
+                quick,
+                json: Some(json.to_owned()),
+                html: Some(json.with_extension("html")),
+                arguments: vec!["--svg".to_owned(), COMPARISON.to_owned()],
+                ..Default::default()
+            }),
             Part::Paper => {
                 // The whole evaluation takes two hours, this a quarter of one.
                 let (runs, seconds) = if quick { (None, None) } else { (Some(3), Some(8.0)) };
@@ -71,6 +82,7 @@ impl Part {
             Part::Parameters => parameters_tables(run),
             Part::Network => network_tables(run),
             Part::Paper => paper_table(run),
+            Part::Compare => compare_tables(run),
         }
     }
 }
@@ -261,6 +273,59 @@ fn paper_table(rows: &Value) -> String {
 fn run_seconds(row: &Value) -> f64 {
     let number = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
     number("n") * number("deadline_ms") / 1e3 / number("runs")
+}
+
+/// The comparison: a line for each way of each system.
+fn compare_tables(run: &Value) -> String {
+    let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
+    let measured: Vec<&Value> = rows.iter().copied().filter(|row| row["n"] != 0).collect();
+    let find = |experiment: &str, (system, mode): (&str, &str), bytes: u64| {
+        measured.iter().copied().find(|row| {
+            row["experiment"] == experiment
+                && row["system"] == system
+                && row["mode"] == mode
+                && row["payload_bytes"] == bytes
+        })
+    };
+    let held = "latency/whole/held-off";
+    let both = |row: &Value| format!("{} / {}", us(row, "p50_us"), us(row, "p99_us"));
+    type Cell<'a> = (&'a str, &'a str, u64, &'a dyn Fn(&Value) -> String);
+    let columns: [Cell; 6] = [
+        ("64 B", held, 64, &both),
+        ("1 MiB", held, 1 << 20, &both),
+        ("8 MiB", held, 8 << 20, &both),
+        ("1 kHz under load, p99.9", "open-loop/load/held-off", 1024, &|row| us(row, "p999_us")),
+        ("robot: CPU", "robot/20x100Hz", 4096, &|row| us(row, "cpu_us_per_msg")),
+        ("robot: MiB", "robot/20x100Hz", 4096, &|row| us(row, "rss_mib")),
+    ];
+    let mut out = String::from("| system |");
+    columns.iter().for_each(|(title, ..)| out.push_str(&format!(" {title} |")));
+    let _ = writeln!(out, "\n|---|{}", "--:|".repeat(columns.len()));
+    for name in names(&measured) {
+        let cells = columns
+            .map(|(_, experiment, bytes, text)| find(experiment, name, bytes).map_or("-".into(), text));
+        if cells.iter().any(|cell| cell != "-") {
+            let _ = writeln!(out, "| {}, {} | {} |", name.0, name.1, cells.join(" | "));
+        }
+    }
+    let mut missing: Vec<String> = Vec::new();
+    for row in rows.iter().filter(|row| row["experiment"] == "-") {
+        let text =
+            format!("{} ({})", row["system"].as_str().unwrap_or("?"), row["note"].as_str().unwrap_or("?"));
+        if !missing.contains(&text) {
+            missing.push(text);
+        }
+    }
+    let missing =
+        if missing.is_empty() { String::new() } else { format!(" Left out: {}.", missing.join("; ")) };
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench compare`: half round trips in µs (p50 / p99), payload written and read whole, idle states held \
+         off for all, FIFO 50, pinned; one way at 1 kHz under load; 20 topics at 100 Hz: CPU time of all processes per message \
+         in µs and resident memory; {}.{missing}",
+        machine()
+    );
+    out
 }
 
 /// Systems and modes in the order in which they first appear.

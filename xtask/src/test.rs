@@ -2,10 +2,13 @@
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
 use crate::machine::{self, Domain};
-use crate::reports::{check_ablation, check_demo, check_messages, check_network, check_paper, check_wake};
+use crate::reports::{
+    check_ablation, check_compare, check_demo, check_messages, check_network, check_paper, check_wake,
+};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
-    bench, bridge, examples, fuzz, lttng, paper as evaluation, peers, programs, ros, stress_doorbell,
+    bench, bridge, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, programs, ros,
+    stress_doorbell,
 };
 use std::process::{Command, ExitCode};
 
@@ -22,8 +25,7 @@ pub fn run(quick: bool) -> ExitCode {
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
-    let binaries =
-        "build --release -p taut -p tautline-examples -p own-messages -p tautline-benches --bins --examples";
+    let binaries = "build --release -p taut -p tautline-examples -p own-messages -p tautline-benches -p tautline-compare --bins --examples";
     let built = steps.command("build", &mut cargo(binaries));
     demo(&mut steps);
     examples::run(&mut steps, built, false);
@@ -37,7 +39,7 @@ pub fn run(quick: bool) -> ExitCode {
         programs::test(&mut steps);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 11] = [
+    let slow: [(&str, Step); 12] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: parameters", parameters),
@@ -45,6 +47,7 @@ pub fn run(quick: bool) -> ExitCode {
         ("bench: messages", messages),
         ("bench: services", services),
         ("bench: network", network),
+        ("bench: compare", compare),
         ("bench: paper", paper),
         ("loom", loom),
         ("miri", miri),
@@ -63,21 +66,24 @@ pub fn run(quick: bool) -> ExitCode {
 
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
-    // A workspace of its own, which needs a ROS 2 for more than this; what it uses of ours may have got dependencies.
-    let r2r = machine::root().join("benches/paper-r2r");
-    let mut format = Command::new("rustfmt");
-    steps.command(
-        "fmt: paper-r2r",
-        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs")),
-    );
-    let mut lock = cargo("fetch --quiet --locked --manifest-path");
-    steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
-    let programs = "--manifest-path node/r2r/Cargo.toml";
-    steps.command("fmt: r2r-programs", &mut cargo(&format!("fmt {programs} --check")));
-    steps.command("lock: r2r-programs", &mut cargo(&format!("fetch --quiet --locked {programs}")));
-    let hiroz = "--manifest-path benches/network-hiroz/Cargo.toml";
-    steps.command("fmt: network-hiroz", &mut cargo(&format!("fmt {hiroz} --check")));
-    steps.command("lock: network-hiroz", &mut cargo(&format!("fetch --quiet --locked {hiroz}")));
+    // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
+    for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
+        let r2r = machine::root().join(folder);
+        let mut format = Command::new("rustfmt");
+        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs"));
+        steps.command(&format!("fmt: {name}"), &mut format);
+        let mut lock = cargo("fetch --quiet --locked --manifest-path");
+        steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
+    }
+    for (name, folder) in [
+        ("network-hiroz", "benches/network-hiroz"),
+        ("compare-zenoh", "benches/compare/zenoh"),
+        ("r2r-programs", "node/r2r"),
+    ] {
+        let manifest = format!("--manifest-path {folder}/Cargo.toml");
+        steps.command(&format!("fmt: {name}"), &mut cargo(&format!("fmt {manifest} --check")));
+        steps.command(&format!("lock: {name}"), &mut cargo(&format!("fetch --quiet --locked {manifest}")));
+    }
     steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
@@ -232,6 +238,31 @@ fn network(steps: &mut Steps) {
         }
         match execute(&mut command) {
             Outcome::Ok => check_network(&json),
+            other => other,
+        }
+    });
+}
+
+/// A minute of the comparison with what is built in seconds: it runs, its page is drawn and its report keeps its promises.
+fn compare(steps: &mut Steps) {
+    const SYSTEMS: [&str; 4] = ["floor", "tautline", "iceoryx2", "fastdds"];
+    let target = machine::target_dir();
+    let (json, html) = (target.join("compare.json"), target.join("compare.html"));
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: compare", || {
+        let mut arguments = vec!["--smoke".to_owned()];
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            arguments.push("--no-rt".to_owned());
+        }
+        let mut command = comparison::command(&comparison::Options {
+            systems: SYSTEMS.map(str::to_owned).into(),
+            json: Some(json.clone()),
+            html: Some(html),
+            arguments,
+            ..Default::default()
+        });
+        match execute(&mut command) {
+            Outcome::Ok => check_compare(&json, &SYSTEMS),
             other => other,
         }
     });
