@@ -4,7 +4,9 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_network, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell};
+use crate::{
+    bench, examples, fuzz, lttng, paper as evaluation, peers, ros, services as round_trips, stress_doorbell,
+};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -63,7 +65,9 @@ fn lints(steps: &mut Steps) {
     let mut format = Command::new("rustfmt");
     steps.command(
         "fmt: paper-r2r",
-        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs")),
+        format
+            .args(["--check", "--edition", "2024"])
+            .args(["src/main.rs", "src/bin/services-r2r.rs"].map(|source| r2r.join(source))),
     );
     let mut lock = cargo("fetch --quiet --locked --manifest-path");
     steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
@@ -228,13 +232,12 @@ fn network(steps: &mut Steps) {
     });
 }
 
-/// It runs; what it says belongs to the machine.
+/// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
 fn services(steps: &mut Steps) {
-    let mut command = bench("services", true, None);
-    if !machine::is_ci() && !machine::realtime_permitted() {
-        command.args(["--no-rt"]);
-    }
-    steps.command("bench: services", &mut command);
+    let no_rt = !machine::is_ci() && !machine::realtime_permitted();
+    let arguments = no_rt.then(|| "--no-rt".to_owned()).into_iter().collect();
+    let options = round_trips::Options { quick: true, no_r2r: true, arguments, ..Default::default() };
+    steps.command("bench: services", &mut round_trips::command(&options));
 }
 
 /// It runs; what it says belongs to the machine.
