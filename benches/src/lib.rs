@@ -3,6 +3,7 @@
 //!
 //! | binary | question |
 //! |---|---|
+//! | `deadlines` | how late the event of a missed deadline is, beside a timer and a bare sleep |
 //! | `messages` | what writing, publishing and reading a message costs, beside a plain buffer and other encoders |
 //! | `parameters` | what reading a parameter costs a callback, and whether a thread that sets parameters disturbs it |
 //! | `paper` | do the response times of an ECRTS 2025 paper hold, with Tautline and with r2r, and only for the structure that it proposes |

@@ -18,13 +18,21 @@ pub enum Part {
     Wake,
     Messages,
     Services,
+    Parameters,
     Network,
     Paper,
 }
 
 impl Part {
-    const ALL: [Part; 6] =
-        [Part::Demo, Part::Wake, Part::Messages, Part::Services, Part::Network, Part::Paper];
+    const ALL: [Part; 7] = [
+        Part::Demo,
+        Part::Wake,
+        Part::Messages,
+        Part::Services,
+        Part::Parameters,
+        Part::Network,
+        Part::Paper,
+    ];
 
     /// Its mark in the README.
     fn mark(self) -> &'static str {
@@ -33,6 +41,7 @@ impl Part {
             Part::Wake => "wake",
             Part::Messages => "messages",
             Part::Services => "services",
+            Part::Parameters => "parameters",
             Part::Network => "network",
             Part::Paper => "paper",
         }
@@ -53,6 +62,7 @@ impl Part {
                 json: Some(json.to_owned()),
                 ..Default::default()
             }),
+            Part::Parameters => bench("parameters", quick, Some(json)),
             Part::Network => network::command(&network::Options {
                 quick,
                 json: Some(json.to_owned()),
@@ -73,6 +83,7 @@ impl Part {
             Part::Wake => wake_tables(run),
             Part::Messages => messages_table(run),
             Part::Services => services_table(run),
+            Part::Parameters => parameters_tables(run),
             Part::Network => network_tables(run),
             Part::Paper => paper_table(run),
         }
@@ -356,6 +367,52 @@ fn services_table(run: &Value) -> String {
     out
 }
 
+/// What a read costs, and what a thread that sets does to a callback.
+fn parameters_tables(run: &Value) -> String {
+    let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
+    let of = |experiment: &str| -> Vec<&Value> {
+        rows.iter().copied().filter(|row| row["experiment"] == experiment).collect()
+    };
+    let mut out = String::from("| read | ns | ns, while it is set |\n|---|--:|--:|\n");
+    let ns = |row: &Value| row["p50_us"].as_f64().map_or("-".into(), |us| format!("{:.1}", us * 1e3));
+    for row in of("read") {
+        let Some(what) = row["mode"].as_str().and_then(|mode| mode.strip_suffix(", not being set")) else {
+            continue;
+        };
+        let being_set = format!("{what}, being set");
+        let other = rows.iter().find(|row| row["mode"].as_str() == Some(&being_set));
+        let _ = writeln!(out, "| {what} | {} | {} |", ns(row), other.map_or("-".into(), |row| ns(row)));
+    }
+    out.push_str(
+        "\n| 1 kHz callback, meanwhile | p50 µs | p99 µs | p99.9 µs | max µs | p99 to the quiet one's |\n\
+         |---|--:|--:|--:|--:|--:|\n",
+    );
+    for row in of("callback") {
+        let ratio = |at: usize| row["ratio"][at].as_f64().unwrap_or(f64::NAN);
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {:.2} ({:.2} to {:.2}) |",
+            row["mode"].as_str().unwrap_or("?"),
+            us(row, "p50_us"),
+            us(row, "p99_us"),
+            us(row, "p999_us"),
+            us(row, "max_us"),
+            ratio(0),
+            ratio(1),
+            ratio(2),
+        );
+    }
+    let jobs: u64 = of("callback").iter().filter_map(|row| row["n"].as_u64()).sum();
+    let disturbance = rows.first().and_then(|row| row["disturbance"].as_str()).unwrap_or("?");
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench parameters`: medians of rounds; {jobs} jobs in alternating rounds, the callback FIFO 40 on one core, the \
+         other thread, 10,000 times a second, on another; {disturbance}; {}.",
+        machine()
+    );
+    out
+}
+
 /// Round trips and streams, a line per system, a column per payload; and the callbacks.
 fn network_tables(run: &Value) -> String {
     let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
@@ -469,6 +526,30 @@ mod tests {
         );
         assert!(table.contains("3 runs of 2 s of each"), "{table}");
         assert!(table.contains("at most 1 ticks"));
+    }
+
+    #[test]
+    fn the_parameters_tables_have_reads_and_the_callback() {
+        let row = |experiment: &str, mode: &str, us: f64, ratio: Value| {
+            serde_json::json!({"experiment": experiment, "system": "tautline", "mode": mode, "p50_us": us, "n": 10,
+                               "p99_us": 2.0 * us, "ratio": ratio, "disturbance": "steal 3 ticks"})
+        };
+        let rows = [
+            row("read", "f64, not being set", 0.0031, Value::Null),
+            row("read", "f64, being set", 0.0052, Value::Null),
+            row("callback", "quiet", 10.0, serde_json::json!([1.0, 1.0, 1.0])),
+            row("callback", "a thread sets", 10.5, serde_json::json!([1.05, 0.97, 1.2])),
+        ];
+        let tables = parameters_tables(&rows.to_vec().into());
+        for line in [
+            "| f64 | 3.1 | 5.2 |\n",
+            "| quiet | 10.00 | 20.00 | - | - | 1.00 (1.00 to 1.00) |\n",
+            "| a thread sets | 10.50 | 21.00 | - | - | 1.05 (0.97 to 1.20) |\n",
+            "20 jobs in alternating rounds",
+            "steal 3 ticks",
+        ] {
+            assert!(tables.contains(line), "{line}\n{tables}");
+        }
     }
 
     #[test]

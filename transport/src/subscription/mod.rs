@@ -172,6 +172,10 @@ impl RawSubscription {
         (&self.departure.topic, &self.departure.slot, self.address)
     }
 
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.departure.shared
+    }
+
     /// The topic's fully qualified name.
     pub fn topic(&self) -> &str {
         &self.departure.topic.name
