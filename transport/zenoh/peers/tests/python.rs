@@ -12,8 +12,8 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc;
 use std::time::Duration;
 use support::{Host, until, wait};
-use tautline_msgs::Message;
 use tautline_msgs::cdr::Endian;
+use tautline_msgs::{Message, Service};
 use tautline_ros_msgs::{geometry_msgs, sensor_msgs, std_msgs};
 use tautline_transport::{Limits, Qos, TopicType};
 
@@ -127,9 +127,13 @@ fn a_service_each_way() {
     let Some(python) = python() else { return };
     let host = Host::first(67, 67);
     let limits = Limits::SERVICE;
+    let hash = [<SetBool::Service as Service>::TYPE_HASH];
+    // The network hears of what nodes have.
+    let node = host.participant.create_node("our_node", "/").unwrap();
+    let ours = host.participant.for_node(&node);
 
-    let peer = Peer::start_script(&python, &host, "service.py", "serve", "/theirs/switch", &[]);
-    let client = host.participant.create_client::<SetBool::Service>("/theirs/switch", limits).unwrap();
+    let peer = Peer::start_script(&python, &host, "service.py", "serve", "/theirs/switch", &hash);
+    let client = ours.create_client::<SetBool::Service>("/theirs/switch", limits).unwrap();
     until("their service", || client.server_count() == 1);
     for data in [true, false] {
         let mut pending = client.request(&SetBool::Request { data }).unwrap();
@@ -144,8 +148,8 @@ fn a_service_each_way() {
     drop(peer);
     until("the end of their service", || client.server_count() == 0);
 
-    let mut server = host.participant.create_server::<SetBool::Service>("/ours/switch", 10, limits).unwrap();
-    let mut peer = Peer::start_script(&python, &host, "service.py", "ask", "/ours/switch", &[]);
+    let mut server = ours.create_server::<SetBool::Service>("/ours/switch", 10, limits).unwrap();
+    let mut peer = Peer::start_script(&python, &host, "service.py", "ask", "/ours/switch", &hash);
     for (data, answer) in [("True", "answer (True, 'Grüße')"), ("False", "answer (False, 'Grüße')")] {
         writeln!(peer.input, "{data}").unwrap();
         let request = wait("their request", || server.try_take().unwrap());
