@@ -34,6 +34,7 @@ mod r2r;
 mod readme;
 mod reports;
 mod ros;
+mod services;
 mod steps;
 mod test;
 
@@ -158,18 +159,8 @@ enum Bench {
     Compare(compare::Options),
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
     Network(network::Options),
-    /// A request and its response, beside a topic each way and iceoryx2's request-response
-    Services {
-        /// Fewer and shorter rounds: some seconds
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-        /// Passed on: see `cargo xtask bench services -- --help`
-        #[arg(last = true)]
-        arguments: Vec<String>,
-    },
+    /// A request and its response, beside a topic each way, iceoryx2's request-response and, if there is a ROS 2, r2r's services
+    Services(services::Options),
     /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
     Bridge(bridge::Options),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
@@ -207,9 +198,7 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Messages { quick, json, arguments }) => {
             steps::run(bench("messages", quick, json.as_deref()).args(arguments))
         }
-        Verb::Bench(Bench::Services { quick, json, arguments }) => {
-            steps::run(bench("services", quick, json.as_deref()).args(arguments))
-        }
+        Verb::Bench(Bench::Services(options)) => services::run(&options),
         Verb::Bench(Bench::Deadlines { quick, json }) => {
             steps::run(&mut bench("deadlines", quick, json.as_deref()))
         }

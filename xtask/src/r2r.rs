@@ -23,6 +23,20 @@ pub fn cargo(arguments: &str) -> Result<Command, String> {
     Ok(command)
 }
 
+/// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
+pub fn program(name: &str) -> Result<PathBuf, String> {
+    let target = machine::target_dir().join("ros/paper-r2r");
+    let mut build = cargo("build --release --locked")?;
+    build.arg("--manifest-path").arg(machine::root().join("benches/paper-r2r/Cargo.toml"));
+    build.arg("--target-dir").arg(&target);
+    // The messages that the programs use; all of them take minutes.
+    build.env("IDL_PACKAGE_FILTER", "std_msgs;test_msgs");
+    match steps::execute(&mut build) {
+        Outcome::Ok => Ok(target.join("release").join(name)),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+    }
+}
+
 /// What the bridge's build script makes the rpath of.
 const RPATH: &str = "TAUT_ROS_RPATH";
 

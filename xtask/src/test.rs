@@ -8,7 +8,7 @@ use crate::reports::{
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
     bench, bridge, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, programs, ros,
-    stress_doorbell,
+    services as round_trips, stress_doorbell,
 };
 use std::process::{Command, ExitCode};
 
@@ -67,10 +67,12 @@ pub fn run(quick: bool) -> ExitCode {
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
     // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
+    let sources = ["src/main.rs", "src/bin/services-r2r.rs"];
     for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
         let r2r = machine::root().join(folder);
         let mut format = Command::new("rustfmt");
-        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs"));
+        format.args(["--check", "--edition", "2024"]);
+        format.args(sources.map(|source| r2r.join(source)).iter().filter(|source| source.exists()));
         steps.command(&format!("fmt: {name}"), &mut format);
         let mut lock = cargo("fetch --quiet --locked --manifest-path");
         steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
@@ -268,13 +270,12 @@ fn compare(steps: &mut Steps) {
     });
 }
 
-/// It runs; what it says belongs to the machine.
+/// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
 fn services(steps: &mut Steps) {
-    let mut command = bench("services", true, None);
-    if !machine::is_ci() && !machine::realtime_permitted() {
-        command.args(["--no-rt"]);
-    }
-    steps.command("bench: services", &mut command);
+    let no_rt = !machine::is_ci() && !machine::realtime_permitted();
+    let arguments = no_rt.then(|| "--no-rt".to_owned()).into_iter().collect();
+    let options = round_trips::Options { quick: true, no_r2r: true, arguments, ..Default::default() };
+    steps.command("bench: services", &mut round_trips::command(&options));
 }
 
 /// It runs; what it says belongs to the machine.
