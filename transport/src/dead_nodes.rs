@@ -5,8 +5,12 @@ use crate::graph::Graph;
 use crate::topic::IoxNode;
 use iceoryx2::node::{NodeState, NodeView};
 use iceoryx2::prelude::{CallbackProgression, Config, Node as Iceoryx2Node, ipc};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
+
+/// The mode of iceoryx2's files until they are written.
+const INCOMPLETE: u32 = 0o600;
 
 /// Removes it, and says so to those who wait for changes.
 pub(crate) fn remove(node: &IoxNode, graph: &Graph) {
@@ -21,22 +25,34 @@ pub(crate) fn remove(node: &IoxNode, graph: &Graph) {
     }
 }
 
-/// Gives the nodes the details that they lack and removes them. Returns whether any was removed.
+/// Gives the nodes the details that they lack, takes what stands in the way, and removes them. Returns whether any was removed.
 ///
 /// iceoryx2 looks for the rest of a dead node where the configuration says that was kept with it. Of a process that was killed
-/// before it had written that, or while it removed a dead node after that was gone, everything else would stay for ever. All
-/// nodes of a domain have one configuration: ours.
+/// before it had written that, everything else would stay for ever; and of one that was killed while it made a port, for a
+/// tag that is not complete is never removed, but the details are. All nodes of a domain have one configuration: ours.
 fn complete(node: &IoxNode, nameless: &[u128]) -> bool {
     let config = node.config();
     let own = details(config, node.id().value());
-    let give = |id: &u128| -> io::Result<()> {
+    let prepare = |id: &u128| -> io::Result<()> {
         let path = details(config, *id);
+        remove_incomplete(path.parent().unwrap_or(&path))?;
         let draft = path.with_extension(format!("{}", std::process::id()));
         fs::copy(&own, &draft)?;
         fs::rename(&draft, path)
     };
     // Where that fails somebody else has removed it, or it is tried again at the next look.
-    nameless.iter().filter(|id| give(id).is_ok()).count() > 0 && node.try_cleanup_dead_nodes().cleanups > 0
+    nameless.iter().filter(|id| prepare(id).is_ok()).count() > 0 && node.try_cleanup_dead_nodes().cleanups > 0
+}
+
+/// Removes the files of a dead node that are as their maker left them when it was killed: nobody has read them.
+fn remove_incomplete(folder: &Path) -> io::Result<()> {
+    for file in fs::read_dir(folder)? {
+        let file = file?;
+        if file.metadata()?.permissions().mode() & 0o777 == INCOMPLETE {
+            fs::remove_file(file.path())?;
+        }
+    }
+    Ok(())
 }
 
 /// The dead nodes of which nobody can say how they were configured.
@@ -77,7 +93,9 @@ mod tests {
         let nodes = folder.parent().unwrap().to_owned();
         let monitor = |end: &str| nodes.join(format!("{}{id}.node_monitor{end}", config.global.prefix));
         fs::create_dir(&folder).unwrap();
-        fs::write(folder.join(format!("{}1234.port_tag", config.global.prefix)), "").unwrap();
+        let tag = folder.join(format!("{}1234.port_tag", config.global.prefix));
+        fs::write(&tag, "").unwrap();
+        fs::set_permissions(tag, fs::Permissions::from_mode(INCOMPLETE)).unwrap();
         let own = format!("{}{}.node_monitor_context", config.global.prefix, id - 1);
         let mut context = fs::read(nodes.join(own)).unwrap();
         // Starts with the number of the process: one that nobody has.

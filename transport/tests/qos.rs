@@ -3,6 +3,9 @@
 
 mod support;
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Context, Poll, Wake, Waker};
 use std::time::Duration;
 use support::{Count, Part, clean, domain, say, take_all, wait_for, wait_for_the_end};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
@@ -22,6 +25,16 @@ const LIMITS: Limits = Limits {
     message_bytes: 4096,
     may_grow: true,
 };
+
+/// How often a task was woken.
+#[derive(Default)]
+struct Woken(AtomicU32);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
 
 /// The child's part; without its variable it is no test.
 #[test]
@@ -140,6 +153,71 @@ fn what_is_too_old_is_not_delivered_but_counted() {
         assert!(take_all(&subscription).is_empty());
         subscription.counters().expired() == 3
     });
+}
+
+#[test]
+fn a_take_looks_at_so_many_and_no_more_and_says_when_there_may_be_more() {
+    /// Samples that one call looks at.
+    const LOOKS: u64 = 16;
+    let participant = Participant::new(domain(62)).unwrap();
+    let seat = participant.doorbell().claim_sampler().unwrap();
+    let short = Qos { lifespan: Some(Duration::from_nanos(1)), ..Qos::default() };
+    let short = publisher(&participant, "/passed", short);
+    let long = publisher(&participant, "/passed", Qos::default());
+    let subscription = subscription(&participant, "/passed", Qos::keep_last(LIMITS.depth));
+    let counters = subscription.counters();
+    let is_rung = || seat.drain(|_| {}) > 0;
+    // Once more than a call looks at, and one that is not too old behind them.
+    let publish = || {
+        for n in 0..2 * LOOKS + 1 {
+            short.publish(&Count { n }).unwrap();
+        }
+        sleep_until_monotonic(monotonic_ns() + 1);
+        long.publish(&Count { n: 77 }).unwrap();
+        assert!(is_rung(), "they were published");
+    };
+    publish();
+    for looked in [LOOKS, 2 * LOOKS] {
+        assert!(subscription.try_take().unwrap().is_none());
+        assert_eq!(
+            (counters.expired(), is_rung()),
+            (looked, true),
+            "whoever waits for the doorbell comes again"
+        );
+    }
+    assert_eq!(subscription.try_take().unwrap().unwrap().n, 77);
+    assert_eq!((counters.expired(), counters.received(), counters.lost()), (2 * LOOKS + 1, 1, 0));
+
+    publish();
+    assert!([(), ()].iter().all(|()| subscription.try_take_valid().unwrap().is_none() && is_rung()));
+    assert_eq!(subscription.try_take_valid().unwrap().unwrap().n, 77);
+
+    // A task is woken itself, and its thread's other tasks have a turn.
+    publish();
+    let woken = Arc::new(Woken::default());
+    let waker = Waker::from(woken.clone());
+    let mut context = Context::from_waker(&waker);
+    let times = || woken.0.load(Ordering::Relaxed);
+    for polls in 1..=2 {
+        assert!(subscription.poll_take(&mut context).is_pending());
+        assert_eq!(times(), polls);
+    }
+    assert!(matches!(subscription.poll_take(&mut context), Poll::Ready(sample) if sample.n == 77));
+    assert!(subscription.poll_take(&mut context).is_pending());
+    assert_eq!((times(), counters.lost()), (2, 0), "nothing is behind it");
+
+    // Invalid ones count like those that are too old.
+    let raw = participant.create_raw_publisher("/passed", &TopicType::of::<Count>(), Qos::default(), LIMITS);
+    let raw = raw.unwrap();
+    (0..LOOKS / 2).for_each(|n| short.publish(&Count { n }).unwrap());
+    (0..LOOKS).for_each(|_| raw.publish(&[1, 2, 3]).unwrap());
+    sleep_until_monotonic(monotonic_ns() + 1);
+    let (expired, invalid) = (counters.expired(), counters.invalid());
+    let looked = || counters.expired() - expired + counters.invalid() - invalid;
+    assert!(subscription.poll_take(&mut context).is_pending());
+    assert_eq!((looked(), times()), (LOOKS, 3));
+    assert!(subscription.poll_take(&mut context).is_pending());
+    assert_eq!((looked(), counters.invalid() - invalid, times()), (LOOKS * 3 / 2, LOOKS, 3));
 }
 
 #[test]

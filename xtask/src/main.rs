@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
+//! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
@@ -13,10 +14,12 @@
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
+//! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
+mod bridge;
 mod examples;
 mod fuzz;
 mod lttng;
@@ -24,6 +27,7 @@ mod machine;
 mod network;
 mod paper;
 mod peers;
+mod programs;
 mod r2r;
 mod readme;
 mod reports;
@@ -58,10 +62,14 @@ enum Verb {
         #[arg(long)]
         bless: bool,
     },
-    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
+    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it, and the bridge is built with it
     Ros,
+    /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
+    Bridge,
     /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
+    /// Runs the programs of the test r2r_programs on r2r, with the ROS 2 that is sourced or that under target/ros
+    R2r,
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
@@ -158,6 +166,8 @@ enum Bench {
         #[arg(last = true)]
         arguments: Vec<String>,
     },
+    /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
+    Bridge(bridge::Options),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),
 }
@@ -184,7 +194,9 @@ fn main() -> ExitCode {
             steps.finish()
         }
         Verb::Ros => ros::run(),
+        Verb::Bridge => bridge::run(),
         Verb::Peers => peers::run(),
+        Verb::R2r => programs::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
             steps::run(bench("wake", quick, json.as_deref()).args(arguments))
         }
@@ -202,6 +214,7 @@ fn main() -> ExitCode {
         }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
+        Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),
         Verb::Miri => {

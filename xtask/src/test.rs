@@ -4,7 +4,9 @@
 use crate::machine::{self, Domain};
 use crate::reports::{check_ablation, check_demo, check_messages, check_network, check_paper, check_wake};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell};
+use crate::{
+    bench, bridge, examples, fuzz, lttng, paper as evaluation, peers, programs, ros, stress_doorbell,
+};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -16,6 +18,7 @@ pub fn run(quick: bool) -> ExitCode {
     lints(&mut steps);
     ros(&mut steps);
     tests(&mut steps);
+    bridge::test(&mut steps);
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
@@ -28,8 +31,10 @@ pub fn run(quick: bool) -> ExitCode {
     systemd(&mut steps);
     if quick {
         steps.skip("peers", "--quick");
+        steps.skip("r2r: programs", "--quick");
     } else {
         peers::test(&mut steps, built);
+        programs::test(&mut steps);
     }
     type Step = fn(&mut Steps);
     let slow: [(&str, Step); 11] = [
@@ -67,9 +72,13 @@ fn lints(steps: &mut Steps) {
     );
     let mut lock = cargo("fetch --quiet --locked --manifest-path");
     steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
+    let programs = "--manifest-path node/r2r/Cargo.toml";
+    steps.command("fmt: r2r-programs", &mut cargo(&format!("fmt {programs} --check")));
+    steps.command("lock: r2r-programs", &mut cargo(&format!("fetch --quiet --locked {programs}")));
     let hiroz = "--manifest-path benches/network-hiroz/Cargo.toml";
     steps.command("fmt: network-hiroz", &mut cargo(&format!("fmt {hiroz} --check")));
     steps.command("lock: network-hiroz", &mut cargo(&format!("fetch --quiet --locked {hiroz}")));
+    steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
@@ -85,7 +94,7 @@ fn ros(steps: &mut Steps) {
 
 fn tests(steps: &mut Steps) {
     // Every bundled message, not only those of the default packages.
-    let build = "--workspace --features tautline-ros-msgs/all --no-fail-fast";
+    let build = "--workspace --features tautline/ros_all --no-fail-fast";
     let leak_cycles = machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"));
     if machine::cargo_has("nextest --version").is_ok() {
         let profile = if machine::is_ci() { "ci" } else { "default" };
@@ -210,7 +219,7 @@ fn network(steps: &mut Steps) {
     let json = target.join("network.json");
     let _ = std::fs::remove_file(&json);
     // All that `tests` built, with its features: only the bench itself is not there yet.
-    let build = "build --workspace --features tautline-ros-msgs/all --tests --bin network --bin taut-gateway";
+    let build = "build --workspace --features tautline/ros_all --tests --bin network --bin taut-gateway";
     if !steps.command("bench: network: build", &mut cargo(build)) {
         return steps.skip("bench: network", "not built");
     }
@@ -299,7 +308,7 @@ pub fn miri(steps: &mut Steps) {
     let messages = "+nightly miri test -p tautline-msgs --test cdr --test validate --test owned -- \
                     --skip lengths_are_not_believed --skip encoding_does_not_allocate";
     steps.command("miri: messages", &mut cargo(messages));
-    let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker";
+    let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker pending";
     steps.command("miri: samples", &mut cargo(samples));
     let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
     steps.command("miri: rings", &mut cargo(rings));

@@ -4,7 +4,7 @@
 mod hot;
 mod tracker;
 
-pub(crate) use hot::INVALID_AT_ONCE;
+pub(crate) use hot::Patience;
 pub use hot::RawSample;
 
 use crate::address::{Address, Role};
@@ -218,6 +218,11 @@ impl RawSubscription {
             count += usize::from(self.address.incompatibility(&port.address).is_none());
         });
         count
+    }
+
+    /// The topic's publishers.
+    pub(crate) fn publisher_gids(&self) -> Vec<Gid> {
+        ports::publishers(&self.departure.topic).iter().map(|port| port.gid).collect()
     }
 
     /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback).
