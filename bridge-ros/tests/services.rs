@@ -247,6 +247,9 @@ fn what_is_wrong_with_a_service_is_said_and_the_others_go_on() {
     let mut here = Spinning::new(DOMAIN, "here");
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
     peer.tell(json!({ "do": "service", "name": "/twice", "type": SET_BOOL, "behaviour": "set_bool" }));
+    wait_until("ROS's service is seen", || {
+        here.node.get_service_names_and_types().unwrap().contains_key("/twice")
+    });
     let _all = ["/a", "/wrong", "/twice", "/unspoken"].map(|name| serve_set_bool(&mut here.node, name));
     // Of a package that ROS does not have.
     let handle = here.node.handle().clone();
