@@ -214,7 +214,9 @@ impl Control {
                 self.outgoing.close(key.clone(), *gid);
                 self.writers.remove(&(key.clone(), *gid));
             }
-            Action::StartOut(key, outward) if self.out.contains_key(key) || self.is_matched(key) => {
+            Action::StartOut(key, outward)
+                if key.is_of_action() || self.out.contains_key(key) || self.is_matched(key) =>
+            {
                 self.start_out(key, outward)?;
             }
             Action::StartOut(key, outward) => {
