@@ -33,9 +33,8 @@ pub(crate) enum Event {
 
 /// How often numbers are read, and what failed is tried again.
 const TICK: Duration = Duration::from_secs(1);
-/// How long a publisher in ROS waits for its subscriptions before samples are taken nevertheless.
-const MATCH_TIME: Duration = Duration::from_secs(1);
-/// How often it is looked at meanwhile.
+/// How long it is looked often whether a publisher in ROS has found its subscriptions; afterwards, with each tick.
+const MATCH_TIME: Duration = Duration::from_secs(3);
 const MATCH_LOOK: Duration = Duration::from_millis(2);
 
 pub(crate) struct Control {
@@ -113,7 +112,7 @@ impl Control {
         self.update();
         while !self.shared.stop.load(Ordering::Acquire) {
             let patience = next_tick.saturating_duration_since(Instant::now());
-            let patience = if self.is_waiting() { patience.min(MATCH_LOOK) } else { patience };
+            let patience = if self.is_matching() { patience.min(MATCH_LOOK) } else { patience };
             let mut is_changed = false;
             match events.recv_timeout(patience) {
                 Ok(Event::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break,
@@ -215,11 +214,13 @@ impl Control {
                 self.outgoing.close(key.clone(), *gid);
                 self.writers.remove(&(key.clone(), *gid));
             }
-            Action::StartOut(key, outward) if self.out.contains_key(key) || self.is_matched(key) => {
+            Action::StartOut(key, outward)
+                if key.is_of_action() || self.out.contains_key(key) || self.is_matched(key) =>
+            {
                 self.start_out(key, outward)?;
             }
             Action::StartOut(key, outward) => {
-                self.waiting.insert(key.clone(), (outward.clone(), Instant::now() + MATCH_TIME));
+                self.waiting.insert(key.clone(), (outward.clone(), Instant::now()));
             }
             Action::StopOut(key) => {
                 self.forget(|failed| matches!(failed, Action::StartOut(topic, _) if topic == key));
@@ -289,26 +290,28 @@ impl Control {
         self.types.find(&key.type_name, hash).map_err(|error| error.to_string())
     }
 
-    fn is_waiting(&self) -> bool {
-        !self.waiting.is_empty()
+    /// Whether subscriptions in ROS are about to be found.
+    fn is_matching(&self) -> bool {
+        let now = Instant::now();
+        let is_new = |since: Instant| now < since + MATCH_TIME;
+        self.waiting.values().any(|(_, since)| is_new(*since))
             || self.writers.iter().any(|((key, _), writer)| !writer.is_open && self.out.contains_key(key))
     }
 
-    /// Samples are taken once a publisher in ROS has somebody to send them to: what it sent before would be lost.
+    /// Samples are taken once a publisher in ROS has somebody to send them to: what it sent before would be lost. One that finds
+    /// nobody, while others do, does not keep its samples waiting for ever.
     fn look_for_matches(&mut self) {
         let now = Instant::now();
-        let is_ready = |writer: &Counterpart| {
-            writer.publisher.subscription_count() > 0 || now >= writer.opened + MATCH_TIME
-        };
-        for (key, (outward, deadline)) in std::mem::take(&mut self.waiting) {
-            if now < deadline && !self.is_matched(&key) {
-                self.waiting.insert(key, (outward, deadline));
+        for (key, (outward, since)) in std::mem::take(&mut self.waiting) {
+            if !self.is_matched(&key) {
+                self.waiting.insert(key, (outward, since));
             } else if let Err(reason) = self.start_out(&key, &outward) {
                 self.failed.push((Action::StartOut(key, outward), reason));
             }
         }
         for ((key, gid), writer) in &mut self.writers {
-            if !writer.is_open && self.out.contains_key(key) && is_ready(writer) {
+            let is_ready = || writer.publisher.subscription_count() > 0 || now >= writer.opened + MATCH_TIME;
+            if !writer.is_open && self.out.contains_key(key) && is_ready() {
                 writer.is_open = true;
                 self.outgoing.open(key.clone(), *gid, writer.publisher.clone());
             }

@@ -75,6 +75,17 @@ class Peer(ros_peer.Peer):
         self.asked = client.call_async(fill(client.srv_type.Request(), request))
         return True
 
+    def flood(self, end, request, count):
+        """Sends so many requests, as fast as they are taken from this process, and waits for none."""
+        client = self.ends[end]
+        self.wait(client.service_is_ready)
+        self.flooded = []
+        for index in range(count):
+            self.flooded.append(client.call_async(fill(client.srv_type.Request(), request)))
+            if index % 5 == 4:
+                time.sleep(0.001)
+        return True
+
     def answered(self):
         return self.asked.done()
 

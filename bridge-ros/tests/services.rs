@@ -199,6 +199,46 @@ fn a_server_that_dies_ends_what_it_was_asked() {
 }
 
 #[test]
+fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 26;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let mut here = Spinning::new(DOMAIN, "here");
+    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+
+    // Here: what waits is counted once it is refused, and when the server goes.
+    let silent = here.node.create_service::<SetBool::Service>("/silent", qos()).unwrap();
+    let _served = serve_set_bool(&mut here.node, "/set");
+    let flooding = peer.tell(json!({ "do": "client", "name": "/silent", "type": SET_BOOL }));
+    let other = peer.tell(json!({ "do": "client", "name": "/set", "type": SET_BOOL }));
+    let request = json!({ "data": true });
+    peer.tell(json!({ "do": "flood", "end": flooding, "request": request, "count": 1500 }));
+    let full = "too many requests wait for the server here";
+    wait_until("some are refused", || bridge.service("/silent")["failed"][full].as_u64().unwrap_or(0) > 0);
+    let answers = peer.tell(json!({ "do": "call", "end": other, "requests": [request] }));
+    assert_eq!(answers[0]["success"], true, "the others go on");
+    drop(silent);
+    // Those that wait in the bridge, and those that the server had.
+    wait_until("the rest has failed", || {
+        let failed = bridge.service("/silent")["failed"].as_object().cloned().unwrap_or_default();
+        let others = failed.iter().filter(|(reason, _)| *reason != full);
+        others.filter_map(|(_, count)| count.as_u64()).sum::<u64>() >= 1024
+    });
+
+    // In ROS: a client has as many requests as it can have, and an error of the next.
+    peer.tell(json!({ "do": "service", "name": "/there", "type": SET_BOOL, "behaviour": "silent" }));
+    let client = here.node.create_client::<SetBool::Service>("/there", qos()).unwrap();
+    available(&mut here, &client);
+    let ask = || client.request(&SetBool::Request { data: true });
+    let pending: Vec<_> = (0..tautline::MAX_PENDING_REQUESTS).map(|_| ask().unwrap()).collect();
+    let error = ask().unwrap_err();
+    assert!(matches!(error, tautline::Error::Service(ServiceError::TooManyPending { .. })), "{error}");
+    bridge.kill();
+    let ends = here.wait("errors", join_all(pending));
+    assert!(ends.iter().all(Result::is_err));
+}
+
+#[test]
 fn a_bridge_that_dies_ends_what_it_was_asked_and_the_next_one_goes_on() {
     let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 18;
@@ -247,6 +287,9 @@ fn what_is_wrong_with_a_service_is_said_and_the_others_go_on() {
     let mut here = Spinning::new(DOMAIN, "here");
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
     peer.tell(json!({ "do": "service", "name": "/twice", "type": SET_BOOL, "behaviour": "set_bool" }));
+    wait_until("ROS's service is seen", || {
+        here.node.get_service_names_and_types().unwrap().contains_key("/twice")
+    });
     let _all = ["/a", "/wrong", "/twice", "/unspoken"].map(|name| serve_set_bool(&mut here.node, name));
     // Of a package that ROS does not have.
     let handle = here.node.handle().clone();
