@@ -46,7 +46,12 @@ pub fn bench(options: &Options) -> ExitCode {
 fn build() -> Result<(), String> {
     let mut build =
         cargo("build --release --locked --manifest-path bridge-ros/Cargo.toml --features bench --bins");
-    build.envs(r2r::environment()?).env("CARGO_TARGET_DIR", machine::target_dir());
+    let environment = r2r::environment()?;
+    if let Some((_, lib)) = environment.iter().find(|(name, _)| *name == r2r::RPATH) {
+        // r2r's build script needs the libraries too, and has no rpath.
+        build.env("LD_LIBRARY_PATH", lib);
+    }
+    build.envs(environment).env("CARGO_TARGET_DIR", machine::target_dir());
     // The messages that it uses; all of them take minutes.
     match execute(build.env("IDL_PACKAGE_FILTER", "std_msgs")) {
         Outcome::Ok => Ok(()),

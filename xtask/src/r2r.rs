@@ -38,7 +38,7 @@ pub fn program(name: &str) -> Result<PathBuf, String> {
 }
 
 /// What the bridge's build script makes the rpath of.
-const RPATH: &str = "TAUT_ROS_RPATH";
+pub const RPATH: &str = "TAUT_ROS_RPATH";
 
 /// Variables that a build needs beside those that are set: none where a ROS 2 is sourced and the system has libclang.
 pub fn environment() -> Result<Vec<(&'static str, String)>, String> {
