@@ -3,9 +3,11 @@
 //!
 //! | binary | question |
 //! |---|---|
+//! | `deadlines` | how late the event of a missed deadline is, beside a timer and a bare sleep |
 //! | `messages` | what writing, publishing and reading a message costs, beside a plain buffer and other encoders |
 //! | `parameters` | what reading a parameter costs a callback, and whether a thread that sets parameters disturbs it |
 //! | `paper` | do the response times of an ECRTS 2025 paper hold, with Tautline and with r2r, and only for the structure that it proposes |
+//! | `compare` | Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up; in a package of its own |
 //! | `network` | what the gateways cost beside plain Zenoh; in a package of its own, for it builds Zenoh |
 //! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
 //! | `trace` | what a trace event costs, recorded and not |
@@ -13,10 +15,14 @@
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
 //! the machine. Absolute times belong to the machine; ratios within a run are what is compared.
 
+pub mod canvas;
 mod distribution;
 mod machine;
+pub mod page;
 mod process;
+mod scratch;
 
 pub use distribution::Distribution;
 pub use machine::{Disturbance, machine, version_of};
 pub use process::Process;
+pub use scratch::Scratch;

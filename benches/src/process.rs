@@ -10,6 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde::de::DeserializeOwned;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -118,6 +119,20 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
                 None => thread::sleep(Duration::from_millis(5)),
             }
         }
+    }
+
+    /// Asks it to end, as a terminal does, and kills it if it does not within a second.
+    pub fn terminate(&mut self) {
+        let patience = Duration::from_secs(1);
+        if let Some(pid) = Pid::from_raw(self.child.id().cast_signed()) {
+            // Ignored: it has ended.
+            let _ = kill_process(pid, Signal::TERM);
+        }
+        let since = Instant::now();
+        while since.elapsed() < patience && matches!(self.child.try_wait(), Ok(None)) {
+            thread::sleep(Duration::from_millis(5));
+        }
+        end(&mut self.child);
     }
 
     /// Its number.

@@ -7,11 +7,12 @@ use tautline_bridge_ros::{Config, ConfigError, Options, Pattern, PatternError};
 use tautline_rt::Realtime;
 use tautline_transport::MAX_DOMAIN;
 
-/// Joins Tautline's topics with those of a ROS 2 graph, of any RMW.
+/// Joins Tautline's topics, services and actions with those of a ROS 2 graph, of any RMW.
 ///
 /// Whatever one side publishes and the other subscribes to is passed on, as CDR, with the publishers' QoS; ROS's tools see
-/// Tautline's nodes and topics, and Tautline's tools those of ROS. Types are found in the ROS 2 that is sourced
-/// (AMENT_PREFIX_PATH). Without --config every topic is bridged.
+/// Tautline's nodes and topics, and Tautline's tools those of ROS. Services of Tautline are offered in ROS, those of ROS to the
+/// clients that Tautline has; actions and parameters consist of services and topics. Types are found in the ROS 2 that is
+/// sourced (AMENT_PREFIX_PATH). Without --config everything is bridged.
 #[derive(Parser, Debug)]
 #[command(name = "taut-bridge-ros", version)]
 #[command(after_help = "Examples:
@@ -22,6 +23,7 @@ use tautline_transport::MAX_DOMAIN;
   taut bridge-ros --config bridge.toml --auto       and every topic that it does not speak of
   taut bridge-ros --domain 5 --ros-domain 0         Tautline's domain 5 and ROS's domain 0
   taut bridge-ros --json | jq .topics
+  taut bridge-ros --json | jq .services
 
 A file:
   [[topic]]
@@ -30,7 +32,14 @@ A file:
   direction = \"to_ros\"           # or \"from_ros\"; both ways without it
   type = \"nav_msgs/msg/Odometry\" # what is expected
   qos = { reliability = \"best_effort\", durability = \"volatile\", depth = 5 }
-  max_rate_hz = 10.0")]
+  max_rate_hz = 10.0
+  [[service]]
+  service = \"/set_mode\"
+  ros_service = \"/r1/set_mode\"  # what it is called in ROS
+  direction = \"to_ros\"           # Tautline has the server; \"from_ros\": ROS has it
+  type = \"std_srvs/srv/SetBool\"
+  [[action]]
+  action = \"/dock\"               # its services and its topics; ros_action, direction as above")]
 pub struct Args {
     /// A file that says which topics are bridged, and how
     #[arg(long, value_name = "FILE")]
@@ -38,10 +47,10 @@ pub struct Args {
     /// Also bridge what the file does not speak of
     #[arg(long)]
     auto: bool,
-    /// By discovery, bridge only topics that match; may be given several times
+    /// By discovery, bridge only topics and services that match; may be given several times
     #[arg(long, value_name = "PATTERN")]
     allow: Vec<String>,
-    /// Do not bridge topics that match; may be given several times
+    /// Do not bridge topics and services that match; may be given several times
     #[arg(long, value_name = "PATTERN")]
     deny: Vec<String>,
     /// Tautline's domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
@@ -78,10 +87,12 @@ pub enum ArgsError {
 impl Args {
     pub fn options(&self) -> Result<Options, ArgsError> {
         let config = self.config.as_ref().map(Config::read).transpose()?.unwrap_or_default();
-        let mut rules = config.rules;
-        rules.auto |= self.auto || self.config.is_none();
-        rules.allow.extend(patterns(&self.allow)?);
-        rules.deny.extend(patterns(&self.deny)?);
+        let (mut rules, mut services) = (config.rules, config.services);
+        for rules in [&mut rules, &mut services] {
+            rules.auto |= self.auto || self.config.is_none();
+            rules.allow.extend(patterns(&self.allow)?);
+            rules.deny.extend(patterns(&self.deny)?);
+        }
         let domain = match self.domain.or(config.domain) {
             Some(domain) => domain,
             None => variable("TAUT_DOMAIN")?.or(variable("ROS_DOMAIN_ID")?).unwrap_or(0),
@@ -91,7 +102,7 @@ impl Args {
             None => variable("ROS_DOMAIN_ID")?,
         };
         let realtime = if self.no_rt { Realtime::Off } else { Realtime::Required };
-        Ok(Options { domain, ros_domain, rules, priority: self.priority, realtime })
+        Ok(Options { domain, ros_domain, rules, services, priority: self.priority, realtime })
     }
 }
 

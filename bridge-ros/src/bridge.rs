@@ -9,6 +9,7 @@ use crate::rcl::{
 };
 use crate::ros_graph::BRIDGE_PREFIX;
 use crate::rules::Rules;
+use crate::services::{Services, ServicesError};
 use crate::stats::Stats;
 use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,6 +27,8 @@ pub struct Options {
     pub ros_domain: Option<u32>,
     /// Which topics.
     pub rules: Rules,
+    /// Which services.
+    pub services: Rules,
     /// `SCHED_FIFO` priority of the threads that carry messages, at least 3: the RMW's threads have the one below it, the
     /// bridge's other threads the one below that. Below the sampler's (90), above the callbacks'.
     pub priority: u8,
@@ -41,7 +44,14 @@ impl Options {
 impl Default for Options {
     fn default() -> Self {
         let rules = Rules { auto: true, ..Rules::default() };
-        Options { domain: 0, ros_domain: None, rules, priority: Self::PRIORITY, realtime: Realtime::Required }
+        Options {
+            domain: 0,
+            ros_domain: None,
+            services: rules.clone(),
+            rules,
+            priority: Self::PRIORITY,
+            realtime: Realtime::Required,
+        }
     }
 }
 
@@ -99,6 +109,15 @@ impl From<IncomingError> for BridgeError {
     }
 }
 
+impl From<ServicesError> for BridgeError {
+    fn from(error: ServicesError) -> Self {
+        match error {
+            ServicesError::Rt(error) => error.into(),
+            ServicesError::Rcl(error) => error.into(),
+        }
+    }
+}
+
 /// A running bridge. Dropping it takes everything back: endpoints, nodes, threads.
 pub struct Bridge {
     events: mpsc::SyncSender<Event>,
@@ -125,7 +144,7 @@ impl Shared {
 const EVENTS: usize = 64;
 
 impl Bridge {
-    /// Starts a bridge in this process: five threads of its own and the RMW's, none of which the caller's own real-time
+    /// Starts a bridge in this process: six threads of its own and the RMW's, none of which the caller's own real-time
     /// threads wait for.
     ///
     /// # Real-time
@@ -147,8 +166,9 @@ impl Bridge {
 
         let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"))?;
         let incoming = Incoming::start(&context, priorities.carrying("ros-in"))?;
-        let mut info: Vec<ThreadInfo> =
-            [outgoing.info(), incoming.info()].into_iter().flatten().cloned().collect();
+        let services = Services::start(&participant, &node, priorities.carrying("ros-services"))?;
+        let infos = [outgoing.info(), incoming.info(), services.info()];
+        let mut info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
         let stats = Stats {
             domain: options.domain,
             ros_domain: context.domain(),
@@ -172,7 +192,8 @@ impl Bridge {
                 .spawn(move || move || watch_ros(&graph, wait_set, &wake, &events, &shared))?
         };
         let control = {
-            let control = Control::new(&options, participant, node, outgoing, incoming, shared.clone());
+            let control =
+                Control::new(&options, participant, node, outgoing, incoming, services, shared.clone());
             priorities.other("ros-control").spawn(move || move || control.run(&received))?
         };
         let threads = vec![control, here, there];

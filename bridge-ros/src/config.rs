@@ -2,7 +2,7 @@
 //! The file that says which topics are bridged, and how. All that is wrong with it is said at once, with its line.
 
 use crate::pattern::Pattern;
-use crate::rcl::is_message_type;
+use crate::rcl::{is_message_type, is_service_type};
 use crate::rules::{Direction, QosOverride, Rule, Rules};
 use std::collections::BTreeSet;
 use std::fmt;
@@ -21,6 +21,8 @@ pub struct Config {
     pub ros_domain: Option<u32>,
     /// Which topics.
     pub rules: Rules,
+    /// Which services.
+    pub services: Rules,
 }
 
 /// Something that is wrong with a file.
@@ -137,69 +139,51 @@ impl<'t> Reader<'t> {
         let ros_domain = self.domain(&mut root, "ros_domain");
         let auto = self.flag(&mut root, "auto").unwrap_or(false);
         let (allow, deny) = (self.patterns(&mut root, "allow"), self.patterns(&mut root, "deny"));
+        let mut rules = self.rules(&mut root, "topic", Self::rule);
+        let mut services = self.rules(&mut root, "service", Self::service);
+        for action in self.rules(&mut root, "action", Self::action) {
+            rules.push(action.clone());
+            services.push(action);
+        }
+        self.unknown(&root);
+        let services = Rules { rules: services, auto, allow: allow.clone(), deny: deny.clone() };
+        Config { domain, ros_domain, rules: Rules { rules, auto, allow, deny }, services }
+    }
+
+    /// The tables `[[name]]`.
+    fn rules(
+        &mut self,
+        root: &mut Section<'t>,
+        name: &'static str,
+        read: fn(&mut Self, &'t Value<'t>) -> Option<Rule>,
+    ) -> Vec<Rule> {
         let mut rules: Vec<Rule> = Vec::new();
-        match root.get("topic").map(|value| (value.span().start, value.get_ref())) {
+        match root.get(name).map(|value| (value.span().start, value.get_ref())) {
             None => {}
-            Some((_, DeValue::Array(topics))) => {
-                for topic in topics.iter() {
-                    let rule = self.rule(topic);
+            Some((_, DeValue::Array(tables))) => {
+                for table in tables.iter() {
+                    let rule = read(self, table);
                     if let Some(rule) = &rule
                         && rules.iter().any(|before| before.topic == rule.topic)
                     {
                         let message = format!(
-                            "`topic` \"{}\" is spoken of before: only that counts; remove one of both",
+                            "`{name}` \"{}\" is spoken of before: only that counts; remove one of both",
                             rule.topic
                         );
-                        self.add(topic.span().start, message);
+                        self.add(table.span().start, message);
                     }
                     rules.extend(rule);
                 }
             }
-            Some((at, _)) => self.add(at, "`topic` must be tables: write [[topic]] above each".into()),
+            Some((at, _)) => self.add(at, format!("`{name}` must be tables: write [[{name}]] above each")),
         }
-        self.unknown(&root);
-        Config { domain, ros_domain, rules: Rules { rules, auto, allow, deny } }
+        rules
     }
 
     fn rule(&mut self, value: &'t Value<'t>) -> Option<Rule> {
-        let at = value.span().start;
-        let DeValue::Table(table) = value.get_ref() else {
-            self.add(at, format!("a topic must be a table, not {}: write [[topic]]", kind(value.get_ref())));
-            return None;
-        };
-        let mut section = Section::new(table, "[[topic]]");
-        let topic = match section.get("topic") {
-            Some(value) => self.pattern("topic", value),
-            None => {
-                self.add(
-                    at,
-                    "[[topic]] has no `topic`: add topic = \"/name\" or a pattern such as \"/camera/**\""
-                        .into(),
-                );
-                None
-            }
-        };
-        let ros_topic = section.get("ros_topic").and_then(|value| {
-            let ros_topic = self.pattern("ros_topic", value)?;
-            let topic = topic.as_ref()?;
-            let can_be = match (topic.exact(), topic.prefix()) {
-                (Some(_), _) => ros_topic.exact().is_some(),
-                (_, Some(_)) => ros_topic.prefix().is_some(),
-                _ => false,
-            };
-            if !can_be {
-                let message = format!(
-                    "`ros_topic` \"{ros_topic}\" does not rename \"{topic}\": a name can be renamed to a name, \"/a/**\" to \"/b/**\""
-                );
-                self.add(value.span().start, message);
-            }
-            can_be.then_some(ros_topic)
-        });
-        let direction = self.one_of(
-            &mut section,
-            "direction",
-            &[("to_ros", Some(Direction::ToRos)), ("from_ros", Some(Direction::FromRos)), ("both", None)],
-        );
+        let mut section = self.table(value, "[[topic]]")?;
+        let (topic, ros_topic) = self.names(&mut section, value.span().start, "topic", "ros_topic");
+        let direction = self.direction(&mut section);
         let type_name = section.get("type").and_then(|value| {
             let name = self.text_of("type", value)?;
             let is_one = is_message_type(name);
@@ -215,11 +199,98 @@ impl<'t> Reader<'t> {
         Some(Rule {
             topic: topic?,
             ros_topic,
-            direction: direction.flatten(),
+            direction,
             type_name,
             qos,
             min_period: max_rate_hz.map(|rate| Duration::from_secs_f64(1.0 / rate)),
         })
+    }
+
+    fn service(&mut self, value: &'t Value<'t>) -> Option<Rule> {
+        let mut section = self.table(value, "[[service]]")?;
+        let (service, ros_service) = self.names(&mut section, value.span().start, "service", "ros_service");
+        let direction = self.direction(&mut section);
+        let type_name = section.get("type").and_then(|value| {
+            let name = self.text_of("type", value)?;
+            let is_one = is_service_type(name);
+            if !is_one {
+                let message = format!("`type` \"{name}\" is no type of services: write package/srv/Name, such as \"std_srvs/srv/SetBool\"");
+                self.add(value.span().start, message);
+            }
+            is_one.then(|| name.to_owned())
+        });
+        self.unknown(&section);
+        Some(Rule { ros_topic: ros_service, direction, type_name, ..Rule::new(service?) })
+    }
+
+    /// What an action consists of: a rule for its services and its topics alike.
+    fn action(&mut self, value: &'t Value<'t>) -> Option<Rule> {
+        let mut section = self.table(value, "[[action]]")?;
+        let (action, ros_action) = self.names(&mut section, value.span().start, "action", "ros_action");
+        let direction = self.direction(&mut section);
+        self.unknown(&section);
+        // A pattern is one already: what an action consists of is below its name.
+        let parts = |action: Pattern| match action.exact() {
+            Some(name) => format!("{name}/_action/**").parse().ok(),
+            None => Some(action),
+        };
+        let ros_topic = ros_action.and_then(parts);
+        Some(Rule { ros_topic, direction, ..Rule::new(action.and_then(parts)?) })
+    }
+
+    fn table(&mut self, value: &'t Value<'t>, title: &'static str) -> Option<Section<'t>> {
+        if let DeValue::Table(table) = value.get_ref() {
+            return Some(Section::new(table, title));
+        }
+        let message = format!("{title} must be tables, not {}", kind(value.get_ref()));
+        self.add(value.span().start, message);
+        None
+    }
+
+    /// A name or pattern, and what it is called in ROS.
+    fn names(
+        &mut self,
+        section: &mut Section<'t>,
+        at: usize,
+        key: &'static str,
+        ros_key: &'static str,
+    ) -> (Option<Pattern>, Option<Pattern>) {
+        let name = match section.get(key) {
+            Some(value) => self.pattern(key, value),
+            None => {
+                let title = section.title;
+                self.add(
+                    at,
+                    format!(
+                        "{title} has no `{key}`: add {key} = \"/name\" or a pattern such as \"/camera/**\""
+                    ),
+                );
+                None
+            }
+        };
+        let ros_name = section.get(ros_key).and_then(|value| {
+            let ros_name = self.pattern(ros_key, value)?;
+            let name = name.as_ref()?;
+            let can_be = match (name.exact(), name.prefix()) {
+                (Some(_), _) => ros_name.exact().is_some(),
+                (_, Some(_)) => ros_name.prefix().is_some(),
+                _ => false,
+            };
+            if !can_be {
+                let message = format!(
+                    "`{ros_key}` \"{ros_name}\" does not rename \"{name}\": a name can be renamed to a name, \"/a/**\" to \"/b/**\""
+                );
+                self.add(value.span().start, message);
+            }
+            can_be.then_some(ros_name)
+        });
+        (name, ros_name)
+    }
+
+    fn direction(&mut self, section: &mut Section<'t>) -> Option<Direction> {
+        let choices =
+            [("to_ros", Some(Direction::ToRos)), ("from_ros", Some(Direction::FromRos)), ("both", None)];
+        self.one_of(section, "direction", &choices).flatten()
     }
 
     fn qos(&mut self, section: &mut Section<'t>) -> QosOverride {
@@ -401,6 +472,17 @@ mod tests {
             topic = "/plain"
             direction = "both"
             max_rate_hz = 1
+            [[service]]
+            service = "/set"
+            ros_service = "/r1/set"
+            direction = "from_ros"
+            type = "std_srvs/srv/SetBool"
+            [[action]]
+            action = "/dock"
+            ros_action = "/r1/dock"
+            [[action]]
+            action = "/arm/**"
+            direction = "to_ros"
         "#;
         let config = Config::parse(text).unwrap();
         assert_eq!((config.domain, config.ros_domain), (Some(5), Some(16)));
@@ -412,6 +494,17 @@ mod tests {
         let plain = config.rules.choice("/plain").unwrap();
         assert_eq!((plain.direction, plain.min_period), (None, Some(Duration::from_secs(1))));
         assert!(config.rules.choice("/camera/rgb").is_none() && config.rules.choice("/other").is_some());
+        let choice = config.services.choice("/set").unwrap();
+        assert_eq!((&*choice.ros_topic, choice.direction), ("/r1/set", Some(Direction::FromRos)));
+        assert_eq!(choice.type_name.as_deref(), Some("std_srvs/srv/SetBool"));
+        for rules in [&config.rules, &config.services] {
+            let dock = rules.choice("/dock/_action/feedback").unwrap();
+            assert_eq!((&*dock.ros_topic, dock.direction), ("/r1/dock/_action/feedback", None));
+            assert_eq!(rules.choice("/arm/left/_action/status").unwrap().direction, Some(Direction::ToRos));
+        }
+        assert!(
+            config.services.choice("/camera/set").is_none() && config.services.choice("/other").is_some()
+        );
         assert_eq!(Config::parse("").unwrap(), Config::default());
     }
 
@@ -434,16 +527,21 @@ qos = { depth = 0, reliability = "yes", deadline = 1 }
 topic = "/same"
 [[topic]]
 topic = "/same"
+[[service]]
+service = "/a"
+type = "std_srvs/msg/SetBool"
+[[action]]
+direction = 7
 "#;
         let problems = Config::parse(text).unwrap_err();
         let lines: Vec<usize> = problems.iter().map(|problem| problem.line).collect();
-        assert_eq!(lines, [1, 2, 3, 4, 5, 9, 10, 11, 12, 13, 13, 13, 16]);
+        assert_eq!(lines, [1, 2, 3, 4, 5, 9, 10, 11, 12, 13, 13, 13, 16, 20, 21, 22]);
         let said = problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
         for part in [
             "`domain` is 233: write a whole number from 0 to 232",
             "`auto` must be true or false, not a text",
             "'camera' is no pattern",
-            "the file has no `colour`: it can have allow, auto, deny, domain, ros_domain, topic",
+            "the file has no `colour`: it can have action, allow, auto, deny, domain, ros_domain, service, topic",
             "[[topic]] has no `topic`",
             "`ros_topic` \"/b\" does not rename \"/*/a\"",
             "`direction` is \"out\": write \"to_ros\", \"from_ros\" or \"both\"",
@@ -453,6 +551,9 @@ topic = "/same"
             "`reliability` is \"yes\": write \"reliable\" or \"best_effort\"",
             "`qos` has no `deadline`: it can have depth, durability, history, reliability",
             "\"/same\" is spoken of before",
+            "`type` \"std_srvs/msg/SetBool\" is no type of services",
+            "[[action]] has no `action`",
+            "`direction` is 7",
         ] {
             assert!(said.contains(part), "{part}\n{said}");
         }

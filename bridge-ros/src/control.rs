@@ -8,7 +8,8 @@ use crate::outgoing::Outgoing;
 use crate::rate::Limiter;
 use crate::rcl::{Node, RosNode, RosPublisher, RosSubscription};
 use crate::ros_graph::{self, RosGraph};
-use crate::rules::Direction;
+use crate::rules::{Direction, Rules};
+use crate::services::{Routes, Services};
 use crate::stats::{Book, IncompatibleQos};
 use crate::types::{BridgedType, Types};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -17,7 +18,7 @@ use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_transport::{
     Durability, Gid, GraphSnapshot, Limits, NodeName, Participant, Qos, RawPublisher, RawSubscription,
-    TransportError,
+    ServiceEndpoint, TransportError,
 };
 
 /// What the control thread is told.
@@ -45,6 +46,8 @@ pub(crate) struct Control {
     types: Types,
     outgoing: Outgoing,
     incoming: Incoming,
+    services: Services,
+    service_rules: Rules,
     shared: Arc<Shared>,
     graph: RosGraph,
     /// Whether the last look at what exists failed.
@@ -78,6 +81,7 @@ impl Control {
         node: Arc<Node>,
         outgoing: Outgoing,
         incoming: Incoming,
+        services: Services,
         shared: Arc<Shared>,
     ) -> Self {
         Control {
@@ -87,6 +91,8 @@ impl Control {
             types: Types::new(),
             outgoing,
             incoming,
+            services,
+            service_rules: options.services.clone(),
             shared,
             graph: RosGraph::default(),
             is_stale: false,
@@ -127,6 +133,7 @@ impl Control {
                 next_tick += TICK;
                 is_changed |= self.is_stale || self.graph.has_unknown();
                 self.try_again();
+                self.services.try_again(|| shown(&self.nodes));
                 self.look_for_incompatible();
                 self.read_numbers(TICK);
             }
@@ -161,7 +168,22 @@ impl Control {
             self.act(action);
         }
         self.show_nodes(&here);
-        self.show_ros();
+        // After the topics: an action's feedback has its way before goals have.
+        let services = self.read_services();
+        self.route_services(&here, &services);
+        self.show_ros(services);
+    }
+
+    /// Those of ROS, but for bridges' and for what stands there for Tautline's.
+    fn read_services(&self) -> Vec<ServiceEndpoint> {
+        let is_shown = |node: &RosNode| self.nodes.contains_key(&ros_graph::node_name(node));
+        ros_graph::services(&self.node, self.graph.nodes.iter().filter(|node| !is_shown(node)))
+    }
+
+    fn route_services(&mut self, here: &GraphSnapshot, there: &[ServiceEndpoint]) {
+        let ends: Vec<_> = here.services.iter().filter(|end| !end.is_remote).cloned().collect();
+        let routes = Routes::of(&self.service_rules, &ends, there, self.services.routes());
+        self.services.set_routes(routes, shown(&self.nodes));
     }
 
     /// Ports of bridges and gateways are in no list of endpoints.
@@ -203,7 +225,9 @@ impl Control {
                 self.outgoing.close(key.clone(), *gid);
                 self.writers.remove(&(key.clone(), *gid));
             }
-            Action::StartOut(key, outward) if self.out.contains_key(key) || self.is_matched(key) => {
+            Action::StartOut(key, outward)
+                if key.is_of_action() || self.out.contains_key(key) || self.is_matched(key) =>
+            {
                 self.start_out(key, outward)?;
             }
             Action::StartOut(key, outward) => {
@@ -406,14 +430,19 @@ impl Control {
     }
 
     /// Tautline's tools list what is in ROS.
-    fn show_ros(&self) {
+    fn show_ros(&self, services: Vec<ServiceEndpoint>) {
         let own: Vec<RosNode> = self
             .nodes
             .values()
             .flatten()
             .map(|node| RosNode { name: node.name().into(), namespace: node.namespace().into() })
             .collect();
-        let remote = ros_graph::as_remote(&self.node, &self.graph, &own, self.mirror.rules());
+        let mut remote = ros_graph::as_remote(&self.graph, &own, self.mirror.rules());
+        remote.services = services;
+        remote.services.retain_mut(|end| {
+            let name = self.service_rules.tautline_name(&end.name);
+            name.map(|name| end.name = name).is_some()
+        });
         if let Err(error) = self.participant.set_remote(&remote) {
             tracing::warn!("nodes and tools of this host do not see what ROS has: {error}");
         }
@@ -445,11 +474,18 @@ impl Control {
         let failed =
             self.failed.iter().map(|(action, reason)| (topic_of(action).topic.clone(), reason.clone()));
         stats.not_bridged.extend(failed);
+        stats.services_not_bridged = self.services.problems();
+        stats.services = self.services.stats();
         stats.incompatible_qos = self.incompatible.clone();
         let (out, inward) = (&self.out, &self.inward);
         stats.topics =
             self.book.read(&stats.topics, elapsed, |key, direction| is_active(out, inward, key, direction));
     }
+}
+
+/// Those that stand in ROS for Tautline's.
+fn shown(nodes: &BTreeMap<NodeName, Option<Arc<Node>>>) -> BTreeMap<NodeName, Arc<Node>> {
+    nodes.iter().filter_map(|(name, node)| Some((name.clone(), node.clone()?))).collect()
 }
 
 fn topic_of(action: &Action) -> &TopicKey {

@@ -32,6 +32,14 @@ pub struct TopicKey {
     pub type_name: String,
 }
 
+impl TopicKey {
+    /// Whether it is an action's feedback or status. A client may send its first goal, and should be told of it, before its
+    /// subscriptions are seen here: these topics go to ROS whether or not it is known that somebody listens.
+    pub(crate) fn is_of_action(&self) -> bool {
+        self.topic.contains("/_action/")
+    }
+}
+
 /// What publishers in ROS offer, as far as it decides who gets their messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Class {
@@ -308,7 +316,7 @@ impl Wanted {
             });
             self.writers.insert((key.clone(), end.gid), (qos, hash.clone()));
         }
-        let is_read = there.iter().any(|end| end.kind == EndpointKind::Subscription);
+        let is_read = key.is_of_action() || there.iter().any(|end| end.kind == EndpointKind::Subscription);
         if let (true, Some(depth)) = (is_read, writers().map(|end| depth(&end.qos)).max()) {
             let is_kept = writers().any(|end| end.qos.durability == Durability::TransientLocal);
             let outward = Outward {

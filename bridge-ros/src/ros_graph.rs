@@ -82,13 +82,12 @@ fn endpoint(topic: &str, end: RosEndpoint) -> TopicEndpoint {
     }
 }
 
-fn node_name(node: &RosNode) -> NodeName {
+pub(crate) fn node_name(node: &RosNode) -> NodeName {
     NodeName { namespace: node.namespace.clone(), name: node.name.clone() }
 }
 
-/// What Tautline's tools are to list: nodes but for bridges and `own`, the endpoints of bridged topics by Tautline's names,
-/// services.
-pub(crate) fn as_remote(node: &Node, graph: &RosGraph, own: &[RosNode], rules: &Rules) -> RemoteGraph {
+/// What Tautline's tools are to list: nodes but for bridges and `own`, the endpoints of bridged topics by Tautline's names.
+pub(crate) fn as_remote(graph: &RosGraph, own: &[RosNode], rules: &Rules) -> RemoteGraph {
     let mut own = own.to_vec();
     let mut remote = RemoteGraph::default();
     let listed = graph.nodes.iter().filter(|node| !node.name.starts_with(BRIDGE_PREFIX)).filter(|node| {
@@ -96,13 +95,7 @@ pub(crate) fn as_remote(node: &Node, graph: &RosGraph, own: &[RosNode], rules: &
         let at = own.iter().position(|own| own == *node);
         at.map(|at| own.swap_remove(at)).is_none()
     });
-    let mut done = BTreeSet::new();
-    for listed in listed {
-        remote.nodes.push(node_name(listed));
-        if done.insert(listed) {
-            services(node, listed, &mut remote.services);
-        }
-    }
+    remote.nodes.extend(listed.map(node_name));
     for end in &graph.endpoints {
         if let Some(topic) = rules.tautline_name(&end.topic) {
             remote.endpoints.push(TopicEndpoint { topic, ..end.clone() });
@@ -114,21 +107,27 @@ pub(crate) fn as_remote(node: &Node, graph: &RosGraph, own: &[RosNode], rules: &
     remote
 }
 
-/// What a node that has just gone had is nothing.
-fn services(node: &Node, of: &RosNode, to: &mut Vec<ServiceEndpoint>) {
-    let lists = [(ServiceKind::Server, node.services_of(of)), (ServiceKind::Client, node.clients_of(of))];
-    for (kind, list) in lists {
-        for (name, types) in list.unwrap_or_default() {
-            to.extend(types.into_iter().map(|type_name| ServiceEndpoint {
-                kind,
-                name: name.clone(),
-                type_name,
-                type_hash: None,
-                gid: Gid::default(),
-                node: node_name(of),
-                pid: None,
-                is_remote: true,
-            }));
+/// The services and clients of `nodes`, but for bridges'. A name that two nodes have is there twice, and so is what they have.
+pub(crate) fn services<'n>(node: &Node, nodes: impl Iterator<Item = &'n RosNode>) -> Vec<ServiceEndpoint> {
+    let mut ends = Vec::new();
+    for of in nodes.filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
+        let lists = [(ServiceKind::Server, node.services_of(of)), (ServiceKind::Client, node.clients_of(of))];
+        for (kind, list) in lists {
+            // What a node that has just gone had is nothing.
+            for (name, types) in list.unwrap_or_default() {
+                ends.extend(types.into_iter().map(|type_name| ServiceEndpoint {
+                    kind,
+                    name: name.clone(),
+                    type_name,
+                    type_hash: None,
+                    gid: Gid::default(),
+                    node: node_name(of),
+                    pid: None,
+                    is_remote: true,
+                }));
+            }
         }
     }
+    ends.sort_by(|one, other| (&one.name, one.kind, &one.node).cmp(&(&other.name, other.kind, &other.node)));
+    ends
 }

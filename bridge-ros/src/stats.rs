@@ -3,6 +3,7 @@
 
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
+use crate::services::ServiceStats;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -147,6 +148,10 @@ pub struct Stats {
     pub incompatible_qos: BTreeMap<String, IncompatibleQos>,
     /// Every topic that is or was bridged.
     pub topics: Vec<TopicStats>,
+    /// Services that cannot be bridged, and why.
+    pub services_not_bridged: BTreeMap<String, String>,
+    /// Every service that is or was bridged.
+    pub services: Vec<ServiceStats>,
 }
 
 /// The counters of all topics.

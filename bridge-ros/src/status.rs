@@ -60,8 +60,14 @@ fn line(stats: &Stats) -> String {
     if let Some((topic, incompatible)) = stats.incompatible_qos.iter().next() {
         text += &format!(" | incompatible QoS: {topic}: {}", incompatible.last_policy);
     }
-    if let Some((topic, reason)) = stats.not_bridged.iter().next() {
-        text += &format!(" | {} not bridged: {topic}: {reason}", stats.not_bridged.len());
+    let services = stats.services.iter().filter(|service| service.active).count();
+    if services > 0 {
+        let failed: u64 = stats.services.iter().flat_map(|service| service.failed.values()).sum();
+        text += &format!(" | {}, {failed} requests failed", counted(services, "service", "services"));
+    }
+    let not_bridged = || stats.not_bridged.iter().chain(&stats.services_not_bridged);
+    if let Some((name, reason)) = not_bridged().next() {
+        text += &format!(" | {} not bridged: {name}: {reason}", not_bridged().count());
     }
     text
 }

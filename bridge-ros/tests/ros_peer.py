@@ -31,6 +31,8 @@ def profile(qos):
 
 
 class Peer:
+    executor = SingleThreadedExecutor
+
     def __init__(self, name):
         rclpy.init()
         self.node = rclpy.create_node(name, start_parameter_services=False, enable_rosout=False)
@@ -38,7 +40,7 @@ class Peer:
         self.received = {}
         self.incompatible = {}
         self.changed = threading.Condition()
-        executor = SingleThreadedExecutor()
+        executor = self.executor()
         executor.add_node(self.node)
         threading.Thread(target=executor.spin, daemon=True).start()
 
@@ -164,7 +166,7 @@ def digest_of(message):
     return [message.header.frame_id, len(message.data), message.width, data]
 
 
-def main():
+def main(Peer=Peer):
     peer = Peer(sys.argv[1])
     print(json.dumps({"ok": "ready"}), flush=True)
     for line in sys.stdin:
@@ -177,4 +179,5 @@ def main():
     os._exit(0)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -58,7 +58,7 @@ fn a_bridge_in_another_program() {
     let stats = bridge.stats();
     assert_eq!((stats.domain, stats.ros_domain, &*stats.rmw), (7, 8, "rmw_fastrtps_cpp"));
     let names: Vec<&str> = bridge.threads().iter().map(|thread| &*thread.name).collect();
-    assert_eq!(names, ["ros-out", "ros-in", "ros-control", "ros-here", "ros-there"]);
+    assert_eq!(names, ["ros-out", "ros-in", "ros-services", "ros-control", "ros-here", "ros-there"]);
     assert!(bridge.threads().iter().all(|thread| !matches!(thread.policy, Policy::Fifo(_))));
     drop(bridge);
     wait_until("its threads have ended", || {

@@ -11,7 +11,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
-use tautline::{Context, Node, QosProfile, Realtime};
+use tautline::rcl_interfaces::msg;
+use tautline::{Context, LogSeverity, Node, ParameterValue, QosProfile, Realtime};
 use tautline_msgs::Service;
 
 const CONTAINER: Sibling = Sibling {
@@ -29,6 +30,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 #[command(after_help = "Examples:
   taut component run libdemo.so:demo::Counter
   taut component load libdemo.so:demo::Doubler --namespace /robot
+  taut component load libdemo.so:demo::Counter -p step:=2 -r count:=/count --log-level debug
   taut component list
   taut component unload 2")]
 pub struct ComponentArgs {
@@ -69,6 +71,15 @@ enum Verb {
         /// A remapping rule, FROM:=TO; may be given several times
         #[arg(long, short = 'r', value_name = "RULE")]
         remap: Vec<String>,
+        /// A parameter's value, NAME:=VALUE, read as YAML; may be given several times
+        #[arg(long = "param", short = 'p', value_name = "NAME:=VALUE", value_parser = parameter)]
+        params: Vec<msg::Parameter>,
+        /// The level of the node's logger: debug, info, warn, error or fatal
+        #[arg(long, value_name = "LEVEL", value_parser = log_level)]
+        log_level: Option<LogSeverity>,
+        /// What ROS 2's containers know, NAME:=VALUE: use_intra_process_comms, forward_global_arguments
+        #[arg(long, short = 'e', value_name = "NAME:=VALUE", value_parser = parameter)]
+        extra_argument: Vec<msg::Parameter>,
         #[command(flatten)]
         target: Target,
     },
@@ -107,7 +118,7 @@ pub enum ComponentError {
 pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
     match args.verb {
         Verb::Run { arguments } => return Err(CONTAINER.become_it(&arguments).into()),
-        Verb::Load { what, name, namespace, remap, target } => {
+        Verb::Load { what, name, namespace, remap, params, log_level, extra_argument, target } => {
             let (library, component) = what.split_once(':').unwrap_or((&what, ""));
             // The container may be in another folder.
             let library = std::path::absolute(library).unwrap_or_else(|_| PathBuf::from(library));
@@ -117,7 +128,9 @@ pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
                 node_name: name,
                 node_namespace: namespace,
                 remap_rules: remap,
-                ..Default::default()
+                log_level: log_level.map_or(0, |level| level as u8),
+                parameters: params,
+                extra_arguments: extra_argument,
             };
             let loaded = ask::<LoadNode::Service>(&target, "load_node", &request)?;
             if !loaded.success {
@@ -139,6 +152,21 @@ pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// As behind `-p` on ROS 2's command line, for one node.
+fn parameter(rule: &str) -> Result<msg::Parameter, String> {
+    match rule.split_once(":=") {
+        Some((name, value)) if !name.is_empty() => {
+            let value = value.parse::<ParameterValue>().map_err(|error| error.to_string())?;
+            Ok(msg::Parameter { name: name.to_owned(), value: (&value).into() })
+        }
+        _ => Err("it has no name before ':='".into()),
+    }
+}
+
+fn log_level(level: &str) -> Result<LogSeverity, &'static str> {
+    level.parse().map_err(|()| "a level is debug, info, warn, error or fatal")
 }
 
 fn ask<T: Service>(

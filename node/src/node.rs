@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Nodes: a name under which topics are published and subscribed to.
 
+use crate::callbacks::NodeCallbacks;
 use crate::context::Context;
 use crate::error::{Error, Result};
 use crate::logging::{self, Logger};
@@ -68,6 +69,7 @@ pub struct Node {
     pub(crate) service_limits: HashMap<String, Limits>,
     pub(crate) trace: tautline_trace::Object,
     pub(crate) parameters: Parameters,
+    callbacks: NodeCallbacks,
     logger: Logger,
     #[cfg(feature = "rosgraph_msgs")]
     pub(crate) time_source: TimeSource,
@@ -189,6 +191,7 @@ impl Node {
             service_limits: HashMap::new(),
             trace,
             parameters,
+            callbacks: NodeCallbacks::default(),
             logger,
             #[cfg(feature = "rosgraph_msgs")]
             ros_clock: Arc::new(Mutex::new(Clock::of_source(time_source.clone()))),
@@ -290,6 +293,11 @@ impl Node {
         Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
+    /// Ends a publisher, by r2r's name. Dropping it does the same.
+    pub fn destroy_publisher<T: Message>(&mut self, publisher: Publisher<T>) {
+        drop(publisher);
+    }
+
     /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
     ///
     /// # Errors
@@ -362,7 +370,7 @@ impl Node {
         future: impl Future<Output = ()> + Send + 'static,
     ) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
-        Ok(self.context.shared.executor.spawn_callback(options, future)?)
+        Ok(self.kept(self.context.shared.executor.spawn_callback(options, future)?))
     }
 
     /// Gives a future a thread of its own and makes it there; it need not be `Send`.
@@ -375,7 +383,7 @@ impl Node {
         make: impl FnOnce() -> F + Send + 'static,
     ) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
-        Ok(self.context.shared.executor.spawn_local(options, make)?)
+        Ok(self.kept(self.context.shared.executor.spawn_local(options, make)?))
     }
 
     /// Gives a group of callbacks one thread, on which they run one after the other in order of release.
@@ -384,7 +392,17 @@ impl Node {
     /// As [`spawn_callback`](Self::spawn_callback).
     pub fn spawn_group(&self, options: CallbackOptions, group: CallbackGroup) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
-        Ok(self.context.shared.executor.spawn_group(options, group)?)
+        Ok(self.kept(self.context.shared.executor.spawn_group(options, group)?))
+    }
+
+    fn kept(&self, callback: CallbackHandle) -> CallbackHandle {
+        self.callbacks.keep(&callback);
+        callback
+    }
+
+    /// The callbacks spawned through this node, for whoever ends them without having their handles, as a container does.
+    pub fn callbacks(&self) -> &NodeCallbacks {
+        &self.callbacks
     }
 
     fn prepare_thread(&self, options: &CallbackOptions) {

@@ -13,7 +13,7 @@ use futures::{FutureExt, StreamExt};
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::{
     ActionClient, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest, ActionServerOptions,
-    CallbackOptions, Context, Error, GoalStatus, Node,
+    CallbackOptions, Context, Error, GoalStatus, Node, QosProfile,
 };
 
 type Goal = ActionServerGoal<Fibonacci::Action>;
@@ -191,6 +191,98 @@ fn a_server_that_goes_ends_what_waits_for_it() {
     assert_eq!(block_on(feedback.map(|feedback| feedback.sequence).collect::<Vec<_>>()), [[5]]);
     // With the last goal the server has gone.
     common_wait(|| client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
+}
+
+#[test]
+fn a_goal_is_known_as_long_as_somebody_asks_about_it() {
+    let ctx = context(64);
+    let mut node = node(&ctx);
+    let spinning = spin(&ctx);
+    let client = node.create_action_client::<Fibonacci::Action>("known").unwrap();
+    let known = |client: &ActionClient<_>, n: usize| {
+        assert!(format!("{client:?}").contains(&format!("goals: {n}")), "{client:?}");
+    };
+    assert!(client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err(), "there is no server");
+    known(&client, 0);
+    serve(&mut node, "known");
+    block_on(Node::is_available(&client).unwrap()).unwrap();
+    for order in [0, 8] {
+        drop(client.send_goal_request(Fibonacci::Goal { order }).unwrap());
+        known(&client, 0);
+    }
+    assert!(block_on(client.send_goal_request(Fibonacci::Goal { order: 0 }).unwrap()).is_err());
+    known(&client, 0);
+    let send = |order| block_on(client.send_goal_request(Fibonacci::Goal { order }).unwrap()).unwrap();
+    let (goal, result, feedback) = send(8);
+    drop((goal, result));
+    assert_eq!(block_on(feedback.count()), 7, "who only reads the feedback reads all of it");
+    known(&client, 0);
+
+    // The result and the feedback come though the client and the handle have gone.
+    let (goal, result, mut feedback) = send(101);
+    assert_eq!(block_on(feedback.next()).unwrap().sequence, [100]);
+    let cancelled = goal.cancel().unwrap();
+    let (_, late_result, late_feedback) = send(102);
+    drop((goal, client));
+    block_on(cancelled).unwrap();
+    let (status, _) = block_on(result).unwrap();
+    assert_eq!((status, block_on(feedback.count())), (GoalStatus::Canceled, 1));
+    // Unless the context ends: then they end.
+    drop((spinning, node, ctx));
+    assert!(block_on(late_feedback.count()) <= 1);
+    assert!(block_on(late_result).is_err());
+}
+
+#[test]
+fn a_request_to_cancel_that_nobody_decided_on_ends_with_the_goal() {
+    let ctx = context(65);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    let goals = node.create_action_server::<Fibonacci::Action>("undecided").unwrap();
+    let client = client(&mut node, "undecided");
+    let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
+    let (request, goals) = block_on(goals.into_future());
+    let (mut goal, mut cancels): (Goal, _) = request.unwrap().accept().unwrap();
+    let (handle, result, _feedback) = block_on(sent).unwrap();
+    let [first, second] = [(); 2].map(|()| handle.cancel().unwrap());
+    let undecided = block_on(cancels.next()).unwrap();
+    let unread = block_on(cancels.next()).unwrap();
+    goal.succeed(Fibonacci::Result::default()).unwrap();
+    for cancelled in [first, second] {
+        let error = block_on(cancelled).unwrap_err();
+        assert!(matches!(error, Error::GoalCancelRejected), "{error}");
+    }
+    undecided.accept();
+    assert_eq!(block_on(result).unwrap().0, GoalStatus::Succeeded);
+    // Neither that request nor the stream of them keeps the server there.
+    drop((goal, goals));
+    common_wait(|| client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err());
+    drop((unread, cancels));
+}
+
+#[test]
+fn feedback_that_nobody_reads_is_not_kept_for_ever() {
+    let ctx = context(71);
+    let mut node = node(&ctx);
+    let _spinning = spin(&ctx);
+    let goals = node.create_action_server::<Fibonacci::Action>("talkative").unwrap();
+    let client = client(&mut node, "talkative");
+    let sent = client.send_goal_request(Fibonacci::Goal { order: 1 }).unwrap();
+    let (request, _goals) = block_on(goals.into_future());
+    let (mut goal, _cancels): (Goal, _) = request.unwrap().accept().unwrap();
+    let (_handle, result, feedback) = block_on(sent).unwrap();
+    let all =
+        node.subscribe::<Fibonacci::FeedbackMessage>("talkative/_action/feedback", QosProfile::default());
+    let mut all = all.unwrap();
+    for n in 0..1100 {
+        goal.publish_feedback(Fibonacci::Feedback { sequence: vec![n] }).unwrap();
+        block_on(all.next()).unwrap();
+    }
+    goal.succeed(Fibonacci::Result::default()).unwrap();
+    block_on(result).unwrap();
+    let heard: Vec<_> = block_on(feedback.map(|feedback| feedback.sequence[0]).collect());
+    assert!((1..=1001).contains(&heard.len()), "{}", heard.len());
+    assert!(heard.is_sorted() && heard[0] < 100, "the first ones: {heard:?}");
 }
 
 /// A test that would hang fails after a minute instead.

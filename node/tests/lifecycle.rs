@@ -250,6 +250,7 @@ fn its_services_are_ros_2s() {
         (now(), possible(&transitions)),
         ("inactive".into(), vec!["cleanup".into(), "activate".into(), "shutdown".into()])
     );
+    assert!(!ask(3, "no such"), "the name counts");
     assert!(ask(0, "activate"), "by name");
     script.returns("deactivate", CallbackReturn::Failure);
     assert!(!ask(4, ""), "its callback failed");

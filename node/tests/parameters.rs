@@ -94,13 +94,26 @@ fn bad_use_is_an_error_that_says_what_to_do() {
         (reason(node.parameter::<i64>("share")), "parameter 'share' is of type integer"),
         (reason(node.parameters().undeclare("serial")), "parameter 'serial' is read-only"),
         (reason(node.parameters().undeclare("nothing")), "parameter 'nothing' is not declared"),
+        (reason(node.parameters().undeclare("share")), "parameter 'share' cannot be undeclared"),
+        (
+            reason(node.set_parameter("share", ParameterValue::NotSet)),
+            "parameter 'share' cannot be undeclared: it was declared with one type",
+        ),
+        // Given on the command line, and not declared yet.
+        (reason(node.set_parameter("gain", 2)), "parameter 'gain' is not declared"),
     ] {
         assert!(error.starts_with(expected), "{error}");
     }
     assert_eq!(share.get(), 0.5);
-    node.parameters().undeclare("share").unwrap();
-    assert_eq!(share.get(), 0.5);
-    assert!(node.declare_parameter("share", "another type".to_owned()).is_ok());
+    assert_eq!(node.declare_parameter("gain", 0).unwrap().get(), 1, "what was given still counts");
+    let any = || ParameterDescriptor::new().dynamic_typing();
+    let mut port = node.declare_parameter_with("port", 80, any()).unwrap();
+    node.parameters().undeclare("port").unwrap();
+    assert_eq!(port.get(), 80);
+    assert!(node.declare_parameter_with("port", "another type".to_owned(), any()).is_ok());
+    // As in ROS 2.
+    node.set_parameter("port", ParameterValue::NotSet).unwrap();
+    assert!(!node.parameters().has("port") && node.declare_parameter("port", 8080).is_ok());
 }
 
 #[test]
@@ -130,6 +143,40 @@ fn callbacks_check_all_values_of_a_change_and_set_none() {
     drop(check);
     parameters.set("low", 99).unwrap();
     assert_eq!(low.get(), 99);
+}
+
+#[test]
+fn callbacks_may_add_and_end_callbacks_and_panic() {
+    let mut node = node("").unwrap();
+    let mut low = node.declare_parameter("low", 0).unwrap();
+    let parameters = node.parameters().clone();
+    let (inside, added) = (parameters.clone(), Arc::new(Mutex::new(Vec::new())));
+    let list = added.clone();
+    let check = parameters.on_set(move |_| {
+        let mut list = list.lock().unwrap();
+        // The second time, both at once: the former ends.
+        list.clear();
+        list.push(inside.on_set(|values| match values[0].1 {
+            ParameterValue::Integer(3) => panic!("as the test wants"),
+            ParameterValue::Integer(4) => Err("four".into()),
+            _ => Ok(()),
+        }));
+        Ok(())
+    });
+    for value in 1..=2 {
+        parameters.set("low", value).unwrap();
+    }
+    let panicked = std::panic::catch_unwind(|| parameters.set("low", 3));
+    assert!(panicked.is_err() && low.get() == 2, "the panic goes on to who sets, and nothing is set");
+    drop(check);
+    assert_eq!(
+        reason(parameters.set("low", 4)),
+        "refused: four",
+        "it goes on after a panic, in this thread too"
+    );
+    added.lock().unwrap().clear();
+    parameters.set("low", 4).unwrap();
+    assert_eq!(low.get(), 4);
 }
 
 #[test]
@@ -172,9 +219,14 @@ fn changes_of_all_nodes_are_published() {
     let events = events.unwrap();
     let options = NodeOptions::default().parameter_overrides([("rate", 25)]);
     let mut node = Node::create_with_options(ctx, "camera", "/front", options).unwrap();
-    node.declare_parameter("rate", 30).unwrap();
+    let any = ParameterDescriptor::new().dynamic_typing();
+    node.declare_parameter_with("rate", 30, any).unwrap();
     node.set_parameter("rate", 60).unwrap();
     node.parameters().undeclare("rate").unwrap();
+    // One event for all of a change.
+    let of_node = node.parameters();
+    of_node.set_atomically([("a".to_owned(), 1.into()), ("b".to_owned(), 2.into())]).unwrap();
+    of_node.set_atomically([("b".to_owned(), 3.into()), ("c".to_owned(), 4.into())]).unwrap();
     let mut heard = Vec::new();
     while let Some(event) = events.try_take().unwrap() {
         let event = event.to_owned();
@@ -192,7 +244,18 @@ fn changes_of_all_nodes_are_published() {
         ]);
     }
     let rate = |value| vec![("rate".to_owned(), value)];
-    assert_eq!(heard, [[rate(25), vec![], vec![]], [vec![], rate(60), vec![]], [vec![], vec![], rate(60)]]);
+    let values =
+        |of: &[(&str, i64)]| of.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect::<Vec<_>>();
+    assert_eq!(
+        heard,
+        [
+            [rate(25), vec![], vec![]],
+            [vec![], rate(60), vec![]],
+            [vec![], vec![], rate(60)],
+            [values(&[("a", 1), ("b", 2)]), vec![], vec![]],
+            [values(&[("c", 4)]), values(&[("b", 3)]), vec![]],
+        ]
+    );
 }
 
 #[derive(RosParams, Default, Debug, PartialEq)]
@@ -204,6 +267,11 @@ struct Controller {
     #[param(description = "Where it starts", read_only)]
     frame: String,
     limits: Limits,
+}
+
+#[derive(RosParams, Default, Debug)]
+struct Second {
+    rate: u16,
 }
 
 #[derive(RosParams, Default, Debug, PartialEq)]
@@ -245,6 +313,13 @@ fn the_fields_of_a_struct_are_parameters() {
     ] {
         assert!(error.starts_with(expected), "{error}");
     }
+    // A second struct has fields of its own; the first one goes on.
+    let second = Arc::new(Mutex::new(Second::default()));
+    parameters.declare_struct(second.clone()).unwrap();
+    parameters
+        .set_atomically([("rate".to_owned(), 5.into()), ("limits.steps".to_owned(), 2.into())])
+        .unwrap();
+    assert_eq!((second.lock().unwrap().rate, parameters.get::<i64>("limits.steps").unwrap()), (5, 2));
     // What one value of a change does to the struct is not done if another one is refused.
     let change = [("gain".to_owned(), 9.0.into()), ("limits.retries".to_owned(), (-1).into())];
     assert!(parameters.set_atomically(change).is_err());
@@ -260,8 +335,15 @@ fn what_is_given_must_fit_the_struct() {
         ("--ros-args -p gain:=1", "parameter 'gain' is of type double, but 1 is of type integer"),
     ] {
         let parameters = node(arguments).unwrap().parameters().clone();
+        let before = parameters.names();
         let error = reason(parameters.declare_struct(Arc::new(Mutex::new(Controller::default()))));
         assert!(error.starts_with(expected), "{error}");
+        assert_eq!(parameters.names(), before, "all fields are declared, or none");
+        assert!(
+            before
+                .iter()
+                .all(|name| *name == "use_sim_time" || reason(parameters.set(name, 1)) == "no error")
+        );
     }
 }
 

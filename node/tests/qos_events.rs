@@ -138,6 +138,31 @@ fn lost_messages_and_leases_are_told() {
     assert_eq!(lost, 2);
 }
 
+/// One that nobody could keep is told of, and leaves the sampler time for others.
+#[test]
+fn a_deadline_of_no_time_does_not_keep_the_sampler_busy() {
+    let context = context(84);
+    let _sampler = spin(&context);
+    let mut node = Node::create(context.clone(), "hasty", "").unwrap();
+    let qos = QosProfile::default().deadline(Duration::from_nanos(1));
+    let publisher = node.create_publisher::<Number>("/h", qos).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/h", qos).unwrap();
+    let mut requested = node.subscription_events(&subscription).unwrap();
+    publisher.publish(&Number { value: 1 }).unwrap();
+    let mut due = Vec::new();
+    while due.len() < 3 {
+        let missed = next_of(&mut requested, |event| match event {
+            SubscriptionEvent::RequestedDeadlineMissed(missed) => Some(missed),
+            _ => None,
+        });
+        due.push((missed.total_count, missed.due_ns));
+    }
+    for two in due.windows(2) {
+        let ((before, first), (after, second)) = (two[0], two[1]);
+        assert_eq!(second - first, (after - before) * 50_000, "{due:?}");
+    }
+}
+
 #[test]
 fn times_of_any_length_can_be_asked_for() {
     let mut node = Node::create(context(200), "times", "").unwrap();
@@ -148,6 +173,14 @@ fn times_of_any_length_can_be_asked_for() {
         .liveliness(LivelinessPolicy::ManualByTopic);
     let publisher = node.create_publisher::<Number>("/t", all).unwrap();
     let _events = node.publisher_events(&publisher).unwrap();
+    // A lease that is over before anybody can look: the stream ends a look all the same.
+    let brief = QosProfile::default()
+        .liveliness_lease_duration(Duration::from_nanos(1))
+        .liveliness(LivelinessPolicy::ManualByTopic);
+    let _brief = node.create_publisher::<Number>("/brief", brief).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/brief", QosProfile::default()).unwrap();
+    let mut told = node.subscription_events(&subscription).unwrap();
+    while told.poll_next_unpin(&mut std::task::Context::from_waker(std::task::Waker::noop())).is_ready() {}
     // As many as there are slots, and then a sentence.
     let mut events = Vec::new();
     let error = loop {

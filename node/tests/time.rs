@@ -33,6 +33,22 @@ fn ms(ms: u64) -> Duration {
 }
 
 #[test]
+fn a_period_may_be_as_long_as_there_is_time() {
+    let (ctx, publisher) = simulation(77);
+    let mut node = Node::create(ctx, "patient", "").unwrap();
+    let mut timers =
+        [Duration::MAX, Duration::from_nanos(u64::MAX), Duration::from_nanos(i64::MAX as u64 + 1)]
+            .map(|period| node.create_timer(period).unwrap());
+    for time in [0, 5, 10, 3, 4_000_000] {
+        tell(&publisher, time);
+        for timer in &mut timers {
+            let poll = timer.poll_next_unpin(&mut std::task::Context::from_waker(std::task::Waker::noop()));
+            assert!(poll.is_pending());
+        }
+    }
+}
+
+#[test]
 fn clocks_show_what_they_are() {
     let mut steady = Clock::create(ClockType::SteadyTime).unwrap();
     let (first, second) = (steady.get_now().unwrap(), steady.get_now().unwrap());

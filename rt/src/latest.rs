@@ -74,6 +74,12 @@ impl<T> LatestWriter<T> {
         self.slot = self.shared.between.swap(self.slot | FRESH, Ordering::AcqRel) & SLOT;
     }
 
+    /// As [`write`](Self::write); then `wake` wakes a reader that waits: see [`LatestReader::is_fresh_after`].
+    pub fn write_and_wake(&mut self, value: T, wake: impl FnOnce()) {
+        self.write(value);
+        wake();
+    }
+
     /// Whether the reader is gone.
     pub fn is_abandoned(&self) -> bool {
         Arc::strong_count(&self.shared) == 1
@@ -102,6 +108,16 @@ impl<T> LatestReader<T> {
     /// Wait-free; no allocation; no syscall.
     pub fn is_fresh(&self) -> bool {
         self.shared.between.load(Ordering::Relaxed) & FRESH != 0
+    }
+
+    /// As [`is_fresh`](Self::is_fresh), looked at after `register` has made known whom [`LatestWriter::write_and_wake`] is to wake:
+    /// what is written meanwhile is either seen here, or wakes.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall, if `register` is so.
+    pub fn is_fresh_after(&self, register: impl FnOnce()) -> bool {
+        register();
+        self.is_fresh()
     }
 }
 
@@ -189,6 +205,49 @@ mod loom_tests {
             }
             let _writer = writing.join().unwrap();
             assert_eq!(*reader.read(), [3; 2]);
+        });
+    }
+
+    /// As `futures`' `AtomicWaker`: who registered is woken by the next call, and sees what came before it.
+    #[derive(Default)]
+    struct Bell {
+        registered: loom::sync::Mutex<bool>,
+        rung: loom::sync::Notify,
+    }
+
+    impl Bell {
+        fn register(&self) {
+            *self.registered.lock().unwrap() = true;
+        }
+
+        fn ring(&self) {
+            if std::mem::take(&mut *self.registered.lock().unwrap()) {
+                self.rung.notify();
+            }
+        }
+    }
+
+    /// A stream of changes: one that sleeps though there is a new value would sleep for ever, which loom finds.
+    #[test]
+    fn loom_a_reader_that_waits_is_woken() {
+        loom::model(|| {
+            let (mut writer, mut reader) = latest(0);
+            let bell = Arc::new(Bell::default());
+            let of_writer = bell.clone();
+            let writing = loom::thread::spawn(move || {
+                (1..=2).for_each(|value| writer.write_and_wake(value, || of_writer.ring()));
+                writer
+            });
+            let mut last = 0;
+            while last < 2 {
+                while !reader.is_fresh_after(|| bell.register()) {
+                    bell.rung.wait();
+                }
+                let value = *reader.read();
+                assert!(value > last, "{value} after {last}");
+                last = value;
+            }
+            writing.join().unwrap();
         });
     }
 }

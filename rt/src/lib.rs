@@ -49,7 +49,9 @@ pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affini
 pub use error::RtError;
 pub use idle::IdleHold;
 pub use latest::{LatestReader, LatestWriter, latest};
-pub use memory::{MemoryLock, PageFaults, lock_memory, page_faults, prefault_stack, tune_malloc};
+pub use memory::{
+    MemoryLock, PageFaults, keep_freed_memory, lock_memory, page_faults, prefault_stack, tune_malloc,
+};
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use seat::{Seat, SeatError};

@@ -65,21 +65,39 @@ pub fn prefault_stack(bytes: usize) -> usize {
     here.saturating_sub(end)
 }
 
-/// Makes the allocator keep what it has: freed memory is not given back, large blocks come from the heap instead of
-/// fresh mappings, all threads share one arena (whose lock does not inherit priority: hot paths do not allocate).
+/// Makes the allocator keep what it has: freed memory is not given back to the system, and large blocks come from the heap
+/// instead of fresh mappings, so that what is used again faults no page. Memory stays at its highest level.
 /// Returns false where the allocator has no such settings (other C libraries than glibc).
-pub fn tune_malloc() -> bool {
+pub fn keep_freed_memory() -> bool {
     #[cfg(target_env = "gnu")]
     {
-        [(libc::M_TRIM_THRESHOLD, -1), (libc::M_MMAP_MAX, 0), (libc::M_ARENA_MAX, 1)].iter().all(
-            // SAFETY: mallopt takes any two integers and locks the allocator while it applies them.
-            |(option, value)| unsafe { libc::mallopt(*option, *value) == 1 },
-        )
+        set_malloc(&[(libc::M_TRIM_THRESHOLD, -1), (libc::M_MMAP_MAX, 0)])
     }
     #[cfg(not(target_env = "gnu"))]
     {
         false
     }
+}
+
+/// As [`keep_freed_memory`], and all threads share one arena, whose lock does not inherit priority: for processes whose hot
+/// paths do not allocate.
+pub fn tune_malloc() -> bool {
+    #[cfg(target_env = "gnu")]
+    {
+        keep_freed_memory() && set_malloc(&[(libc::M_ARENA_MAX, 1)])
+    }
+    #[cfg(not(target_env = "gnu"))]
+    {
+        false
+    }
+}
+
+#[cfg(target_env = "gnu")]
+fn set_malloc(options: &[(libc::c_int, libc::c_int)]) -> bool {
+    options.iter().all(
+        // SAFETY: mallopt takes any two integers and locks the allocator while it applies them.
+        |(option, value)| unsafe { libc::mallopt(*option, *value) == 1 },
+    )
 }
 
 /// The page faults of the current thread since it started.

@@ -7,7 +7,7 @@ use crate::events::Shared;
 use crate::sampler::{Sampler, Wait};
 use crate::timer::{TimerWords, nanoseconds};
 use core::cmp::Reverse;
-use core::sync::atomic::Ordering;
+use core::sync::atomic::{Ordering, fence};
 use core::time::Duration;
 use std::collections::BinaryHeap;
 use tautline_rt::clock::monotonic_ns;
@@ -30,6 +30,7 @@ impl Agenda {
             return;
         }
         self.due.retain(|Reverse((_, other))| *other != slot);
+        words.begun.store(0, Ordering::Relaxed);
         words.released.store(0, Ordering::Relaxed);
         words.accepted.store(words.armed.load(Ordering::Relaxed), Ordering::Release);
         if words.period_ns.load(Ordering::Relaxed) != 0 {
@@ -68,6 +69,9 @@ impl Agenda {
             *next = Reverse((release_ns.saturating_add(elapsed.saturating_mul(period_ns)), slot));
             drop(next);
             let last_due_ns = release_ns.saturating_add((elapsed - 1).saturating_mul(period_ns));
+            words.begun.fetch_add(elapsed, Ordering::Relaxed);
+            // Pairs with the Acquire fence in `Watchdog::poll_expired`: who reads this `last_due_ns` sees that it has begun.
+            fence(Ordering::Release);
             words.last_due_ns.store(last_due_ns, Ordering::Relaxed);
             words.released.fetch_add(elapsed, Ordering::Release);
             shared.doorbell.wake(slot);

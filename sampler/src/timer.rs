@@ -23,6 +23,8 @@ pub(crate) struct TimerWords {
     pub(crate) armed: AtomicU64,
     /// The one of these that `released` counts for; written by the sampler.
     pub(crate) accepted: AtomicU64,
+    /// As `released`, but counted before `last_due_ns` is written; written by the sampler.
+    pub(crate) begun: AtomicU64,
     /// Releases so far; written by the sampler.
     pub(crate) released: AtomicU64,
     /// The pulse of a watchdog, as a word: each release is one period after it. 0 of a timer.

@@ -4,7 +4,7 @@
 use crate::events::Shared;
 use std::future::poll_fn;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Pulse, Slot};
@@ -57,9 +57,16 @@ impl Watchdog {
         self.slot.waker().register(context.waker());
         let words = &self.shared.timers[self.slot.index()];
         let Some(count) = words.released_since(self.number, self.seen) else { return Poll::Pending };
+        let due_ns = words.last_due_ns.load(Ordering::Relaxed);
+        // Pairs with the Release fence of the sampler, which may be at the next expiry already.
+        fence(Ordering::Acquire);
+        if words.begun.load(Ordering::Relaxed) != count {
+            // Then it wakes the task once more, when that one is whole.
+            return Poll::Pending;
+        }
         let change = count - self.seen;
         self.seen = count;
-        Poll::Ready(Expiry { due_ns: words.last_due_ns.load(Ordering::Relaxed), count, change })
+        Poll::Ready(Expiry { due_ns, count, change })
     }
 }
 
@@ -67,5 +74,40 @@ impl Drop for Watchdog {
     fn drop(&mut self) {
         self.shared.timers[self.slot.index()].disarm();
         self.slot.ring();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Sampler;
+    use std::task::Waker;
+    use std::time::Duration;
+    use tautline_transport::{Participant, PulseOf};
+
+    /// The sampler has been interrupted between what it writes of an expiry.
+    #[test]
+    fn an_expirys_time_is_that_of_its_count() {
+        let participant = Participant::new(85).unwrap();
+        let mut sampler = Sampler::new(&participant).unwrap();
+        let slot = participant.claim_slot().unwrap();
+        let hour = Duration::from_secs(3600);
+        let mut watchdog = sampler.events().watchdog(slot.pulse(PulseOf::Sample), hour).unwrap();
+        sampler.spin_once(Some(Duration::ZERO));
+        let shared = watchdog.shared.clone();
+        let words = &shared.timers[watchdog.slot.index()];
+        let mut poll = || watchdog.poll_expired(&mut Context::from_waker(Waker::noop()));
+        let write = |begun, due_ns, released| {
+            words.begun.store(begun, Ordering::Relaxed);
+            words.last_due_ns.store(due_ns, Ordering::Relaxed);
+            words.released.store(released, Ordering::Release);
+        };
+        write(1, 10, 1);
+        assert_eq!(poll(), Poll::Ready(Expiry { due_ns: 10, count: 1, change: 1 }));
+        write(2, 20, 2);
+        write(3, 30, 2);
+        assert_eq!(poll(), Poll::Pending, "30 is not when the second one was due");
+        write(3, 30, 3);
+        assert_eq!(poll(), Poll::Ready(Expiry { due_ns: 30, count: 3, change: 2 }));
     }
 }

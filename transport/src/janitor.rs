@@ -6,14 +6,17 @@
 //!   process is killed; finishes a ring that a killed process began.
 //! - Looks whether this process is to be traced.
 //! - Serves late joiners of transient-local publishers (see [`history`](crate::history)).
+//! - Tells monitors which ends of their topics are on other hosts.
 //!
 //! Its lock is taken by creating and dropping ports, never by publish or take.
 
+use crate::dead_nodes;
 use crate::doorbell::{Doorbell, Owner, remove_stale_arenas};
 use crate::error::TransportError;
 use crate::graph::Graph;
 use crate::history::Keeper;
-use crate::nodes;
+use crate::monitor::RemoteWatch;
+use crate::nodes::{self, Registry};
 use crate::ports;
 use crate::sync::Ordering;
 use crate::topic::{IoxNode, Topic};
@@ -44,12 +47,16 @@ pub(crate) struct Watch {
 struct Charges {
     watches: Vec<Watch>,
     keepers: Vec<(usize, Keeper)>,
+    remote: Vec<RemoteWatch>,
+    /// The graph's when the ends on other hosts were last looked for.
+    remote_epoch: u32,
 }
 
 struct Shared {
     domain: u32,
     doorbell: Arc<Doorbell>,
     graph: Arc<Graph>,
+    registry: Arc<Registry>,
     node: Arc<IoxNode>,
     charges: Mutex<Charges>,
     stop: AtomicBool,
@@ -72,10 +79,11 @@ impl Janitor {
         domain: u32,
         doorbell: Arc<Doorbell>,
         graph: Arc<Graph>,
+        registry: Arc<Registry>,
         node: Arc<IoxNode>,
     ) -> Result<Self, TransportError> {
         let (charges, stop) = (Mutex::default(), AtomicBool::new(false));
-        let shared = Arc::new(Shared { domain, doorbell, graph, node, charges, stop });
+        let shared = Arc::new(Shared { domain, doorbell, graph, registry, node, charges, stop });
         let thread = {
             let shared = shared.clone();
             let builder = low_priority_thread("janitor").map_err(TransportError::Janitor)?;
@@ -90,6 +98,16 @@ impl Janitor {
 
     pub(crate) fn keep(&self, slot: usize, keeper: Keeper) {
         self.shared.charges().keepers.push((slot, keeper));
+    }
+
+    /// `epoch` is the graph's before `watch` was made.
+    pub(crate) fn watch_remote(&self, watch: RemoteWatch, epoch: u32) {
+        let mut charges = self.shared.charges();
+        charges.remote.retain(RemoteWatch::is_wanted);
+        if charges.remote.is_empty() {
+            charges.remote_epoch = epoch;
+        }
+        charges.remote.push(watch);
     }
 
     /// Forgets everything about the port behind `slot`.
@@ -127,26 +145,20 @@ fn run(shared: &Shared) {
         // Acquire: pairs with the Release of `call_janitor`; a call after this load ends the wait below at once.
         let calls = word.0.load(Ordering::Acquire);
         if shared.stop.load(std::sync::atomic::Ordering::Acquire) {
-            remove_dead_nodes(&shared.node, &shared.graph);
+            dead_nodes::remove(&shared.node, &shared.graph);
             return;
         }
         look_around(shared);
+        look_abroad(shared);
         tautline_trace::attend();
         if Instant::now() >= next_cleanup {
-            remove_dead_nodes(&shared.node, &shared.graph);
+            dead_nodes::remove(&shared.node, &shared.graph);
             remove_stale_arenas(shared.domain);
             nodes::remove_dead_files(shared.domain, &shared.graph);
             tautline_trace::remove_dead_files(shared.domain);
             next_cleanup = Instant::now() + CLEANUP_PERIOD;
         }
         word.wait(calls, Some(monotonic_ns() + PERIOD.as_nanos() as u64));
-    }
-}
-
-/// Removes what dead processes left of their iceoryx2 nodes, and says so to those who wait for changes.
-pub(crate) fn remove_dead_nodes(node: &IoxNode, graph: &Graph) {
-    if node.try_cleanup_dead_nodes().cleanups > 0 {
-        graph.advance();
     }
 }
 
@@ -176,6 +188,26 @@ fn look_around(shared: &Shared) {
         // A publisher killed between sending and ringing left samples that nobody announced; a subscription that died
         // may be what an async publish waits for.
         arena.bell().ring(watch.slot);
+    }
+}
+
+/// Tells monitors of other hosts' ends, if the graph changed since the last time.
+fn look_abroad(shared: &Shared) {
+    let epoch = {
+        let mut charges = shared.charges();
+        charges.remote.retain(RemoteWatch::is_wanted);
+        let epoch = shared.graph.epoch();
+        if charges.remote.is_empty() || charges.remote_epoch == epoch {
+            return;
+        }
+        epoch
+    };
+    // Files, which may be long: nobody who makes or drops a port waits for them.
+    let endpoints = nodes::remote_endpoints(&shared.registry);
+    let mut charges = shared.charges();
+    charges.remote_epoch = epoch;
+    for slot in charges.remote.iter_mut().filter_map(|watch| watch.update(&endpoints, epoch)) {
+        shared.doorbell.arena().bell().ring(slot);
     }
 }
 

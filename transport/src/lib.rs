@@ -36,6 +36,7 @@
 
 mod address;
 mod compatibility;
+mod dead_nodes;
 mod doorbell;
 mod error;
 mod graph;

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A process's membership of a domain: its iceoryx2 node, its doorbell, its janitor.
 
+use crate::dead_nodes;
 use crate::doorbell::{Doorbell, Slot};
 use crate::error::TransportError;
 use crate::graph::Graph;
 use crate::header::Gid;
-use crate::janitor::{Janitor, remove_dead_nodes};
+use crate::janitor::Janitor;
 use crate::nodes::{self, Entry, Ownership, Registry, Watchers};
 use crate::publisher::RawPublisher;
 use crate::qos::{Limits, Qos};
@@ -79,11 +80,12 @@ impl Participant {
         let node = Arc::new(node);
         let doorbell = Doorbell::create(domain)?;
         let graph = Graph::open(domain)?;
-        remove_dead_nodes(&node, &graph);
+        dead_nodes::remove(&node, &graph);
         nodes::remove_dead_files(domain, &graph);
-        let janitor = Janitor::start(domain, doorbell.clone(), graph.clone(), node.clone())?;
-        let trace = tautline_trace::context_init(domain);
         let registry = Registry::new(domain, doorbell.arena().id(), graph.clone());
+        let janitor =
+            Janitor::start(domain, doorbell.clone(), graph.clone(), registry.clone(), node.clone())?;
+        let trace = tautline_trace::context_init(domain);
         let watchers = Watchers::new(graph.clone());
         let shared =
             Shared { domain, doorbell, janitor, graph, registry, watchers, node, trace, _tracing: tracing };

@@ -2,10 +2,10 @@
 //! Listing the topics of a domain with their publishers and subscriptions: for tools, the gateway and bridges.
 
 use crate::address::{Address, Role};
+use crate::dead_nodes;
 use crate::doorbell::ArenaId;
 use crate::error::TransportError;
 use crate::header::Gid;
-use crate::janitor::remove_dead_nodes;
 use crate::nodes::remote_topic_type;
 use crate::participant::Participant;
 use crate::ports;
@@ -68,7 +68,7 @@ impl Participant {
     ) -> Result<Vec<TopicInfo>, TransportError> {
         let node = &self.shared.node;
         // Opening a topic removes its dead ports too, but without a word to those who wait for changes.
-        remove_dead_nodes(node, &self.shared.graph);
+        dead_nodes::remove(node, &self.shared.graph);
         let mut names = Vec::new();
         ipc::Service::list(node.config(), |details| {
             let config = &details.static_details;

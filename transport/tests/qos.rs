@@ -3,12 +3,16 @@
 
 mod support;
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Context, Poll, Wake, Waker};
 use std::time::Duration;
 use support::{Count, Part, clean, domain, say, take_all, wait_for, wait_for_the_end};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{
-    EndpointInfo, IncompatibleQos, Limits, Liveliness, LivelinessChanged, Matched, MessageLost, Participant,
-    Publisher, Qos, QosPolicyKind, Subscription, TopicType,
+    EndpointInfo, EndpointKind, Gid, IncompatibleQos, Limits, Liveliness, LivelinessChanged, Matched,
+    MessageLost, NodeName, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription,
+    TopicEndpoint, TopicType,
 };
 
 const HOUR: Option<Duration> = Some(Duration::from_secs(3600));
@@ -21,6 +25,16 @@ const LIMITS: Limits = Limits {
     message_bytes: 4096,
     may_grow: true,
 };
+
+/// How often a task was woken.
+#[derive(Default)]
+struct Woken(AtomicU32);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
 
 /// The child's part; without its variable it is no test.
 #[test]
@@ -139,6 +153,71 @@ fn what_is_too_old_is_not_delivered_but_counted() {
         assert!(take_all(&subscription).is_empty());
         subscription.counters().expired() == 3
     });
+}
+
+#[test]
+fn a_take_looks_at_so_many_and_no_more_and_says_when_there_may_be_more() {
+    /// Samples that one call looks at.
+    const LOOKS: u64 = 16;
+    let participant = Participant::new(domain(62)).unwrap();
+    let seat = participant.doorbell().claim_sampler().unwrap();
+    let short = Qos { lifespan: Some(Duration::from_nanos(1)), ..Qos::default() };
+    let short = publisher(&participant, "/passed", short);
+    let long = publisher(&participant, "/passed", Qos::default());
+    let subscription = subscription(&participant, "/passed", Qos::keep_last(LIMITS.depth));
+    let counters = subscription.counters();
+    let is_rung = || seat.drain(|_| {}) > 0;
+    // Once more than a call looks at, and one that is not too old behind them.
+    let publish = || {
+        for n in 0..2 * LOOKS + 1 {
+            short.publish(&Count { n }).unwrap();
+        }
+        sleep_until_monotonic(monotonic_ns() + 1);
+        long.publish(&Count { n: 77 }).unwrap();
+        assert!(is_rung(), "they were published");
+    };
+    publish();
+    for looked in [LOOKS, 2 * LOOKS] {
+        assert!(subscription.try_take().unwrap().is_none());
+        assert_eq!(
+            (counters.expired(), is_rung()),
+            (looked, true),
+            "whoever waits for the doorbell comes again"
+        );
+    }
+    assert_eq!(subscription.try_take().unwrap().unwrap().n, 77);
+    assert_eq!((counters.expired(), counters.received(), counters.lost()), (2 * LOOKS + 1, 1, 0));
+
+    publish();
+    assert!([(), ()].iter().all(|()| subscription.try_take_valid().unwrap().is_none() && is_rung()));
+    assert_eq!(subscription.try_take_valid().unwrap().unwrap().n, 77);
+
+    // A task is woken itself, and its thread's other tasks have a turn.
+    publish();
+    let woken = Arc::new(Woken::default());
+    let waker = Waker::from(woken.clone());
+    let mut context = Context::from_waker(&waker);
+    let times = || woken.0.load(Ordering::Relaxed);
+    for polls in 1..=2 {
+        assert!(subscription.poll_take(&mut context).is_pending());
+        assert_eq!(times(), polls);
+    }
+    assert!(matches!(subscription.poll_take(&mut context), Poll::Ready(sample) if sample.n == 77));
+    assert!(subscription.poll_take(&mut context).is_pending());
+    assert_eq!((times(), counters.lost()), (2, 0), "nothing is behind it");
+
+    // Invalid ones count like those that are too old.
+    let raw = participant.create_raw_publisher("/passed", &TopicType::of::<Count>(), Qos::default(), LIMITS);
+    let raw = raw.unwrap();
+    (0..LOOKS / 2).for_each(|n| short.publish(&Count { n }).unwrap());
+    (0..LOOKS).for_each(|_| raw.publish(&[1, 2, 3]).unwrap());
+    sleep_until_monotonic(monotonic_ns() + 1);
+    let (expired, invalid) = (counters.expired(), counters.invalid());
+    let looked = || counters.expired() - expired + counters.invalid() - invalid;
+    assert!(subscription.poll_take(&mut context).is_pending());
+    assert_eq!((looked(), times()), (LOOKS, 3));
+    assert!(subscription.poll_take(&mut context).is_pending());
+    assert_eq!((looked(), counters.invalid() - invalid, times()), (LOOKS * 3 / 2, LOOKS, 3));
 }
 
 #[test]
@@ -271,4 +350,89 @@ fn a_killed_publisher_is_told_from_one_that_went() {
     }
     drop((monitor, subscription, events, participant));
     clean(114);
+}
+
+#[test]
+fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
+    let domain = domain(78);
+    clean(domain);
+    let participant = Participant::new(domain).unwrap();
+    let gateway = Participant::new(domain).unwrap();
+    gateway.set_remote(&RemoteGraph::default()).unwrap();
+    let subscription = subscription(&participant, "/far", Qos::default());
+    let publisher = publisher(&participant, "/far", Qos::default());
+    let slots = [participant.claim_slot().unwrap(), participant.claim_slot().unwrap()];
+    let mut requested = subscription.raw().monitor(&slots[0]);
+    let mut offered = publisher.raw().monitor(&slots[1]);
+    assert_eq!(requested.look(monotonic_ns()).matched.unwrap().current_count, 1);
+    assert_eq!(offered.look().matched.unwrap().current_count, 1);
+
+    let topic_type = TopicType::of::<Count>();
+    let relay = gateway.create_relay_publisher("/far", &topic_type, Qos::default(), LIMITS).unwrap();
+    let _out = gateway.create_relay_subscription("/far", &topic_type, Qos::default(), LIMITS).unwrap();
+    assert_eq!(requested.look(monotonic_ns()), Default::default(), "a stand-in is no end");
+    assert_eq!(offered.look(), Default::default());
+    let end = |topic: &str, type_name: &'static str, kind, gid| TopicEndpoint {
+        kind,
+        topic: topic.into(),
+        topic_type: TopicType { hash: topic_type.hash.clone(), ..TopicType::new(type_name) },
+        gid: Gid([gid; 16]),
+        // Less than is requested: it is passed on all the same.
+        qos: Qos::default().best_effort(),
+        node: Some(NodeName { namespace: "/theirs".into(), name: "talker".into() }),
+        pid: None,
+        is_remote: true,
+        is_own: false,
+    };
+    let (publishing, subscribing) = (EndpointKind::Publisher, EndpointKind::Subscription);
+    let count = "test_msgs/msg/Count";
+    let mut remote = RemoteGraph {
+        endpoints: vec![
+            end("/far", count, publishing, 1),
+            end("/far", count, publishing, 2),
+            end("/far", "test_msgs/msg/Other", publishing, 3),
+            end("/farther", count, publishing, 4),
+            end("/far", count, subscribing, 5),
+        ],
+        ..Default::default()
+    };
+    gateway.set_remote(&remote).unwrap();
+    let mut changes = Default::default();
+    wait_for("publishers elsewhere", || {
+        changes = requested.look(monotonic_ns());
+        changes.matched.is_some()
+    });
+    let matched = changes.matched.unwrap();
+    assert_eq!((matched.current_count, matched.current_count_change, matched.total_count), (3, 2, 3));
+    assert_eq!(changes.incompatible_qos, None);
+    let alive = |alive, not_alive, change, not_change| LivelinessChanged {
+        alive_count: alive,
+        not_alive_count: not_alive,
+        alive_count_change: change,
+        not_alive_count_change: not_change,
+    };
+    assert_eq!(changes.liveliness, Some(alive(3, 0, 2, 0)));
+    wait_for("a subscription elsewhere", || {
+        offered.look().matched.is_some_and(|matched| (matched.current_count, matched.total_count) == (2, 2))
+    });
+
+    // Who looks later sees it at once, as who looked before.
+    let mut late = subscription.raw().monitor(&slots[0]);
+    assert_eq!(late.look(monotonic_ns()).matched.unwrap().current_count, 3);
+    let requested = &mut late;
+    relay.publish(&7u64.to_le_bytes()).unwrap();
+    assert_eq!(take_all(&subscription), [7]);
+    remote.endpoints.remove(0);
+    gateway.set_remote(&remote).unwrap();
+    wait_for("the end of a publisher", || {
+        changes = requested.look(monotonic_ns());
+        changes.matched.is_some()
+    });
+    assert_eq!(changes.liveliness, Some(alive(2, 1, -1, 1)), "nobody can tell whether it ended or died");
+    drop((relay, _out, gateway));
+    wait_for("the end of the gateway", || {
+        changes = requested.look(monotonic_ns());
+        changes.matched.is_some()
+    });
+    assert_eq!((changes.matched.unwrap().current_count, changes.liveliness), (1, Some(alive(1, 1, -1, 0))));
 }

@@ -65,7 +65,8 @@ pub fn command(options: &Options) -> Result<Command, String> {
     Ok(command)
 }
 
-fn build_hiroz() -> Result<PathBuf, String> {
+/// hiroz's program.
+pub fn build_hiroz() -> Result<PathBuf, String> {
     let target = machine::target_dir().join("network-hiroz");
     let manifest = machine::root().join("benches/network-hiroz/Cargo.toml");
     let mut build = steps::cargo("build --release --locked");

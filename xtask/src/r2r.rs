@@ -23,6 +23,20 @@ pub fn cargo(arguments: &str) -> Result<Command, String> {
     Ok(command)
 }
 
+/// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
+pub fn program(name: &str) -> Result<PathBuf, String> {
+    let target = machine::target_dir().join("ros/paper-r2r");
+    let mut build = cargo("build --release --locked")?;
+    build.arg("--manifest-path").arg(machine::root().join("benches/paper-r2r/Cargo.toml"));
+    build.arg("--target-dir").arg(&target);
+    // The messages that the programs use; all of them take minutes.
+    build.env("IDL_PACKAGE_FILTER", "std_msgs;test_msgs");
+    match steps::execute(&mut build) {
+        Outcome::Ok => Ok(target.join("release").join(name)),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+    }
+}
+
 /// What the bridge's build script makes the rpath of.
 pub const RPATH: &str = "TAUT_ROS_RPATH";
 
@@ -30,7 +44,7 @@ pub const RPATH: &str = "TAUT_ROS_RPATH";
 pub fn environment() -> Result<Vec<(&'static str, String)>, String> {
     let mut variables = Vec::new();
     if env::var_os("AMENT_PREFIX_PATH").is_none() || env::var_os("ROS_DISTRO").is_none() {
-        let prefix = prefix()?;
+        let prefix = wheels()?;
         let text = |path: &Path| path.display().to_string();
         variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", "jazzy".to_owned())]);
         variables.push((RPATH, text(&prefix.join("lib"))));
@@ -41,8 +55,17 @@ pub fn environment() -> Result<Vec<(&'static str, String)>, String> {
     Ok(variables)
 }
 
+/// The ROS 2 that the user has sourced, else the one under the target directory, which is made first: `include` and `lib`.
+pub fn prefix() -> Result<PathBuf, String> {
+    let sourced = env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
+    match env::split_paths(&sourced).find(|prefix| prefix.join("lib/libfastrtps.so").exists()) {
+        Some(prefix) => Ok(prefix),
+        None => wheels(),
+    }
+}
+
 /// The wheels' files in the layout of an installed ROS 2.
-fn prefix() -> Result<PathBuf, String> {
+fn wheels() -> Result<PathBuf, String> {
     done(ros::prepare())?;
     let prefix = machine::target_dir().join("ros/prefix");
     make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The README's tables and its picture, made from a run on this machine: no number in them is typed.
 
-use crate::{bench, network, paper, steps};
+use crate::{bench, compare, network, paper, services, steps};
 use serde_json::Value;
 use std::fmt::Write;
 use std::fs;
@@ -10,6 +10,8 @@ use std::process::{Command, ExitCode};
 
 /// Where the picture goes.
 const PICTURE: &str = "docs/demo.svg";
+/// That of the comparison.
+const COMPARISON: &str = "docs/compare.svg";
 
 /// A part of the README that is made from a run.
 #[derive(clap::ValueEnum, Clone, Copy, PartialEq, Eq)]
@@ -17,12 +19,24 @@ pub enum Part {
     Demo,
     Wake,
     Messages,
+    Services,
+    Parameters,
     Network,
     Paper,
+    Compare,
 }
 
 impl Part {
-    const ALL: [Part; 5] = [Part::Demo, Part::Wake, Part::Messages, Part::Network, Part::Paper];
+    const ALL: [Part; 8] = [
+        Part::Demo,
+        Part::Wake,
+        Part::Messages,
+        Part::Services,
+        Part::Parameters,
+        Part::Network,
+        Part::Paper,
+        Part::Compare,
+    ];
 
     /// Its mark in the README.
     fn mark(self) -> &'static str {
@@ -30,8 +44,11 @@ impl Part {
             Part::Demo => "demo",
             Part::Wake => "wake",
             Part::Messages => "messages",
+            Part::Services => "services",
+            Part::Parameters => "parameters",
             Part::Network => "network",
             Part::Paper => "paper",
+            Part::Compare => "compare",
         }
     }
 
@@ -45,11 +62,24 @@ impl Part {
             }
             Part::Wake => bench("wake", quick, Some(json)),
             Part::Messages => bench("messages", quick, Some(json)),
+            Part::Services => services::command(&services::Options {
+                quick,
+                json: Some(json.to_owned()),
+                ..Default::default()
+            }),
+            Part::Parameters => bench("parameters", quick, Some(json)),
             Part::Network => network::command(&network::Options {
                 quick,
                 json: Some(json.to_owned()),
                 ..Default::default()
             })?,
+            Part::Compare => compare::command(&compare::Options {
+                quick,
+                json: Some(json.to_owned()),
+                html: Some(json.with_extension("html")),
+                arguments: vec!["--svg".to_owned(), COMPARISON.to_owned()],
+                ..Default::default()
+            }),
             Part::Paper => {
                 // The whole evaluation takes two hours, this a quarter of one.
                 let (runs, seconds) = if quick { (None, None) } else { (Some(3), Some(8.0)) };
@@ -64,8 +94,11 @@ impl Part {
             Part::Demo => demo_table(run),
             Part::Wake => wake_tables(run),
             Part::Messages => messages_table(run),
+            Part::Services => services_table(run),
+            Part::Parameters => parameters_tables(run),
             Part::Network => network_tables(run),
             Part::Paper => paper_table(run),
+            Part::Compare => compare_tables(run),
         }
     }
 }
@@ -258,6 +291,59 @@ fn run_seconds(row: &Value) -> f64 {
     number("n") * number("deadline_ms") / 1e3 / number("runs")
 }
 
+/// The comparison: a line for each way of each system.
+fn compare_tables(run: &Value) -> String {
+    let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
+    let measured: Vec<&Value> = rows.iter().copied().filter(|row| row["n"] != 0).collect();
+    let find = |experiment: &str, (system, mode): (&str, &str), bytes: u64| {
+        measured.iter().copied().find(|row| {
+            row["experiment"] == experiment
+                && row["system"] == system
+                && row["mode"] == mode
+                && row["payload_bytes"] == bytes
+        })
+    };
+    let held = "latency/whole/held-off";
+    let both = |row: &Value| format!("{} / {}", us(row, "p50_us"), us(row, "p99_us"));
+    type Cell<'a> = (&'a str, &'a str, u64, &'a dyn Fn(&Value) -> String);
+    let columns: [Cell; 6] = [
+        ("64 B", held, 64, &both),
+        ("1 MiB", held, 1 << 20, &both),
+        ("8 MiB", held, 8 << 20, &both),
+        ("1 kHz under load, p99.9", "open-loop/load/held-off", 1024, &|row| us(row, "p999_us")),
+        ("robot: CPU", "robot/20x100Hz", 4096, &|row| us(row, "cpu_us_per_msg")),
+        ("robot: MiB", "robot/20x100Hz", 4096, &|row| us(row, "rss_mib")),
+    ];
+    let mut out = String::from("| system |");
+    columns.iter().for_each(|(title, ..)| out.push_str(&format!(" {title} |")));
+    let _ = writeln!(out, "\n|---|{}", "--:|".repeat(columns.len()));
+    for name in names(&measured) {
+        let cells = columns
+            .map(|(_, experiment, bytes, text)| find(experiment, name, bytes).map_or("-".into(), text));
+        if cells.iter().any(|cell| cell != "-") {
+            let _ = writeln!(out, "| {}, {} | {} |", name.0, name.1, cells.join(" | "));
+        }
+    }
+    let mut missing: Vec<String> = Vec::new();
+    for row in rows.iter().filter(|row| row["experiment"] == "-") {
+        let text =
+            format!("{} ({})", row["system"].as_str().unwrap_or("?"), row["note"].as_str().unwrap_or("?"));
+        if !missing.contains(&text) {
+            missing.push(text);
+        }
+    }
+    let missing =
+        if missing.is_empty() { String::new() } else { format!(" Left out: {}.", missing.join("; ")) };
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench compare`: half round trips in µs (p50 / p99), payload written and read whole, idle states held \
+         off for all, FIFO 50, pinned; one way at 1 kHz under load; 20 topics at 100 Hz: CPU time of all processes per message \
+         in µs and resident memory; {}.{missing}",
+        machine()
+    );
+    out
+}
+
 /// Systems and modes in the order in which they first appear.
 fn names<'r>(rows: &[&'r Value]) -> Vec<(&'r str, &'r str)> {
     let mut names = Vec::new();
@@ -315,6 +401,81 @@ fn messages_table(run: &Value) -> String {
     }
     let _ =
         writeln!(out, "\n`cargo xtask bench messages`: medians in µs, one process, one core; {}.", machine());
+    out
+}
+
+/// A line per way to ask and length of the request.
+fn services_table(run: &Value) -> String {
+    let mut out = String::from(
+        "| round trip in µs | bytes asked | n | p50 | p99 | p99.9 | max | lost |\n|---|--:|--:|--:|--:|--:|--:|--:|\n",
+    );
+    for row in run["rows"].as_array().into_iter().flatten() {
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} | {} | {} |",
+            row["system"].as_str().unwrap_or("?"),
+            row["request_bytes"],
+            row["n"],
+            us(row, "p50_us"),
+            us(row, "p99_us"),
+            us(row, "p999_us"),
+            us(row, "max_us"),
+            row["lost"],
+        );
+    }
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench services`: two processes, FIFO 50, each on a core, both blocking, alternating rounds, answers of 64 \
+         bytes; in place nothing is copied, r2r's requests are a text that is; {}; {}.",
+        run["versions"].as_str().unwrap_or("?"),
+        machine()
+    );
+    out
+}
+
+/// What a read costs, and what a thread that sets does to a callback.
+fn parameters_tables(run: &Value) -> String {
+    let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
+    let of = |experiment: &str| -> Vec<&Value> {
+        rows.iter().copied().filter(|row| row["experiment"] == experiment).collect()
+    };
+    let mut out = String::from("| read | ns | ns, while it is set |\n|---|--:|--:|\n");
+    let ns = |row: &Value| row["p50_us"].as_f64().map_or("-".into(), |us| format!("{:.1}", us * 1e3));
+    for row in of("read") {
+        let Some(what) = row["mode"].as_str().and_then(|mode| mode.strip_suffix(", not being set")) else {
+            continue;
+        };
+        let being_set = format!("{what}, being set");
+        let other = rows.iter().find(|row| row["mode"].as_str() == Some(&being_set));
+        let _ = writeln!(out, "| {what} | {} | {} |", ns(row), other.map_or("-".into(), |row| ns(row)));
+    }
+    out.push_str(
+        "\n| 1 kHz callback, meanwhile | p50 µs | p99 µs | p99.9 µs | max µs | p99 to the quiet one's |\n\
+         |---|--:|--:|--:|--:|--:|\n",
+    );
+    for row in of("callback") {
+        let ratio = |at: usize| row["ratio"][at].as_f64().unwrap_or(f64::NAN);
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {:.2} ({:.2} to {:.2}) |",
+            row["mode"].as_str().unwrap_or("?"),
+            us(row, "p50_us"),
+            us(row, "p99_us"),
+            us(row, "p999_us"),
+            us(row, "max_us"),
+            ratio(0),
+            ratio(1),
+            ratio(2),
+        );
+    }
+    let jobs: u64 = of("callback").iter().filter_map(|row| row["n"].as_u64()).sum();
+    let disturbance = rows.first().and_then(|row| row["disturbance"].as_str()).unwrap_or("?");
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench parameters`: medians of rounds; {jobs} jobs in alternating rounds, the callback FIFO 40 on one core, the \
+         other thread, 10,000 times a second, on another; {disturbance}; {}.",
+        machine()
+    );
     out
 }
 
@@ -434,6 +595,30 @@ mod tests {
     }
 
     #[test]
+    fn the_parameters_tables_have_reads_and_the_callback() {
+        let row = |experiment: &str, mode: &str, us: f64, ratio: Value| {
+            serde_json::json!({"experiment": experiment, "system": "tautline", "mode": mode, "p50_us": us, "n": 10,
+                               "p99_us": 2.0 * us, "ratio": ratio, "disturbance": "steal 3 ticks"})
+        };
+        let rows = [
+            row("read", "f64, not being set", 0.0031, Value::Null),
+            row("read", "f64, being set", 0.0052, Value::Null),
+            row("callback", "quiet", 10.0, serde_json::json!([1.0, 1.0, 1.0])),
+            row("callback", "a thread sets", 10.5, serde_json::json!([1.05, 0.97, 1.2])),
+        ];
+        let tables = parameters_tables(&rows.to_vec().into());
+        for line in [
+            "| f64 | 3.1 | 5.2 |\n",
+            "| quiet | 10.00 | 20.00 | - | - | 1.00 (1.00 to 1.00) |\n",
+            "| a thread sets | 10.50 | 21.00 | - | - | 1.05 (0.97 to 1.20) |\n",
+            "20 jobs in alternating rounds",
+            "steal 3 ticks",
+        ] {
+            assert!(tables.contains(line), "{line}\n{tables}");
+        }
+    }
+
+    #[test]
     fn the_networks_tables_have_a_column_per_payload() {
         let row = |experiment: &str, system: &str, mode: &str, bytes: u64, us: f64| {
             serde_json::json!({"experiment": experiment, "system": system, "mode": mode, "payload_bytes": bytes,
@@ -457,6 +642,16 @@ mod tests {
         ] {
             assert!(tables.contains(line), "{line}\n{tables}");
         }
+    }
+
+    #[test]
+    fn the_services_table_says_what_was_lost_and_with_which_versions() {
+        let run = serde_json::json!({"versions": "r2r 0.9.7", "rows": [
+            {"system": "r2r over Fast DDS", "request_bytes": 64, "n": 10, "p50_us": 123.4, "p99_us": 5.0, "p999_us": 6.0,
+             "max_us": 7.0, "lost": 2}]});
+        let table = services_table(&run);
+        assert!(table.contains("| r2r over Fast DDS | 64 | 10 | 123 | 5.00 | 6.00 | 7.00 | 2 |"), "{table}");
+        assert!(table.contains("r2r 0.9.7"), "{table}");
     }
 
     #[test]

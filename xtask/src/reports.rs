@@ -78,6 +78,20 @@ const NETWORK_ROW: &[(&str, Kind)] = &[
     ("lost", Count),
 ];
 
+/// Of every row of the comparison; times are numbers where something was measured.
+const COMPARE_ROW: &[(&str, Kind)] = &[
+    ("experiment", Text),
+    ("system", Text),
+    ("mode", Text),
+    ("payload_bytes", Count),
+    ("n", Count),
+    ("lost", Count),
+    ("note", Text),
+];
+
+/// Its other fields.
+const COMPARE_NUMBERS: [&str; 6] = ["p50_us", "p99_us", "p999_us", "max_us", "cpu_us_per_msg", "rss_mib"];
+
 const PAPER_ROW: &[(&str, Kind)] = &[
     ("system", Text),
     ("variant", Text),
@@ -159,6 +173,57 @@ pub fn check_network(path: &Path) -> Outcome {
             None => Ok(()),
         }
     })
+}
+
+/// The comparison's rows: exactly the promised fields; each system is there or says why not; Tautline takes part in every
+/// experiment that a rival has, and loses nothing where messages come one by one.
+pub fn check_compare(path: &Path, systems: &[&str]) -> Outcome {
+    judge(path, |report| {
+        let rows = report.as_array().ok_or("it is not a list")?;
+        rows.iter().try_for_each(check_compare_row)?;
+        for system in systems {
+            if !rows.iter().any(|row| row["system"] == *system && row["n"] != 0) {
+                return Err(format!("nothing was measured of {system}"));
+            }
+        }
+        for row in rows.iter().filter(|row| row["n"] != 0) {
+            let ours = |other: &&Value| {
+                other["system"] == "tautline"
+                    && other["experiment"] == row["experiment"]
+                    && other["payload_bytes"] == row["payload_bytes"]
+            };
+            if !rows.iter().any(|row| ours(&row) && row["n"] != 0) {
+                return Err(format!("tautline has no row beside this one: {row}"));
+            }
+        }
+        let latency =
+            |row: &&Value| row["experiment"].as_str().is_some_and(|name| name.starts_with("latency/"));
+        match rows.iter().filter(latency).find(|row| row["system"] == "tautline" && row["lost"] != 0) {
+            Some(row) => Err(format!("tautline lost messages: {row}")),
+            None => Ok(()),
+        }
+    })
+}
+
+fn check_compare_row(row: &Value) -> Result<(), String> {
+    check_fields(row, "a row", COMPARE_ROW)?;
+    let fields = row.as_object().map_or(0, serde_json::Map::len);
+    if fields != COMPARE_ROW.len() + COMPARE_NUMBERS.len() {
+        return Err(format!("a row with {fields} fields: {row}"));
+    }
+    let is_measured = row["n"] != 0;
+    for name in COMPARE_NUMBERS {
+        let number = row.get(name).ok_or_else(|| format!("a row has no field '{name}': {row}"))?;
+        // A start has no cost per message.
+        let may_lack = !is_measured || name == "cpu_us_per_msg" || name == "rss_mib";
+        if !(number.is_number() || may_lack && number.is_null()) {
+            return Err(format!("'{name}' is no number: {row}"));
+        }
+    }
+    match is_measured || row["note"] != "" {
+        true => Ok(()),
+        false => Err(format!("nothing was measured and nothing says why: {row}")),
+    }
 }
 
 fn check_rows(path: &Path, fields: &[(&str, Kind)]) -> Outcome {
@@ -297,6 +362,40 @@ mod tests {
         assert!(judged(&rows).is_empty(), "of round trips there is none");
         rows[18].as_object_mut().unwrap().remove("mb_per_s");
         assert!(judged(&rows).contains("how much arrived"));
+    }
+
+    #[test]
+    fn a_comparison_without_a_reason_or_without_us_is_refused() {
+        let row = |system: &str, n: u64| {
+            let time = if n > 0 { json!(1.5) } else { Value::Null };
+            json!({
+                "experiment": "latency/whole/held-off", "system": system, "mode": "m", "payload_bytes": 64, "n": n,
+                "p50_us": time, "p99_us": time, "p999_us": time, "max_us": time, "lost": 0, "cpu_us_per_msg": null,
+                "rss_mib": null, "note": "",
+            })
+        };
+        let file = std::env::temp_dir().join(format!("taut_compare_report_{}.json", std::process::id()));
+        let judged = |rows: &[Value]| {
+            std::fs::write(&file, Value::from(rows).to_string()).unwrap();
+            let outcome = check_compare(&file, &["tautline"]);
+            std::fs::remove_file(&file).unwrap();
+            match outcome {
+                Outcome::Ok => String::new(),
+                Outcome::Failed(reason) | Outcome::Skipped(reason) => reason,
+            }
+        };
+        assert_eq!(judged(&[row("tautline", 1), row("fastdds", 1)]), "");
+        assert!(judged(&[row("fastdds", 1)]).contains("nothing was measured of tautline"));
+        assert!(judged(&[row("tautline", 1), row("zenoh", 0)]).contains("nothing says why"));
+        let changed = |name: &str, value: Value| {
+            let mut ours = row("tautline", 1);
+            ours[name] = value;
+            judged(&[ours, row("fastdds", 1)])
+        };
+        assert!(changed("payload_bytes", json!(65)).contains("tautline has no row beside"));
+        assert!(changed("lost", json!(1)).contains("lost messages"));
+        assert!(changed("p99_us", Value::Null).contains("'p99_us' is no number"));
+        assert!(changed("idle", json!("poll")).contains("14 fields"));
     }
 
     #[test]

@@ -2,9 +2,14 @@
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
 use crate::machine::{self, Domain};
-use crate::reports::{check_ablation, check_demo, check_messages, check_network, check_paper, check_wake};
+use crate::reports::{
+    check_ablation, check_compare, check_demo, check_messages, check_network, check_paper, check_wake,
+};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{bench, bridge, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell};
+use crate::{
+    bench, bridge, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, programs, ros,
+    services as round_trips, stress_doorbell,
+};
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -20,8 +25,7 @@ pub fn run(quick: bool) -> ExitCode {
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
-    let binaries =
-        "build --release -p taut -p tautline-examples -p own-messages -p tautline-benches --bins --examples";
+    let binaries = "build --release -p taut -p tautline-examples -p own-messages -p tautline-benches -p tautline-compare --bins --examples";
     let built = steps.command("build", &mut cargo(binaries));
     demo(&mut steps);
     examples::run(&mut steps, built, false);
@@ -29,11 +33,13 @@ pub fn run(quick: bool) -> ExitCode {
     systemd(&mut steps);
     if quick {
         steps.skip("peers", "--quick");
+        steps.skip("r2r: programs", "--quick");
     } else {
         peers::test(&mut steps, built);
+        programs::test(&mut steps);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 11] = [
+    let slow: [(&str, Step); 12] = [
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: parameters", parameters),
@@ -41,6 +47,7 @@ pub fn run(quick: bool) -> ExitCode {
         ("bench: messages", messages),
         ("bench: services", services),
         ("bench: network", network),
+        ("bench: compare", compare),
         ("bench: paper", paper),
         ("loom", loom),
         ("miri", miri),
@@ -59,18 +66,26 @@ pub fn run(quick: bool) -> ExitCode {
 
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
-    // A workspace of its own, which needs a ROS 2 for more than this; what it uses of ours may have got dependencies.
-    let r2r = machine::root().join("benches/paper-r2r");
-    let mut format = Command::new("rustfmt");
-    steps.command(
-        "fmt: paper-r2r",
-        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs")),
-    );
-    let mut lock = cargo("fetch --quiet --locked --manifest-path");
-    steps.command("lock: paper-r2r", lock.arg(r2r.join("Cargo.toml")));
-    let hiroz = "--manifest-path benches/network-hiroz/Cargo.toml";
-    steps.command("fmt: network-hiroz", &mut cargo(&format!("fmt {hiroz} --check")));
-    steps.command("lock: network-hiroz", &mut cargo(&format!("fetch --quiet --locked {hiroz}")));
+    // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
+    let sources = ["src/main.rs", "src/bin/services-r2r.rs"];
+    for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
+        let r2r = machine::root().join(folder);
+        let mut format = Command::new("rustfmt");
+        format.args(["--check", "--edition", "2024"]);
+        format.args(sources.map(|source| r2r.join(source)).iter().filter(|source| source.exists()));
+        steps.command(&format!("fmt: {name}"), &mut format);
+        let mut lock = cargo("fetch --quiet --locked --manifest-path");
+        steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
+    }
+    for (name, folder) in [
+        ("network-hiroz", "benches/network-hiroz"),
+        ("compare-zenoh", "benches/compare/zenoh"),
+        ("r2r-programs", "node/r2r"),
+    ] {
+        let manifest = format!("--manifest-path {folder}/Cargo.toml");
+        steps.command(&format!("fmt: {name}"), &mut cargo(&format!("fmt {manifest} --check")));
+        steps.command(&format!("lock: {name}"), &mut cargo(&format!("fetch --quiet --locked {manifest}")));
+    }
     steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
@@ -87,7 +102,7 @@ fn ros(steps: &mut Steps) {
 
 fn tests(steps: &mut Steps) {
     // Every bundled message, not only those of the default packages.
-    let build = "--workspace --features tautline-ros-msgs/all --no-fail-fast";
+    let build = "--workspace --features tautline/ros_all --no-fail-fast";
     let leak_cycles = machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"));
     if machine::cargo_has("nextest --version").is_ok() {
         let profile = if machine::is_ci() { "ci" } else { "default" };
@@ -212,7 +227,7 @@ fn network(steps: &mut Steps) {
     let json = target.join("network.json");
     let _ = std::fs::remove_file(&json);
     // All that `tests` built, with its features: only the bench itself is not there yet.
-    let build = "build --workspace --features tautline-ros-msgs/all --tests --bin network --bin taut-gateway";
+    let build = "build --workspace --features tautline/ros_all --tests --bin network --bin taut-gateway";
     if !steps.command("bench: network: build", &mut cargo(build)) {
         return steps.skip("bench: network", "not built");
     }
@@ -230,13 +245,37 @@ fn network(steps: &mut Steps) {
     });
 }
 
-/// It runs; what it says belongs to the machine.
+/// A minute of the comparison with what is built in seconds: it runs, its page is drawn and its report keeps its promises.
+fn compare(steps: &mut Steps) {
+    const SYSTEMS: [&str; 4] = ["floor", "tautline", "iceoryx2", "fastdds"];
+    let target = machine::target_dir();
+    let (json, html) = (target.join("compare.json"), target.join("compare.html"));
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: compare", || {
+        let mut arguments = vec!["--smoke".to_owned()];
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            arguments.push("--no-rt".to_owned());
+        }
+        let mut command = comparison::command(&comparison::Options {
+            systems: SYSTEMS.map(str::to_owned).into(),
+            json: Some(json.clone()),
+            html: Some(html),
+            arguments,
+            ..Default::default()
+        });
+        match execute(&mut command) {
+            Outcome::Ok => check_compare(&json, &SYSTEMS),
+            other => other,
+        }
+    });
+}
+
+/// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
 fn services(steps: &mut Steps) {
-    let mut command = bench("services", true, None);
-    if !machine::is_ci() && !machine::realtime_permitted() {
-        command.args(["--no-rt"]);
-    }
-    steps.command("bench: services", &mut command);
+    let no_rt = !machine::is_ci() && !machine::realtime_permitted();
+    let arguments = no_rt.then(|| "--no-rt".to_owned()).into_iter().collect();
+    let options = round_trips::Options { quick: true, no_r2r: true, arguments, ..Default::default() };
+    steps.command("bench: services", &mut round_trips::command(&options));
 }
 
 /// It runs; what it says belongs to the machine.
@@ -301,7 +340,7 @@ pub fn miri(steps: &mut Steps) {
     let messages = "+nightly miri test -p tautline-msgs --test cdr --test validate --test owned -- \
                     --skip lengths_are_not_believed --skip encoding_does_not_allocate";
     steps.command("miri: messages", &mut cargo(messages));
-    let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker";
+    let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker pending";
     steps.command("miri: samples", &mut cargo(samples));
     let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
     steps.command("miri: rings", &mut cargo(rings));

@@ -114,6 +114,7 @@ mod tests {
             domain: 0,
             topic: "x".into(),
             endpoint: None,
+            way: crate::Way::default(),
         };
         let mut arrivals = Arrivals::new(&job);
         assert_eq!(arrivals.arrive_at(1, 1000), Answer::Send(1));

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use rustix::process::{Signal, set_parent_process_death_signal};
 use serde::{Deserialize, Serialize};
-use tautline_rt::{CoreSet, Policy, Realtime, ThreadBuilder, set_affinity};
+use tautline_rt::{CoreSet, Policy, Realtime, ThreadBuilder, set_affinity, set_policy};
 
 use crate::Result;
 
@@ -64,6 +64,22 @@ pub struct Job {
     pub topic: String,
     /// Where the near end finds the far one, if they link directly.
     pub endpoint: Option<String>,
+    /// How, where a system has several ways.
+    #[serde(default)]
+    pub way: Way,
+}
+
+/// How a system does it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Way {
+    /// The system's word for it.
+    pub mode: String,
+    /// Whether payloads are written and read whole; else only their [`Stamp`](crate::Stamp).
+    pub whole: bool,
+    /// Topics of a flow.
+    pub topics: usize,
+    /// Subscriptions of each topic in this process.
+    pub subscribers: usize,
 }
 
 impl Job {
@@ -132,6 +148,14 @@ pub fn on_network_thread<T: Send + 'static>(
 pub enum Line {
     /// The far end can receive, here if the near one is to link to it.
     Ready(Option<String>),
+    /// The far end of a flow has had a message on each of its subscriptions: since the first one, since the last one
+    /// (`CLOCK_MONOTONIC`).
+    Connected {
+        /// When the first subscription had its first message.
+        first_ns: u64,
+        /// When all had.
+        all_ns: u64,
+    },
     /// The end: of round trips from the near end, of a stream from the far one.
     Measured(Measured),
 }
@@ -145,6 +169,18 @@ pub struct Measured {
     pub lost: u64,
     /// How long it took.
     pub seconds: f64,
+    /// CPU time of this process meanwhile.
+    #[serde(default)]
+    pub cpu_ns: u64,
+    /// The near process's share of resident memory, when it was done.
+    #[serde(default)]
+    pub memory_kib: u64,
+    /// Messages of a flow that were sent, or arrived.
+    #[serde(default)]
+    pub messages: u64,
+    /// The number of the message that each of `times_ns` belongs to, of a flow with one topic.
+    #[serde(default)]
+    pub numbers: Vec<u64>,
 }
 
 /// Says a line. Nobody listening means that the starter died.
@@ -160,9 +196,24 @@ pub fn say(line: &Line) {
 pub fn stop_flag() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
     let stop = flag.clone();
-    std::thread::spawn(move || {
-        let _ = stdin().read_to_end(&mut Vec::new());
-        stop.store(true, Ordering::Relaxed);
-    });
+    on_stop(move || stop.store(true, Ordering::Relaxed));
     flag
+}
+
+/// Runs `then` when standard input is closed, however busy threads are that are started later.
+pub fn on_stop(then: impl FnOnce() + Send + 'static) {
+    std::thread::spawn(move || {
+        // Ignored: who may not have this priority has no threads of the application's either.
+        let _ = set_policy(Policy::Fifo(APPLICATION_PRIORITY + 1));
+        let _ = stdin().read_to_end(&mut Vec::new());
+        then();
+    });
+}
+
+/// A process's share of resident memory: what several have mapped counts in part for each. 0 if the kernel does not say.
+#[must_use]
+pub fn memory_kib(process: &str) -> u64 {
+    let text = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix("Pss:"));
+    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
 }

@@ -1,22 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Two processes exchange messages: round trips, or a stream. What both ends of any middleware have in common.
+//! Two processes exchange messages: round trips, a stream, or a flow. What both ends of any middleware have in common.
 //!
 //! | module | holds |
 //! |---|---|
 //! | `job` | what a process is told, and what it says |
 //! | `near` | the end that sends first: the clock of round trips, the window of a stream |
 //! | `far` | the end that answers: what arrived of a stream |
+//! | `flow` | both ends of what is sent one way, at a rate or as fast as it goes, to any number of subscriptions |
+//! | `payload` | what a message contains |
+//! | `futex` | the floor below all of them: memory that two processes share, and one futex wake each way |
 
 mod far;
+mod flow;
+mod futex;
 mod job;
 mod near;
+mod payload;
 
 pub use far::{Answer, Arrivals};
+pub use flow::{Inlet, Sink, Source, to_the_last};
+pub use futex::FutexPair;
 pub use job::{
-    APPLICATION_PRIORITY, Exchange, Job, Line, Measured, NETWORK_PRIORITY, Role, on_network_thread, say,
-    stop_flag,
+    APPLICATION_PRIORITY, Exchange, Job, Line, Measured, NETWORK_PRIORITY, Role, Way, memory_kib,
+    on_network_thread, on_stop, say, stop_flag,
 };
 pub use near::{Link, PATIENCE, RoundTrips, Window, drive};
+pub use payload::Stamp;
 
 /// What nobody handles but the person who reads it.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;

@@ -3,9 +3,9 @@
 
 use std::time::Duration;
 
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, process_cpu_ns};
 
-use crate::job::{Exchange, Job, Measured};
+use crate::job::{Exchange, Job, Measured, memory_kib};
 use crate::{Answer, Result};
 
 /// How long an answer is waited for.
@@ -96,6 +96,8 @@ pub struct RoundTrips {
     /// When the first answer came.
     connected_ns: Option<u64>,
     measuring_since_ns: Option<u64>,
+    /// The CPU time of this process then.
+    cpu_ns: u64,
     answers: u64,
 }
 
@@ -112,6 +114,7 @@ impl RoundTrips {
             created_ns: monotonic_ns(),
             connected_ns: None,
             measuring_since_ns: None,
+            cpu_ns: 0,
             answers: 0,
         }
     }
@@ -122,9 +125,14 @@ impl RoundTrips {
         match (self.measuring_since_ns, self.connected_ns) {
             (Some(since), _) if now - since >= self.budget_ns => return None,
             (None, Some(connected)) => {
-                let is_warm =
-                    now - connected >= self.budget_ns / u64::from(WARM_UP_SHARE) && self.answers >= WARM_UP;
-                self.measuring_since_ns = is_warm.then_some(now);
+                let warming_ns = now - connected;
+                // One that loses most of its messages warms up for ever.
+                let is_warm = warming_ns >= self.budget_ns / u64::from(WARM_UP_SHARE)
+                    && (self.answers >= WARM_UP || warming_ns >= self.budget_ns * 2);
+                if is_warm {
+                    self.cpu_ns = process_cpu_ns();
+                    self.measuring_since_ns = Some(now);
+                }
             }
             _ => {}
         }
@@ -174,7 +182,10 @@ impl RoundTrips {
     #[must_use]
     pub fn measured(self) -> Measured {
         let seconds = self.measuring_since_ns.map_or(0.0, |since| (monotonic_ns() - since) as f64 / 1e9);
-        Measured { times_ns: self.times_ns, lost: self.lost, seconds }
+        let cpu_ns = process_cpu_ns() - self.cpu_ns;
+        let (messages, memory_kib) = (self.times_ns.len() as u64, memory_kib("self"));
+        let (times_ns, lost) = (self.times_ns, self.lost);
+        Measured { times_ns, lost, seconds, cpu_ns, messages, memory_kib, ..Measured::default() }
     }
 }
 

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use tautline_benches::Process;
-use tautline_exchange::{Exchange, Job, Line, Measured, Role};
+use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
 use crate::gateways::{DOMAINS, Gateways, Setting};
@@ -84,6 +84,7 @@ impl<'a> Stream<'a> {
             domain: DOMAINS[host],
             topic: format!("/bench/run_{}/flood", std::process::id()),
             endpoint: None,
+            way: Way::default(),
         };
         let mut far = start(plan, System::Tautline, &job(Role::Far, 1, None), interrupted)?;
         far.expect(PATIENCE, |line| matches!(line, Line::Ready(_)).then_some(()))?;
@@ -94,7 +95,7 @@ impl<'a> Stream<'a> {
     fn end(&mut self) -> Result<Measured> {
         let measured = self.far.expect(PATIENCE, |line| match line {
             Line::Measured(measured) => Some(measured),
-            Line::Ready(_) => None,
+            _ => None,
         })?;
         self.near.finish()?;
         self.far.finish()?;

@@ -65,3 +65,10 @@ impl<'a> Gateways<'a> {
         self.both[host].latest().unwrap_or_default()
     }
 }
+
+/// Not killed: that would leave their files in shared memory behind.
+impl Drop for Gateways<'_> {
+    fn drop(&mut self) {
+        self.both.iter_mut().for_each(Process::terminate);
+    }
+}

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use tautline_benches::{Distribution, Process};
-use tautline_exchange::{Exchange, Job, Line, Measured, Role};
+use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
 use crate::gateways::{DOMAINS, Gateways, Setting};
@@ -66,16 +66,17 @@ fn pair(plan: &Plan, case: Case, topic: String, interrupted: &AtomicBool) -> Res
         },
         topic: topic.clone(),
         endpoint: None,
+        way: Way::default(),
     };
     let mut far = start(plan, case.system, &job(Role::Far), interrupted)?;
     let endpoint = far.expect(PATIENCE, |line| match line {
         Line::Ready(endpoint) => Some(endpoint),
-        Line::Measured(_) => None,
+        _ => None,
     })?;
     let mut near = start(plan, case.system, &Job { endpoint, ..job(Role::Near) }, interrupted)?;
     let measured = |line| match line {
         Line::Measured(measured) => Some(measured),
-        Line::Ready(_) => None,
+        _ => None,
     };
     let patience = PATIENCE + plan.budget * 3;
     let measured = match case.exchange {

@@ -3,7 +3,9 @@
 //!
 //! The reads run in alternating rounds on one core, while nobody sets the parameter and while a thread on another core does
 //! 10,000 times a second; beside them what r2r's programs do, which lock a map. Then a 1 kHz timer's callback reads parameters in
-//! alternating rounds with and without that thread; its response times are compared.
+//! alternating rounds: while that thread is not there, while it only wakes as often and sets nothing, and while it sets. What counts
+//! is the median, over the rounds, of the ratio of its 99th percentiles to that of the quiet part of the same round: a round that
+//! others disturbed is one of many. What the thread that only wakes does to the callback is the machine's doing, not the setting's.
 
 use clap::Parser;
 use futures::StreamExt;
@@ -20,11 +22,16 @@ use tautline::{
 };
 use tautline_benches::{Distribution, Disturbance, machine};
 use tautline_rt::CoreSet;
+use tautline_rt::host::steal_ticks;
 
 const SETS_PER_SECOND: u64 = 10_000;
 const PERIOD: Duration = Duration::from_millis(1);
 /// Reads of each kind in one job of the callback.
 const READS_PER_JOB: usize = 10;
+/// A read shall cost less, whoever sets.
+const READ_LIMIT_NS: f64 = 100.0;
+/// Setting shall make the callback's 99th percentile no greater than so many times the quiet one.
+const P99_RATIO_LIMIT: f64 = 1.1;
 
 /// Measures reading parameters beside a thread that sets them.
 #[derive(Parser)]
@@ -37,38 +44,161 @@ struct Options {
     json: Option<std::path::PathBuf>,
 }
 
-#[derive(Serialize)]
 struct Report {
     machine: String,
     disturbance: String,
     realtime: bool,
+    /// The callback's core, and that of the thread that sets.
+    cores: [usize; 2],
     reads: Vec<Read>,
     callback: Vec<Callback>,
-    /// Of all jobs while parameters are set, to that of all jobs while they are not.
-    p99_ratio: f64,
 }
 
 /// Nanoseconds per read, of each round.
-#[derive(Serialize)]
 struct Read {
     what: &'static str,
+    payload_bytes: usize,
     being_set: bool,
     rounds: usize,
+    calls: u64,
     min_ns: f64,
     p50_ns: f64,
     max_ns: f64,
 }
 
+/// What the other thread does meanwhile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Meanwhile {
+    Nothing,
+    Wakes,
+    Sets,
+}
+
+impl Meanwhile {
+    const ALL: [Meanwhile; 3] = [Meanwhile::Nothing, Meanwhile::Wakes, Meanwhile::Sets];
+
+    fn name(self) -> &'static str {
+        match self {
+            Meanwhile::Nothing => "quiet",
+            Meanwhile::Wakes => "a thread wakes",
+            Meanwhile::Sets => "a thread sets",
+        }
+    }
+}
+
 /// Response times of the callback's jobs: from the release of the timer to the end of the job.
-#[derive(Serialize)]
 struct Callback {
-    being_set: bool,
-    jobs: u64,
+    meanwhile: Meanwhile,
+    /// Of all rounds.
+    jobs: Distribution,
+    missed: u64,
     sets: u64,
+    steal_ticks: u64,
+    /// Of each round: the 99th percentile to that of its quiet part.
+    ratios: Vec<f64>,
+}
+
+impl Callback {
+    fn ratio(&self) -> f64 {
+        median(&self.ratios)
+    }
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut values = values.to_vec();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// A line of the JSON, as other measurements have it.
+#[derive(Serialize)]
+struct Row {
+    experiment: &'static str,
+    system: &'static str,
+    mode: String,
+    payload_bytes: usize,
+    n: u64,
     p50_us: f64,
-    p99_us: f64,
-    p999_us: f64,
+    p99_us: Option<f64>,
+    p999_us: Option<f64>,
     max_us: f64,
+    lost: u64,
+    /// Of the callback's 99th percentile to the quiet one: the median of the rounds, the least and the greatest.
+    ratio: Option<[f64; 3]>,
+    steal_ticks: Option<u64>,
+    realtime: bool,
+    disturbance: String,
+}
+
+impl Report {
+    fn rows(&self) -> Vec<Row> {
+        let reads = self.reads.iter().map(|read| Row {
+            experiment: "read",
+            system: if read.what.contains("r2r") { "r2r's way" } else { "tautline" },
+            mode: format!("{}, {}", read.what, if read.being_set { "being set" } else { "not being set" }),
+            payload_bytes: read.payload_bytes,
+            n: read.rounds as u64 * read.calls,
+            p50_us: read.p50_ns / 1e3,
+            // Only each round as a whole is measured.
+            p99_us: None,
+            p999_us: None,
+            max_us: read.max_ns / 1e3,
+            lost: 0,
+            ratio: None,
+            steal_ticks: None,
+            realtime: false,
+            disturbance: self.disturbance.clone(),
+        });
+        let callback = self.callback.iter().map(|of| Row {
+            experiment: "callback",
+            system: "tautline",
+            mode: of.meanwhile.name().to_owned(),
+            payload_bytes: 0,
+            n: of.jobs.len(),
+            p50_us: of.jobs.quantile_us(0.5),
+            p99_us: Some(of.jobs.quantile_us(0.99)),
+            p999_us: Some(of.jobs.quantile_us(0.999)),
+            max_us: of.jobs.max_us(),
+            lost: of.missed,
+            ratio: Some([
+                of.ratio(),
+                of.ratios.iter().copied().fold(f64::INFINITY, f64::min),
+                of.ratios.iter().copied().fold(0.0, f64::max),
+            ]),
+            steal_ticks: Some(of.steal_ticks),
+            realtime: self.realtime,
+            disturbance: self.disturbance.clone(),
+        });
+        reads.chain(callback).collect()
+    }
+
+    /// What was asked for, and whether it is so.
+    fn verdicts(&self) -> Vec<(bool, String)> {
+        let slowest = self.reads.iter().filter(|read| read.is_of_reader());
+        let slowest = slowest.map(|read| read.p50_ns).fold(0.0, f64::max);
+        let sets = self.callback.iter().find(|of| of.meanwhile == Meanwhile::Sets);
+        let ratio = sets.map_or(f64::NAN, Callback::ratio);
+        vec![
+            (
+                slowest < READ_LIMIT_NS,
+                format!("a read costs {slowest:.0} ns at most (median of rounds), limit {READ_LIMIT_NS} ns"),
+            ),
+            (
+                ratio <= P99_RATIO_LIMIT,
+                format!(
+                    "the callback's p99 beside {SETS_PER_SECOND} sets/s is {ratio:.2} times the quiet one (median of rounds), \
+                     limit {P99_RATIO_LIMIT}"
+                ),
+            ),
+        ]
+    }
+}
+
+impl Read {
+    /// Those through a `ParameterReader`, as a callback should.
+    fn is_of_reader(&self) -> bool {
+        READS[..3].iter().any(|(what, ..)| *what == self.what)
+    }
 }
 
 fn main() -> ExitCode {
@@ -98,7 +228,10 @@ impl Readers {
 }
 
 fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
-    let (rounds, reads, seconds) = if options.quick { (5, 100_000, 1) } else { (21, 1_000_000, 5) };
+    let (rounds, reads, parts, part) = match options.quick {
+        true => (5, 100_000, 3, Duration::from_millis(500)),
+        false => (21, 1_000_000, 15, Duration::from_secs(4)),
+    };
     // Before this program confines itself to cores.
     let (machine, disturbance) = (machine(), Disturbance::start());
     let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
@@ -112,17 +245,20 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     node.declare_parameter("frame", "base_link".to_owned())?;
 
     let reads = read_costs(&node, rounds, reads, [callback_core, setter_core])?;
-    let callback = disturbance_of_callback(
-        &node,
-        if options.quick { 2 } else { 6 },
-        seconds,
-        [callback_core, setter_core],
-    )?;
-    let p99_ratio = callback[1].p99_us / callback[0].p99_us;
-    let report = Report { machine, disturbance: disturbance.report(), realtime, reads, callback, p99_ratio };
+    let cores = [callback_core, setter_core];
+    let callback = disturbance_of_callback(&node, parts, part, cores)?;
+    let report = Report { machine, disturbance: disturbance.report(), realtime, cores, reads, callback };
     print(&report);
     if let Some(path) = &options.json {
-        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
+        std::fs::write(path, serde_json::to_string_pretty(&report.rows())?)?;
+    }
+    if !realtime || callback_core == setter_core {
+        println!("no verdict: it takes real-time priorities and two cores");
+        return Ok(());
+    }
+    // A miss is printed, never an error: the machine has its part in it.
+    for (holds, what) in report.verdicts() {
+        println!("{}: {what}", if holds { "holds" } else { "MISSED" });
     }
     Ok(())
 }
@@ -134,7 +270,7 @@ struct Setter {
 }
 
 impl Setter {
-    fn start(parameters: Parameters, core: usize) -> Setter {
+    fn start(parameters: Parameters, core: usize, sets_any: bool) -> Setter {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
         let thread = std::thread::spawn(move || {
@@ -144,6 +280,7 @@ impl Setter {
             while !stopped.load(Ordering::Relaxed) {
                 let value = sets as f64;
                 let set = match sets % 3 {
+                    _ if !sets_any => Ok(()),
                     0 => parameters.set("gain", value),
                     1 => parameters.set("gains", vec![value; 16]),
                     _ => parameters.set("frame", format!("frame {sets}")),
@@ -165,20 +302,21 @@ impl Setter {
 
 type Work = fn(&mut Readers, &Parameters, &Node);
 
-const READS: [(&str, Work); 5] = [
-    ("f64", |readers, _, _| {
+/// What, its size, and the read. The first three are a callback's.
+const READS: [(&str, usize, Work); 5] = [
+    ("f64", 8, |readers, _, _| {
         black_box(readers.gain.get());
     }),
-    ("16 f64", |readers, _, _| {
+    ("16 f64", 128, |readers, _, _| {
         black_box(readers.gains.read().iter().sum::<f64>());
     }),
-    ("string", |readers, _, _| {
+    ("string", 9, |readers, _, _| {
         black_box(readers.frame.read().len());
     }),
-    ("f64 by name, cloned from a locked map", |_, parameters, _| {
+    ("f64 by name, cloned from a locked map", 8, |_, parameters, _| {
         black_box(parameters.get::<f64>("gain").ok());
     }),
-    ("f64 as r2r's programs", |_, _, node| {
+    ("f64 as r2r's programs", 8, |_, _, node| {
         let params = node.params.lock().expect("nobody panics");
         if let Some(ParameterValue::Double(gain)) = params.get("gain").map(|parameter| &parameter.value) {
             black_box(*gain);
@@ -198,8 +336,8 @@ fn read_costs(
     let mut times: Vec<(bool, usize, f64)> = Vec::new();
     for _ in 0..rounds {
         for being_set in [false, true] {
-            let setter = being_set.then(|| Setter::start(parameters.clone(), setter_core));
-            for (case, (_, work)) in READS.iter().enumerate() {
+            let setter = being_set.then(|| Setter::start(parameters.clone(), setter_core, true));
+            for (case, (.., work)) in READS.iter().enumerate() {
                 let start = Instant::now();
                 (0..calls).for_each(|_| work(&mut readers, &parameters, node));
                 times.push((being_set, case, start.elapsed().as_nanos() as f64 / calls as f64));
@@ -210,31 +348,35 @@ fn read_costs(
     tautline_rt::set_affinity(former)?;
     let mut reads = Vec::new();
     for being_set in [false, true] {
-        for (case, (what, _)) in READS.into_iter().enumerate() {
+        for (case, (what, payload_bytes, _)) in READS.into_iter().enumerate() {
             let of = times.iter().filter(|(set, of, _)| (*set, *of) == (being_set, case));
             let mut ns: Vec<f64> = of.map(|(.., ns)| *ns).collect();
             ns.sort_by(f64::total_cmp);
             let (min_ns, p50_ns, max_ns) = (ns[0], ns[ns.len() / 2], ns[ns.len() - 1]);
-            reads.push(Read { what, being_set, rounds, min_ns, p50_ns, max_ns });
+            reads.push(Read { what, payload_bytes, being_set, rounds, calls, min_ns, p50_ns, max_ns });
         }
     }
     Ok(reads)
 }
 
+/// What the callback's jobs of now are recorded to.
+struct Recording {
+    jobs: Distribution,
+    missed: u64,
+}
+
 fn disturbance_of_callback(
     node: &Node,
     rounds: usize,
-    seconds: u64,
+    part: Duration,
     [core, setter_core]: [usize; 2],
 ) -> Result<Vec<Callback>, Box<dyn std::error::Error>> {
-    /// Which distribution the jobs of now belong to; none while the setter starts and stops.
-    static BEING_SET: AtomicBool = AtomicBool::new(false);
     static RECORDED: AtomicBool = AtomicBool::new(false);
     let context = node.context().clone();
-    let of_jobs = Arc::new(Mutex::new([Distribution::new(), Distribution::new()]));
+    let recording = Arc::new(Mutex::new(Recording { jobs: Distribution::new(), missed: 0 }));
     let timer = context_timer(&context)?;
     let mut readers = Readers::of(node)?;
-    let recorded = of_jobs.clone();
+    let recorded = recording.clone();
     let work = timer.for_each(move |tick| {
         let mut sum = 0.0;
         for _ in 0..READS_PER_JOB {
@@ -245,9 +387,10 @@ fn disturbance_of_callback(
         let response_ns = monotonic_ns().saturating_sub(tick.release_ns);
         // Never taken by another thread while jobs are recorded.
         if RECORDED.load(Ordering::Acquire)
-            && let Ok(mut of_jobs) = recorded.try_lock()
+            && let Ok(mut recorded) = recorded.try_lock()
         {
-            of_jobs[usize::from(BEING_SET.load(Ordering::Relaxed))].record(response_ns);
+            recorded.jobs.record(response_ns);
+            recorded.missed += tick.missed;
         }
         async {}
     });
@@ -256,38 +399,50 @@ fn disturbance_of_callback(
         let context = context.clone();
         std::thread::spawn(move || context.spin())
     };
-    let mut sets = 0;
+    let none = |meanwhile| Callback {
+        meanwhile,
+        jobs: Distribution::new(),
+        missed: 0,
+        sets: 0,
+        steal_ticks: 0,
+        ratios: Vec::new(),
+    };
+    let mut results = Meanwhile::ALL.map(none);
     let pause = Duration::from_millis(20);
-    for _ in 0..rounds {
-        for being_set in [false, true] {
-            let setter = being_set.then(|| Setter::start(node.parameters().clone(), setter_core));
-            BEING_SET.store(being_set, Ordering::Relaxed);
+    for round in 0..rounds {
+        eprint!("\rround {} of {rounds} ", round + 1);
+        let mut p99 = [0.0; Meanwhile::ALL.len()];
+        // Each comes first, second and third equally often.
+        for at in 0..p99.len() {
+            let index = (at + round) % p99.len();
+            let result = &mut results[index];
+            let setter = (result.meanwhile != Meanwhile::Nothing).then(|| {
+                let sets_any = result.meanwhile == Meanwhile::Sets;
+                Setter::start(node.parameters().clone(), setter_core, sets_any)
+            });
             std::thread::sleep(pause);
+            let steal = steal_ticks(None);
             RECORDED.store(true, Ordering::Release);
-            std::thread::sleep(Duration::from_secs(seconds));
+            std::thread::sleep(part);
             RECORDED.store(false, Ordering::Release);
+            result.steal_ticks += steal_ticks(None).saturating_sub(steal);
             std::thread::sleep(pause);
-            sets += setter.map_or(0, Setter::stop);
+            let wakes = setter.map_or(0, Setter::stop);
+            result.sets += if result.meanwhile == Meanwhile::Sets { wakes } else { 0 };
+            let mut recording = recording.lock().map_err(|_| "the callback panicked")?;
+            p99[index] = recording.jobs.quantile_us(0.99);
+            result.jobs.add(&recording.jobs.counts());
+            result.missed += recording.missed;
+            *recording = Recording { jobs: Distribution::new(), missed: 0 };
         }
+        results.iter_mut().zip(p99).for_each(|(result, of_it)| result.ratios.push(of_it / p99[0]));
     }
+    eprintln!("\r                    ");
     context.shutdown();
     sampler.join().map_err(|_| "the sampler panicked")??;
     handle.stop();
     handle.join()?;
-    let of_jobs = of_jobs.lock().map_err(|_| "the callback panicked")?;
-    let callback = |being_set: bool| {
-        let jobs = &of_jobs[usize::from(being_set)];
-        Callback {
-            being_set,
-            jobs: jobs.len(),
-            sets: if being_set { sets } else { 0 },
-            p50_us: jobs.quantile_us(0.5),
-            p99_us: jobs.quantile_us(0.99),
-            p999_us: jobs.quantile_us(0.999),
-            max_us: jobs.max_us(),
-        }
-    };
-    Ok(vec![callback(false), callback(true)])
+    Ok(results.into())
 }
 
 fn context_timer(context: &Context) -> tautline::Result<tautline::Timer> {
@@ -304,23 +459,31 @@ fn print(report: &Report) {
         println!("{what:<38}  {:<9}  {min_ns:7.1}  {p50_ns:7.1}  {max_ns:7.1}", yes(*being_set));
     }
     let policy = if report.realtime { "SCHED_FIFO" } else { "no real-time priority" };
-    println!("\nµs from release to end of a 1 kHz timer's job of {READS_PER_JOB} x 3 reads, {policy}\n");
+    let [core, setter_core] = report.cores;
     println!(
-        "{:<9}  {:>7}  {:>9}  {:>7}  {:>7}  {:>7}  {:>7}",
-        "being set", "jobs", "sets", "p50", "p99", "p99.9", "max"
+        "\nµs from release to end of a 1 kHz timer's job of {READS_PER_JOB} x 3 reads, {policy} on core {core}, the other thread \
+         on core {setter_core}\n"
+    );
+    println!(
+        "{:<15}  {:>7}  {:>7}  {:>6}  {:>7}  {:>7}  {:>7}  {:>7}  {:>6}  p99 to the quiet one's",
+        "meanwhile", "jobs", "sets", "missed", "p50", "p99", "p99.9", "max", "steal"
     );
     for of in &report.callback {
+        let (least, greatest) =
+            of.ratios.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), ratio| (a.min(*ratio), b.max(*ratio)));
         println!(
-            "{:<9}  {:>7}  {:>9}  {:7.1}  {:7.1}  {:7.1}  {:7.1}",
-            yes(of.being_set),
-            of.jobs,
+            "{:<15}  {:>7}  {:>7}  {:>6}  {:7.1}  {:7.1}  {:7.1}  {:7.1}  {:>6}  {:.2} ({least:.2} to {greatest:.2})",
+            of.meanwhile.name(),
+            of.jobs.len(),
             of.sets,
-            of.p50_us,
-            of.p99_us,
-            of.p999_us,
-            of.max_us
+            of.missed,
+            of.jobs.quantile_us(0.5),
+            of.jobs.quantile_us(0.99),
+            of.jobs.quantile_us(0.999),
+            of.jobs.max_us(),
+            of.steal_ticks,
+            of.ratio(),
         );
     }
-    println!("\np99 while being set: {:.2} times that of the quiet rounds", report.p99_ratio);
-    println!("\n{}\n{}", report.machine, report.disturbance);
+    println!("\n{}\n{}\n", report.machine, report.disturbance);
 }

@@ -80,6 +80,13 @@ fn to_ros_while_it_is_read_there() {
 }
 
 #[test]
+fn what_an_action_tells_goes_to_ros_before_anybody_is_seen_to_listen() {
+    let here = [publisher("/dock/_action/feedback", 1)];
+    let actions = auto().update(&here, &[]);
+    assert_eq!(told(&actions), ["open /dock/_action/feedback 1", "take /dock/_action/feedback 100"]);
+}
+
+#[test]
 fn publishers_keep_their_qos_but_for_what_nobody_can_keep() {
     let mut mirror = auto();
     let second = Some(Duration::from_secs(1));

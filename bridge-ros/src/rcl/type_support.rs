@@ -29,6 +29,12 @@ pub enum TypeSupportError {
         /// What was given.
         name: String,
     },
+    /// Not `package/srv/Name`.
+    #[error("'{name}' is no type of services: write package/srv/Name, such as std_srvs/srv/SetBool")]
+    ServiceName {
+        /// What was given.
+        name: String,
+    },
     /// No such package.
     #[error(
         "ROS 2 package '{package}' is not installed in any of AMENT_PREFIX_PATH ({}): install it (apt install \
@@ -42,7 +48,7 @@ pub enum TypeSupportError {
     },
     /// A package without the library for C.
     #[error(
-        "package '{package}' is installed in {}, but its lib{package}__rosidl_typesupport_c.so cannot be loaded: {reason}; \
+        "package '{package}' is installed in {}, but its lib{package}__{library}.so cannot be loaded: {reason}; \
          install or build the package with rosidl_default_generators, and source it", at.display()
     )]
     Library {
@@ -50,6 +56,8 @@ pub enum TypeSupportError {
         package: String,
         /// Its prefix.
         at: PathBuf,
+        /// Which of its libraries.
+        library: &'static str,
         /// The loader's word for it.
         reason: String,
     },
@@ -84,9 +92,12 @@ impl MessageSupport {
     /// [`TypeSupportError`].
     pub fn load(name: &str) -> Result<Self, TypeSupportError> {
         let refuse = || TypeSupportError::Name { name: name.to_owned() };
-        let (package, base) = split(name, "msg").ok_or_else(refuse)?;
-        let (library, at) = load_library(package)?;
-        let symbol = format!("rosidl_typesupport_c__get_message_type_support_handle__{package}__msg__{base}");
+        // Those of an action's topics are in its package's folder `action`.
+        let of_kind = |kind| split(name, kind).map(|(package, base)| (package, kind, base));
+        let (package, kind, base) = of_kind("msg").or_else(|| of_kind("action")).ok_or_else(refuse)?;
+        let (library, at) = load_library(package, "rosidl_typesupport_c")?;
+        let symbol =
+            format!("rosidl_typesupport_c__get_message_type_support_handle__{package}__{kind}__{base}");
         let unknown = || TypeSupportError::Unknown {
             package: package.to_owned(),
             kind: "msg",
@@ -124,6 +135,11 @@ pub fn is_message_type(name: &str) -> bool {
     split(name, "msg").is_some()
 }
 
+/// Whether `name` is like `std_srvs/srv/SetBool`.
+pub fn is_service_type(name: &str) -> bool {
+    split(name, "srv").is_some()
+}
+
 /// Package and own name of `package/kind/Name`, if it is one.
 pub(crate) fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)> {
     let (package, rest) = name.split_once('/')?;
@@ -133,8 +149,11 @@ pub(crate) fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)>
     (is_word(package) && is_word(base)).then_some((package, base))
 }
 
-/// The package's library for C, and the prefix that the package is in.
-pub(crate) fn load_library(package: &str) -> Result<(Arc<Library>, PathBuf), TypeSupportError> {
+/// One of the package's libraries for C, and the prefix that the package is in.
+pub(crate) fn load_library(
+    package: &str,
+    library: &'static str,
+) -> Result<(Arc<Library>, PathBuf), TypeSupportError> {
     let paths = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
     let searched: Vec<PathBuf> =
         std::env::split_paths(&paths).filter(|path| !path.as_os_str().is_empty()).collect();
@@ -142,17 +161,18 @@ pub(crate) fn load_library(package: &str) -> Result<(Arc<Library>, PathBuf), Typ
     let Some(at) = searched.iter().find(has).cloned() else {
         return Err(TypeSupportError::Package { package: package.to_owned(), searched });
     };
-    let file = format!("lib{package}__rosidl_typesupport_c.so");
+    let file = format!("lib{package}__{library}.so");
     let beside = at.join("lib").join(&file);
     let path = if beside.exists() { beside.as_path() } else { Path::new(&file) };
     // SAFETY: a library of generated code, whose initialisers register types.
-    let library = unsafe { Library::new(path) };
-    let library = library.map_err(|error| TypeSupportError::Library {
+    let loaded = unsafe { Library::new(path) };
+    let loaded = loaded.map_err(|error| TypeSupportError::Library {
         package: package.to_owned(),
         at: at.clone(),
+        library,
         reason: error.to_string(),
     })?;
-    Ok((Arc::new(library), at))
+    Ok((Arc::new(loaded), at))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 use super::context::Context;
 use super::error::{RclError, check};
 use super::guard::{GraphGuard, GuardCondition};
+use super::service::{RosClient, RosServer};
 use super::subscription::RosSubscription;
 use r2r_rcl::*;
 use std::sync::Arc;
@@ -17,15 +18,46 @@ pub enum Waitable<'a> {
     Guard(&'a GuardCondition),
     /// The graph changed.
     Graph(&'a GraphGuard),
+    /// A request can be taken.
+    Server(&'a RosServer),
+    /// A response can be taken.
+    Client(&'a RosClient),
 }
 
 /// Waits; a thread has one of its own.
 pub struct WaitSet {
     raw: rcl_wait_set_t,
-    subscriptions: usize,
-    guards: usize,
+    sizes: Sizes,
     ready: Vec<bool>,
     _context: Arc<Context>,
+}
+
+/// How many of each kind.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+struct Sizes {
+    subscriptions: usize,
+    guards: usize,
+    servers: usize,
+    clients: usize,
+}
+
+impl Sizes {
+    fn of(all: &[Waitable<'_>]) -> Self {
+        let mut sizes = Sizes::default();
+        for one in all {
+            *sizes.of_kind(one) += 1;
+        }
+        sizes
+    }
+
+    fn of_kind(&mut self, one: &Waitable<'_>) -> &mut usize {
+        match one {
+            Waitable::Subscription(_) => &mut self.subscriptions,
+            Waitable::Guard(_) | Waitable::Graph(_) => &mut self.guards,
+            Waitable::Server(_) => &mut self.servers,
+            Waitable::Client(_) => &mut self.clients,
+        }
+    }
 }
 
 // SAFETY: it is used by one thread at a time.
@@ -43,7 +75,7 @@ impl WaitSet {
             let allocator = rcutils_get_default_allocator();
             let made = rcl_wait_set_init(&mut raw, 0, 0, 0, 0, 0, 0, context.raw(), allocator);
             check("making a wait set", made)?;
-            Ok(WaitSet { raw, subscriptions: 0, guards: 0, ready: Vec::new(), _context: context.clone() })
+            Ok(WaitSet { raw, sizes: Sizes::default(), ready: Vec::new(), _context: context.clone() })
         }
     }
 
@@ -53,18 +85,16 @@ impl WaitSet {
     /// # Errors
     /// [`RclError`].
     pub fn wait(&mut self, all: &[Waitable<'_>], timeout: Option<Duration>) -> Result<&[bool], RclError> {
-        let subscriptions = all.iter().filter(|one| matches!(one, Waitable::Subscription(_))).count();
-        let guards = all.len() - subscriptions;
+        let sizes = Sizes::of(all);
         self.ready.clear();
         // SAFETY: the set is initialised; what is added to it lives until the wait has returned, for `all` is borrowed
         // so long, and is not looked at afterwards.
         unsafe {
-            if (subscriptions, guards) != (self.subscriptions, self.guards) {
-                check(
-                    "resizing a wait set",
-                    rcl_wait_set_resize(&mut self.raw, subscriptions, guards, 0, 0, 0, 0),
-                )?;
-                (self.subscriptions, self.guards) = (subscriptions, guards);
+            if sizes != self.sizes {
+                let Sizes { subscriptions, guards, servers, clients } = sizes;
+                let code = rcl_wait_set_resize(&mut self.raw, subscriptions, guards, 0, clients, servers, 0);
+                check("resizing a wait set", code)?;
+                self.sizes = sizes;
             }
             check("clearing a wait set", rcl_wait_set_clear(&mut self.raw))?;
             for one in all {
@@ -75,6 +105,8 @@ impl WaitSet {
                     }
                     Waitable::Guard(it) => rcl_wait_set_add_guard_condition(&mut self.raw, it.raw(), nowhere),
                     Waitable::Graph(it) => rcl_wait_set_add_guard_condition(&mut self.raw, it.raw(), nowhere),
+                    Waitable::Server(it) => rcl_wait_set_add_service(&mut self.raw, it.raw(), nowhere),
+                    Waitable::Client(it) => rcl_wait_set_add_client(&mut self.raw, it.raw(), nowhere),
                 };
                 check("filling a wait set", code)?;
             }
@@ -83,17 +115,18 @@ impl WaitSet {
             if code != RCL_RET_TIMEOUT as rcl_ret_t {
                 check("waiting", code)?;
             }
-            let (mut subscription, mut guard) = (0, 0);
+            let mut seen = Sizes::default();
             for one in all {
+                let count = seen.of_kind(one);
+                let index = *count;
+                *count += 1;
                 let is_ready = match one {
-                    Waitable::Subscription(_) => {
-                        subscription += 1;
-                        !(*self.raw.subscriptions.add(subscription - 1)).is_null()
+                    Waitable::Subscription(_) => !(*self.raw.subscriptions.add(index)).is_null(),
+                    Waitable::Guard(_) | Waitable::Graph(_) => {
+                        !(*self.raw.guard_conditions.add(index)).is_null()
                     }
-                    _ => {
-                        guard += 1;
-                        !(*self.raw.guard_conditions.add(guard - 1)).is_null()
-                    }
+                    Waitable::Server(_) => !(*self.raw.services.add(index)).is_null(),
+                    Waitable::Client(_) => !(*self.raw.clients.add(index)).is_null(),
                 };
                 self.ready.push(is_ready && code == RCL_RET_OK as rcl_ret_t);
             }

@@ -2,6 +2,8 @@
 //! What the tests share: a bridge in a process of its own, rclpy in another, and patience.
 #![allow(dead_code, reason = "no test uses all of it")]
 
+pub mod node;
+
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
@@ -45,7 +47,16 @@ pub struct Peer {
 impl Peer {
     /// Starts `ros_peer.py` in a ROS domain.
     pub fn start(venv: &Path, ros_domain: u32, name: &str) -> Self {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros_peer.py");
+        Self::start_script(venv, ros_domain, name, "ros_peer.py")
+    }
+
+    /// The same with services, actions and parameters.
+    pub fn start_with_services(venv: &Path, ros_domain: u32, name: &str) -> Self {
+        Self::start_script(venv, ros_domain, name, "ros_services_peer.py")
+    }
+
+    fn start_script(venv: &Path, ros_domain: u32, name: &str, script: &str) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(script);
         let mut command = Command::new(venv.join("bin/python"));
         command.arg(script).arg(name).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
         command.env("ROS_DOMAIN_ID", ros_domain.to_string()).env("PYTHONDONTWRITEBYTECODE", "1");
@@ -193,6 +204,12 @@ impl BridgeProcess {
     pub fn wait_for(&self, what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
         wait_until(what, || is_so(&self.stats()));
         self.stats()
+    }
+
+    /// The numbers of a service.
+    pub fn service(&self, service: &str) -> Value {
+        let services = self.stats()["services"].as_array().cloned().unwrap_or_default();
+        services.into_iter().find(|numbers| numbers["service"] == service).unwrap_or_default()
     }
 
     /// The numbers of a topic in a direction.

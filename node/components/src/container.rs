@@ -7,7 +7,10 @@ use crate::stamp::{self, SYMBOL};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use tautline::{CallbackHandle, Context, Node, NodeOptions, RemapRules};
+use std::time::SystemTime;
+use tautline::{
+    CallbackHandle, Context, LogSeverity, Node, NodeCallbacks, NodeOptions, ParameterValue, RemapRules,
+};
 
 /// Loads components into this process. They share its context, and with it one sampler; what they publish to each other is read
 /// where it was written.
@@ -16,14 +19,19 @@ use tautline::{CallbackHandle, Context, Node, NodeOptions, RemapRules};
 /// ends its callbacks, and drops what these own.
 pub struct Container {
     context: Context,
-    libraries: BTreeMap<PathBuf, &'static Library>,
+    libraries: BTreeMap<PathBuf, (&'static Library, Version)>,
     loaded: BTreeMap<u64, Loaded>,
     last_id: u64,
 }
 
+/// Of a file: device, number, and when it was written.
+type Version = (u64, u64, Option<SystemTime>);
+
 struct Loaded {
     full_name: String,
-    callbacks: Vec<CallbackHandle>,
+    /// Those that the component handed over; they may be of several nodes.
+    handed: Vec<CallbackHandle>,
+    of_node: NodeCallbacks,
 }
 
 /// What is to be loaded.
@@ -39,6 +47,12 @@ pub struct Load {
     pub namespace: String,
     /// Rules for this node alone.
     pub remap: RemapRules,
+    /// Values for its parameters, which it declares.
+    pub parameters: Vec<(String, ParameterValue)>,
+    /// The level of its logger.
+    pub log_level: Option<LogSeverity>,
+    /// Whether the rules and parameters of the process's command line are for this node, too; not, as in ROS 2's containers.
+    pub use_global_arguments: bool,
 }
 
 impl Container {
@@ -58,46 +72,61 @@ impl Container {
         let short = plugin.name.rsplit("::").next().unwrap_or(plugin.name).to_lowercase();
         let name = if load.name.is_empty() { short } else { load.name.clone() };
         let component = || plugin.name.to_owned();
-        let create = || -> tautline::Result<(String, Vec<CallbackHandle>)> {
-            let options = NodeOptions::default().remap(load.remap.clone());
-            let node = Node::create_with_options(self.context.clone(), &name, &load.namespace, options)?;
-            let full_name = node.fully_qualified_name()?;
-            Ok((full_name, (plugin.create)(node)?))
+        let not_made = |source: tautline::Error| ComponentError::Create {
+            component: component(),
+            source: source.into(),
         };
-        let (full_name, callbacks) = catch_unwind(AssertUnwindSafe(create))
-            .map_err(|_| ComponentError::Panicked { component: component() })?
-            .map_err(|source| ComponentError::Create { component: component(), source: source.into() })?;
+        let options = NodeOptions::default()
+            .remap(load.remap.clone())
+            .parameter_overrides(load.parameters.clone())
+            .use_global_arguments(load.use_global_arguments);
+        let node = Node::create_with_options(self.context.clone(), &name, &load.namespace, options);
+        let node = node.map_err(not_made)?;
+        let full_name = node.fully_qualified_name().map_err(not_made)?;
+        if let Some(level) = load.log_level {
+            node.logger().set_level(level);
+        }
+        let of_node = node.callbacks().clone();
+        let made = catch_unwind(AssertUnwindSafe(|| (plugin.create)(node)))
+            .map_err(|_| ComponentError::Panicked { component: component() })
+            .and_then(|made| made.map_err(not_made));
+        let handed = made.inspect_err(|_| {
+            // What it had started before it failed. That one of them panicked, too, says nothing more.
+            let _ = of_node.end();
+        })?;
         self.last_id += 1;
-        self.loaded.insert(self.last_id, Loaded { full_name, callbacks });
+        self.loaded.insert(self.last_id, Loaded { full_name, handed, of_node });
         Ok(self.last_id)
     }
 
     fn library(&mut self, path: &Path) -> Result<&'static Library, ComponentError> {
         let unreadable = |source| ComponentError::Read { path: path.into(), source };
         let path = path.canonicalize().map_err(unreadable)?;
-        if let Some(library) = self.libraries.get(&path) {
-            return Ok(library);
+        let version = version(&path).map_err(unreadable)?;
+        if let Some((library, loaded)) = self.libraries.get(&path) {
+            // Its code stays in memory; a second one beside it would have the same name, and other types.
+            return if *loaded == version { Ok(library) } else { Err(ComponentError::Replaced { path }) };
         }
         stamp::check(&path)?;
         let library = open(&path)?;
-        self.libraries.insert(path, library);
+        self.libraries.insert(path, (library, version));
         Ok(library)
     }
 
-    /// Ends a component's callbacks, and waits until they have.
+    /// Ends a component's callbacks, those that it handed over and those of its node, and waits until they have: as long as a
+    /// callback that runs goes on.
     ///
     /// # Errors
     /// [`ComponentError::NoSuchId`]; [`ComponentError::Callback`] if one had panicked.
     pub fn unload(&mut self, id: u64) -> Result<(), ComponentError> {
-        let Loaded { callbacks, .. } = self.loaded.remove(&id).ok_or(ComponentError::NoSuchId { id })?;
-        callbacks.iter().for_each(CallbackHandle::stop);
-        let mut ended = Ok(());
-        for callback in callbacks {
-            if let Err(error) = callback.join() {
-                ended = Err(ComponentError::Callback { id, reason: error.to_string() });
-            }
+        let Loaded { handed, of_node, .. } =
+            self.loaded.remove(&id).ok_or(ComponentError::NoSuchId { id })?;
+        handed.iter().for_each(CallbackHandle::stop);
+        let mut ended = of_node.end().map_err(|error| error.to_string());
+        for callback in handed {
+            ended = callback.join().map_err(|error| error.to_string()).and(ended);
         }
-        ended
+        ended.map_err(|reason| ComponentError::Callback { id, reason })
     }
 
     /// The components' numbers and the full names of their nodes.
@@ -118,6 +147,12 @@ impl Drop for Container {
             let _ = self.unload(id);
         }
     }
+}
+
+fn version(path: &Path) -> std::io::Result<Version> {
+    use std::os::unix::fs::MetadataExt;
+    let file = path.metadata()?;
+    Ok((file.dev(), file.ino(), file.modified().ok()))
 }
 
 fn find<'l>(plugins: &'l [Plugin], load: &Load) -> Result<&'l Plugin, ComponentError> {

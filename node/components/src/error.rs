@@ -65,6 +65,12 @@ pub enum ComponentError {
         /// The file.
         path: PathBuf,
     },
+    /// The file is another one than when its components were loaded; the code of then is still in memory.
+    #[error("{} was replaced since it was loaded: restart the process to load the new one", path.display())]
+    Replaced {
+        /// The file.
+        path: PathBuf,
+    },
     /// The library has no such component.
     #[error("{} has no component '{wanted}'; it has: {known}", path.display())]
     NoComponent {

@@ -6,7 +6,8 @@ use futures::StreamExt;
 use std::future::{Future, ready};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
-use tautline::{Node, QosProfile, RemapRules};
+use tautline::rcl_interfaces::msg;
+use tautline::{LogSeverity, Node, ParameterValue, QosProfile, RemapRules};
 
 /// A container for several threads.
 pub type SharedContainer = Arc<Mutex<Container>>;
@@ -14,8 +15,9 @@ pub type SharedContainer = Arc<Mutex<Container>>;
 /// Offers `~/_container/load_node`, `unload_node` and `list_nodes` of `node`. They answer as long as the future is polled, which
 /// never ends; components are made, and their ends waited for, in its thread.
 ///
-/// A request's `package_name` is the path of a library, its `plugin_name` the component. What a request asks besides a node's name,
-/// namespace and remapping rules is refused.
+/// A request's `package_name` is the path of a library, its `plugin_name` the component. The rest is as in rclcpp's containers: the
+/// node's name, namespace, remapping rules, parameters and log level, and the extra arguments `use_intra_process_comms` and
+/// `forward_global_arguments`.
 ///
 /// # Errors
 /// [`tautline::Error::Transport`] if a service cannot be had.
@@ -66,17 +68,8 @@ fn load(container: &mut Container, request: &LoadNode::Request) -> LoadNode::Res
     }
 }
 
-/// What a request wants, if it wants nothing that is not done.
+/// What a request wants.
 fn described(request: &LoadNode::Request) -> Result<Load, String> {
-    for (field, is_used) in [
-        ("parameters", !request.parameters.is_empty()),
-        ("extra_arguments", !request.extra_arguments.is_empty()),
-        ("log_level", request.log_level != 0),
-    ] {
-        if is_used {
-            return Err(format!("'{field}' of a load request is not supported: leave it empty"));
-        }
-    }
     let remap = RemapRules::parse(&request.remap_rules).map_err(|error| error.to_string())?;
     Ok(Load {
         library: request.package_name.clone().into(),
@@ -84,7 +77,50 @@ fn described(request: &LoadNode::Request) -> Result<Load, String> {
         name: request.node_name.clone(),
         namespace: request.node_namespace.clone(),
         remap,
+        parameters: parameters("parameter", &request.parameters)?,
+        log_level: log_level(request.log_level)?,
+        use_global_arguments: forward_global_arguments(&request.extra_arguments)?,
     })
+}
+
+fn parameters(kind: &str, messages: &[msg::Parameter]) -> Result<Vec<(String, ParameterValue)>, String> {
+    let read = |msg::Parameter { name, value }: &msg::Parameter| match ParameterValue::try_from(value.clone())
+    {
+        Ok(value) => Ok((name.clone(), value)),
+        Err(error) => Err(format!("{kind} '{name}': {error}")),
+    };
+    messages.iter().map(read).collect()
+}
+
+fn log_level(level: u8) -> Result<Option<LogSeverity>, String> {
+    use LogSeverity::{Debug, Error, Fatal, Info, Warn};
+    match [Debug, Info, Warn, Error, Fatal].into_iter().find(|severity| *severity as u8 == level) {
+        None if level != 0 => {
+            Err(format!("log level {level} is none: there are 10, 20, 30, 40, 50, and 0 for the process's"))
+        }
+        known => Ok(known),
+    }
+}
+
+/// Those that rclcpp's containers know. What components publish to each other goes through shared memory without a copy,
+/// `use_intra_process_comms` or not.
+fn forward_global_arguments(messages: &[msg::Parameter]) -> Result<bool, String> {
+    let mut forward = false;
+    for (name, value) in parameters("extra argument", messages)? {
+        match (name.as_str(), value) {
+            ("use_intra_process_comms", ParameterValue::Bool(_)) => {}
+            ("forward_global_arguments", ParameterValue::Bool(value)) => forward = value,
+            ("use_intra_process_comms" | "forward_global_arguments", other) => {
+                return Err(format!("extra argument '{name}' is true or false, not {other}"));
+            }
+            _ => {
+                return Err(format!(
+                    "extra argument '{name}' is not known: there are use_intra_process_comms and forward_global_arguments"
+                ));
+            }
+        }
+    }
+    Ok(forward)
 }
 
 fn unload(container: &mut Container, request: &UnloadNode::Request) -> UnloadNode::Response {

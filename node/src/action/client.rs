@@ -12,7 +12,7 @@ use futures::future::BoxFuture;
 use futures::stream::{BoxStream, FuturesUnordered};
 use futures::{FutureExt, Stream, StreamExt};
 use std::future::Future;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll};
 use tautline_executor::CallbackOptions;
 use tautline_msgs::{Action, GoalId};
@@ -20,6 +20,9 @@ use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
 use tautline_transport::{Availability, ServiceError};
 use uuid::Uuid;
+
+/// Feedback of a goal that waits for its reader.
+const FEEDBACK_DEPTH: usize = 1000;
 
 /// How goals, results and feedback of an action travel: as Rust types, or as JSON.
 pub(super) trait Protocol: Send + Sync + 'static {
@@ -48,13 +51,15 @@ pub(super) struct Shared<P: Protocol> {
     results: mpsc::UnboundedSender<BoxFuture<'static, GoalId>>,
 }
 
-/// A goal that was sent and has not ended, as far as is known.
+/// A goal that was sent and that somebody still asks about.
 struct Goal<P: Protocol> {
     id: GoalId,
     status: GoalStatus,
     /// Until the goal has ended.
-    feedback: Option<mpsc::UnboundedSender<P::Feedback>>,
-    /// Handles to it, and its request.
+    feedback: Option<mpsc::Sender<P::Feedback>>,
+    /// Whether it was said that feedback is lost because nobody reads it.
+    is_warned: bool,
+    /// Its request, handles, result and feedback.
     held: usize,
 }
 
@@ -73,7 +78,9 @@ impl<P: Protocol> Shared<P> {
         let goals = Mutex::new(Vec::new());
         let shared = Arc::new(Shared { name: action.to_owned(), protocol, cancel_goal, goals, results });
         let weak = Arc::downgrade(&shared);
+        let listening = Listening(weak.clone());
         let listen = async move {
+            let _listening = listening;
             let (mut feedback, mut status, mut requests) = (feedback.fuse(), status.fuse(), requests.fuse());
             let mut results = FuturesUnordered::new();
             loop {
@@ -111,10 +118,18 @@ impl<P: Protocol> Shared<P> {
     }
 
     fn pass_on(&self, id: GoalId, feedback: P::Feedback) {
-        let goals = self.goals();
-        if let Some(Goal { feedback: Some(sender), .. }) = goals.iter().find(|goal| goal.id == id) {
-            // Ignored: its stream was dropped.
-            let _ = sender.unbounded_send(feedback);
+        let mut goals = self.goals();
+        let Some(goal) = goals.iter_mut().find(|goal| goal.id == id) else { return };
+        let Some(sender) = &mut goal.feedback else { return };
+        // Else its stream was dropped.
+        let is_full = sender.try_send(feedback).is_err_and(|error| error.is_full());
+        if is_full && !goal.is_warned {
+            goal.is_warned = true;
+            tracing::warn!(
+                "action '{}': nobody reads the feedback of a goal, of which {FEEDBACK_DEPTH} messages wait: what comes is lost \
+                 until somebody does (drop the stream if it is not needed)",
+                self.name
+            );
         }
     }
 
@@ -155,9 +170,10 @@ impl<P: Protocol> Shared<P> {
         P::Goal: Send,
     {
         let id = Uuid::new_v4().into_bytes();
-        let (feedback, received) = mpsc::unbounded();
+        let (feedback, received) = mpsc::channel(FEEDBACK_DEPTH);
         // Before the goal is sent: the first feedback may be as fast as the response.
-        self.goals().push(Goal { id, status: GoalStatus::Unknown, feedback: Some(feedback), held: 1 });
+        let (status, feedback) = (GoalStatus::Unknown, Some(feedback));
+        self.goals().push(Goal { id, status, feedback, is_warned: false, held: 1 });
         let held = Held { id, shared: self.clone() };
         let accepted = self.protocol.send_goal(id, goal)?;
         Ok(async move {
@@ -166,6 +182,7 @@ impl<P: Protocol> Shared<P> {
             }
             let (sender, result) = oneshot::channel();
             let response = held.shared.protocol.get_result(id)?;
+            // Whoever has the result to come, or the feedback, keeps what listens for them.
             let weak = Arc::downgrade(&held.shared);
             let deliver = response.map(move |result| {
                 if let (Some(shared), Ok((status, _))) = (weak.upgrade(), &result)
@@ -177,10 +194,12 @@ impl<P: Protocol> Shared<P> {
                 let _ = sender.send(result);
                 id
             });
-            // Ignored: the listener lives as long as there are handles, or the context is about to end.
-            let _ = held.shared.results.unbounded_send(deliver.boxed());
-            let name = held.shared.name.clone();
-            Ok((held, GoalResult { result, name }, received))
+            if held.shared.results.unbounded_send(deliver.boxed()).is_err() {
+                // The context has ended, and with it whoever listened.
+                held.shared.end(id);
+            }
+            let feedback = GoalFeedback { received, _held: held.clone() };
+            Ok((held.clone(), GoalResult { result, held }, feedback))
         })
     }
 
@@ -201,6 +220,17 @@ impl<P: Protocol> Shared<P> {
     }
 }
 
+/// As long as feedback and results are listened for: until the client, or its context, ends.
+struct Listening<P: Protocol>(Weak<Shared<P>>);
+
+impl<P: Protocol> Drop for Listening<P> {
+    fn drop(&mut self) {
+        if let Some(shared) = self.0.upgrade() {
+            shared.goals().iter_mut().for_each(|goal| goal.feedback = None);
+        }
+    }
+}
+
 struct StatusOf {
     id: GoalId,
     status: GoalStatus,
@@ -213,9 +243,9 @@ impl From<&tautline_ros_msgs::action_msgs::msg::GoalStatus> for StatusOf {
 }
 
 /// A goal's handle, its result to come, its feedback.
-pub(super) type Sent<P> = (Held<P>, GoalResult<P>, mpsc::UnboundedReceiver<<P as Protocol>::Feedback>);
+pub(super) type Sent<P> = (Held<P>, GoalResult<P>, GoalFeedback<P>);
 
-/// Keeps what is known of a goal.
+/// Keeps what is known of a goal, and what listens for it.
 pub(super) struct Held<P: Protocol> {
     pub(super) id: GoalId,
     pub(super) shared: Arc<Shared<P>>,
@@ -235,10 +265,7 @@ impl<P: Protocol> Drop for Held<P> {
         let mut goals = self.shared.goals();
         if let Some(index) = goals.iter().position(|goal| goal.id == self.id) {
             goals[index].held -= 1;
-            // Who still reads the feedback of a goal that goes on without a handle goes on reading it.
-            if goals[index].held == 0
-                && goals[index].feedback.as_ref().is_none_or(|feedback| feedback.is_closed())
-            {
+            if goals[index].held == 0 {
                 goals.swap_remove(index);
             }
         }
@@ -248,7 +275,7 @@ impl<P: Protocol> Drop for Held<P> {
 /// The result of a goal, once it is there.
 pub(super) struct GoalResult<P: Protocol> {
     result: oneshot::Receiver<Result<Outcome<P>>>,
-    name: String,
+    held: Held<P>,
 }
 
 impl<P: Protocol> Future for GoalResult<P> {
@@ -257,9 +284,23 @@ impl<P: Protocol> Future for GoalResult<P> {
     fn poll(mut self: std::pin::Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         self.result.poll_unpin(context).map(|result| {
             // Whoever listened has ended with the context.
-            let gone = || ServiceError::ServerGone { service: self.name.as_str().into() }.into();
+            let gone = || ServiceError::ServerGone { service: self.held.shared.name.as_str().into() }.into();
             result.unwrap_or_else(|_| Err(gone()))
         })
+    }
+}
+
+/// The feedback of a goal, until that has ended.
+pub(super) struct GoalFeedback<P: Protocol> {
+    received: mpsc::Receiver<P::Feedback>,
+    _held: Held<P>,
+}
+
+impl<P: Protocol> Stream for GoalFeedback<P> {
+    type Item = P::Feedback;
+
+    fn poll_next(mut self: std::pin::Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        self.received.poll_next_unpin(context)
     }
 }
 
@@ -312,7 +353,7 @@ impl<T: Action> ActionClient<T> {
     }
 
     /// Sends a goal. If the server accepts it, the future ends with the goal's handle, a future of its result, and a stream of
-    /// its feedback, which ends with the goal.
+    /// its feedback, which ends with the goal. 1000 messages of it wait to be read; what comes then is lost, with a warning.
     ///
     /// # Errors
     /// [`Error::Service`]: there is no server. The future's: [`Error::GoalRejected`]; [`Error::Service`] if the server goes.
@@ -384,7 +425,10 @@ impl<T: Action> IsAvailablePollable for ActionClient<T> {
 
 impl<T: Action> std::fmt::Debug for ActionClient<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ActionClient").field("action", &self.shared.name).finish_non_exhaustive()
+        f.debug_struct("ActionClient")
+            .field("action", &self.shared.name)
+            .field("goals", &self.shared.goals().len())
+            .finish_non_exhaustive()
     }
 }
 

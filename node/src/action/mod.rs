@@ -25,7 +25,8 @@ use tautline_msgs::Action;
 /// action, which answers and listens while goals are pursued elsewhere.
 impl Node {
     /// Creates an action server: a stream of goals, each to be accepted or rejected. A goal that is dropped is rejected, one
-    /// that was accepted and is dropped without a result is aborted. The server ends with the stream and the last goal.
+    /// that was accepted and is dropped without a result is aborted; of those that nobody has taken from the stream, 1000 wait and
+    /// more are rejected. The server ends with the stream and the last goal.
     ///
     /// ```
     /// # #[cfg(feature = "example_interfaces")] {

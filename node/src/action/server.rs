@@ -8,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};
 use futures::channel::{mpsc, oneshot};
+use futures::future::{Either, Shared, select};
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt, Stream, StreamExt};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -17,7 +18,7 @@ use tautline_msgs::cdr::Endian;
 use tautline_msgs::{Action, GoalId, Message, Service};
 use tautline_ros_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMsg, GoalStatusArray};
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
-use tautline_rt::clock::{monotonic_ns, wall_ns};
+use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::GuardCondition;
 use tautline_transport::Publisher;
 use uuid::Uuid;
@@ -25,7 +26,8 @@ use uuid::Uuid;
 /// Settings of an action server.
 #[derive(Clone, Debug)]
 pub struct ActionServerOptions {
-    /// How long results of goals that have ended are kept: 15 minutes by default, as in ROS 2.
+    /// How long results of goals that have ended are kept, and the goals are in what the action's status says: 10 seconds by
+    /// default, as in ROS 2.
     pub result_timeout: Duration,
     /// The thread that answers: of ordinary priority by default.
     pub callback: CallbackOptions,
@@ -33,12 +35,12 @@ pub struct ActionServerOptions {
 
 impl Default for ActionServerOptions {
     fn default() -> Self {
-        ActionServerOptions {
-            result_timeout: Duration::from_secs(15 * 60),
-            callback: CallbackOptions::other(),
-        }
+        ActionServerOptions { result_timeout: Duration::from_secs(10), callback: CallbackOptions::other() }
     }
 }
+
+/// Goals that wait to be decided on; more are rejected.
+const GOALS_WAITING: usize = 1000;
 
 type ResultResponse<T> = <<T as Action>::GetResult as Service>::Response;
 type ResultReply<T> = Reply<<T as Action>::GetResult>;
@@ -46,6 +48,8 @@ type ResultReply<T> = Reply<<T as Action>::GetResult>;
 /// What the goals of a server share with the thread that answers.
 struct Server<T: Action> {
     name: String,
+    /// What goals are stamped by, and requests to cancel those of a time mean.
+    now: Box<dyn Fn() -> Stamp + Send + Sync>,
     state: Mutex<State<T>>,
 }
 
@@ -63,9 +67,19 @@ impl<T: Action> Drop for User<T> {
 
 struct State<T: Action> {
     goals: Goals<ResultReply<T>>,
-    cancels: Vec<(GoalId, mpsc::UnboundedSender<ActionServerCancelRequest>)>,
+    /// Of the goals that have not ended.
+    cancels: Vec<Cancels>,
     feedback: Publisher<T::FeedbackMessage>,
     status: Publisher<GoalStatusArray>,
+}
+
+/// Where requests to cancel a goal go.
+struct Cancels {
+    goal: GoalId,
+    requests: mpsc::UnboundedSender<ActionServerCancelRequest>,
+    /// Ends with this: who has not decided by then has rejected.
+    _end: oneshot::Sender<()>,
+    ended: Shared<oneshot::Receiver<()>>,
 }
 
 impl<T: Action> Server<T> {
@@ -94,7 +108,7 @@ impl<T: Action> Server<T> {
         let mut body = vec![0; response.cdr_len()];
         response.encode(&mut body).map_err(|error| Error::Publish(error.into()))?;
         state.goals.happen(id, event).map_err(|status| self.goal_error(id, status))?;
-        state.cancels.retain(|(goal, _)| *goal != id);
+        state.cancels.retain(|cancels| cancels.goal != id);
         let waiting = state.goals.finish(id, body.clone(), monotonic_ns());
         state.publish_status();
         drop(state);
@@ -155,9 +169,19 @@ fn respond<T: Action>(reply: ResultReply<T>, body: &[u8]) {
     }
 }
 
-fn now() -> Stamp {
-    let now_ns = wall_ns();
-    (i32::try_from(now_ns / 1_000_000_000).unwrap_or(i32::MAX), (now_ns % 1_000_000_000) as u32)
+/// Tells the time of the node's clock, which is the system's in a build without simulated time.
+fn clock(node: &Node) -> Box<dyn Fn() -> Stamp + Send + Sync> {
+    #[cfg(feature = "rosgraph_msgs")]
+    let now_ns = {
+        let clock = node.clock();
+        move || clock.now_ns()
+    };
+    #[cfg(not(feature = "rosgraph_msgs"))]
+    let (_, now_ns) = (node, tautline_rt::clock::wall_ns);
+    Box::new(move || {
+        let now = Duration::from_nanos(u64::try_from(now_ns()).unwrap_or_default());
+        (i32::try_from(now.as_secs()).unwrap_or(i32::MAX), now.subsec_nanos())
+    })
 }
 
 pub(super) fn create<T: Action>(
@@ -179,16 +203,16 @@ pub(super) fn create<T: Action>(
         futures::stream::poll_fn(move |context| end.poll_triggered(context).map(Some)).fuse()
     };
     let state = State { goals: Goals::new(options.result_timeout), cancels: Vec::new(), feedback, status };
-    let server = Arc::new(Server { name: action.to_owned(), state: Mutex::new(state) });
+    let server = Arc::new(Server { name: action.to_owned(), now: clock(node), state: Mutex::new(state) });
     let user = Arc::new(User { server: server.clone(), end });
-    let (goals, requests) = mpsc::unbounded();
+    let (mut goals, requests) = mpsc::channel(GOALS_WAITING);
     let users = Arc::downgrade(&user);
     let answer = async move {
         let mut cancels = FuturesUnordered::new();
         loop {
             futures::select! {
                 request = send_goal.select_next_some() => match users.upgrade() {
-                    Some(user) => offer(&user, &goals, request),
+                    Some(user) => offer(&user, &mut goals, request),
                     None => break,
                 },
                 request = cancel_goal.select_next_some() => cancels.push(ask_to_cancel(&server, request)),
@@ -218,7 +242,7 @@ pub(super) fn create<T: Action>(
 
 /// Keeps the server there.
 struct Requests<T: Action> {
-    requests: mpsc::UnboundedReceiver<ActionServerGoalRequest<T>>,
+    requests: mpsc::Receiver<ActionServerGoalRequest<T>>,
     _user: Arc<User<T>>,
 }
 
@@ -233,10 +257,10 @@ impl<T: Action> Stream for Requests<T> {
     }
 }
 
-/// Gives a goal to whoever decides on it; if nobody is left, it is rejected.
+/// Gives a goal to whoever decides on it; if nobody is left, or too many wait for that, it is rejected.
 fn offer<T: Action>(
     user: &Arc<User<T>>,
-    goals: &mpsc::UnboundedSender<ActionServerGoalRequest<T>>,
+    goals: &mut mpsc::Sender<ActionServerGoalRequest<T>>,
     request: ServiceRequest<T::SendGoal>,
 ) {
     let (message, reply) = request.into_parts();
@@ -244,7 +268,7 @@ fn offer<T: Action>(
     let decision = Decision::<T> { reply: Some(reply) };
     let request = ActionServerGoalRequest { uuid: Uuid::from_bytes(id), goal, decision, user: user.clone() };
     // What comes back is dropped, and with it rejected.
-    let _ = goals.unbounded_send(request);
+    let _ = goals.try_send(request);
 }
 
 /// Asks those who pursue the goals, and answers when all have decided.
@@ -255,7 +279,9 @@ fn ask_to_cancel<T: Action>(
     let info = &request.message.goal_info;
     let state = server.state();
     let (goals, code) = state.goals.to_cancel(info.goal_id.uuid, (info.stamp.sec, info.stamp.nanosec));
-    let asked = goals.iter().map(|&id| {
+    let asked = goals.iter().filter_map(|&id| {
+        // There is one for each goal that can be cancelled.
+        let cancels = state.cancels.iter().find(|cancels| cancels.goal == id)?;
         let (sender, decision) = oneshot::channel();
         let weak = Arc::downgrade(server);
         let request = ActionServerCancelRequest {
@@ -263,12 +289,11 @@ fn ask_to_cancel<T: Action>(
             accept: Box::new(move || accept_cancel(&weak, id)),
             decision: sender,
         };
-        if let Some((_, goal)) = state.cancels.iter().find(|(goal, _)| *goal == id) {
-            // What comes back is dropped, and with it rejected.
-            let _ = goal.unbounded_send(request);
-        }
-        let accepted = state.goals.accepted(id);
-        decision.map(move |decision| (goal_info(id, accepted), decision.unwrap_or(false)))
+        // What comes back is dropped, and with it rejected.
+        let _ = cancels.requests.unbounded_send(request);
+        let info = goal_info(id, state.goals.accepted(id));
+        let decided = select(decision, cancels.ended.clone());
+        Some(decided.map(move |first| (info, matches!(first, Either::Left((Ok(true), _))))))
     });
     let asked = futures::future::join_all(asked.collect::<Vec<_>>());
     drop(state);
@@ -297,7 +322,7 @@ pub struct ActionServerCancelRequest {
 
 impl ActionServerCancelRequest {
     /// Accepts: the goal is being cancelled from now on, and should end with [`ActionServerGoal::cancel`]. A goal that has ended
-    /// meanwhile has ended.
+    /// meanwhile has ended, and whoever asked was told that it is not cancelled.
     pub fn accept(self) {
         let accepted = (self.accept)();
         // Ignored: then nobody is left to be told.
@@ -350,15 +375,16 @@ impl<T: Action> ActionServerGoalRequest<T> {
         mut self,
     ) -> Result<(ActionServerGoal<T>, impl Stream<Item = ActionServerCancelRequest> + Unpin + Send + use<T>)>
     {
-        let (id, stamp) = (self.uuid.into_bytes(), now());
-        let (sender, cancel_requests) = mpsc::unbounded();
         let server = &self.user.server;
+        let (id, stamp) = (self.uuid.into_bytes(), (server.now)());
+        let (requests, cancel_requests) = mpsc::unbounded();
+        let (end, ended) = oneshot::channel();
         let mut state = server.state();
         if !state.goals.accept(id, stamp) {
             let status = state.goals.status(id);
             return Err(server.goal_error(id, status));
         }
-        state.cancels.push((id, sender));
+        state.cancels.push(Cancels { goal: id, requests, _end: end, ended: ended.shared() });
         drop(state);
         let pursued = Arc::new(Pursued { id, user: self.user.clone() });
         self.user.server.happen(id, GoalEvent::Execute)?;

@@ -169,7 +169,14 @@ impl LifecycleNode {
         namespace: &str,
         callbacks: impl LifecycleCallbacks,
     ) -> Result<LifecycleNode> {
-        let mut node = Node::create(ctx, name, namespace)?;
+        LifecycleNode::of_node(Node::create(ctx, name, namespace)?, callbacks)
+    }
+
+    /// Makes a managed node of one that was created with options, or by a container for a component.
+    ///
+    /// # Errors
+    /// [`Error::Transport`](crate::Error::Transport) if the topic of its transitions cannot be had.
+    pub fn of_node(mut node: Node, callbacks: impl LifecycleCallbacks) -> Result<LifecycleNode> {
         let events = node.create_publisher("~/transition_event", QosProfile::default())?;
         let (machine, gate) = (StateMachine::new(), Gate::new());
         let state = AtomicU8::new(machine.state().id());

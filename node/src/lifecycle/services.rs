@@ -61,13 +61,13 @@ fn respond<T: Service>(request: ServiceRequest<T>, response: T::Response) -> Rea
     ready(())
 }
 
-/// As in rclcpp: a transition whose number is 0 is looked for by its name.
+/// As in rclcpp: a transition that has a name is looked for by it, whatever its number.
 pub(super) fn change_state(
     node: &LifecycleNode,
     request: &srv::ChangeState::Request,
 ) -> Result<Transitioned, LifecycleError> {
     let msg::Transition { id, label } = &request.transition;
-    if *id == 0 && !label.is_empty() { node.change_state_by_label(label) } else { node.change_state(*id) }
+    if label.is_empty() { node.change_state(*id) } else { node.change_state_by_label(label) }
 }
 
 pub(super) fn changed(done: &Result<Transitioned, LifecycleError>) -> srv::ChangeState::Response {

@@ -82,7 +82,11 @@ fn write_for_ever() {
 
 /// What the logger of a node logs goes to this topic.
 pub(crate) fn add_topic(logger: &str, topic: Weak<Rosout>) {
-    lock().topics.push((logger.to_owned(), topic));
+    let mut sink = lock();
+    // Nodes come and go, and come again under their former names.
+    if !sink.topics.iter().any(|(other, of)| other == logger && of.ptr_eq(&topic)) {
+        sink.topics.push((logger.to_owned(), topic));
+    }
 }
 
 pub(super) fn log(line: Line<'_>, text: fmt::Arguments<'_>) {
@@ -172,5 +176,19 @@ pub(crate) struct FlushOnDrop;
 impl Drop for FlushOnDrop {
     fn drop(&mut self) {
         flush();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_node_that_comes_again_is_listed_once() {
+        for name in ["robot", "arm", "robot"] {
+            add_topic(name, Weak::new());
+        }
+        let names: Vec<_> = lock().topics.iter().map(|(name, _)| name.clone()).collect();
+        assert_eq!(names, ["robot", "arm"]);
     }
 }

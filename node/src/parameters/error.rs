@@ -43,13 +43,21 @@ pub enum ParameterError {
         /// What to write instead.
         hint: Option<&'static str>,
     },
-    /// A message's type is none of `rcl_interfaces/msg/ParameterType`.
-    #[error("parameter '{name}': {number} is no type of parameters, which are 0 to 9")]
+    /// A text that is no value in YAML.
+    #[error("'{text}' is not a parameter's value: {reason}")]
+    InvalidValue {
+        /// The text.
+        text: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A message's type is none that there is.
+    #[error("parameter '{name}': {source}")]
     UnknownType {
         /// The parameter.
         name: String,
-        /// The type's number.
-        number: u8,
+        /// The type.
+        source: super::UnknownParameterType,
     },
     /// A number does not fit into the type of the struct's field.
     #[error("parameter '{name}': {value} does not fit: {reason}")]
@@ -74,6 +82,14 @@ pub enum ParameterError {
     /// It can be set only when it is declared.
     #[error("parameter '{name}' is read-only: give its value when the program starts (-p {name}:=VALUE)")]
     ReadOnly {
+        /// The parameter.
+        name: String,
+    },
+    /// A parameter of one type stays as long as its node.
+    #[error(
+        "parameter '{name}' cannot be undeclared: it was declared with one type; declare it with `ParameterDescriptor::dynamic_typing`"
+    )]
+    StaticType {
         /// The parameter.
         name: String,
     },

@@ -5,12 +5,12 @@ use super::ParameterValue;
 use std::sync::Arc;
 use tautline_transport::Participant;
 
-/// What became of parameters.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Change {
-    New,
-    Changed,
-    Deleted,
+/// What became of parameters by one change.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Changes<'v> {
+    pub(crate) new: &'v [(String, ParameterValue)],
+    pub(crate) changed: &'v [(String, ParameterValue)],
+    pub(crate) deleted: &'v [(String, ParameterValue)],
 }
 
 /// A node's changes, published by its context.
@@ -30,9 +30,16 @@ impl ParameterEvents {
         ParameterEvents { node: String::new(), topic: None }
     }
 
-    pub(crate) fn publish(&self, change: Change, values: &[(String, ParameterValue)]) {
-        if let Some(topic) = self.topic.as_ref().filter(|_| !values.is_empty()) {
-            topic.publish(&self.node, change, values);
+    /// Whether anybody listens: if not, nothing needs to be made ready for [`publish`](Self::publish).
+    pub(crate) fn are_wanted(&self) -> bool {
+        self.topic.as_ref().is_some_and(|topic| topic.is_wanted())
+    }
+
+    pub(crate) fn publish(&self, changes: &Changes<'_>) {
+        let Changes { new, changed, deleted } = changes;
+        let is_empty = [new, changed, deleted].iter().all(|values| values.is_empty());
+        if let Some(topic) = self.topic.as_ref().filter(|_| !is_empty) {
+            topic.publish(&self.node, changes);
         }
     }
 }
@@ -42,7 +49,7 @@ pub(crate) use topic::EventTopic;
 
 #[cfg(feature = "rcl_interfaces")]
 mod topic {
-    use super::{Change, ParameterValue, Participant};
+    use super::{Changes, ParameterValue, Participant};
     use crate::QosProfile;
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
@@ -53,7 +60,15 @@ mod topic {
     pub(crate) struct EventTopic {
         participant: Participant,
         /// Made once: what was refused the first time is not tried again.
-        publisher: Mutex<Option<Result<Publisher<ParameterEvent>, TransportError>>>,
+        publisher: Mutex<Option<Opened>>,
+    }
+
+    type Opened = Result<Publisher<ParameterEvent>, TransportError>;
+
+    fn messages(values: &[(String, ParameterValue)]) -> Vec<Parameter> {
+        let message =
+            |(name, value): &(String, ParameterValue)| Parameter { name: name.clone(), value: value.into() };
+        values.iter().map(message).collect()
     }
 
     impl EventTopic {
@@ -61,26 +76,36 @@ mod topic {
             EventTopic { participant, publisher: Mutex::new(None) }
         }
 
-        /// A change is made whether it can be published or not.
-        pub(super) fn publish(&self, node: &str, change: Change, values: &[(String, ParameterValue)]) {
+        /// Makes the publisher, if there is none, so that others see it before they hear it.
+        pub(super) fn is_wanted(&self) -> bool {
             let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
-            let publisher = publisher.get_or_insert_with(|| {
-                self.open().inspect_err(|error| tracing::warn!("/parameter_events is not published: {error}"))
-            });
-            let Ok(publisher) = publisher else { return };
-            let values =
-                values.iter().map(|(name, value)| Parameter { name: name.clone(), value: value.into() });
+            self.opened(&mut publisher).is_some_and(|publisher| publisher.subscription_count() != 0)
+        }
+
+        /// A change is made whether it can be published or not.
+        pub(super) fn publish(&self, node: &str, changes: &Changes<'_>) {
+            let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
+            let publisher =
+                self.opened(&mut publisher).filter(|publisher| publisher.subscription_count() != 0);
+            let Some(publisher) = publisher else { return };
             let now = tautline_rt::clock::wall_ns();
-            let stamp = Time { sec: (now / 1_000_000_000) as i32, nanosec: (now % 1_000_000_000) as u32 };
-            let mut event = ParameterEvent { stamp, node: node.to_owned(), ..Default::default() };
-            match change {
-                Change::New => event.new_parameters = values.collect(),
-                Change::Changed => event.changed_parameters = values.collect(),
-                Change::Deleted => event.deleted_parameters = values.collect(),
-            }
+            let event = ParameterEvent {
+                stamp: Time { sec: (now / 1_000_000_000) as i32, nanosec: (now % 1_000_000_000) as u32 },
+                node: node.to_owned(),
+                new_parameters: messages(changes.new),
+                changed_parameters: messages(changes.changed),
+                deleted_parameters: messages(changes.deleted),
+            };
             if let Err(error) = publisher.publish(&event) {
                 tracing::warn!("/parameter_events: {error}");
             }
+        }
+
+        fn opened<'p>(&self, publisher: &'p mut Option<Opened>) -> Option<&'p Publisher<ParameterEvent>> {
+            let opened = publisher.get_or_insert_with(|| {
+                self.open().inspect_err(|error| tracing::warn!("/parameter_events is not published: {error}"))
+            });
+            opened.as_ref().ok()
         }
 
         fn open(&self) -> Result<Publisher<ParameterEvent>, TransportError> {
@@ -101,5 +126,9 @@ impl EventTopic {
         EventTopic
     }
 
-    fn publish(&self, _node: &str, _change: Change, _values: &[(String, ParameterValue)]) {}
+    fn is_wanted(&self) -> bool {
+        false
+    }
+
+    fn publish(&self, _node: &str, _changes: &Changes<'_>) {}
 }

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Values as `rcl_interfaces` has them.
 
-use super::ParameterValue;
+use super::{ParameterValue, UnknownParameterType};
 use tautline_ros_msgs::rcl_interfaces::msg;
 
 impl From<&ParameterValue> for msg::ParameterValue {
     fn from(value: &ParameterValue) -> msg::ParameterValue {
-        let mut message = msg::ParameterValue { r#type: value.parameter_type() as u8, ..Default::default() };
+        let mut message = msg::ParameterValue { type_: value.parameter_type() as u8, ..Default::default() };
         match value.clone() {
             ParameterValue::NotSet => {}
             ParameterValue::Bool(value) => message.bool_value = value,
@@ -20,5 +20,25 @@ impl From<&ParameterValue> for msg::ParameterValue {
             ParameterValue::StringArray(values) => message.string_array_value = values,
         }
         message
+    }
+}
+
+impl TryFrom<msg::ParameterValue> for ParameterValue {
+    type Error = UnknownParameterType;
+
+    fn try_from(value: msg::ParameterValue) -> Result<ParameterValue, UnknownParameterType> {
+        Ok(match value.type_ {
+            0 => ParameterValue::NotSet,
+            1 => ParameterValue::Bool(value.bool_value),
+            2 => ParameterValue::Integer(value.integer_value),
+            3 => ParameterValue::Double(value.double_value),
+            4 => ParameterValue::String(value.string_value),
+            5 => ParameterValue::ByteArray(value.byte_array_value),
+            6 => ParameterValue::BoolArray(value.bool_array_value),
+            7 => ParameterValue::IntegerArray(value.integer_array_value),
+            8 => ParameterValue::DoubleArray(value.double_array_value),
+            9 => ParameterValue::StringArray(value.string_array_value),
+            number => return Err(UnknownParameterType { number }),
+        })
     }
 }

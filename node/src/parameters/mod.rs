@@ -26,7 +26,7 @@ pub use ros_params::RosParams;
 #[doc(hidden)]
 pub use ros_params::{field, no_field};
 pub use store::{OnSetParameters, Parameters};
-pub use value::{ParameterType, ParameterValue, ParameterVariant, WrongParameterType};
+pub use value::{ParameterType, ParameterValue, ParameterVariant, UnknownParameterType, WrongParameterType};
 
 pub(crate) use events::{EventTopic, ParameterEvents};
 pub(crate) use node::given;

@@ -38,10 +38,21 @@ impl Parameter {
         if self.descriptor.read_only {
             return Err(ParameterError::ReadOnly { name: name.to_owned() });
         }
+        if *value == ParameterValue::NotSet
+            && self.value != ParameterValue::NotSet
+            && !self.descriptor.dynamic_typing
+        {
+            return Err(ParameterError::StaticType { name: name.to_owned() });
+        }
         let same = self.value.parameter_type() == value.parameter_type();
         if !same && !self.descriptor.dynamic_typing && self.value != ParameterValue::NotSet {
             return Err(ParameterError::wrong_type(name, self.value.parameter_type(), value));
         }
         self.descriptor.check(name, value)
+    }
+
+    /// As in ROS 2, setting a parameter to "not set" undeclares it.
+    pub(super) fn is_ended_by(&self, value: &ParameterValue) -> bool {
+        self.declared && *value == ParameterValue::NotSet && self.value != ParameterValue::NotSet
     }
 }

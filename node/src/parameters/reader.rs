@@ -31,8 +31,8 @@ pub struct ParameterReader<T> {
     changed: Arc<AtomicWaker>,
 }
 
-/// The other side of a reader: takes a new value, and says whether there is a reader still.
-pub(super) type Feed = Box<dyn FnMut(&ParameterValue) -> bool + Send>;
+/// The other side of a reader: takes a new value, if there is one, and says whether there is a reader still.
+pub(super) type Feed = Box<dyn FnMut(Option<&ParameterValue>) -> bool + Send>;
 
 impl<T: ParameterVariant> ParameterReader<T> {
     /// A reader with its first value, and what feeds it.
@@ -40,13 +40,12 @@ impl<T: ParameterVariant> ParameterReader<T> {
         let (mut writer, latest) = latest(first);
         let changed = Arc::new(AtomicWaker::new());
         let reader = ParameterReader { name: name.to_owned(), latest, changed: changed.clone() };
-        let feed = move |value: &ParameterValue| {
+        let feed = move |value: Option<&ParameterValue>| {
             if writer.is_abandoned() {
                 return false;
             }
-            if let Ok(value) = T::from_value(value.clone()) {
-                writer.write(value);
-                changed.wake();
+            if let Some(Ok(value)) = value.map(|value| T::from_value(value.clone())) {
+                writer.write_and_wake(value, || changed.wake());
             }
             true
         };
@@ -87,8 +86,8 @@ impl<T: ParameterVariant> ParameterReader<T> {
     }
 
     fn poll_changed(&self, context: &mut Context<'_>) -> Poll<()> {
-        self.changed.register(context.waker());
-        if self.latest.is_fresh() { Poll::Ready(()) } else { Poll::Pending }
+        let is_fresh = self.latest.is_fresh_after(|| self.changed.register(context.waker()));
+        if is_fresh { Poll::Ready(()) } else { Poll::Pending }
     }
 }
 

@@ -99,26 +99,11 @@ fn result(set: Result<Changed>, changed: &mut Changed) -> SetParametersResult {
 }
 
 fn values(parameters: impl IntoIterator<Item = msg::Parameter>) -> Result<Changed> {
-    parameters.into_iter().map(|parameter| Ok((parameter.name.clone(), value_of(parameter)?))).collect()
-}
-
-/// # Errors
-/// The message's type is none that there is.
-fn value_of(parameter: msg::Parameter) -> Result<ParameterValue> {
-    let msg::Parameter { name, value: message } = parameter;
-    Ok(match message.r#type {
-        0 => ParameterValue::NotSet,
-        1 => ParameterValue::Bool(message.bool_value),
-        2 => ParameterValue::Integer(message.integer_value),
-        3 => ParameterValue::Double(message.double_value),
-        4 => ParameterValue::String(message.string_value),
-        5 => ParameterValue::ByteArray(message.byte_array_value),
-        6 => ParameterValue::BoolArray(message.bool_array_value),
-        7 => ParameterValue::IntegerArray(message.integer_array_value),
-        8 => ParameterValue::DoubleArray(message.double_array_value),
-        9 => ParameterValue::StringArray(message.string_array_value),
-        unknown => return Err(ParameterError::UnknownType { name, number: unknown }.into()),
-    })
+    let of_message = |msg::Parameter { name, value }| match value.try_into() {
+        Ok(value) => Ok((name, value)),
+        Err(source) => Err(ParameterError::UnknownType { name, source }.into()),
+    };
+    parameters.into_iter().map(of_message).collect()
 }
 
 fn descriptor(
@@ -128,7 +113,7 @@ fn descriptor(
 ) -> msg::ParameterDescriptor {
     let mut message = msg::ParameterDescriptor {
         name: name.to_owned(),
-        r#type: parameter_type as u8,
+        type_: parameter_type as u8,
         description: of.description.clone(),
         additional_constraints: of.additional_constraints.clone(),
         read_only: of.read_only,
@@ -182,11 +167,11 @@ mod tests {
         let parameters = parameters();
         let names = names(&["arm.speed", "nothing", "gain"]);
         let values = get(&parameters, &GetParameters::Request { names: names.clone() }).values;
-        assert_eq!((values[0].integer_value, values[1].r#type, values[2].double_value), (3, 0, 1.0));
+        assert_eq!((values[0].integer_value, values[1].type_, values[2].double_value), (3, 0, 1.0));
         let types = get_types(&parameters, &GetParameterTypes::Request { names: names.clone() }).types;
         assert_eq!(types, [2, 0, 3]);
         let descriptors = describe(&parameters, &DescribeParameters::Request { names }).descriptors;
-        assert_eq!((descriptors[1].name.as_str(), descriptors[1].r#type), ("nothing", 0));
+        assert_eq!((descriptors[1].name.as_str(), descriptors[1].type_), ("nothing", 0));
         let gain = &descriptors[2];
         assert_eq!((gain.description.as_str(), gain.read_only), ("of the controller", false));
         let range = &gain.floating_point_range[0];
@@ -221,7 +206,7 @@ mod tests {
     fn each_is_set_or_refused_with_the_reason() {
         let parameters = parameters();
         let mut unknown = message("gain", 1.0);
-        unknown.value.r#type = 12;
+        unknown.value.type_ = 12;
         let request = SetParameters::Request {
             parameters: vec![
                 message("gain", 1.5),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node's parameters, to be declared and set from any thread.
 
-use super::events::{Change, ParameterEvents};
+use super::events::{Changes, ParameterEvents};
 use super::reader::Feed;
 use super::{
     Parameter, ParameterDescriptor, ParameterError, ParameterReader, ParameterType, ParameterValue,
@@ -33,6 +33,8 @@ struct Shared {
     map: Arc<Mutex<ParameterMap>>,
     /// Held during all of a change: one after the other.
     hooks: Mutex<Hooks>,
+    /// Held only to look or to put, so that callbacks may be added and ended by callbacks.
+    checks: Mutex<Checks>,
     /// The thread in which callbacks check a change, or follow it.
     changing: Mutex<Option<ThreadId>>,
 }
@@ -40,11 +42,15 @@ struct Shared {
 type Check = Arc<dyn Fn(&[(String, ParameterValue)]) -> std::result::Result<(), String> + Send + Sync>;
 type SharedStruct = Arc<Mutex<dyn RosParams + Send>>;
 
+#[derive(Default)]
+struct Checks {
+    list: Vec<(u64, Check)>,
+    next: u64,
+}
+
 struct Hooks {
-    checks: Vec<(u64, Check)>,
-    next_check: u64,
     feeds: Vec<(String, Feed)>,
-    of_struct: Option<OfStruct>,
+    structs: Vec<OfStruct>,
     events: ParameterEvents,
 }
 
@@ -67,8 +73,9 @@ fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Parameters {
     pub(crate) fn new(map: Arc<Mutex<ParameterMap>>, events: ParameterEvents) -> Parameters {
-        let hooks = Hooks { checks: Vec::new(), next_check: 0, feeds: Vec::new(), of_struct: None, events };
-        let shared = Shared { map, hooks: Mutex::new(hooks), changing: Mutex::new(None) };
+        let hooks = Hooks { feeds: Vec::new(), structs: Vec::new(), events };
+        let shared =
+            Shared { map, hooks: Mutex::new(hooks), checks: Mutex::default(), changing: Mutex::new(None) };
         Parameters { shared: Arc::new(shared) }
     }
 
@@ -103,14 +110,14 @@ impl Parameters {
         }
         descriptor.check(name, &given)?;
         let change = [(name.to_owned(), given.clone())];
-        self.run_checks(hooks, &change)?;
+        self.run_checks(&change)?;
         let first = T::from_value(given.clone()).map_err(|_| {
             // Dynamically typed, and given as another type than that of the default, which the reader is of.
             ParameterError::wrong_type(name, default.parameter_type(), &given)
         })?;
         let parameter = Parameter { value: given, descriptor, declared: true };
         lock(&self.shared.map).insert(name.to_owned(), parameter);
-        hooks.events.publish(Change::New, &change);
+        hooks.events.publish(&Changes { new: &change, ..Changes::default() });
         Ok(hooks.reader(name, first))
     }
 
@@ -127,8 +134,9 @@ impl Parameters {
         let parameter = Parameter { value, descriptor, declared: true };
         lock(&self.shared.map).insert(USE_SIM_TIME.into(), parameter);
         let source = source.clone();
-        let follow = move |value: &ParameterValue| {
-            if let Err(error) = source.set_enabled(*value == ParameterValue::Bool(true)) {
+        let follow = move |value: Option<&ParameterValue>| {
+            let enable = |value: &ParameterValue| source.set_enabled(*value == ParameterValue::Bool(true));
+            if let Some(Err(error)) = value.map(enable) {
                 tracing::warn!("the clock shows the time that it has shown: {error}");
             }
             true
@@ -209,56 +217,79 @@ impl Parameters {
     ) -> Result<Vec<(String, ParameterValue)>> {
         let Some((first, _)) = values.first() else { return Ok(Vec::new()) };
         let hooks = &mut *self.hooks(first)?;
-        let mut new = Vec::new();
+        let (mut new, mut deleted) = (Vec::new(), Vec::new());
         {
             let map = lock(&self.shared.map);
             let mut others = map.iter().filter(|(name, _)| *name != USE_SIM_TIME);
             let takes_any = !others.any(|(_, parameter)| parameter.declared);
-            for (name, value) in &mut values {
-                let Some(parameter) = map.get(name) else {
-                    if !takes_any {
-                        return Err(ParameterError::NotDeclared { name: name.clone() }.into());
+            for (index, (name, value)) in values.iter_mut().enumerate() {
+                match map.get(name) {
+                    Some(parameter) if parameter.declared || takes_any => {
+                        *value = std::mem::take(value).of_type(parameter.value.parameter_type());
+                        parameter.check(name, value)?;
+                        if parameter.is_ended_by(value) {
+                            deleted.push(index);
+                        }
                     }
-                    new.push(name.clone());
-                    continue;
-                };
-                *value = std::mem::take(value).of_type(parameter.value.parameter_type());
-                parameter.check(name, value)?;
+                    None if takes_any => new.push(index),
+                    // What was given and not declared may still be declared: then it counts.
+                    _ => return Err(ParameterError::NotDeclared { name: name.clone() }.into()),
+                }
             }
         }
-        if let Some(of_struct) = &hooks.of_struct {
-            let (fields, checked) = (of_struct.among(&values), lock(&of_struct.value));
-            fields.into_iter().try_for_each(|(name, value)| checked.check_parameter(name, value))?;
+        for of_struct in &hooks.structs {
+            let (mut fields, checked) = (of_struct.among(&values), lock(&of_struct.value));
+            fields.try_for_each(|(name, value)| checked.check_parameter(name, value))?;
         }
-        self.run_checks(hooks, &values)?;
-        if let Some(of_struct) = &hooks.of_struct {
-            let (fields, mut set) = (of_struct.among(&values), lock(&of_struct.value));
-            fields.into_iter().try_for_each(|(name, value)| set.set_parameter(name, value))?;
+        self.run_checks(&values)?;
+        for of_struct in &hooks.structs {
+            let (mut fields, mut set) = (of_struct.among(&values), lock(&of_struct.value));
+            fields.try_for_each(|(name, value)| set.set_parameter(name, value))?;
         }
         let mut changed = Vec::new();
         {
             let mut map = lock(&self.shared.map);
             for (name, value) in &values {
-                let parameter = map.entry(name.clone()).or_insert_with(Parameter::empty);
+                let parameter = match map.get_mut(name) {
+                    Some(parameter) => parameter,
+                    None => map.entry(name.clone()).or_insert_with(Parameter::empty),
+                };
                 if parameter.value != *value {
-                    parameter.value = value.clone();
+                    parameter.value.clone_from(value);
                     changed.push((name.clone(), value.clone()));
                 }
             }
+            // Not what a later value of the same change has set again.
+            for (name, _) in deleted.iter().map(|index| &values[*index]) {
+                if map.get(name).is_some_and(|parameter| parameter.value == ParameterValue::NotSet) {
+                    map.shift_remove(name);
+                }
+            }
         }
-        *lock(&self.shared.changing) = Some(std::thread::current().id());
-        hooks.feed(&changed);
-        *lock(&self.shared.changing) = None;
-        let (new, old): (Vec<_>, Vec<_>) = values.into_iter().partition(|(name, _)| new.contains(name));
-        hooks.events.publish(Change::New, &new);
-        hooks.events.publish(Change::Changed, &old);
+        {
+            let _changing = self.changing();
+            hooks.feed(&changed);
+        }
+        if hooks.events.are_wanted() {
+            let (mut of_new, mut of_changed, mut of_deleted) = (Vec::new(), Vec::new(), Vec::new());
+            for (index, value) in values.into_iter().enumerate() {
+                match index {
+                    // Sorted, for they were found in this order.
+                    _ if new.binary_search(&index).is_ok() => of_new.push(value),
+                    _ if deleted.binary_search(&index).is_ok() => of_deleted.push(value),
+                    _ => of_changed.push(value),
+                }
+            }
+            hooks.events.publish(&Changes { new: &of_new, changed: &of_changed, deleted: &of_deleted });
+        }
         Ok(changed)
     }
 
-    /// Forgets a parameter; its readers keep the last value.
+    /// Forgets a parameter; its readers keep the last value. As in ROS 2, only one that may change its type can go: whoever reads
+    /// another one relies on it.
     ///
     /// # Errors
-    /// [`ParameterError`]: not declared, read-only.
+    /// [`ParameterError`]: not declared, read-only, of one type.
     pub fn undeclare(&self, name: &str) -> Result<()> {
         let hooks = &mut *self.hooks(name)?;
         let mut map = lock(&self.shared.map);
@@ -268,12 +299,15 @@ impl Parameters {
             Some(parameter) if parameter.descriptor.read_only => {
                 return Err(ParameterError::ReadOnly { name }.into());
             }
+            Some(parameter) if parameter.declared && !parameter.descriptor.dynamic_typing => {
+                return Err(ParameterError::StaticType { name }.into());
+            }
             Some(_) => {}
         }
         let former = map.shift_remove(&name).map(|parameter| parameter.value).unwrap_or_default();
         drop(map);
         hooks.feeds.retain(|(of, _)| *of != name);
-        hooks.events.publish(Change::Deleted, &[(name, former)]);
+        hooks.events.publish(&Changes { deleted: &[(name, former)], ..Changes::default() });
         Ok(())
     }
 
@@ -299,34 +333,37 @@ impl Parameters {
 
     /// Calls `check` before parameters are declared or set; if it gives a reason, none of them is.
     ///
-    /// It may read parameters, and not set any.
+    /// It may read parameters, add and end callbacks, and not set any. One that panics passes the panic on to whoever sets; nothing
+    /// is set then.
     pub fn on_set(
         &self,
         check: impl Fn(&[(String, ParameterValue)]) -> std::result::Result<(), String> + Send + Sync + 'static,
     ) -> OnSetParameters {
-        let mut hooks = lock(&self.shared.hooks);
-        let number = hooks.next_check;
-        hooks.next_check += 1;
-        hooks.checks.push((number, Arc::new(check)));
+        let mut checks = lock(&self.shared.checks);
+        let number = checks.next;
+        checks.next += 1;
+        checks.list.push((number, Arc::new(check)));
         OnSetParameters { shared: Arc::downgrade(&self.shared), number }
     }
 
-    /// Declares the fields of a struct. From now on it is changed with them, and what is changed in it is what others get.
+    /// Declares the fields of a struct. From now on it is changed with them, and what is changed in it is what others get. Setting
+    /// parameters, and the services that do, lock it: do not set any while you hold its lock.
     ///
     /// # Errors
-    /// [`ParameterError`]: declared already, or a value that was given does not fit.
+    /// [`ParameterError`]: declared already, or a value that was given does not fit; nothing is declared then.
     pub fn declare_struct(&self, of_struct: Arc<Mutex<dyn RosParams + Send>>) -> Result<()> {
         let mut hooks = self.hooks("")?;
-        let before = self.names();
-        lock(&of_struct).register_parameters("", None, &mut lock(&self.shared.map))?;
-        let map = lock(&self.shared.map);
-        let new = map.iter().filter(|(name, _)| !before.contains(name));
-        let new: Vec<_> = new.map(|(name, parameter)| (name.clone(), parameter.value.clone())).collect();
-        drop(map);
-        hooks.events.publish(Change::New, &new);
-        let given = before.into_iter().filter(|name| lock(&of_struct).get_parameter(name).is_ok());
-        let fields = given.chain(new.into_iter().map(|(name, _)| name)).collect();
-        hooks.of_struct = Some(OfStruct { fields, value: of_struct });
+        let before = lock(&self.shared.map).clone();
+        let mut after = before.clone();
+        lock(&of_struct).register_parameters("", None, &mut after)?;
+        let is_new = |name: &str| before.get(name).is_none_or(|parameter| !parameter.declared);
+        let fields = after.iter().filter(|(name, parameter)| parameter.declared && is_new(name));
+        let fields: Vec<_> =
+            fields.map(|(name, parameter)| (name.clone(), parameter.value.clone())).collect();
+        *lock(&self.shared.map) = after;
+        hooks.events.publish(&Changes { new: &fields, ..Changes::default() });
+        let fields = fields.into_iter().map(|(name, _)| name).collect();
+        hooks.structs.push(OfStruct { fields, value: of_struct });
         Ok(())
     }
 
@@ -338,7 +375,8 @@ impl Parameters {
     }
 
     fn value(&self, hooks: &Hooks, name: &str) -> Option<ParameterValue> {
-        let of_struct = hooks.of_struct.as_ref();
+        let of_struct =
+            hooks.structs.iter().find(|of_struct| of_struct.fields.iter().any(|field| field == name));
         let in_struct = of_struct.and_then(|of_struct| lock(&of_struct.value).get_parameter(name).ok());
         in_struct.or_else(|| lock(&self.shared.map).get(name).map(|parameter| parameter.value.clone()))
     }
@@ -351,26 +389,44 @@ impl Parameters {
         Ok(lock(&self.shared.hooks))
     }
 
-    fn run_checks(
-        &self,
-        hooks: &Hooks,
-        values: &[(String, ParameterValue)],
-    ) -> std::result::Result<(), ParameterError> {
-        *lock(&self.shared.changing) = Some(std::thread::current().id());
-        let refused = hooks.checks.iter().find_map(|(_, check)| check(values).err());
-        *lock(&self.shared.changing) = None;
+    fn run_checks(&self, values: &[(String, ParameterValue)]) -> std::result::Result<(), ParameterError> {
+        let checks: Vec<Check> = {
+            let checks = lock(&self.shared.checks);
+            checks.list.iter().map(|(_, check)| check.clone()).collect()
+        };
+        let _changing = self.changing();
+        let refused = checks.iter().find_map(|check| check(values).err());
         refused.map_or(Ok(()), |reason| Err(ParameterError::Rejected { reason }))
+    }
+
+    /// While this lives, callbacks run in this thread. Ends with their panic, too.
+    fn changing(&self) -> Changing<'_> {
+        *lock(&self.shared.changing) = Some(std::thread::current().id());
+        Changing(&self.shared.changing)
+    }
+}
+
+struct Changing<'s>(&'s Mutex<Option<ThreadId>>);
+
+impl Drop for Changing<'_> {
+    fn drop(&mut self) {
+        *lock(self.0) = None;
     }
 }
 
 impl OfStruct {
-    fn among<'v>(&self, values: &'v [(String, ParameterValue)]) -> Vec<&'v (String, ParameterValue)> {
-        values.iter().filter(|(name, _)| self.fields.contains(name)).collect()
+    fn among<'v>(
+        &self,
+        values: &'v [(String, ParameterValue)],
+    ) -> impl Iterator<Item = &'v (String, ParameterValue)> {
+        values.iter().filter(|(name, _)| self.fields.contains(name))
     }
 }
 
 impl Hooks {
     fn reader<T: ParameterVariant>(&mut self, name: &str, first: T) -> ParameterReader<T> {
+        // Those of readers that are gone, whose parameter may never be set again.
+        self.feeds.retain_mut(|(_, feed)| feed(None));
         let (reader, feed) = ParameterReader::new(name, first);
         self.feeds.push((name.to_owned(), feed));
         reader
@@ -379,7 +435,7 @@ impl Hooks {
     fn feed(&mut self, changed: &[(String, ParameterValue)]) {
         self.feeds.retain_mut(|(name, feed)| {
             let mut to_it = changed.iter().filter(|(of, _)| of == name);
-            to_it.all(|(_, value)| feed(value))
+            to_it.all(|(_, value)| feed(Some(value)))
         });
     }
 }
@@ -387,7 +443,13 @@ impl Hooks {
 impl Drop for OnSetParameters {
     fn drop(&mut self) {
         if let Some(shared) = self.shared.upgrade() {
-            lock(&shared.hooks).checks.retain(|(number, _)| *number != self.number);
+            let ended = {
+                let mut checks = lock(&shared.checks);
+                let index = checks.list.iter().position(|(number, _)| *number == self.number);
+                index.map(|index| checks.list.remove(index))
+            };
+            // What it owns is dropped without the lock: that may be another callback.
+            drop(ended);
         }
     }
 }

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a parameter can be.
 
+use super::ParameterError;
 use std::fmt;
+use std::str::FromStr;
 
 /// The value of a parameter.
 #[derive(Debug, PartialEq, Clone, Default)]
@@ -108,6 +110,24 @@ impl ParameterValue {
     }
 }
 
+/// Reads a value as `-p name:=value` does: by YAML's rules.
+///
+/// ```
+/// use tautline::ParameterValue;
+///
+/// assert_eq!("1.5".parse(), Ok(ParameterValue::Double(1.5)));
+/// assert_eq!("[1, 2]".parse(), Ok(ParameterValue::IntegerArray(vec![1, 2])));
+/// assert!("[1, x]".parse::<ParameterValue>().is_err());
+/// ```
+impl FromStr for ParameterValue {
+    type Err = ParameterError;
+
+    fn from_str(text: &str) -> Result<ParameterValue, ParameterError> {
+        let invalid = |reason| ParameterError::InvalidValue { text: text.to_owned(), reason };
+        super::yaml::read_value(text).map_err(invalid)
+    }
+}
+
 /// As in YAML: `[1, 2]`.
 impl fmt::Display for ParameterValue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -134,6 +154,14 @@ pub struct WrongParameterType {
     pub expected_type_name: &'static str,
     /// The value's type.
     pub actual_type_name: &'static str,
+}
+
+/// A message's type is none of `rcl_interfaces/msg/ParameterType`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{number} is no type of parameters, which are 0 to 9")]
+pub struct UnknownParameterType {
+    /// The type's number.
+    pub number: u8,
 }
 
 /// A Rust type that a parameter's value can have: those of [`ParameterValue`], and itself for parameters of any type.

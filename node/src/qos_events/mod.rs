@@ -11,7 +11,17 @@ pub use subscription::SubscriptionEvents;
 
 use crate::error::Result;
 use crate::node::Node;
+use std::time::Duration;
 use tautline_transport::{RawPublisher, RawSubscription};
+
+/// Shorter deadlines and leases are watched as if they were this long. No thread could keep one, and each that is missed again and
+/// again would keep the sampler, which nothing may wait for, busy with nothing else.
+const SHORTEST: Duration = Duration::from_micros(50);
+
+/// How long a deadline or a lease is watched for.
+fn watched(period: Duration) -> Duration {
+    period.max(SHORTEST)
+}
 
 impl Node {
     /// What happens to a publisher: subscriptions that come, go or do not fit, its deadline missed, its liveliness lost. A stream

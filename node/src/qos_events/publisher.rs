@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use super::event::{DeadlineMissed, LivelinessLost, PublisherEvent, Ready};
+use super::watched;
 use crate::error::Result;
 use futures::Stream;
 use std::pin::Pin;
@@ -49,11 +50,13 @@ impl PublisherEvents {
     pub(super) fn new(events: &Events, publisher: &RawPublisher) -> Result<Self> {
         let alarm = events.alarm()?;
         let monitor = publisher.monitor(alarm.slot());
-        let watchdog = |(pulse, period)| events.watchdog(pulse, period);
+        let watchdog = |(pulse, period)| events.watchdog(pulse, watched(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         let lease = match monitor.lease() {
             Some((pulse, period)) => {
-                let (watchdog, period_ns) = (events.watchdog(pulse, period)?, period.as_nanos() as u64);
+                let period = watched(period);
+                let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
+                let watchdog = events.watchdog(pulse, period)?;
                 Some(Lease { watchdog, told: None, period_ns, lost: 0 })
             }
             None => None,

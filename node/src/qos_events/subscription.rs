@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use super::event::{DeadlineMissed, Ready, SubscriptionEvent};
+use super::watched;
 use crate::error::Result;
 use futures::Stream;
 use std::pin::Pin;
@@ -25,7 +26,7 @@ impl SubscriptionEvents {
     pub(super) fn new(events: &Events, subscription: &RawSubscription) -> Result<Self> {
         let alarm = events.alarm()?;
         let monitor = subscription.monitor(alarm.slot());
-        let watchdog = |(pulse, period)| events.watchdog(pulse, period);
+        let watchdog = |(pulse, period)| events.watchdog(pulse, watched(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         Ok(SubscriptionEvents { monitor, alarm, deadline, ready: Ready::new() })
     }

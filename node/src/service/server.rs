@@ -39,11 +39,7 @@ use tautline_transport::{
 /// let client = node.create_client_loaned::<AddTwoInts::Service>("/sum", QosProfile::default())?;
 /// let stop = ctx.events().clone();
 /// node.spawn_callback(CallbackOptions::fifo(10), async move {
-///     let response = {
-///         let mut request = client.loan().expect("a loan is free"); // stays in its thread: gone before the wait
-///         (request.a, request.b) = (1, 2);
-///         client.send(request).expect("there is a server")
-///     };
+///     let response = client.request_with(|request| (request.a, request.b) = (1, 2)).expect("there is a server");
 ///     assert_eq!(response.await.expect("it answers").sum, 3);
 ///     stop.stop();
 /// })?;
@@ -65,7 +61,8 @@ impl<T: Service> ServiceLoaned<T> {
         self.requests.source()
     }
 
-    /// Loans memory for the response to `request`, to write in place as `&mut T::Response`.
+    /// Loans memory for the response to `request`, to write in place as `&mut T::Response`. A future that keeps it over an
+    /// `.await` is not `Send`: wait before, or run the future with [`Node::spawn_local`](crate::Node::spawn_local).
     ///
     /// # Real-time
     /// Wait-free, O(clients); one allocation of 48 bytes (iceoryx2's); no syscall.
@@ -128,8 +125,9 @@ impl<T: Service> Stream for ServiceLoaned<T> {
     type Item = Request<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; the request is checked: see [`Message::view`](crate::Message::view). The first request of a
-    /// client allocates and opens files. Never ends.
+    /// Wait-free; no allocation; the request is checked: see [`Message::view`](crate::Message::view). When clients have appeared
+    /// or gone: allocates, starts a thread for each that makes a publisher, and waits for that if the request is of a client that
+    /// has only just appeared. Never ends.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Request<T>>> {
         self.requests.poll_next(context).map(Some)
     }

@@ -36,7 +36,8 @@ impl Node {
             return Err(Error::ZeroPeriod);
         }
         let _node = tautline_trace::in_node(self.trace.id());
-        let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
+        // Simulated time has 63 bits.
+        let period_ns = i64::try_from(period.as_nanos()).unwrap_or(i64::MAX).unsigned_abs();
         let events = self.context.events().clone();
         Ok(Timer::on_ros_clock(RosTimer::new(self.time_source.seat()?, events, period_ns)?))
     }

@@ -5,11 +5,15 @@
 //! A monitor belongs to whoever wants to know, in any thread; the publisher or subscription goes on without noticing it. It is
 //! told when to look by a ring of the slot it was made with: when the topic's participants change, when messages are lost, and
 //! when the publisher or subscription ends. What is due at a time is told by the sampler, from a [`Pulse`](crate::Pulse).
+//!
+//! A gateway's ports are no ends of the topic: the ends on other hosts are, for which they stand.
 
 mod publisher;
+mod remote;
 mod subscription;
 
 pub use publisher::{PublisherChanges, PublisherMonitor};
+pub(crate) use remote::RemoteWatch;
 pub use subscription::{SubscriptionChanges, SubscriptionMonitor};
 
 use crate::address::Address;
@@ -47,7 +51,7 @@ pub struct IncompatibleQos {
 pub struct LivelinessChanged {
     /// Those that are alive.
     pub alive_count: u64,
-    /// Those that let their lease pass, and those found killed since the last event.
+    /// Those that let their lease pass, and those found killed, or on other hosts no longer found, since the last event.
     pub not_alive_count: u64,
     /// The difference from the last event.
     pub alive_count_change: i64,
@@ -93,7 +97,7 @@ impl Drop for Watched {
     }
 }
 
-/// The ends of a topic that are there, each with what is known of it. As many as the topic can have, so that it never grows.
+/// The ends of a topic that are there, each with what is known of it. Room for as many as the topic can have here.
 struct Ends<K, V> {
     known: Vec<End<K, V>>,
     total: u64,

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use super::remote::RemoteEnds;
 use super::{Ends, IncompatibleQos, Matched, Watched};
 use crate::doorbell::{Pulse, PulseOf, Slot};
+use crate::header::Gid;
+use crate::nodes::EndpointKind;
 use crate::ports;
 use crate::publisher::RawPublisher;
 use crate::qos::{Liveliness, Qos};
@@ -11,6 +14,7 @@ use std::time::Duration;
 pub struct PublisherMonitor {
     watched: Watched,
     ends: Ends<u128, ()>,
+    remote: RemoteEnds,
 }
 
 /// What changed since a publisher's monitor last looked.
@@ -31,7 +35,9 @@ impl RawPublisher {
     pub fn monitor(&self, events: &Slot) -> PublisherMonitor {
         let (topic, slot, address) = self.place();
         let ends = Ends::new(topic.limits.subscribers);
-        PublisherMonitor { watched: Watched::new(topic, slot, address, events), ends }
+        let watched = Watched::new(topic, slot, address, events);
+        let remote = RemoteEnds::watch(self.shared(), topic, EndpointKind::Subscription, events);
+        PublisherMonitor { watched, ends, remote }
     }
 }
 
@@ -42,15 +48,21 @@ impl PublisherMonitor {
     /// O(1), no allocation, if the topic's participants have not changed; else O(subscriptions), and iceoryx2's list allocates. No
     /// syscall.
     pub fn look(&mut self) -> PublisherChanges {
-        if !self.watched.has_changed() {
+        // Not the one or the other: each is looked at.
+        if !(self.watched.has_changed() | self.remote.have_changed()) {
             return PublisherChanges::default();
         }
         let Watched { topic, address, .. } = &self.watched;
+        let remote = self.remote.look();
         let (matched, incompatible_qos) = self.ends.update(
             |each| {
                 ports::each_subscription(&topic.factory, |port| {
-                    each(port.id, address.incompatibility(&port.address), ());
+                    if !port.address.is_relay {
+                        each(port.id, address.incompatibility(&port.address), ());
+                    }
                 });
+                // They get what the gateway sends on, whatever they request.
+                remote.iter().for_each(|Gid(id)| each(u128::from_le_bytes(*id), None, ()));
             },
             |_, ()| {},
         );

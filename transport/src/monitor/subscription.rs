@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use super::remote::RemoteEnds;
 use super::{Ends, IncompatibleQos, LivelinessChanged, Matched, MessageLost, Watched};
 use crate::address::Address;
 use crate::doorbell::{KILLED, Link, Pulse, PulseOf, Slot};
 use crate::header::Gid;
+use crate::nodes::EndpointKind;
 use crate::ports;
 use crate::qos::{Liveliness, Qos, nanoseconds};
 use crate::subscription::{Counters, RawSubscription};
@@ -16,6 +18,7 @@ pub struct SubscriptionMonitor {
     watched: Watched,
     counters: Arc<Counters>,
     ends: Ends<Gid, Life>,
+    remote: RemoteEnds,
     /// As at the last event.
     lost: u64,
     alive: u64,
@@ -39,11 +42,16 @@ pub struct SubscriptionChanges {
     pub look_again_ns: Option<u64>,
 }
 
+/// A publisher that is not alive is looked for this often at most.
+const SHORTEST_NS: u64 = 1_000_000;
+
 /// What is known of a publisher's liveliness.
 struct Life {
     /// Of one that has to show that it is alive, the time within which it has to.
     lease_ns: Option<u64>,
     since_ns: u64,
+    /// On another host: it lives as long as that host's gateway is heard to say so.
+    is_remote: bool,
 }
 
 impl RawSubscription {
@@ -58,6 +66,7 @@ impl RawSubscription {
             watched: Watched::new(topic, slot, address, events),
             counters: self.counters(),
             ends: Ends::new(topic.limits.publishers),
+            remote: RemoteEnds::watch(self.shared(), topic, EndpointKind::Publisher, events),
             lost: 0,
             alive: 0,
             not_alive: 0,
@@ -74,18 +83,27 @@ impl SubscriptionMonitor {
     pub fn look(&mut self, now_ns: u64) -> SubscriptionChanges {
         let mut changes = SubscriptionChanges::default();
         let mut killed = 0;
-        let has_changed = self.watched.has_changed();
+        // Not the one or the other: each is looked at.
+        let has_changed = self.watched.has_changed() | self.remote.have_changed();
         let Watched { topic, slot, address, .. } = &self.watched;
         let links = slot.doorbell().arena().links(slot.index());
         if has_changed {
+            let remote = self.remote.look();
             (changes.matched, changes.incompatible_qos) = self.ends.update(
                 |each| {
                     ports::each_publisher(&topic.factory, |port| {
-                        let life = Life { lease_ns: lease_ns(&port.address), since_ns: now_ns };
-                        each(port.gid, address.incompatibility(&port.address), life);
+                        let lease_ns = lease_ns(&port.address);
+                        let life = Life { lease_ns, since_ns: now_ns, is_remote: false };
+                        if !port.address.is_relay {
+                            each(port.gid, address.incompatibility(&port.address), life);
+                        }
                     });
+                    // What they send is passed on whatever is requested; that they end and that they die look alike from here.
+                    for gid in remote {
+                        each(*gid, None, Life { lease_ns: None, since_ns: now_ns, is_remote: true });
+                    }
                 },
-                |gid, _| killed += u64::from(was_killed(links, *gid)),
+                |gid, life| killed += u64::from(life.is_remote || was_killed(links, *gid)),
             );
         }
         let (mut alive, mut not_alive) = (0, 0);
@@ -99,8 +117,9 @@ impl SubscriptionMonitor {
             let due_ns = last_ns.saturating_add(lease_ns);
             let is_alive = due_ns > now_ns;
             *if is_alive { &mut alive } else { &mut not_alive } += 1;
-            // One that comes to life again rings nobody: it is looked for once in each lease.
-            let again_ns = if is_alive { due_ns } else { now_ns.saturating_add(lease_ns) };
+            // One that comes to life again rings nobody: it is looked for once in each lease. Leases are what others ask for: a
+            // very short one is no reason to look all the time.
+            let again_ns = if is_alive { due_ns } else { now_ns.saturating_add(lease_ns.max(SHORTEST_NS)) };
             changes.look_again_ns = Some(changes.look_again_ns.map_or(again_ns, |other| other.min(again_ns)));
         }
         changes.liveliness = self.note_liveliness(alive, not_alive, killed);

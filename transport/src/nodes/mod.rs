@@ -297,13 +297,16 @@ impl Participant {
     }
 }
 
+/// The publishers and subscriptions of other hosts.
+pub(crate) fn remote_endpoints(registry: &Registry) -> Vec<TopicEndpoint> {
+    let records = registry.records();
+    let relays = records.iter().filter(|record| record.is_relay);
+    relays.flat_map(|record| record.endpoints.iter().filter_map(|end| record.endpoint(end))).collect()
+}
+
 /// The type that a topic has on other hosts, if all agree on it.
 pub(crate) fn remote_topic_type(registry: &Registry, topic: &str) -> Option<TopicType> {
-    let records = registry.records();
-    let ends = records
-        .iter()
-        .filter(|record| record.is_relay)
-        .flat_map(|record| record.endpoints.iter().filter_map(|end| record.endpoint(end)));
+    let ends = remote_endpoints(registry).into_iter();
     let mut types = ends.filter(|end| end.topic == topic).map(|end| end.topic_type);
     let first = types.next()?;
     types.all(|other| other == first).then_some(first)

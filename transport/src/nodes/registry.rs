@@ -114,6 +114,17 @@ impl Registry {
     }
 }
 
+impl Drop for Registry {
+    /// What it said of other hosts ends with it, and who watches for that is told after it has.
+    fn drop(&mut self) {
+        let file = self.state.get_mut().unwrap_or_else(PoisonError::into_inner).file.take();
+        if file.is_some() {
+            drop(file);
+            self.graph.advance();
+        }
+    }
+}
+
 impl State {
     fn write(&mut self, domain: u32, record: &Record) -> Result<(), TransportError> {
         let failed = |path: PathBuf| move |source| TransportError::Graph { path, source };

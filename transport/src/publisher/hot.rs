@@ -11,7 +11,7 @@ use super::RawPublisher;
 use super::peers::Peers;
 use crate::doorbell::PulseOf;
 use crate::error::{LoanError, PublishError};
-use crate::header::{MessageInfo, SampleHeader};
+use crate::header::{MessageInfo, NEVER, SampleHeader};
 use crate::sync::{Ordering, fence};
 use crate::topic::{IoxLoan, Word, bytes, bytes_mut, padded};
 use core::future::poll_fn;
@@ -79,8 +79,8 @@ enum Stamp {
     Now,
     /// Published now, released at this `CLOCK_MONOTONIC` time.
     ReleasedAt(u64),
-    /// Published elsewhere, released now.
-    As(MessageInfo),
+    /// Published elsewhere, released now, to be delivered for so many nanoseconds.
+    As(MessageInfo, u64),
 }
 
 impl RawPublisher {
@@ -147,17 +147,17 @@ impl RawPublisher {
         let sequence_number = peers.sequence_number + 1;
         peers.sequence_number = sequence_number;
         let now_ns = monotonic_ns();
-        let (released_ns, source) = match stamp {
-            Stamp::As(source) => (now_ns, source),
-            Stamp::Now => (now_ns, self.info(sequence_number)),
-            Stamp::ReleasedAt(released_ns) => (released_ns, self.info(sequence_number)),
+        let (released_ns, source, lifespan_ns) = match stamp {
+            Stamp::As(source, left_ns) => (now_ns, source, left_ns.min(self.lifespan_ns)),
+            Stamp::Now => (now_ns, self.info(sequence_number), self.lifespan_ns),
+            Stamp::ReleasedAt(released_ns) => (released_ns, self.info(sequence_number), self.lifespan_ns),
         };
         *loan.sample.user_header_mut() = SampleHeader {
             sequence_number,
             gid: self.gid,
             released_ns,
             body_bytes: loan.len_bytes as u64,
-            expires_ns: now_ns.saturating_add(self.lifespan_ns),
+            expires_ns: now_ns.saturating_add(lifespan_ns),
             source_timestamp_ns: source.source_timestamp_ns,
             source_sequence_number: source.sequence_number,
             source_gid: source.publisher_gid,
@@ -288,7 +288,24 @@ impl<'p> RawLoan<'p> {
     /// # Errors
     /// As [`publish`](Self::publish).
     pub fn publish_as(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
-        self.publisher.publish_loan(self, Stamp::As(source))
+        self.publisher.publish_loan(self, Stamp::As(source, NEVER))
+    }
+
+    /// As [`publish_as`](Self::publish_as), for a message that is still to be delivered for `left`: what its publisher's lifespan
+    /// leaves of it.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_as_for(
+        self,
+        source: MessageInfo,
+        left: core::time::Duration,
+    ) -> Result<(), Unpublished<RawLoan<'p>>> {
+        let left_ns = u64::try_from(left.as_nanos()).unwrap_or(NEVER);
+        self.publisher.publish_loan(self, Stamp::As(source, left_ns))
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second

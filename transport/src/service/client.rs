@@ -15,7 +15,6 @@ use crate::subscription::RawSubscription;
 use std::cell::Cell;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::Waker;
 
 /// Sends requests of bytes to a service and gets the responses. What is above knows the type.
@@ -83,8 +82,6 @@ pub(super) struct Shared {
     pub(super) publisher: OfClient<RawPublisher>,
     pub(super) inbox: Turn<Inbox>,
     pub(super) table: Table,
-    /// The servers there are, by their bits.
-    pub(super) alive: AtomicU64,
     /// Wakes every task that waits.
     pub(super) waker: Waker,
     _registration: Option<ServiceRegistration>,
@@ -123,12 +120,14 @@ impl OfClient<RawPublisher> {
 pub(super) struct Servers {
     known: Vec<(u128, u64)>,
     next: u32,
+    /// Those that went and those that are there, since that was last asked for.
+    change: Option<(u64, u64)>,
 }
 
 impl Servers {
-    /// Notes which servers there are. Returns the bits of those that went, and of all that are there.
-    fn update(&mut self, ids: &[u128]) -> (u64, u64) {
-        let mut gone = 0;
+    /// Notes which servers there are.
+    fn update(&mut self, ids: &[u128]) {
+        let mut gone = self.change.map_or(0, |(gone, _)| gone);
         self.known.retain(|(id, bit)| {
             let stays = ids.contains(id);
             gone |= if stays { 0 } else { *bit };
@@ -136,8 +135,10 @@ impl Servers {
         });
         let mut alive = self.known.iter().fold(0, |bits, (_, bit)| bits | bit);
         for id in ids {
-            if !self.known.iter().any(|(known, _)| known == id) && alive != u64::MAX {
-                while alive & (1 << (self.next % u64::BITS)) != 0 {
+            // One that went a moment ago keeps its bit until requests have lost it.
+            let used = alive | gone;
+            if !self.known.iter().any(|(known, _)| known == id) && used != u64::MAX {
+                while used & (1 << (self.next % u64::BITS)) != 0 {
                     self.next = self.next.wrapping_add(1);
                 }
                 let bit = 1 << (self.next % u64::BITS);
@@ -146,19 +147,22 @@ impl Servers {
                 self.known.push((*id, bit));
             }
         }
-        (gone, alive)
+        self.change = Some((gone, alive));
+    }
+
+    /// The bits of the servers that went, and of all that are there, if that changed.
+    pub(super) fn take_change(&mut self) -> Option<(u64, u64)> {
+        self.change.take()
     }
 }
 
 impl Shared {
     /// Lists the servers. Only when ports appeared or went: allocates.
     #[cold]
-    pub(super) fn list_servers(&self, servers: &mut Servers) -> (u64, u64) {
+    pub(super) fn list_servers(&self, servers: &mut Servers) {
         let ports = ports::subscriptions(self.publisher.0.factory());
         let ids: Vec<u128> = ports.iter().map(|port| port.id).collect();
-        let (gone, alive) = servers.update(&ids);
-        self.alive.store(alive, Ordering::SeqCst);
-        (gone, alive)
+        servers.update(&ids);
     }
 }
 
@@ -187,6 +191,8 @@ impl Participant {
             Qos::keep_all(RESPONSES_DEPTH),
             response_limits(limits),
         )?;
+        // Servers can greet it now.
+        publisher.announce();
         let table = Table::new();
         let waker = Waker::from(table.waiters().clone());
         let epoch = publisher.slot().epoch().wrapping_sub(1);
@@ -195,7 +201,6 @@ impl Participant {
             publisher: OfClient(publisher),
             inbox: Turn::new(Inbox { responses, epoch, servers: Servers::default() }),
             table,
-            alive: AtomicU64::new(0),
             waker,
             _registration: self.register(ServiceKind::Client, service, service_type)?,
         };
@@ -219,7 +224,7 @@ impl RawClient {
     /// Number of servers.
     pub fn server_count(&self) -> usize {
         self.shared.collect();
-        self.shared.alive.load(Ordering::SeqCst).count_ones() as usize
+        self.shared.table.alive().count_ones() as usize
     }
 
     /// Waits until there is a server. Counts as a pending request.
@@ -230,7 +235,7 @@ impl RawClient {
         let place = self.shared.table.claim();
         let place =
             place.ok_or_else(|| ServiceError::TooManyPending { service: self.shared.service.clone() })?;
-        self.shared.table.arm(place, 0, 0);
+        self.shared.table.arm(place, 0);
         Ok(Availability { shared: self.shared.clone(), place: Some(place) })
     }
 }

@@ -9,16 +9,18 @@ use super::server::{RawResponse, RequestId, Responders};
 use super::{RESPONSES_DEPTH, ServiceError};
 use crate::header::MessageInfo;
 use crate::publisher::{RawLoan, RawPublisher, Unpublished};
-use crate::subscription::RawSample;
+use crate::subscription::{Patience, RawSample};
 use core::future::Future;
 use core::ops::{Deref, DerefMut};
 use core::pin::Pin;
-use core::sync::atomic::{Ordering, fence};
 use core::task::{Context, Poll};
 use tautline_rt::clock::wall_ns;
 
 /// Responses that one collection takes at most: a server that sends without being asked must not keep a thread busy.
 const COLLECTED_AT_ONCE: usize = RESPONSES_DEPTH;
+
+/// The time stamp of a response that is none: there is no answer to its request.
+const NO_ANSWER_NS: i64 = i64::MIN;
 
 impl RawClient {
     /// Loans memory for a request of `len_bytes`. See [`RawPublisher::loan`].
@@ -50,8 +52,7 @@ impl RawClient {
         shared.collect();
         let service = || shared.service.clone();
         let unsent = |error, loan| Err(Unsent { error, loan });
-        let alive = shared.alive.load(Ordering::SeqCst);
-        if alive == 0 {
+        if shared.table.alive() == 0 {
             return unsent(ServiceError::NoServer { service: service() }, Some(request));
         }
         let Some(place) = shared.table.claim() else {
@@ -59,9 +60,8 @@ impl RawClient {
         };
         let sequence_number = self.sequence_number.get() + 1;
         self.sequence_number.set(sequence_number);
-        shared.table.arm(place, sequence_number, alive);
-        let info = stamped(sequence_number, self.gid());
-        match request.publish_as(info) {
+        shared.table.arm(place, sequence_number);
+        match request.publish_as(stamped(sequence_number, self.gid())) {
             Ok(()) => {}
             Err(Unpublished::Full(loan)) => {
                 shared.table.release(place);
@@ -72,9 +72,7 @@ impl RawClient {
                 return unsent(ServiceError::Incomplete { service: service() }, None);
             }
         }
-        // The request was armed before this look: a server that goes after it finds the request.
-        fence(Ordering::SeqCst);
-        shared.table.check_servers(place, shared.alive.load(Ordering::SeqCst));
+        shared.table.sent(place);
         Ok(RawPending { shared: shared.clone(), place: Some(place), sequence_number })
     }
 }
@@ -82,6 +80,11 @@ impl RawClient {
 /// What a request and its response say of themselves.
 fn stamped(sequence_number: u64, client: crate::header::Gid) -> MessageInfo {
     MessageInfo { sequence_number, source_timestamp_ns: wall_ns(), released_ns: 0, publisher_gid: client }
+}
+
+/// Instead of a response; to no request at all if that is 0.
+pub(super) fn no_answer(sequence_number: u64, client: crate::header::Gid) -> MessageInfo {
+    MessageInfo { source_timestamp_ns: NO_ANSWER_NS, ..stamped(sequence_number, client) }
 }
 
 impl Shared {
@@ -99,28 +102,29 @@ impl Shared {
             let slot = self.publisher.slot();
             slot.waker().register(&self.waker);
             let epoch = slot.epoch();
-            let changed = epoch != inbox.epoch;
-            inbox.epoch = epoch;
-            // Before the responses: what a server sent before it went is in the queue by then.
-            let servers = changed.then(|| self.list_servers(&mut inbox.servers));
+            if epoch != inbox.epoch {
+                inbox.epoch = epoch;
+                // Before the responses: what a server sent before it went is in the queue by then.
+                self.list_servers(&mut inbox.servers);
+            }
             let mut context = Context::from_waker(&self.waker);
-            let mut all = false;
             for _ in 0..COLLECTED_AT_ONCE {
-                let Poll::Ready(response) = inbox.responses.poll_take(&mut context) else {
-                    all = true;
-                    break;
+                let mut patience = Patience::new();
+                let Poll::Ready(response) = inbox.responses.poll_within(&mut context, &mut patience) else {
+                    // Else there may be more, also of servers that went, and the waker is called for it.
+                    if !patience.is_over()
+                        && let Some((gone, alive)) = inbox.servers.take_change()
+                    {
+                        self.table.servers_changed(gone, alive);
+                    }
+                    return;
                 };
-                self.table.answer(response);
+                let info = response.info();
+                let is_none = info.source_timestamp_ns == NO_ANSWER_NS;
+                let outcome = if is_none { Outcome::ServerGone } else { Outcome::Response(response) };
+                self.table.answer(info.sequence_number, outcome);
             }
-            if !all {
-                self.waker.wake_by_ref();
-            }
-            if let Some((gone, alive)) = servers {
-                self.table.servers_gone(gone);
-                if alive != 0 {
-                    self.table.available();
-                }
-            }
+            self.waker.wake_by_ref();
         });
         if missed {
             self.table.waiters().wake_all();
@@ -154,8 +158,9 @@ impl Future for RawPending {
     type Output = Result<RawSample, ServiceError>;
 
     /// # Real-time
-    /// Wait-free, O(responses x pending requests); no allocation; woken through this process's sampler. Once it was ready it
-    /// is pending for ever.
+    /// Wait-free, O(responses x pending requests); no allocation; woken through this process's sampler. Whichever of a client's
+    /// requests is polled first takes the responses for all of them: if they wait in threads of several priorities, one may wait for
+    /// a thread of a lower one; a client for each thread does not. Once it was ready it is pending for ever.
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         let RawPending { shared, place, .. } = &mut *self;
         shared.poll_outcome(place, context).map(|outcome| match outcome {
@@ -184,7 +189,7 @@ impl Future for Availability {
         let Availability { shared, place } = &mut *self;
         if place.is_some() {
             shared.collect();
-            if shared.alive.load(Ordering::SeqCst) != 0 {
+            if shared.table.alive() != 0 {
                 return Poll::Ready(());
             }
         }
@@ -225,10 +230,27 @@ impl Responders {
         Ok(RawResponse { responders: self, loan, id })
     }
 
+    /// Ends the request `id` without an answer: its client gets [`ServiceError::ServerGone`]. For who serves on behalf of others
+    /// that have gone.
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan) and [`RawResponse::send`].
+    ///
+    /// # Errors
+    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`], [`ServiceError::ResponsesFull`].
+    pub fn refuse(&self, id: RequestId) -> Result<(), ServiceError> {
+        let loan = self.loan(id, 0)?.loan;
+        Ok(self.publish(loan, no_answer(id.sequence_number, id.client))?)
+    }
+
     /// Sends a response.
     pub(super) fn send<'s>(&self, id: RequestId, loan: RawLoan<'s>) -> Result<(), Unsent<RawLoan<'s>>> {
+        self.publish(loan, stamped(id.sequence_number, id.client))
+    }
+
+    fn publish<'s>(&self, loan: RawLoan<'s>, info: MessageInfo) -> Result<(), Unsent<RawLoan<'s>>> {
         let service = || self.service.clone();
-        loan.publish_as(stamped(id.sequence_number, id.client)).map_err(|unpublished| match unpublished {
+        loan.publish_as(info).map_err(|unpublished| match unpublished {
             Unpublished::Full(loan) => {
                 Unsent { error: ServiceError::ResponsesFull { service: service() }, loan: Some(loan) }
             }

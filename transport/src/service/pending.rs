@@ -7,12 +7,15 @@
 //!      ^                            |                        |
 //!      +--- release (dropped) ------+    release (dropped)   +----> abandoned ----> free (who was writing)
 //! ```
+//!
+//! A place's state contains the number of the request that it waits with, which no other request of the client has: whoever
+//! completes a request that has gone meanwhile fails, whatever the place was claimed for since.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::subscription::RawSample;
+use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
 use core::cell::UnsafeCell;
-use core::sync::atomic::{AtomicU32, AtomicU64, Ordering, fence};
 use futures::task::AtomicWaker;
 use std::sync::Arc;
 use std::task::Wake;
@@ -20,41 +23,64 @@ use std::task::Wake;
 /// Most requests of one client that wait at once, those for a server to appear included: the bits of a word.
 pub const MAX_PENDING_REQUESTS: usize = 64;
 
+/// Fewer in the model, which looks at every interleaving.
+const PLACES: usize = if cfg!(taut_loom) { 2 } else { MAX_PENDING_REQUESTS };
+
 /// What became of a request.
-pub(crate) enum Outcome {
-    Response(RawSample),
-    /// Every server that got the request has gone.
+#[derive(Debug)]
+pub(crate) enum Outcome<R = RawSample> {
+    Response(R),
+    /// Every server that got the request has gone, or whoever passes requests on has no answer for this one.
     ServerGone,
     /// There is a server: what is waited for without a request.
     Available,
 }
 
-const FREE: u32 = 0;
-const CLAIMED: u32 = 1;
-const WAITING: u32 = 2;
-const WRITING: u32 = 3;
-const DONE: u32 = 4;
-const ABANDONED: u32 = 5;
+/// What a place is used for: the lowest bits of its state. The number of its request is above them.
+const PHASE: u64 = 0b111;
+const FREE: u64 = 0;
+const CLAIMED: u64 = 1;
+const WAITING: u64 = 2;
+const WRITING: u64 = 3;
+const DONE: u64 = 4;
+const ABANDONED: u64 = 5;
 
-#[derive(Default)]
-struct Place {
-    state: AtomicU32,
-    /// Of the request; 0 if a server is waited for.
-    sequence_number: AtomicU64,
+/// The state of a place that waits for the answer to this request; 0 waits for a server. `None`: no request has that number.
+fn waiting(sequence_number: u64) -> Option<u64> {
+    let number = sequence_number.checked_mul(PHASE + 1)?;
+    Some(number | WAITING)
+}
+
+fn asks(state: u64) -> bool {
+    state > PHASE
+}
+
+fn in_phase(state: u64, phase: u64) -> u64 {
+    state & !PHASE | phase
+}
+
+struct Place<R> {
+    state: AtomicU64,
     /// The servers that may answer, by their bits.
     servers: AtomicU64,
     /// Touched by who is writing, by the future when done, by who frees it.
-    outcome: UnsafeCell<Option<Outcome>>,
+    outcome: UnsafeCell<Option<Outcome<R>>>,
+}
+
+impl<R> Default for Place<R> {
+    fn default() -> Self {
+        Place { state: AtomicU64::new(FREE), servers: AtomicU64::new(0), outcome: UnsafeCell::new(None) }
+    }
 }
 
 // SAFETY: `outcome` is touched by whoever moved `state` to `writing`, until that is `done`, and by the owner of the place
 // from then on: the atomics hand it over. An Outcome is Send.
-unsafe impl Sync for Place {}
+unsafe impl<R: Send> Sync for Place<R> {}
 
 /// The tasks that wait. Apart from the table, so that a doorbell that holds it as a waker owns nothing else.
 pub(crate) struct Waiters {
     occupied: AtomicU64,
-    wakers: [AtomicWaker; MAX_PENDING_REQUESTS],
+    wakers: [AtomicWaker; PLACES],
 }
 
 impl Waiters {
@@ -83,21 +109,29 @@ impl Wake for Waiters {
     }
 }
 
-pub(crate) struct Table {
+pub(crate) struct Table<R = RawSample> {
     waiters: Arc<Waiters>,
-    places: [Place; MAX_PENDING_REQUESTS],
+    /// The servers there are, by their bits.
+    alive: AtomicU64,
+    places: [Place<R>; PLACES],
 }
 
-impl Table {
+impl<R> Table<R> {
     #[allow(clippy::disallowed_methods, reason = "when a client is made")]
     pub(crate) fn new() -> Self {
         let waiters =
             Waiters { occupied: AtomicU64::new(0), wakers: core::array::from_fn(|_| AtomicWaker::new()) };
-        Table { waiters: Arc::new(waiters), places: core::array::from_fn(|_| Place::default()) }
+        let places = core::array::from_fn(|_| Place::default());
+        Table { waiters: Arc::new(waiters), alive: AtomicU64::new(0), places }
     }
 
     pub(crate) fn waiters(&self) -> &Arc<Waiters> {
         &self.waiters
+    }
+
+    /// The servers there are, by their bits.
+    pub(crate) fn alive(&self) -> u64 {
+        self.alive.load(Ordering::SeqCst)
     }
 
     /// Claims a place. `None`: all are taken.
@@ -105,7 +139,7 @@ impl Table {
     /// # Real-time
     /// Wait-free, O(places); no allocation; no syscall.
     pub(crate) fn claim(&self) -> Option<usize> {
-        let claim = |place: &Place| {
+        let claim = |place: &Place<R>| {
             // Acquire: pairs with the Release that freed it.
             place.state.compare_exchange(FREE, CLAIMED, Ordering::Acquire, Ordering::Relaxed).is_ok()
         };
@@ -114,18 +148,20 @@ impl Table {
         Some(index)
     }
 
-    /// The request `sequence_number` is about to go to `servers`.
-    pub(crate) fn arm(&self, index: usize, sequence_number: u64, servers: u64) {
-        let Some(place) = self.places.get(index) else { return };
-        place.sequence_number.store(sequence_number, Ordering::Relaxed);
-        place.servers.store(servers, Ordering::Relaxed);
-        place.state.store(WAITING, Ordering::SeqCst);
+    /// The request `sequence_number` is about to go to the servers there are: once it is sent, call [`sent`](Self::sent). 0 waits
+    /// for a server.
+    pub(crate) fn arm(&self, index: usize, sequence_number: u64) {
+        let (Some(place), Some(state)) = (self.places.get(index), waiting(sequence_number)) else { return };
+        place.servers.store(self.alive(), Ordering::Relaxed);
+        place.state.store(state, Ordering::SeqCst);
     }
 
-    /// Of the servers of an armed place only `alive` are left: one may have gone before the request was armed.
-    pub(crate) fn check_servers(&self, index: usize, alive: u64) {
+    /// The request of an armed place was sent. A server that goes from now on finds it; one that went before it was armed is
+    /// noticed here.
+    pub(crate) fn sent(&self, index: usize) {
+        fence(Ordering::SeqCst);
         if let Some(place) = self.places.get(index) {
-            self.lose(index, place, !alive);
+            self.lose(index, place, !self.alive());
         }
     }
 
@@ -137,10 +173,10 @@ impl Table {
     }
 
     /// Takes the outcome, if it is there: the place is then free.
-    pub(crate) fn take(&self, index: usize) -> Option<Outcome> {
+    pub(crate) fn take(&self, index: usize) -> Option<Outcome<R>> {
         let place = self.places.get(index)?;
         // Acquire: pairs with the Release in `complete`.
-        if place.state.load(Ordering::Acquire) != DONE {
+        if place.state.load(Ordering::Acquire) & PHASE != DONE {
             return None;
         }
         // SAFETY: done, so it is this place's owner's alone.
@@ -150,36 +186,33 @@ impl Table {
     }
 
     /// Whoever owns the place no longer waits.
+    ///
+    /// # Real-time
+    /// Lock-free: a second and a third look if it is being completed right now; no allocation; no syscall.
     pub(crate) fn release(&self, index: usize) {
         let Some(place) = self.places.get(index) else { return };
         loop {
             let state = place.state.load(Ordering::Acquire);
-            match state {
-                DONE => {
-                    drop(self.take(index));
-                    return;
-                }
+            let leave =
+                |next| place.state.compare_exchange(state, next, Ordering::AcqRel, Ordering::Relaxed).is_ok();
+            match state & PHASE {
+                DONE => return drop(self.take(index)),
                 WRITING => {
-                    let left =
-                        place.state.compare_exchange(WRITING, ABANDONED, Ordering::AcqRel, Ordering::Acquire);
-                    if left.is_ok() {
+                    if leave(in_phase(state, ABANDONED)) {
                         return;
                     }
                 }
+                // Not yet free: that would be a place of somebody else's before its bit is gone.
                 _ => {
-                    // Not yet free: that would be a place of somebody else's before its bit is gone.
-                    let left =
-                        place.state.compare_exchange(state, CLAIMED, Ordering::AcqRel, Ordering::Acquire);
-                    if left.is_ok() {
-                        self.free(index, place);
-                        return;
+                    if leave(CLAIMED) {
+                        return self.free(index, place);
                     }
                 }
             }
         }
     }
 
-    fn free(&self, index: usize, place: &Place) {
+    fn free(&self, index: usize, place: &Place<R>) {
         if let Some(waker) = self.waiters.wakers.get(index) {
             drop(waker.take());
         }
@@ -187,78 +220,69 @@ impl Table {
         place.state.store(FREE, Ordering::Release);
     }
 
-    /// A response came: whoever waits for it gets it.
+    /// What became of a request is known: whoever waits for it gets it. If nobody does any more, or another server was faster,
+    /// it is dropped.
     ///
     /// # Real-time
     /// Wait-free, O(pending requests); no allocation; a syscall if the task's thread sleeps.
-    pub(crate) fn answer(&self, response: RawSample) {
-        let sequence_number = response.info().sequence_number;
-        let asked = |place: &Place| {
-            sequence_number != 0 && place.sequence_number.load(Ordering::Relaxed) == sequence_number
-        };
-        for (index, place) in self.occupied() {
-            if asked(place) {
-                self.complete(index, place, asked, Outcome::Response(response));
-                return;
-            }
-        }
-        // Nobody waits for it any more, or another server was faster.
-    }
-
-    /// The servers `gone` will not answer.
-    pub(crate) fn servers_gone(&self, gone: u64) {
-        for (index, place) in self.occupied() {
-            self.lose(index, place, gone);
+    pub(crate) fn answer(&self, sequence_number: u64, outcome: Outcome<R>) {
+        let Some(state) = waiting(sequence_number).filter(|&state| asks(state)) else { return };
+        let asked = |(_, place): &(usize, &Place<R>)| place.state.load(Ordering::Relaxed) == state;
+        if let Some((index, place)) = self.occupied().find(asked) {
+            self.complete(index, place, state, outcome);
         }
     }
 
-    /// There is a server.
-    pub(crate) fn available(&self) {
-        let waits = |place: &Place| place.sequence_number.load(Ordering::Relaxed) == 0;
+    /// The servers `gone` will not answer what was not taken by now; those that are there are `alive`.
+    ///
+    /// # Real-time
+    /// As [`answer`](Self::answer).
+    pub(crate) fn servers_changed(&self, gone: u64, alive: u64) {
+        // Before the look at the requests: one that is armed after that looks here.
+        self.alive.store(alive, Ordering::SeqCst);
+        fence(Ordering::SeqCst);
         for (index, place) in self.occupied() {
-            if waits(place) {
-                self.complete(index, place, waits, Outcome::Available);
+            let state = place.state.load(Ordering::SeqCst);
+            if asks(state) {
+                self.lose(index, place, gone);
+            } else if state == WAITING && alive != 0 {
+                self.complete(index, place, state, Outcome::Available);
             }
         }
     }
 
-    fn lose(&self, index: usize, place: &Place, gone: u64) {
-        let asks = |place: &Place| place.sequence_number.load(Ordering::Relaxed) != 0;
-        if !asks(place) || place.state.load(Ordering::SeqCst) != WAITING {
+    fn lose(&self, index: usize, place: &Place<R>, gone: u64) {
+        let state = place.state.load(Ordering::SeqCst);
+        if !asks(state) || state & PHASE != WAITING {
             return;
         }
-        let before = place.servers.fetch_and(!gone, Ordering::SeqCst);
-        if before & !gone == 0 {
-            let lost = |place: &Place| asks(place) && place.servers.load(Ordering::SeqCst) == 0;
-            self.complete(index, place, lost, Outcome::ServerGone);
+        // Of a later request if the place changed hands since: that one does without these servers, too.
+        if place.servers.fetch_and(!gone, Ordering::SeqCst) & !gone == 0 {
+            self.complete(index, place, state, Outcome::ServerGone);
         }
     }
 
-    fn occupied(&self) -> impl Iterator<Item = (usize, &Place)> {
+    fn occupied(&self) -> impl Iterator<Item = (usize, &Place<R>)> {
         bits(self.waiters.occupied.load(Ordering::SeqCst))
             .filter_map(|index| Some((index, self.places.get(index)?)))
     }
 
-    /// Puts the outcome in, unless the place is not, or no longer, that of a request that `is_meant`.
-    fn complete(&self, index: usize, place: &Place, is_meant: impl Fn(&Place) -> bool, outcome: Outcome) {
-        if place.state.compare_exchange(WAITING, WRITING, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+    /// Puts the outcome in if the place still waits as `state` says.
+    fn complete(&self, index: usize, place: &Place<R>, state: u64, outcome: Outcome<R>) {
+        let writing = in_phase(state, WRITING);
+        if place.state.compare_exchange(state, writing, Ordering::AcqRel, Ordering::Relaxed).is_err() {
             return;
         }
-        // Between the look and the exchange it may have been freed and claimed for another request.
-        let next = if is_meant(place) {
-            // SAFETY: writing, so it is this function's alone.
-            unsafe { *place.outcome.get() = Some(outcome) };
-            DONE
-        } else {
-            WAITING
-        };
+        // SAFETY: writing, so it is this function's alone.
+        unsafe { *place.outcome.get() = Some(outcome) };
         // Release: pairs with the Acquire in `take`.
-        if place.state.compare_exchange(WRITING, next, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+        let done = in_phase(state, DONE);
+        if place.state.compare_exchange(writing, done, Ordering::AcqRel, Ordering::Relaxed).is_ok() {
+            self.waiters.wake_one(index);
+        } else {
             // SAFETY: abandoned, so it is still this function's alone.
             drop(unsafe { (*place.outcome.get()).take() });
             self.free(index, place);
-        } else if next == DONE {
-            self.waiters.wake_one(index);
         }
     }
 }
@@ -294,17 +318,216 @@ impl<T> Turn<T> {
     /// Wait-free.
     #[must_use]
     pub(crate) fn attempt(&self, work: impl FnOnce(&mut T)) -> bool {
-        if self.busy.swap(1, Ordering::SeqCst) != 0 {
+        if self.busy.swap(1, Ordering::AcqRel) != 0 {
             // Either the other one sees this when it is done, or it is done already.
-            self.missed.store(1, Ordering::SeqCst);
-            if self.busy.swap(1, Ordering::SeqCst) != 0 {
+            self.missed.store(1, Ordering::Release);
+            if self.busy.swap(1, Ordering::AcqRel) != 0 {
                 return false;
             }
         }
         // SAFETY: `busy` was 0 and is 1 until this is done.
         work(unsafe { &mut *self.value.get() });
-        self.busy.store(0, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        self.missed.swap(0, Ordering::SeqCst) != 0
+        // A swap: it reads what those who went wrote here, so what they wrote to `missed` before is seen below.
+        self.busy.swap(0, Ordering::AcqRel);
+        self.missed.swap(0, Ordering::AcqRel) != 0
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_number_is_answered_once_or_not_at_all() {
+        let table = Table::<u32>::new();
+        table.servers_changed(0, 1);
+        let index = table.claim().expect("a place");
+        table.arm(index, 7);
+        table.sent(index);
+        for number in [0, 6, 8, u64::MAX, 7 | 1 << 61] {
+            table.answer(number, Outcome::Response(0));
+            assert!(table.take(index).is_none(), "{number}");
+        }
+        table.answer(7, Outcome::Response(1));
+        table.answer(7, Outcome::Response(2));
+        assert!(matches!(table.take(index), Some(Outcome::Response(1))));
+        assert!(table.take(index).is_none());
+        table.answer(7, Outcome::Response(3));
+        assert_eq!(table.claim(), Some(index), "free again");
+    }
+
+    #[test]
+    fn a_request_ends_with_the_last_server_that_got_it() {
+        let table = Table::<u32>::new();
+        table.servers_changed(0, 0b11);
+        let index = table.claim().expect("a place");
+        table.arm(index, 1);
+        table.sent(index);
+        table.servers_changed(0b01, 0b110);
+        assert!(table.take(index).is_none(), "one is left");
+        table.servers_changed(0b10, 0b100);
+        assert!(matches!(table.take(index), Some(Outcome::ServerGone)), "the third did not get it");
+    }
+}
+
+/// Every interleaving of who sends, who collects, and who drops what waits.
+#[cfg(all(test, taut_loom))]
+mod loom_tests {
+    use super::*;
+    use loom::cell::Cell;
+    use loom::thread;
+
+    /// A response that loom watches: to touch it in two threads at once is an error, and so is to lose it undropped.
+    struct Watched(u64, loom::sync::Arc<Cell<u32>>);
+    // SAFETY: for the model; loom checks the accesses.
+    unsafe impl Send for Watched {}
+
+    impl Drop for Watched {
+        fn drop(&mut self) {
+            self.1.set(self.1.get() + 1);
+        }
+    }
+
+    type Model = loom::sync::Arc<Table<Watched>>;
+
+    fn table() -> Model {
+        let table = Table::new();
+        table.servers_changed(0, 1);
+        loom::sync::Arc::new(table)
+    }
+
+    fn response(number: u64) -> (Outcome<Watched>, Dropped) {
+        let cell = loom::sync::Arc::new(Cell::new(0));
+        (Outcome::Response(Watched(number, cell.clone())), Dropped(cell))
+    }
+
+    struct Dropped(loom::sync::Arc<Cell<u32>>);
+    // SAFETY: as above.
+    unsafe impl Send for Dropped {}
+
+    fn send(table: &Model, number: u64) -> usize {
+        let index = table.claim().expect("a place");
+        table.arm(index, number);
+        table.sent(index);
+        index
+    }
+
+    fn model(f: impl Fn() + Sync + Send + 'static) {
+        let mut builder = loom::model::Builder::new();
+        builder.preemption_bound = Some(3);
+        builder.check(f);
+    }
+
+    #[test]
+    fn loom_a_request_that_is_dropped_while_it_is_answered() {
+        model(|| {
+            let table = table();
+            let index = send(&table, 1);
+            let (outcome, dropped) = response(1);
+            let collector = {
+                let table = table.clone();
+                thread::spawn(move || table.answer(1, outcome))
+            };
+            table.release(index);
+            collector.join().unwrap();
+            assert_eq!(dropped.0.get(), 1, "the response was given back once");
+            assert!(table.claim().is_some() && table.claim().is_some(), "both places are free");
+        });
+    }
+
+    #[test]
+    fn loom_the_server_goes_while_its_answer_arrives() {
+        // One thread collects: what the server sent first, then that it has gone. The other sends one request more.
+        model(|| {
+            let table = table();
+            let first = send(&table, 1);
+            let (outcome, dropped) = response(1);
+            let collector = {
+                let table = table.clone();
+                thread::spawn(move || {
+                    table.answer(1, outcome);
+                    table.servers_changed(1, 0);
+                })
+            };
+            let second = send(&table, 2);
+            collector.join().unwrap();
+            assert!(matches!(table.take(first), Some(Outcome::Response(Watched(1, _)))));
+            assert!(matches!(table.take(second), Some(Outcome::ServerGone)), "whenever it was sent");
+            assert_eq!(dropped.0.get(), 1);
+        });
+    }
+
+    #[test]
+    fn loom_a_place_changes_hands_while_the_server_goes() {
+        // What the collector saw waiting is dropped, and its place is claimed for another request, which must end as well.
+        model(|| {
+            let table = table();
+            let filler = table.claim().expect("so that there is one place for two requests");
+            let first = send(&table, 1);
+            let collector = {
+                let table = table.clone();
+                thread::spawn(move || table.servers_changed(1, 0))
+            };
+            table.release(first);
+            let second = table.claim();
+            if let Some(second) = second {
+                table.arm(second, 2);
+                table.sent(second);
+            }
+            collector.join().unwrap();
+            if let Some(second) = second {
+                assert!(matches!(table.take(second), Some(Outcome::ServerGone)));
+            }
+            table.release(filler);
+            assert!(table.claim().is_some() && table.claim().is_some(), "both places are free");
+        });
+    }
+
+    #[test]
+    fn loom_an_answer_to_one_request_is_not_that_to_another() {
+        model(|| {
+            let table = table();
+            let filler = table.claim().expect("so that there is one place for two requests");
+            let first = send(&table, 1);
+            let (outcome, dropped) = response(1);
+            let collector = {
+                let table = table.clone();
+                thread::spawn(move || table.answer(1, outcome))
+            };
+            table.release(first);
+            let second = table.claim().inspect(|&second| table.arm(second, 2));
+            collector.join().unwrap();
+            assert_eq!(dropped.0.get(), 1);
+            if let Some(second) = second {
+                assert!(table.take(second).is_none(), "it waits");
+            }
+            table.release(filler);
+        });
+    }
+
+    #[test]
+    fn loom_who_finds_another_at_work_is_not_forgotten() {
+        // Each says what it came for before it comes; whoever is at work either sees that, or is told that somebody came.
+        model(|| {
+            let turn = loom::sync::Arc::new(Turn::new(0u32));
+            let wanted = loom::sync::Arc::new(AtomicU32::new(0));
+            let come = |bit: u32| {
+                let (turn, wanted) = (turn.clone(), wanted.clone());
+                move || {
+                    wanted.fetch_or(bit, Ordering::SeqCst);
+                    let mut again = true;
+                    // Who is told comes again, as a task that is woken does.
+                    while again {
+                        again = turn.attempt(|seen| *seen |= wanted.load(Ordering::SeqCst));
+                    }
+                }
+            };
+            let other = thread::spawn(come(1));
+            come(2)();
+            other.join().unwrap();
+            let mut seen = 0;
+            assert!(!turn.attempt(|value| seen = *value), "nobody is left to be told");
+            assert_eq!(seen, 3);
+        });
     }
 }

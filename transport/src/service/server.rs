@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Servers of bytes: requests, and a publisher of responses for each client. What is done for each request is in `hot.rs`.
 
+use super::hot::no_answer;
 use super::{ServiceType, request_topic, response_limits, response_topic};
+use crate::doorbell::Slot;
 use crate::error::{TakeError, TransportError};
 use crate::header::{Gid, MessageInfo};
 use crate::nodes::{ServiceKind, ServiceRegistration};
@@ -12,10 +14,13 @@ use crate::subscription::{RawSample, RawSubscription};
 use crate::topic_type::TopicType;
 use std::fmt;
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::task::{Context, Poll};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How long the end of a server waits for clients that have not taken their answers, of which they could then not learn.
+/// How long the end of a server waits for clients that have not taken their answers. They lose them only if they have taken
+/// nothing of this server before, not even the greeting, or if an answer was longer than all before.
 const FAREWELL: Duration = Duration::from_millis(100);
 /// How often it looks.
 const FAREWELL_PERIOD: Duration = Duration::from_micros(200);
@@ -46,14 +51,19 @@ pub struct RawServer {
     responders: Responders,
 }
 
-/// The clients that have asked, each with the publisher of its responses.
+/// The service's clients, each with the publisher of its responses.
 pub struct Responders {
     participant: Participant,
     pub(super) service: Arc<str>,
     response_type: TopicType,
     limits: Limits,
     pub(super) list: Vec<Responder>,
-    /// The epoch of the request topic's ports up to which clients that went were forgotten.
+    /// Publishers that are being made, and where they come from.
+    opening: Vec<Opening>,
+    made: (Sender<Made>, Receiver<Made>),
+    /// Rung when one of them is there.
+    slot: Arc<Slot>,
+    /// The epoch of the request topic's ports whose clients `list` and `opening` show.
     epoch: u32,
     _registration: Option<ServiceRegistration>,
 }
@@ -61,6 +71,33 @@ pub struct Responders {
 pub(super) struct Responder {
     pub(super) client: Gid,
     pub(super) publisher: RawPublisher,
+    /// Whether the client was sent something to take, so that it maps this publisher's memory before there is an answer.
+    is_greeted: bool,
+}
+
+struct Opening {
+    client: Gid,
+    /// False if the client has gone meanwhile.
+    is_wanted: bool,
+    thread: Option<JoinHandle<()>>,
+}
+
+type Made = (Gid, Result<RawPublisher, TransportError>);
+
+impl Responder {
+    fn greet(&mut self) {
+        if !self.is_greeted
+            && self.publisher.subscription_count() > 0
+            && let Ok(loan) = self.publisher.loan(0)
+        {
+            self.is_greeted = loan.publish_as(no_answer(0, self.client)).is_ok();
+        }
+    }
+
+    /// Whether the client has taken its answers.
+    fn is_done(&self) -> bool {
+        self.publisher.sent() <= u64::from(self.is_greeted) || self.publisher.is_taken()
+    }
 }
 
 /// Memory for a response. Dropping it gives it back unsent.
@@ -115,53 +152,115 @@ impl Responders {
             response_type: service_type.response.clone(),
             limits: response_limits(limits),
             list: Vec::with_capacity(limits.publishers),
-            epoch: requests.ports_epoch(),
+            opening: Vec::new(),
+            made: channel(),
+            slot: requests.place().1.clone(),
+            // Not the present one: there may be clients already.
+            epoch: requests.ports_epoch().wrapping_sub(1),
             _registration: participant.register(ServiceKind::Server, service, service_type)?,
         })
     }
 
-    /// Makes sure that the client of a request that was taken from `requests` can be answered. Only the first time for each
-    /// client, and when clients have gone: allocates, opens files, starts a thread that ends at once.
-    pub(super) fn admit(&mut self, requests: &RawSubscription, client: Gid) {
-        self.forget_gone(requests);
-        if !self.list.iter().any(|responder| responder.client == client) {
-            self.open(client);
-        }
-    }
-
-    pub(super) fn forget_gone(&mut self, requests: &RawSubscription) {
+    /// Meets clients that have appeared, so that they can be answered when they ask, and forgets those that have gone. Only
+    /// then: allocates, starts threads that end soon.
+    ///
+    /// # Real-time
+    /// Wait-free otherwise; no syscall.
+    pub(super) fn attend(&mut self, requests: &RawSubscription) {
         let epoch = requests.ports_epoch();
         if epoch != self.epoch {
             self.epoch = epoch;
-            self.list.retain(|responder| responder.publisher.subscription_count() > 0);
+            self.meet(&requests.publisher_gids());
+        }
+        if !self.opening.is_empty() {
+            self.welcome(None);
+        }
+    }
+
+    /// Makes sure that the client of a request that was taken from `requests` can be answered, unless it has gone. Waits only for
+    /// one that has appeared just before it asked.
+    pub(super) fn admit(&mut self, requests: &RawSubscription, client: Gid) {
+        self.attend(requests);
+        if !self.list.iter().any(|responder| responder.client == client)
+            && requests.publisher_gids().contains(&client)
+        {
+            self.open(client);
+            self.welcome(Some(client));
         }
     }
 
     #[cold]
-    fn open(&mut self, client: Gid) {
-        let topic = response_topic(client);
-        let (participant, response_type, limits) = (&self.participant, &self.response_type, self.limits);
-        let create = || participant.create_raw_publisher(&topic, response_type, Qos::keep_all(1), limits);
-        // iceoryx2 needs more stack for it than callback threads have. The thread has the policy of this one.
-        let publisher = std::thread::scope(|scope| {
-            let builder =
-                std::thread::Builder::new().name("responder".into()).stack_size(OPENING_STACK_BYTES);
-            let thread = builder.spawn_scoped(scope, create).map_err(|error| error.to_string())?;
-            thread.join().map_err(|_| "it panicked".to_owned())?.map_err(|error| error.to_string())
-        });
-        match publisher {
-            Ok(publisher) => self.list.push(Responder { client, publisher }),
-            // Answering it is an error, too.
-            Err(error) => tracing::warn!("service '{}': a client cannot be answered: {error}", self.service),
+    fn meet(&mut self, clients: &[Gid]) {
+        self.list.retain(|responder| clients.contains(&responder.client));
+        self.list.iter_mut().for_each(Responder::greet);
+        for opening in &mut self.opening {
+            opening.is_wanted = clients.contains(&opening.client);
+        }
+        for &client in clients {
+            if !self.list.iter().any(|responder| responder.client == client) {
+                self.open(client);
+            }
         }
     }
 
-    /// Number of clients that this server has answered or could answer.
+    /// Begins to make the publisher of responses to `client`, unless that was begun.
+    #[cold]
+    fn open(&mut self, client: Gid) {
+        if self.opening.iter().any(|opening| opening.client == client) {
+            return;
+        }
+        let (participant, response_type, limits) =
+            (self.participant.clone(), self.response_type.clone(), self.limits);
+        let (made, slot) = (self.made.0.clone(), self.slot.clone());
+        let create = move || {
+            let (topic, qos) = (response_topic(client), Qos::keep_all(1));
+            let publisher = participant.create_raw_publisher(&topic, &response_type, qos, limits);
+            // Ignored: the server has ended.
+            let _ = made.send((client, publisher));
+            slot.ring();
+        };
+        // iceoryx2 needs more stack for it than callback threads have. The thread has the policy of this one.
+        let builder = std::thread::Builder::new().name("responder".into()).stack_size(OPENING_STACK_BYTES);
+        match builder.spawn(create) {
+            Ok(thread) => self.opening.push(Opening { client, is_wanted: true, thread: Some(thread) }),
+            Err(error) => self.warn(&error),
+        }
+    }
+
+    /// Takes the publishers that were made meanwhile, and waits for that of `client`.
+    #[cold]
+    fn welcome(&mut self, client: Option<Gid>) {
+        let awaited = self.opening.iter_mut().find(|opening| Some(opening.client) == client);
+        if let Some(Err(_)) = awaited.and_then(|opening| opening.thread.take()).map(JoinHandle::join) {
+            self.warn(&"making its publisher panicked");
+            self.opening.retain(|opening| Some(opening.client) != client);
+        }
+        while let Ok((client, publisher)) = self.made.1.try_recv() {
+            let opening = self.opening.iter().position(|opening| opening.client == client);
+            let opening = opening.map(|index| self.opening.swap_remove(index));
+            match publisher {
+                Ok(publisher) if opening.is_some_and(|opening| opening.is_wanted) => {
+                    let mut responder = Responder { client, publisher, is_greeted: false };
+                    responder.greet();
+                    self.list.push(responder);
+                }
+                Ok(_) => {}
+                Err(error) => self.warn(&error),
+            }
+        }
+    }
+
+    /// Answering it is an error, too, unless it can be reached by then.
+    fn warn(&self, error: &dyn fmt::Display) {
+        tracing::warn!("service '{}': a client cannot be answered: {error}", self.service);
+    }
+
+    /// Number of clients that this server could answer.
     pub fn len(&self) -> usize {
         self.list.len()
     }
 
-    /// Whether nobody has asked yet.
+    /// Whether there is no client.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty()
     }
@@ -170,8 +269,12 @@ impl Responders {
 impl Drop for Responders {
     /// Waits up to 100 ms for clients that have not taken their answers.
     fn drop(&mut self) {
+        for Opening { thread, .. } in self.opening.drain(..) {
+            // Ignored: what it made goes with the channel.
+            let _ = thread.map(JoinHandle::join);
+        }
         let end = Instant::now() + FAREWELL;
-        while !self.list.iter().all(|responder| responder.publisher.is_taken()) && Instant::now() < end {
+        while !self.list.iter().all(Responder::is_done) && Instant::now() < end {
             std::thread::sleep(FAREWELL_PERIOD);
         }
     }
@@ -196,12 +299,13 @@ impl RawServer {
     /// Takes the oldest request, if there is one.
     ///
     /// # Real-time
-    /// As [`RawSubscription::try_take_valid`]. The first request of a client allocates and opens files.
+    /// As [`RawSubscription::try_take_valid`]. When clients have appeared or gone: allocates, starts a thread for each that makes a
+    /// publisher, and waits for that if the request is of a client that has only just appeared.
     ///
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&mut self) -> Result<Option<RawSample>, TakeError> {
-        self.responders.forget_gone(&self.requests);
+        self.responders.attend(&self.requests);
         let request = self.requests.try_take_valid()?;
         if let Some(request) = &request {
             self.responders.admit(&self.requests, request.info().publisher_gid);
@@ -215,7 +319,7 @@ impl RawServer {
     /// As [`try_take`](Self::try_take).
     pub fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<RawSample> {
         let request = self.requests.poll_take(context);
-        self.responders.forget_gone(&self.requests);
+        self.responders.attend(&self.requests);
         request.map(|request| {
             self.responders.admit(&self.requests, request.info().publisher_gid);
             request

@@ -132,7 +132,9 @@ impl<S: Service> Client<S> {
         self.raw.availability()
     }
 
-    /// Loans memory for a request to write in place, as `&mut S::Request`. See [`Publisher::loan`](crate::Publisher::loan).
+    /// Loans memory for a request to write in place, as `&mut S::Request`. See [`Publisher::loan`](crate::Publisher::loan): a loan
+    /// stays in its thread, so a future that may change threads sends it before it waits, in a block of its own or with
+    /// [`request_with`](Self::request_with).
     ///
     /// # Real-time
     /// As [`Publisher::loan`](crate::Publisher::loan).
@@ -176,6 +178,25 @@ impl<S: Service> Client<S> {
     ) -> Result<PendingResponse<S>, Unsent<Loan<'c, S::Request>>> {
         let sent = self.raw.send(request.ready());
         sent.map(PendingResponse::of).map_err(|unsent| unsent.map(Loan::back))
+    }
+
+    /// Loans memory for a request, lets `write` write it in place, and sends it.
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan) and [`send`](Self::send).
+    ///
+    /// # Errors
+    /// [`ServiceError`]; nothing was sent.
+    pub fn request_with(
+        &self,
+        write: impl FnOnce(&mut S::Request),
+    ) -> Result<PendingResponse<S>, ServiceError>
+    where
+        S::Request: Plain,
+    {
+        let mut request = self.loan()?;
+        write(&mut request);
+        Ok(self.send(request)?)
     }
 
     /// Writes `message` into a loan and sends it.
@@ -233,12 +254,13 @@ impl<S: Service> Server<S> {
     /// Takes the oldest request, if there is one; invalid ones are counted and passed over.
     ///
     /// # Real-time
-    /// As [`Subscription::try_take_valid`]. The first request of a client allocates and opens files.
+    /// As [`Subscription::try_take_valid`]. When clients have appeared or gone: allocates, starts a thread for each that makes a
+    /// publisher, and waits for that if the request is of a client that has only just appeared.
     ///
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&mut self) -> Result<Option<Request<S>>, TakeError> {
-        self.responders.forget_gone(self.requests.raw());
+        self.responders.attend(self.requests.raw());
         Ok(self.requests.try_take_valid()?.map(|message| self.admit(message)))
     }
 
@@ -248,7 +270,7 @@ impl<S: Service> Server<S> {
     /// As [`try_take`](Self::try_take).
     pub fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Request<S>> {
         let message = self.requests.poll_take(context);
-        self.responders.forget_gone(self.requests.raw());
+        self.responders.attend(self.requests.raw());
         message.map(|message| self.admit(message))
     }
 

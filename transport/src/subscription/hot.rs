@@ -121,20 +121,38 @@ impl Waiters {
 }
 
 impl RawSubscription {
-    /// Takes the oldest sample of a publisher, if there is one.
+    /// Takes the oldest sample of a publisher, if there is one. Samples that have expired, duplicates, and those of publishers that
+    /// do not fit are passed over: after 16 in one call it returns `None` and rings this subscription's doorbell, as if what is
+    /// behind them had just been published.
     ///
     /// # Real-time
-    /// Wait-free, O(publishers), and O(1) more for each sample that is passed over: expired, a duplicate, or of a publisher that
-    /// does not fit. Those are what is queued, at most depth x publishers, and what is published meanwhile. No allocation; no
-    /// syscall, except one futex wake if a keep-all publisher waits for room and its sampler sleeps, and one if messages were
-    /// lost and somebody watches for that. When publishers have appeared or gone since the last call, or one of them took a
-    /// larger segment: allocates and maps memory.
+    /// Wait-free, O(publishers), at most 16 samples looked at. No allocation; no syscall, except one futex wake if a keep-all
+    /// publisher waits for room and its sampler sleeps, one if messages were lost and somebody watches for that, and one if 16 were
+    /// passed over and this process's sampler sleeps. When publishers have appeared or gone since the last call, or one of them took
+    /// a larger segment: allocates and maps memory.
     ///
     /// # Errors
     /// [`TakeError`]. A sample whose header is invalid is consumed.
     pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
+        let mut patience = Patience::new();
+        let taken = self.take(&mut patience);
+        if matches!(taken, Ok(None)) {
+            self.go_on_later(&patience);
+        }
+        taken
+    }
+
+    /// If there may be more behind what was passed over: whoever waits for the doorbell comes again.
+    pub(crate) fn go_on_later(&self, patience: &Patience) {
+        if patience.is_over() {
+            self.departure.slot.ring();
+        }
+    }
+
+    /// Takes the oldest sample, passing over what is not for the user. `None`: there is none, or the patience is over.
+    fn take(&self, patience: &mut Patience) -> Result<Option<RawSample>, TakeError> {
         let mut state = self.state.borrow_mut();
-        if let Some(sample) = self.take_history(&mut state)? {
+        if let Some(sample) = self.take_history(&mut state, patience)? {
             return Ok(Some(sample));
         }
         if state.catch.is_some() {
@@ -143,7 +161,7 @@ impl RawSubscription {
         }
         let slot = &self.departure.slot;
         let links = slot.doorbell().arena().links(slot.index());
-        loop {
+        while !patience.is_over() {
             let epoch = slot.epoch();
             if epoch != state.epoch {
                 state.epoch = epoch;
@@ -156,6 +174,7 @@ impl RawSubscription {
                 }
                 return Ok(None);
             };
+            patience.spend();
             let header = *sample.user_header();
             if state.incompatible.contains(&header.gid) {
                 continue;
@@ -180,13 +199,20 @@ impl RawSubscription {
             add(&self.counters.received, 1);
             return self.lend(sample, &self.shelf).map(Some);
         }
+        Ok(None)
     }
 
     /// The next sample of the history, while that lasts.
-    fn take_history(&self, state: &mut State) -> Result<Option<RawSample>, TakeError> {
+    fn take_history(
+        &self,
+        state: &mut State,
+        patience: &mut Patience,
+    ) -> Result<Option<RawSample>, TakeError> {
         let slot = &self.departure.slot;
         let links = slot.doorbell().arena().links(slot.index());
-        while let Some(catch) = &mut state.catch {
+        while let Some(catch) = &mut state.catch
+            && !patience.is_over()
+        {
             let received = match receive(&catch.inlet, &catch.shelf) {
                 // Patience ends, whatever keeps the history from coming.
                 Err(TakeError::Connection) if catch.is_complete() => None,
@@ -198,6 +224,7 @@ impl RawSubscription {
                 }
                 return Ok(None);
             };
+            patience.spend();
             let header = *sample.user_header();
             if header.expires_ns == END_OF_HISTORY {
                 catch.end(header.gid);
@@ -252,17 +279,27 @@ impl RawSubscription {
         add(&self.counters.invalid, 1);
     }
 
-    /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted. After
-    /// 16 invalid ones it gives up for now.
+    /// Takes the oldest valid sample, if there is one. Invalid ones are counted and passed over, like those that
+    /// [`try_take`](Self::try_take) passes over: 16 of all kinds in one call. Refusals are counted.
     ///
     /// # Real-time
-    /// As [`try_take`](Self::try_take), at most 16 times.
+    /// As [`try_take`](Self::try_take).
     ///
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
     pub fn try_take_valid(&self) -> Result<Option<RawSample>, TakeError> {
-        for _ in 0..INVALID_AT_ONCE {
-            match self.try_take() {
+        let mut patience = Patience::new();
+        let taken = self.take_valid(&mut patience);
+        if matches!(taken, Ok(None)) {
+            self.go_on_later(&patience);
+        }
+        taken
+    }
+
+    /// As [`try_take_valid`](Self::try_take_valid), without a ring when the patience is over.
+    pub(crate) fn take_valid(&self, patience: &mut Patience) -> Result<Option<RawSample>, TakeError> {
+        loop {
+            match self.take(patience) {
                 Err(TakeError::Invalid(_)) => {}
                 Err(refused) => {
                     add(&self.counters.refused, 1);
@@ -271,24 +308,33 @@ impl RawSubscription {
                 taken => return taken,
             }
         }
-        Ok(None)
     }
 
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
     ///
     /// # Real-time
-    /// As [`try_take_valid`](Self::try_take_valid). After 16 invalid samples other tasks of the thread have a turn.
+    /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
+    /// of the thread have a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
+        self.poll_within(context, &mut Patience::new())
+    }
+
+    /// As [`poll_take`](Self::poll_take). Pending with the patience over: there may be more, and the task is woken for it.
+    pub(crate) fn poll_within(&self, context: &mut Context<'_>, patience: &mut Patience) -> Poll<RawSample> {
         self.departure.slot.waker().register(context.waker());
-        for _ in 0..INVALID_AT_ONCE {
-            match self.try_take() {
+        while !patience.is_over() {
+            match self.take(patience) {
                 Ok(Some(sample)) => return Poll::Ready(sample),
+                Ok(None) if patience.is_over() => break,
+                Ok(None) => return Poll::Pending,
                 Err(TakeError::Invalid(_)) => {}
                 Err(TakeError::TooManyHeld) => {
                     add(&self.counters.refused, 1);
+                    patience.spend();
                     let state = self.state.borrow();
                     let shelf = state.catch.as_ref().map_or(&self.shelf, |catch| &catch.shelf);
                     if !shelf.wake_when_back(context.waker()) {
+                        patience.end();
                         return Poll::Pending;
                     }
                 }
@@ -296,7 +342,6 @@ impl RawSubscription {
                     add(&self.counters.refused, 1);
                     return Poll::Pending;
                 }
-                Ok(None) => return Poll::Pending,
             }
         }
         context.waker().wake_by_ref();
@@ -304,8 +349,30 @@ impl RawSubscription {
     }
 }
 
-/// A publisher that sends nothing but invalid samples must not keep a thread busy: so many are passed over in one poll.
-pub(crate) const INVALID_AT_ONCE: usize = 16;
+/// A publisher that sends nothing but what is passed over must not keep a thread busy: so many are looked at in one call.
+const LOOKS: usize = 16;
+
+/// How many samples a call still looks at.
+pub(crate) struct Patience(usize);
+
+impl Patience {
+    pub(crate) fn new() -> Self {
+        Patience(LOOKS)
+    }
+
+    fn spend(&mut self) {
+        self.0 = self.0.saturating_sub(1);
+    }
+
+    fn end(&mut self) {
+        self.0 = 0;
+    }
+
+    /// There may be more, but another time.
+    pub(crate) fn is_over(&self) -> bool {
+        self.0 == 0
+    }
+}
 
 impl Stream for RawSubscription {
     type Item = RawSample;

@@ -4,7 +4,7 @@
 mod hot;
 mod tracker;
 
-pub(crate) use hot::INVALID_AT_ONCE;
+pub(crate) use hot::Patience;
 pub use hot::RawSample;
 
 use crate::address::{Address, Role};
@@ -172,6 +172,10 @@ impl RawSubscription {
         (&self.departure.topic, &self.departure.slot, self.address)
     }
 
+    pub(crate) fn shared(&self) -> &Shared {
+        &self.departure.shared
+    }
+
     /// The topic's fully qualified name.
     pub fn topic(&self) -> &str {
         &self.departure.topic.name
@@ -214,6 +218,11 @@ impl RawSubscription {
             count += usize::from(self.address.incompatibility(&port.address).is_none());
         });
         count
+    }
+
+    /// The topic's publishers.
+    pub(crate) fn publisher_gids(&self) -> Vec<Gid> {
+        ports::publishers(&self.departure.topic).iter().map(|port| port.gid).collect()
     }
 
     /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback).

@@ -7,7 +7,7 @@ use super::{Publisher, Subscription};
 use crate::error::{LoanError, PublishError, TakeError};
 use crate::header::MessageInfo;
 use crate::publisher::{RawLoan, RawPublisher, Unpublished};
-use crate::subscription::{INVALID_AT_ONCE, RawSample};
+use crate::subscription::{Patience, RawSample};
 use core::fmt;
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
@@ -21,6 +21,9 @@ use tautline_msgs::{Body, Message, Plain};
 impl<T: Message> Publisher<T> {
     /// Loans a sample to write in place, as `&mut T`. Its content is a valid `T` but otherwise unspecified: zeros, or an
     /// earlier message of this publisher; write what the message needs.
+    ///
+    /// A loan stays in its thread: a future that keeps one over an `.await` is not `Send`, even if the loan was published by then.
+    /// Loan and publish in a block or function of its own, or run the future with `Node::spawn_local`.
     ///
     /// # Real-time
     /// Wait-free; one allocation of 48 bytes (iceoryx2's); no syscall. For a type with bool, char or enum fields,
@@ -373,50 +376,51 @@ where
 }
 
 impl<T: Message> Subscription<T> {
-    /// Takes the oldest sample of a publisher, if there is one.
+    /// Takes the oldest sample of a publisher, if there is one. Passes over what [`RawSubscription::try_take`] passes over.
     ///
     /// # Real-time
-    /// Wait-free, O(publishers); no allocation; no syscall, except one futex wake if a keep-all publisher waits for room
-    /// and its sampler sleeps. The message is checked: see [`Message::view`]. When publishers have appeared or gone since
-    /// the last call, or one of them took a larger segment: allocates and maps memory.
+    /// As [`RawSubscription::try_take`]. The message is checked: see [`Message::view`].
     ///
     /// # Errors
     /// [`TakeError`]. An invalid sample is consumed.
+    ///
+    /// [`RawSubscription::try_take`]: crate::RawSubscription::try_take
     pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
         let Some(raw) = self.raw.try_take()? else { return Ok(None) };
         self.check(raw).map(Some).map_err(TakeError::Invalid)
     }
 
-    /// Takes the oldest valid sample, if there is one; invalid ones are counted and passed over, refusals are counted. After
-    /// 16 in a row that are no message of this type it gives up for now.
+    /// Takes the oldest valid sample, if there is one. Invalid ones are counted and passed over, like those that
+    /// [`try_take`](Self::try_take) passes over: 16 of all kinds in one call. Refusals are counted.
     ///
     /// # Real-time
-    /// As [`try_take`](Self::try_take), for each invalid sample; of those whose header is wrong at most 256.
+    /// As [`try_take`](Self::try_take): of at most 16 samples the message is checked.
     ///
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
     pub fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
-        for _ in 0..INVALID_AT_ONCE {
-            let Some(raw) = self.raw.try_take_valid()? else { return Ok(None) };
+        let mut patience = Patience::new();
+        while let Some(raw) = self.raw.take_valid(&mut patience)? {
             if let Ok(sample) = self.check(raw) {
                 return Ok(Some(sample));
             }
         }
+        self.raw.go_on_later(&patience);
         Ok(None)
     }
 
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
     ///
     /// # Real-time
-    /// As [`try_take_valid`](Self::try_take_valid).
+    /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
+    /// of the thread have a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
-        for _ in 0..INVALID_AT_ONCE {
-            let Poll::Ready(raw) = self.raw.poll_take(context) else { return Poll::Pending };
+        let mut patience = Patience::new();
+        while let Poll::Ready(raw) = self.raw.poll_within(context, &mut patience) {
             if let Ok(sample) = self.check(raw) {
                 return Poll::Ready(sample);
             }
         }
-        context.waker().wake_by_ref();
         Poll::Pending
     }
 

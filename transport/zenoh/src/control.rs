@@ -222,9 +222,10 @@ impl Control {
                 let services = offered.iter().map(|end| end.topic.clone()).collect();
                 self.descriptions.answer_at(&self.session, domain, services);
                 endpoints.append(&mut offered);
+                // Before they are announced: who hears of a service may ask at once.
+                self.route_services();
                 let actions = self.mirror.set_locals(&locals.nodes, endpoints);
                 self.act(actions);
-                self.route_services();
             }
             Err(error) => tracing::warn!("{error}"),
         }
@@ -362,7 +363,9 @@ impl Control {
             self.undescribed.insert(key.clone());
             self.descriptions.ask(&self.session, key, self.mirror.graph());
         }
-        let checks = Checks { own: self.own.clone(), max_bytes: self.options.max_message_bytes, schema };
+        let lifespans = self.mirror.graph().lifespans().clone();
+        let max_bytes = self.options.max_message_bytes;
+        let checks = Checks { own: self.own.clone(), lifespans, max_bytes, schema };
         let inlet = Inlet::new(publisher, counters, checks);
         match Incoming::start(&self.session, key, qos, inlet) {
             Ok(incoming) => drop(self.incoming.insert(key.clone(), (incoming, gid))),

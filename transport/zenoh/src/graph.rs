@@ -4,7 +4,11 @@
 
 use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
 use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, PoisonError, RwLock};
 use tautline_transport::Gid;
+
+/// The lifespans in nanoseconds of the publishers elsewhere that have one, for those who take their samples.
+pub(crate) type Lifespans = Arc<RwLock<HashMap<Gid, u64>>>;
 
 /// Limits of what is kept of other hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +74,7 @@ pub struct Graph {
     tokens: HashMap<String, Token>,
     per_session: HashMap<u128, usize>,
     topics: BTreeMap<TopicKey, Topic>,
+    lifespans: Lifespans,
     refused: Refused,
     /// Whether a token was refused for lack of room since the last look.
     is_incomplete: bool,
@@ -85,6 +90,7 @@ impl Graph {
             tokens: HashMap::new(),
             per_session: HashMap::new(),
             topics: BTreeMap::new(),
+            lifespans: Lifespans::default(),
             refused: Refused::default(),
             is_incomplete: false,
         }
@@ -111,6 +117,7 @@ impl Graph {
         *self.per_session.entry(token.zid).or_default() += 1;
         let change = match remote_endpoint(&token) {
             Some((key, endpoint)) => {
+                self.note_lifespan(&endpoint, true);
                 let topic = self.topics.entry(key.clone()).or_default();
                 topic.side(endpoint.endpoint.kind).push(endpoint);
                 Change::Topic(key)
@@ -131,6 +138,7 @@ impl Graph {
             }
         }
         let Some((key, gone)) = remote_endpoint(&token) else { return Change::None };
+        self.note_lifespan(&gone, false);
         if let Some(topic) = self.topics.get_mut(&key) {
             let side = topic.side(gone.endpoint.kind);
             // One: two tokens may differ in spelling only.
@@ -142,6 +150,23 @@ impl Graph {
             }
         }
         Change::Topic(key)
+    }
+
+    fn note_lifespan(&self, end: &RemoteEndpoint, is_there: bool) {
+        if end.endpoint.kind != EndpointKind::Publisher {
+            return;
+        }
+        let Some(lifespan) = end.endpoint.qos.lifespan.to_duration() else { return };
+        let mut lifespans = self.lifespans.write().unwrap_or_else(PoisonError::into_inner);
+        match is_there {
+            true => lifespans.insert(end.gid, u64::try_from(lifespan.as_nanos()).unwrap_or(u64::MAX)),
+            false => lifespans.remove(&end.gid),
+        };
+    }
+
+    /// The lifespans of publishers on other hosts, kept up to date.
+    pub(crate) fn lifespans(&self) -> &Lifespans {
+        &self.lifespans
     }
 
     /// Whether tokens were refused for lack of room, and there is room now: time to ask for all tokens again.

@@ -5,6 +5,7 @@
 //! It is done in Zenoh's own thread, as soon as the sample is there. Nothing in it waits: a subscription that is slow
 //! loses its oldest samples.
 
+use crate::graph::Lifespans;
 use crate::mirror::InQos;
 use crate::stats::{Counters, unix_ns};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
@@ -43,6 +44,8 @@ pub(crate) enum Dropped {
     Sequence,
     #[error("time stamp before 1970 or far in the future")]
     Time,
+    #[error("older than its publisher's lifespan")]
+    Expired,
     #[error("length differs from the type's")]
     Length,
     #[error("not a message of its type")]
@@ -85,6 +88,7 @@ impl Incoming {
 /// What a sample has to pass.
 pub(crate) struct Checks {
     pub(crate) own: OwnGids,
+    pub(crate) lifespans: Lifespans,
     pub(crate) max_bytes: usize,
     /// Of a type that this host has a definition of.
     pub(crate) schema: Option<Arc<Schema>>,
@@ -125,6 +129,7 @@ impl Inlet {
         if source_timestamp_ns < 0 || source_timestamp_ns.saturating_sub(unix_ns()) > FUTURE_NS {
             return Err(Dropped::Time);
         }
+        let left = self.left(attachment.gid, source_timestamp_ns)?;
         let len_bytes = self.body_len(payload)?;
         {
             let publisher = self.port.lock().unwrap_or_else(PoisonError::into_inner);
@@ -139,11 +144,27 @@ impl Inlet {
                 released_ns: 0,
                 publisher_gid: attachment.gid,
             };
-            loan.publish_as(source).map_err(|unpublished| Dropped::Publish(unpublished.into()))?;
+            let published = match left {
+                None => loan.publish_as(source),
+                Some(left) => loan.publish_as_for(source, left),
+            };
+            published.map_err(|unpublished| Dropped::Publish(unpublished.into()))?;
         }
         self.counters.follow(attachment.gid, attachment.sequence_number);
         self.counters.passed(len_bytes, source_timestamp_ns);
         Ok(())
+    }
+
+    /// How long a sample is still to be delivered, if its publisher has a lifespan: by the clocks of both hosts. One that is ahead
+    /// of this host's clock is new.
+    fn left(&self, publisher: Gid, source_timestamp_ns: i64) -> Result<Option<Duration>, Dropped> {
+        let lifespans = self.checks.lifespans.read().unwrap_or_else(PoisonError::into_inner);
+        let Some(lifespan_ns) = lifespans.get(&publisher) else { return Ok(None) };
+        let age_ns = unix_ns().saturating_sub(source_timestamp_ns).max(0).unsigned_abs();
+        match lifespan_ns.saturating_sub(age_ns) {
+            0 => Err(Dropped::Expired),
+            left_ns => Ok(Some(Duration::from_nanos(left_ns))),
+        }
     }
 
     /// The length of the body, once its frame has been checked.
@@ -221,7 +242,9 @@ mod tests {
         let (qos, limits) = (Qos::keep_last(10), Limits::default());
         let subscription = participant.create_raw_subscription("/x", &topic_type, qos, limits).unwrap();
         let port = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
-        let checks = Checks { own: OwnGids::default(), max_bytes: 100, schema: Some(Arc::new(schema)) };
+        let schema = Some(Arc::new(schema));
+        let lifespans = Lifespans::default();
+        let checks = Checks { own: OwnGids::default(), lifespans: lifespans.clone(), max_bytes: 100, schema };
         let inlet = Inlet::new(port, Arc::new(Counters::new()), checks);
         let attachment = Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
         let attachment = ZBytes::from(attachment.encode());
@@ -235,6 +258,33 @@ mod tests {
         let body = [3, 0, 0, 0, b'a', b'b', 0];
         assert_eq!(take(&body), Ok(()));
         assert_eq!(subscription.try_take().unwrap().unwrap().body(), body);
+
+        // An hour is over, or not, by the stamp of the other host.
+        const HOUR_NS: i64 = 3_600_000_000_000;
+        lifespans.write().unwrap().insert(Gid([3; 16]), HOUR_NS as u64);
+        for (age_ns, expected) in
+            [(HOUR_NS + 1, Err(Dropped::Expired)), (HOUR_NS / 2, Ok(())), (-HOUR_NS / 2, Ok(()))]
+        {
+            let attachment =
+                Attachment { sequence_number: 2, source_timestamp_ns: unix_ns() - age_ns, gid: Gid([3; 16]) };
+            let payload = ZBytes::from([&ENCAPSULATION[..], &body].concat());
+            assert_eq!(inlet.take(&payload, Some(&ZBytes::from(attachment.encode()))), expected, "{age_ns}");
+        }
+        assert_eq!(std::iter::from_fn(|| subscription.try_take().unwrap()).count(), 2);
+        // One that is queued longer than it has left is passed over when it is to be taken.
+        lifespans.write().unwrap().insert(Gid([3; 16]), 3_000_000);
+        let expired = || subscription.counters().expired();
+        while expired() == 0 {
+            let attachment =
+                Attachment { sequence_number: 3, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
+            let payload = ZBytes::from([&ENCAPSULATION[..], &body].concat());
+            let taken = inlet.take(&payload, Some(&ZBytes::from(attachment.encode())));
+            let over_ns = tautline_rt::clock::monotonic_ns() + 3_000_000;
+            while tautline_rt::clock::monotonic_ns() < over_ns {}
+            // On a busy machine it may have been too late before it was queued.
+            assert!(matches!(taken, Ok(()) | Err(Dropped::Expired)), "{taken:?}");
+            assert!(subscription.try_take().unwrap().is_none());
+        }
     }
 
     #[test]

@@ -23,6 +23,9 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 fn main() -> ExitCode {
     let args = Args::parse();
+    // Before there are threads. Zenoh frees and allocates some MB for every large message: a third of its rate, if the heap
+    // shrinks and grows again each time.
+    tautline_rt::keep_freed_memory();
     // Zenoh says much that is no concern of ours; what it drops or loses is counted. RUST_LOG changes what is shown.
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error,zenoh_ext=error"));

@@ -12,7 +12,8 @@ use futures::stream::FuturesUnordered;
 use futures::{FutureExt, StreamExt};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc as mpsc_std;
 use std::task::{Context, Poll};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -33,6 +34,9 @@ const AT_ONCE: usize = 16;
 const MAX_WAITING: usize = 4096;
 /// When Zenoh gives up: a client's own limit comes before. An action's result may take as long as it likes.
 const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
+
+/// How long the gateway waits for the thread to offer services.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Which services go which way.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -66,10 +70,13 @@ impl Routes {
 
 /// What the thread is told.
 enum Command {
-    Routes(Routes),
+    /// And who waits for that.
+    Routes(Routes, mpsc_std::Sender<()>),
     Query(TopicKey, Query),
     /// The answer to a request of a client on this host: as much of it as is one.
     Reply(TopicKey, RequestId, ZBytes),
+    /// No more answers come to a request of a client on this host, and none has come.
+    Unanswered(TopicKey, RequestId),
 }
 
 /// How Zenoh's threads reach this one: what it has no time for is not kept.
@@ -80,12 +87,49 @@ struct Sender {
 }
 
 impl Sender {
-    /// What does not fit is dropped, which ends a query without an answer.
-    fn send(&self, command: Command) {
+    /// What does not fit is dropped, which ends a query without an answer. Whether it fits.
+    fn send(&self, command: Command) -> bool {
         let room = |waiting: usize| (waiting < MAX_WAITING).then_some(waiting + 1);
-        if self.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok() {
-            // Ignored: the gateway ends.
-            let _ = self.commands.unbounded_send(command);
+        let fits = self.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok();
+        fits && self.commands.unbounded_send(command).is_ok()
+    }
+
+    /// What is never too much: there is one for each request that was passed on.
+    fn tell(&self, command: Command) {
+        // Ignored: the gateway ends.
+        let _ = self.commands.unbounded_send(command);
+    }
+}
+
+/// A request of a client on this host that others were asked. Dropped with the query, when no more answers come.
+struct Asked {
+    sender: Sender,
+    key: TopicKey,
+    id: RequestId,
+    is_answered: AtomicBool,
+}
+
+impl Asked {
+    fn hear(&self, reply: Reply) {
+        match reply.result() {
+            Ok(sample) => {
+                let reply = Command::Reply(self.key.clone(), self.id, sample.payload().clone());
+                if self.sender.send(reply) {
+                    self.is_answered.store(true, Ordering::Relaxed);
+                }
+            }
+            Err(error) => {
+                let reason = error.payload().try_to_string().unwrap_or_default().into_owned();
+                tracing::warn!("service '{}': another host does not answer: {reason}", self.key.topic);
+            }
+        }
+    }
+}
+
+impl Drop for Asked {
+    fn drop(&mut self) {
+        if !self.is_answered.load(Ordering::Relaxed) {
+            self.sender.tell(Command::Unanswered(self.key.clone(), self.id));
         }
     }
 }
@@ -125,11 +169,15 @@ impl Services {
         Ok(Services { commands, routes: Routes::default(), thread: Some(thread) })
     }
 
+    /// Waits until services that are now offered can be asked, so that they can be announced.
     pub(crate) fn set_routes(&mut self, routes: Routes) {
         if routes != self.routes {
             self.routes = routes.clone();
-            // Ignored: the thread ends when this does.
-            let _ = self.commands.commands.unbounded_send(Command::Routes(routes));
+            let (done, obeyed) = mpsc_std::channel();
+            self.commands.tell(Command::Routes(routes, done));
+            if obeyed.recv_timeout(PATIENCE).is_err() {
+                tracing::warn!("services change slowly: some are announced before they can be asked");
+            }
         }
     }
 }
@@ -186,11 +234,15 @@ impl Bridge {
     }
 
     fn obey(&mut self, command: Command) {
-        if !matches!(command, Command::Routes(_)) {
+        if matches!(command, Command::Query(..) | Command::Reply(..)) {
             self.sender.waiting.fetch_sub(1, Ordering::Relaxed);
         }
         match command {
-            Command::Routes(routes) => self.set_routes(&routes),
+            Command::Routes(routes, done) => {
+                self.set_routes(&routes);
+                // Ignored: nobody waits any more.
+                let _ = done.send(());
+            }
             Command::Query(key, query) => match self.ask(&key, &query) {
                 Ok(answer) => self.pending.push(answer),
                 Err(reason) => refuse(&query, reason),
@@ -199,10 +251,16 @@ impl Bridge {
                 if let Some(server) = self.sought.get(&key)
                     && let Err(reason) = answer(server, id, &payload, self.max_bytes)
                 {
-                    tracing::debug!(
+                    tracing::warn!(
                         "service '{}': an answer from another host is dropped: {reason}",
                         key.topic
                     );
+                    give_up(server, id);
+                }
+            }
+            Command::Unanswered(key, id) => {
+                if let Some(server) = self.sought.get(&key) {
+                    give_up(server, id);
                 }
             }
         }
@@ -241,7 +299,9 @@ impl Bridge {
             .session
             .declare_queryable(key.to_string())
             .complete(true)
-            .callback(move |query| sender.send(Command::Query(of.clone(), query)))
+            .callback(move |query| {
+                sender.send(Command::Query(of.clone(), query));
+            })
             .wait()
             .map_err(|error| error.to_string())?;
         Ok(Offer { client, _queryable: queryable })
@@ -290,7 +350,7 @@ fn pass_on(session: &Session, sender: &Sender, key: &TopicKey, request: &RawSamp
         source_timestamp_ns: request.info().source_timestamp_ns,
         gid: id.client,
     };
-    let (sender, of) = (sender.clone(), key.clone());
+    let asked = Asked { sender: sender.clone(), key: key.clone(), id, is_answered: AtomicBool::new(false) };
     let query = session
         .get(key.to_string())
         .payload([&ENCAPSULATION[..], request.body()].concat())
@@ -298,13 +358,7 @@ fn pass_on(session: &Session, sender: &Sender, key: &TopicKey, request: &RawSamp
         .target(QueryTarget::AllComplete)
         .consolidation(ConsolidationMode::None)
         .timeout(TIMEOUT)
-        .callback(move |reply: Reply| match reply.result() {
-            Ok(sample) => sender.send(Command::Reply(of.clone(), id, sample.payload().clone())),
-            Err(error) => {
-                let reason = error.payload().try_to_string().unwrap_or_default().into_owned();
-                tracing::warn!("service '{}': another host does not answer: {reason}", of.topic);
-            }
-        });
+        .callback(move |reply| asked.hear(reply));
     if let Err(error) = query.wait() {
         tracing::warn!("service '{}': a request is not passed on: {error}", key.topic);
     }
@@ -317,6 +371,14 @@ fn answer(server: &RawServer, id: RequestId, payload: &ZBytes, max_bytes: usize)
     let mut loan = server.responders().loan(id, body.len()).map_err(|error| error.to_string())?;
     loan.copy_from_slice(body);
     loan.send().map_err(|unsent| unsent.to_string())
+}
+
+/// Tells the client on this host that there is no answer to its request.
+fn give_up(server: &RawServer, id: RequestId) {
+    match server.responders().refuse(id) {
+        Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
+        Err(error) => tracing::warn!("{error}"),
+    }
 }
 
 /// Answers a query with what a service of this host said.

@@ -90,7 +90,7 @@ fn a_service_of_another_host() {
     drop(server);
     let error = response(pending).unwrap_err();
     assert!(matches!(error, ServiceError::ServerGone { .. }), "{error}");
-    assert_eq!(client.server_count(), 0);
+    until("what stood for it to go", || client.server_count() == 0);
 }
 
 #[test]
@@ -107,4 +107,52 @@ fn a_service_of_this_host_is_asked_here() {
     assert_eq!(serve(&mut near), b"here");
     assert_eq!(response(pending).unwrap().body(), b"herehere");
     assert!(far.try_take().unwrap().is_none());
+}
+
+/// A server on the network that takes requests and says nothing, or that it will not: whoever asked hears of it, and at once.
+#[test]
+fn who_gets_no_answer_does_not_wait_for_it() {
+    use zenoh::Wait;
+    let host = Host::first(66, 66);
+    let text = format!(
+        r#"{{ mode: "client", connect: {{ endpoints: ["{}"] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"#,
+        host.locator()
+    );
+    let session = zenoh::open(zenoh::Config::from_json5(&text).unwrap()).wait().unwrap();
+    let hash = service_type().request.hash.unwrap();
+    let key = format!("66/trigger/some_srvs::srv::dds_::Bytes_/{hash}");
+    let queries = session.declare_queryable(key).complete(true).wait().unwrap();
+    let token =
+        format!("@ros2_lv/66/1/0/1/SS/%/%/theirs/%trigger/some_srvs::srv::dds_::Bytes_/{hash}/::,10:,:,:,,");
+    let _token = session.liveliness().declare_token(token).wait().unwrap();
+    let client = client(&host);
+    until("their service", || client.server_count() == 1);
+
+    let query = |pending: &RawPending| {
+        let query = queries.recv().unwrap();
+        let attachment = query.attachment().unwrap().to_bytes();
+        assert_eq!(attachment[..8], pending.sequence_number().to_le_bytes());
+        query
+    };
+    let reply = |query: &zenoh::query::Query, payload: &[u8]| {
+        let attachment = query.attachment().unwrap().clone();
+        query.reply(query.key_expr().clone(), payload).attachment(attachment).wait().unwrap();
+    };
+    let gone = |pending| {
+        let error = response(pending).unwrap_err();
+        assert!(matches!(error, ServiceError::ServerGone { .. }), "{error}");
+    };
+    let silent = ask(&client, b"silent");
+    drop(query(&silent));
+    gone(silent);
+    let refused = ask(&client, b"refused");
+    query(&refused).reply_err("no").wait().unwrap();
+    gone(refused);
+    let nonsense = ask(&client, b"nonsense");
+    reply(&query(&nonsense), b"no encapsulation");
+    gone(nonsense);
+    let answered = ask(&client, b"answered");
+    reply(&query(&answered), &[0, 1, 0, 0, 7]);
+    assert_eq!(response(answered).unwrap().body(), [7]);
+    assert_eq!(client.server_count(), 1, "it is still there");
 }

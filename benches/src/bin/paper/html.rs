@@ -3,6 +3,7 @@
 
 use std::fmt::Write;
 
+use tautline_benches::page::{STYLE, escape, list};
 use tautline_paper::Variant;
 
 use crate::Result;
@@ -10,18 +11,6 @@ use crate::figures::{ablation_histograms, p99_bars};
 use crate::plan::Experiment;
 use crate::report::Report;
 use crate::stats::Row;
-
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;color:#222831;max-width:1120px;margin:2em auto;padding:0 1em}\
-h1{font-size:26px;margin-bottom:.2em}h2{font-size:19px;margin:2em 0 .4em}p,li{max-width:68em}\
-figure{margin:1em 0;overflow-x:auto}figcaption{color:#666e7a;font-size:14px;max-width:68em}\
-svg{max-width:100%;height:auto}\
-table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}\
-th,td{padding:2px 9px;border-bottom:1px solid #e2e6eb;text-align:right;white-space:nowrap}\
-th{background:#f4f6f8;position:sticky;top:0}th.l,td.l{text-align:left}tr.first td{border-top:2px solid #c3cad3}\
-.late{color:#cc2026;font-weight:600}.scroll{overflow:auto;max-height:36em}\
-.verdicts{list-style:none;padding:0}.verdicts li{padding:.25em 0 .25em 6.2em;text-indent:-6.2em}\
-.verdicts b{display:inline-block;width:5.6em;text-indent:0;margin-right:.6em}\
-.yes{color:#1a7f37}.no{color:#cc2026}.unknown{color:#666e7a}";
 
 /// The page.
 pub fn page(report: &Report) -> Result<String> {
@@ -63,8 +52,8 @@ pub fn page(report: &Report) -> Result<String> {
     write_capacity(&mut out, report)?;
     write_rows(&mut out, report)?;
     write_disturbed(&mut out, report)?;
-    write_list(&mut out, "Method", &report.notes.method)?;
-    write_list(&mut out, "Machine and versions", &report.notes.machine)?;
+    list(&mut out, "Method", &report.notes.method)?;
+    list(&mut out, "Machine and versions", &report.notes.machine)?;
     out.push_str("</body></html>\n");
     Ok(out)
 }
@@ -202,21 +191,8 @@ fn write_disturbed(out: &mut String, report: &Report) -> Result<()> {
     Ok(())
 }
 
-fn write_list(out: &mut String, title: &str, lines: &[String]) -> Result<()> {
-    writeln!(out, "<h2>{title}</h2>\n<ul>")?;
-    for line in lines {
-        writeln!(out, "<li>{}</li>", escape(line))?;
-    }
-    out.push_str("</ul>\n");
-    Ok(())
-}
-
 fn time(ms: Option<f64>) -> String {
     ms.map_or(String::new(), |ms| format!("{ms:.2}"))
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

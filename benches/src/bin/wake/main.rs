@@ -12,7 +12,6 @@
 //! | `child` | one of a pair: the round trip's clock (`Pinger`), set-up, the loops over a `Link` |
 //! | `payload` | what a message contains |
 //! | `futex`, `iceoryx`, `tautline` | the systems |
-//! | `scratch` | where the systems keep files, and their removal |
 //! | `report`, `verdict` | the table, the JSON, the ratios that must hold |
 
 mod child;
@@ -22,7 +21,6 @@ mod payload;
 mod plan;
 mod report;
 mod rounds;
-mod scratch;
 mod tautline;
 mod verdict;
 

@@ -12,13 +12,12 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use tautline_benches::{Distribution, Disturbance};
+use tautline_benches::{Distribution, Disturbance, Scratch};
 use tautline_rt::IdleHold;
 
 use crate::child::{Measured, READY};
 use crate::plan::{Idle, Job, Mode, Payload, Plan, Role};
 use crate::report::{Round, Row, Rows};
-use crate::scratch::Scratch;
 use crate::{Result, futex};
 
 /// What the parent waits for.
@@ -30,7 +29,7 @@ enum Event {
 
 /// Measures everything in the plan.
 pub fn run(plan: &Plan) -> Result<Rows> {
-    let scratch = Scratch::new()?;
+    let scratch = Scratch::new("wake")?;
     let (sender, events) = channel();
     interrupt_on_signal(sender.clone())?;
     let mut parent = Parent { plan, scratch: &scratch, sender, events, pair: 0 };

@@ -16,12 +16,14 @@ use tautline_dylib as _;
 /// Runs components from shared libraries in one process, on one sampler.
 ///
 /// A component shares the process's context; what components publish to each other is read where it was written. A library that
-/// was built by another compiler or with another version of Tautline is refused before any of it runs.
+/// was built by another compiler or with another version of Tautline is refused before any of it runs. Behind --ros-args stand ROS 2's
+/// arguments, for the container's own node and the components that are loaded here.
 #[derive(Parser, Debug)]
 #[command(
     version,
     after_help = "Load, unload and list while it runs with `taut component`.\n\nExamples:\n  taut-container libdemo.so:demo::Counter libdemo.so:demo::Doubler\n  \
-                  taut-container --no-rt --namespace /robot libdrive.so"
+                  taut-container --no-rt --namespace /robot libdrive.so\n  \
+                  taut-container libdemo.so:demo::Counter --ros-args -p step:=2 -r count:=/count"
 )]
 struct Args {
     /// What to load: a library, or LIBRARY:COMPONENT if it has several.
@@ -39,7 +41,10 @@ struct Args {
 }
 
 fn main() -> ExitCode {
-    match run(&Args::parse()) {
+    // What follows is ROS 2's.
+    let mut own: Vec<_> = std::env::args_os().collect();
+    let ros = own.iter().position(|arg| arg == "--ros-args").map_or(Vec::new(), |at| own.split_off(at));
+    match run(&Args::parse_from(own), ros.iter().map(|arg| arg.to_string_lossy().into_owned())) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("taut-container: {error}");
@@ -48,8 +53,8 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(args: &Args) -> Result<(), Box<dyn Error>> {
-    let mut settings = Context::builder();
+fn run(args: &Args, ros_args: impl Iterator<Item = String>) -> Result<(), Box<dyn Error>> {
+    let mut settings = Context::builder().args(ros_args);
     if args.no_rt {
         settings = settings.realtime(Realtime::Off);
     }
@@ -60,7 +65,8 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
         // The component's name has colons, too.
         let (library, component) = load.split_once(':').unwrap_or((load, ""));
         let (library, component) = (PathBuf::from(library), component.to_owned());
-        let load = Load { library, component, namespace: args.namespace.clone(), ..Load::default() };
+        let namespace = args.namespace.clone();
+        let load = Load { library, component, namespace, use_global_arguments: true, ..Load::default() };
         let id = container.load(&load)?;
         println!("{id} {}", container.full_name(id).unwrap_or_default());
     }

@@ -3,12 +3,14 @@
 
 use futures::StreamExt;
 use futures::executor::block_on;
+use std::future::ready;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
+use tautline::rcl_interfaces::msg::{Log, Parameter};
 use tautline::std_msgs::msg::UInt64;
-use tautline::{Context, Node, QosProfile, Realtime};
+use tautline::{Context, Node, ParameterValue, QosProfile, Realtime};
 use tautline_components::{ComponentError, Container, Load, STAMP};
 
 /// Where cargo puts what it builds. Container and components are built in one go, so that they have the same features.
@@ -43,6 +45,9 @@ fn refused(loads: &[String]) -> String {
     String::from_utf8(stderr).unwrap()
 }
 
+/// A parameter, or an extra argument.
+type Named = (&'static str, ParameterValue);
+
 struct Running(Child);
 
 impl Drop for Running {
@@ -62,12 +67,12 @@ fn components_of_one_process_work_together_until_it_ends() {
     let loads =
         ["demo::Counter", "demo::Doubler"].map(|component| format!("{}:{component}", library.display()));
     let mut command = container(59, &loads);
-    command.args(["--namespace", "/robot"]).stdout(Stdio::piped());
+    command.args(["--namespace", "/robot", "--ros-args", "-p", "counter:step:=4"]).stdout(Stdio::piped());
     let mut running = Running(command.spawn().unwrap());
     let lines = BufReader::new(running.0.stdout.take().unwrap()).lines().take(2).map(Result::unwrap);
     assert_eq!(lines.collect::<Vec<_>>(), ["1 /robot/counter", "2 /robot/doubler"]);
     let values: Vec<u64> = block_on(doubled.take(5).map(|message| message.data).collect());
-    assert!(values.iter().all(|value| value % 2 == 0) && values.is_sorted(), "{values:?}");
+    assert!(values.iter().all(|value| value % 8 == 0) && values.is_sorted(), "{values:?}");
     let pid = rustix::process::Pid::from_child(&running.0);
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     assert!(running.0.wait().unwrap().success());
@@ -112,7 +117,7 @@ fn what_has_no_entry_point_or_is_no_library_is_refused() {
 fn unknown_and_broken_components_are_named() {
     let library = demo();
     let load = |component: &str| refused(&[format!("{}{component}", library.display())]);
-    let known = "demo::Counter, demo::Doubler, demo::Broken";
+    let known = "demo::Counter, demo::Doubler, demo::Broken, demo::Unfinished";
     assert!(load(":demo::Counter2").contains(&format!("no component 'demo::Counter2'; it has: {known}")));
     assert!(load("").contains(known), "it has several");
     let text = load(":demo::Broken");
@@ -145,12 +150,16 @@ fn components_come_and_go_by_service() {
     let unload = node.create_client::<UnloadNode::Service>(&unload, qos).unwrap();
     let list = node.create_client::<ListNodes::Service>(&list, qos).unwrap();
     let counts = node.subscribe_loaned::<UInt64>("/moved/count", QosProfile::default()).unwrap();
+    let global = node.subscribe_loaned::<UInt64>("/global/count", QosProfile::default()).unwrap();
+    let lines = node.subscribe::<Log>("/rosout", QosProfile::default().transient_local()).unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
 
     let mut command = container(59, &[]);
-    let running = Running(command.args(["--name", "served"]).spawn().unwrap());
+    let command = command.args(["--name", "served", "--ros-args", "-r", "count:=/global/count"]);
+    let running = Running(command.spawn().unwrap());
     block_on(Node::is_available(&list).unwrap()).unwrap();
-    let ask = |plugin: &str, rules: &[&str], level: u8| {
+    let ask_with = |plugin: &str, rules: &[&str], level: u8, parameters: &[Named], extra: &[Named]| {
+        let message = |(name, value): &Named| Parameter { name: (*name).into(), value: value.into() };
         let request = LoadNode::Request {
             package_name: demo().to_str().unwrap().into(),
             plugin_name: plugin.into(),
@@ -158,10 +167,12 @@ fn components_come_and_go_by_service() {
             node_namespace: "/robot".into(),
             remap_rules: rules.iter().map(|rule| (*rule).into()).collect(),
             log_level: level,
-            ..Default::default()
+            parameters: parameters.iter().map(message).collect(),
+            extra_arguments: extra.iter().map(message).collect(),
         };
         block_on(load.request(&request).unwrap()).unwrap()
     };
+    let ask = |plugin: &str, rules: &[&str], level: u8| ask_with(plugin, rules, level, &[], &[]);
     let names = || block_on(list.request(&Default::default()).unwrap()).unwrap().full_node_names;
     let end = |unique_id| block_on(unload.request(&UnloadNode::Request { unique_id }).unwrap()).unwrap();
 
@@ -171,15 +182,27 @@ fn components_come_and_go_by_service() {
     assert_eq!(names(), ["/robot/mine"]);
     let values: Vec<u64> = block_on(counts.take(3).map(|message| message.data).collect());
     assert!(values.is_sorted());
+    let with = |parameters: &[Named], extra: &[Named]| ask_with("demo::Counter", &[], 0, parameters, extra);
     for (refused, reason) in [
         (ask("demo::Nothing", &[], 0), "no component 'demo::Nothing'"),
         (ask("demo::Broken", &[], 0), "panicked"),
         (ask("demo::Counter", &["no rule"], 0), "no rule"),
-        (ask("demo::Counter", &[], 10), "'log_level' of a load request is not supported"),
+        (ask("demo::Counter", &[], 11), "log level 11 is none"),
+        (
+            ask("demo::Unfinished", &["count:=/unfinished/count"], 0),
+            "component 'demo::Unfinished' was not made",
+        ),
+        (
+            with(&[("step", "fast".into())], &[]),
+            "parameter 'step' is of type integer, but fast is of type string",
+        ),
+        (with(&[], &[("speed", 1.into())]), "extra argument 'speed' is not known"),
+        (with(&[], &[("forward_global_arguments", 1.into())]), "is true or false, not 1"),
     ] {
         assert!(!refused.success && refused.error_message.contains(reason), "{}", refused.error_message);
     }
     assert_eq!(names(), ["/robot/mine"], "what is refused changes nothing");
+    assert_eq!(node.count_publishers("/unfinished/count").unwrap(), 0, "what had been started has ended");
     assert!(end(1).success);
     assert!(names().is_empty());
     let again = end(1);
@@ -188,6 +211,58 @@ fn components_come_and_go_by_service() {
         "{}",
         again.error_message
     );
+    // A parameter, a level, and what the container's own command line says.
+    let forwarded = [("forward_global_arguments", true.into()), ("use_intra_process_comms", true.into())];
+    let loaded = ask_with("demo::Counter", &[], 10, &[("step", 1000.into())], &forwarded);
+    assert_eq!((loaded.success, loaded.unique_id), (true, 2), "{}", loaded.error_message);
+    assert!(
+        block_on(global.take(2).map(|count| count.data % 1000).collect::<Vec<_>>())
+            .iter()
+            .all(|rest| *rest == 0)
+    );
+    let line = block_on(lines.filter(|line| ready(line.level == 10)).next()).unwrap();
+    assert_eq!((&*line.name, &*line.msg), ("robot.mine", "counts in steps of 1000"));
+    drop(running);
+    node.context().shutdown();
+    drop(spinning.join().unwrap().unwrap());
+}
+
+#[test]
+fn a_library_that_was_replaced_is_not_taken_for_the_one_that_is_loaded() {
+    let folder = tempfile::tempdir().unwrap();
+    let library = folder.path().join("libmine.so");
+    std::fs::copy(demo(), &library).unwrap();
+    let context = Context::builder().domain(76).realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context.clone(), "manager", "").unwrap();
+    let load = node
+        .create_client::<LoadNode::Service>(
+            "/ComponentManager/_container/load_node",
+            QosProfile::services_default(),
+        )
+        .unwrap();
+    let spinning = std::thread::spawn(move || context.spin().map(|()| context));
+    let running = Running(container(76, &[]).spawn().unwrap());
+    block_on(Node::is_available(&load).unwrap()).unwrap();
+    let ask = || {
+        let plugin_name = "demo::Counter".into();
+        let package_name = library.to_str().unwrap().into();
+        let request = LoadNode::Request { package_name, plugin_name, ..Default::default() };
+        block_on(load.request(&request).unwrap()).unwrap()
+    };
+    // Two of one name: each has its number.
+    let loaded = [ask(), ask()].map(|loaded| (loaded.success, loaded.unique_id, loaded.full_node_name));
+    assert_eq!(loaded, [(true, 1, "/counter".to_owned()), (true, 2, "/counter".to_owned())]);
+    let next = folder.path().join("next.so");
+    std::fs::copy(demo(), &next).unwrap();
+    std::fs::rename(next, &library).unwrap();
+    let refused = ask();
+    assert!(
+        !refused.success && refused.error_message.contains("was replaced since it was loaded"),
+        "{}",
+        refused.error_message
+    );
+    std::fs::remove_file(&library).unwrap();
+    assert!(ask().error_message.contains("cannot be read"));
     drop(running);
     node.context().shutdown();
     drop(spinning.join().unwrap().unwrap());

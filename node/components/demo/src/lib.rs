@@ -4,21 +4,24 @@
 use futures::StreamExt;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
-use tautline::{CallbackHandle, CallbackOptions, Node, QosProfile, Result};
+use tautline::{CallbackHandle, CallbackOptions, Error, Node, QosProfile, Result, log_debug};
 
 tautline_components::components! {
     "demo::Counter" => counter,
     "demo::Doubler" => doubler,
     "demo::Broken" => |_| panic!("as it should"),
+    "demo::Unfinished" => unfinished,
 }
 
 fn counter(mut node: Node) -> Result<Vec<CallbackHandle>> {
+    let step = node.declare_parameter("step", 1)?.get();
+    log_debug!(node.logger(), "counts in steps of {step}");
     let publisher = node.create_publisher::<UInt64>("count", QosProfile::default())?;
     let mut timer = node.create_wall_timer(Duration::from_millis(5))?;
     let count = async move {
-        for data in 1.. {
+        for count in 1_i64.. {
             timer.next_tick().await;
-            let _ = publisher.publish(&UInt64 { data });
+            let _ = publisher.publish(&UInt64 { data: count.wrapping_mul(step).unsigned_abs() });
         }
     };
     Ok(vec![node.spawn_callback(CallbackOptions::fifo(10).name("counter"), count)?])
@@ -32,4 +35,10 @@ fn doubler(mut node: Node) -> Result<Vec<CallbackHandle>> {
         async {}
     });
     Ok(vec![node.spawn_callback(CallbackOptions::fifo(20).name("doubler"), double)?])
+}
+
+/// Counts already when it finds that it cannot go on.
+fn unfinished(node: Node) -> Result<Vec<CallbackHandle>> {
+    counter(node)?;
+    Err(Error::ZeroPeriod)
 }

@@ -2,9 +2,9 @@
 //! 99th percentiles: a row for each variant, a column for each topic, a bar for each system.
 
 use plotters::style::{RGBColor, WHITE};
+use tautline_benches::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
 
-use super::canvas::{Align, Canvas, Words};
-use super::{BOUND, FAINT, GRID, INK, colour, label, on_bar, short};
+use super::{BOUND, colour, label, on_bar, short};
 use crate::Result;
 use crate::plan::System;
 use crate::stats::Row;

@@ -2,9 +2,10 @@
 //! Response times of the fastest topic with the middleware above the callbacks and not: a row for each, a column for each
 //! system.
 
+use tautline_benches::canvas::{Align, Canvas, DEADLINE, FAINT, GRID, Words};
+
 use super::bars::round_step;
-use super::canvas::{Align, Canvas, Words};
-use super::{DEADLINE, FAINT, GRID, colour, label};
+use super::{colour, label};
 use crate::Result;
 use crate::plan::System;
 use crate::stats::Row;

@@ -2,20 +2,16 @@
 //! The paper's figures, drawn anew from the rows of a run.
 
 mod bars;
-mod canvas;
 mod histograms;
 
 pub use bars::p99_bars;
 pub use histograms::ablation_histograms;
 
 use plotters::style::{RGBColor, WHITE};
+use tautline_benches::canvas::INK;
 
 use crate::plan::System;
 
-const INK: RGBColor = RGBColor(34, 40, 49);
-const FAINT: RGBColor = RGBColor(102, 110, 122);
-const GRID: RGBColor = RGBColor(232, 235, 240);
-const DEADLINE: RGBColor = RGBColor(204, 32, 38);
 const BOUND: RGBColor = RGBColor(34, 40, 49);
 
 fn colour(system: System) -> RGBColor {

@@ -5,35 +5,38 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
-use crate::Result;
-
-/// Starts the names of all files of all runs; the process id follows.
-const PREFIX: &str = "taut_wake_";
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 /// Where the systems of one run keep their files; all of them are removed on drop, also those of killed processes.
+#[derive(Debug)]
 pub struct Scratch {
     directory: TempDir,
     prefix: String,
 }
 
 impl Scratch {
-    /// Makes the directory and removes what runs that were themselves killed have left.
-    pub fn new() -> Result<Self> {
+    /// Makes the directory and removes what runs of `bench` that were themselves killed have left.
+    ///
+    /// # Errors
+    /// The directory cannot be made.
+    pub fn new(bench: &str) -> Result<Self> {
         for place in places() {
             remove(&place, |name| {
-                owner(name).is_some_and(|pid| !Path::new(&format!("/proc/{pid}")).exists())
+                owner(name, bench).is_some_and(|pid| !Path::new(&format!("/proc/{pid}")).exists())
             });
         }
-        let prefix = format!("{PREFIX}{}_", std::process::id());
+        let prefix = format!("taut_{bench}_{}_", std::process::id());
         Ok(Self { directory: tempfile::Builder::new().prefix(&prefix).tempdir()?, prefix })
     }
 
     /// For files.
+    #[must_use]
     pub fn directory(&self) -> &Path {
         self.directory.path()
     }
 
     /// For names in /dev/shm.
+    #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
@@ -52,8 +55,9 @@ fn places() -> [PathBuf; 2] {
 }
 
 /// The process that made a file of this name, if a run did.
-fn owner(name: &str) -> Option<u32> {
-    name.strip_prefix(PREFIX)?.split('_').next()?.parse().ok()
+fn owner(name: &str, bench: &str) -> Option<u32> {
+    let name = name.strip_prefix("taut_")?.strip_prefix(bench)?.strip_prefix('_')?;
+    name.split('_').next()?.parse().ok()
 }
 
 fn remove(place: &Path, unwanted: impl Fn(&str) -> bool) {
@@ -75,8 +79,8 @@ mod tests {
 
     #[test]
     fn only_files_of_runs_have_an_owner() {
-        assert_eq!(owner("taut_wake_12_ab.data"), Some(12));
-        assert_eq!(owner("taut_wake_x"), None);
-        assert_eq!(owner("iox2_12_"), None);
+        assert_eq!(owner("taut_wake_12_ab.data", "wake"), Some(12));
+        assert_eq!(owner("taut_wake_x", "wake"), None);
+        assert_eq!(owner("taut_wakeful_12_", "wake"), None);
     }
 }

@@ -1,0 +1,181 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// Cyclone DDS through its C interface: an array of octets, listeners, two configurations.
+//   default  as it comes: UDP over the loopback
+//   tuned    as its manual advises for large messages: packets of up to 64 KiB, larger socket buffers, on the loopback alone
+#include "exchange.hpp"
+
+#include <dds/dds.h>
+
+#include <functional>
+
+using exchange::Job;
+using exchange::Stamp;
+
+namespace {
+
+dds_entity_t made(dds_entity_t entity, const char* what) {
+    if (entity < 0) throw std::runtime_error(std::string("cannot make the ") + what + ": " + dds_strretcode(-entity));
+    return entity;
+}
+
+class Participant {
+  public:
+    explicit Participant(const Job& job) : job_(job) {
+        const char* config = job.mode == "tuned"
+            ? "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces>"
+              "<MaxMessageSize>65500B</MaxMessageSize></General>"
+              "<Internal><SocketReceiveBufferSize min=\"default\" max=\"16MB\"/></Internal>"
+              "<Tracing><Verbosity>none</Verbosity></Tracing>"
+            : "<Tracing><Verbosity>none</Verbosity></Tracing>";
+        made(dds_create_domain(job.domain, config), "domain");
+        participant_ = made(dds_create_participant(job.domain, nullptr, nullptr), "participant");
+        ops_ = {DDS_OP_ADR | DDS_OP_TYPE_ARR | DDS_OP_SUBTYPE_1BY, 0, uint32_t(job.payload_bytes), DDS_OP_RTS};
+        type_ = "Bytes" + std::to_string(job.payload_bytes);
+    }
+    ~Participant() { dds_delete(participant_); }
+
+    dds_entity_t writer(const std::string& name) {
+        return made(dds_create_writer(participant_, topic(name), qos().get(), nullptr), "writer");
+    }
+    dds_entity_t reader(const std::string& name, dds_listener_t* listener) {
+        return made(dds_create_reader(participant_, topic(name), qos().get(), listener), "reader");
+    }
+
+  private:
+    std::unique_ptr<dds_qos_t, void (*)(dds_qos_t*)> qos() {
+        std::unique_ptr<dds_qos_t, void (*)(dds_qos_t*)> qos(dds_create_qos(), dds_delete_qos);
+        dds_qset_reliability(qos.get(), DDS_RELIABILITY_RELIABLE, DDS_SECS(1));
+        if (job_.is_stream()) {
+            dds_qset_history(qos.get(), DDS_HISTORY_KEEP_ALL, 0);
+            int32_t depth = job_.payload_bytes > (64u << 10) ? 10 : 100;
+            dds_qset_resource_limits(qos.get(), depth, 1, depth);
+        } else {
+            dds_qset_history(qos.get(), DDS_HISTORY_KEEP_LAST, job_.is_round_trips() ? 1 : 10);
+        }
+        return qos;
+    }
+    dds_entity_t topic(const std::string& name) {
+        dds_entity_t& topic = topics_[name];
+        if (topic == 0) {
+            const dds_topic_descriptor_t descriptor = {uint32_t(job_.payload_bytes), 1, DDS_TOPIC_FIXED_SIZE, 0,
+                                                       type_.c_str(), nullptr, 2, ops_.data(), "", {}, {}, 0};
+            topic = made(dds_create_topic(participant_, &descriptor, name.c_str(), nullptr, nullptr), "topic");
+        }
+        return topic;
+    }
+    const Job& job_;
+    dds_entity_t participant_ = 0;
+    std::vector<uint32_t> ops_;
+    std::string type_;
+    std::map<std::string, dds_entity_t> topics_;
+};
+
+class Outlet {
+  public:
+    Outlet(Participant& participant, const Job& job, const std::string& topic)
+        : job_(job), writer_(participant.writer(topic)), sample_(job.payload_bytes) {}
+    void send(Stamp stamp) {
+        stamp.write(sample_.data(), job_.payload_bytes, job_.whole);
+        // Refused after a second without room: counted by the receiver.
+        dds_write(writer_, sample_.data());
+    }
+
+  private:
+    const Job& job_;
+    dds_entity_t writer_;
+    std::vector<uint8_t> sample_;
+};
+
+class Input {
+  public:
+    Input(Participant& participant, const Job& job, const std::string& topic, std::function<void(Stamp)> then)
+        : job_(job), then_(std::move(then)) {
+        auto* listener = dds_create_listener(this);
+        dds_lset_data_available(listener, [](dds_entity_t reader, void* self) { static_cast<Input*>(self)->take(reader); });
+        reader_ = participant.reader(topic, listener);
+        dds_delete_listener(listener);
+    }
+    void close() { dds_set_listener(reader_, nullptr); }
+
+  private:
+    void take(dds_entity_t reader) {
+        for (;;) {
+            void* sample[1] = {nullptr};
+            dds_sample_info_t info[1];
+            int32_t count = dds_take(reader, sample, info, 1, 1);
+            if (count <= 0) return;
+            bool is_valid = info[0].valid_data;
+            Stamp stamp;
+            if (is_valid) stamp = Stamp::read(sample[0], job_.payload_bytes, job_.whole);
+            dds_return_loan(reader, sample, count);
+            if (is_valid) then_(stamp);
+        }
+    }
+    const Job& job_;
+    std::function<void(Stamp)> then_;
+    dds_entity_t reader_ = 0;
+};
+
+void ask(Participant& participant, const Job& job) {
+    Outlet out(participant, job, job.there());
+    exchange::Asking asking(job, [&](Stamp stamp) { out.send(stamp); });
+    Input input(participant, job, job.back(), [&](Stamp answer) { asking.answered(answer.number); });
+    asking.run();
+    input.close();
+    asking.measured().say();
+}
+
+void answer(Participant& participant, const Job& job) {
+    Outlet out(participant, job, job.there());
+    Input input(participant, job, job.back(),
+                [&](Stamp question) { out.send(Stamp{question.number, exchange::monotonic_ns()}); });
+    exchange::say_ready();
+    exchange::wait_for_stop();
+    input.close();
+}
+
+void send_flow(Participant& participant, const Job& job) {
+    std::vector<std::unique_ptr<Outlet>> outlets;
+    for (size_t index = 0; index < job.topics; index++)
+        outlets.push_back(std::make_unique<Outlet>(participant, job, job.topic + "/t" + std::to_string(index)));
+    exchange::Source source(job);
+    size_t topic;
+    Stamp stamp;
+    while (source.next(topic, stamp)) outlets[topic]->send(stamp);
+    source.measured().say();
+    // What is under way is repeated from its history.
+    exchange::sleep_until(exchange::monotonic_ns() + 100000000);
+}
+
+void receive_flow(Participant& participant, const Job& job) {
+    exchange::Sink sink(job);
+    std::vector<std::unique_ptr<Input>> inputs;
+    for (size_t index = 0; index < sink.inlets.size(); index++) {
+        auto* inlet = sink.inlets[index].get();
+        std::string topic = job.topic + "/t" + std::to_string(index % job.topics);
+        inputs.push_back(
+            std::make_unique<Input>(participant, job, topic, [inlet](Stamp stamp) { inlet->arrive(stamp); }));
+    }
+    exchange::say_ready();
+    exchange::wait_for_stop();
+    for (auto& input : inputs) input->close();
+    sink.measured().say();
+}
+
+}  // namespace
+
+int main(int argc, char** argv) try {
+    if (argc == 2 && argv[1] == std::string("version")) {
+        puts("Cyclone DDS " DDS_VERSION);
+        return 0;
+    }
+    Job job(argc, argv);
+    exchange::stop_flag();
+    Participant participant(job);
+    if (job.is_round_trips()) job.near ? ask(participant, job) : answer(participant, job);
+    else job.near ? send_flow(participant, job) : receive_flow(participant, job);
+    return 0;
+} catch (const std::exception& error) {
+    fprintf(stderr, "cyclonedds: %s\n", error.what());
+    return 1;
+}

@@ -1,0 +1,457 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// What both ends of an exchange have in common, for systems with a C or C++ interface: the counterpart of the Rust package
+// tautline-exchange. A process is told its job as words `key=value`; it says lines of JSON.
+#pragma once
+
+#include <pthread.h>
+#include <sched.h>
+#include <sys/prctl.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <csignal>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace exchange {
+
+inline uint64_t clock_ns(clockid_t clock) {
+    timespec now;
+    clock_gettime(clock, &now);
+    return uint64_t(now.tv_sec) * 1000000000u + uint64_t(now.tv_nsec);
+}
+inline uint64_t monotonic_ns() { return clock_ns(CLOCK_MONOTONIC); }
+inline uint64_t process_cpu_ns() { return clock_ns(CLOCK_PROCESS_CPUTIME_ID); }
+inline void sleep_until(uint64_t ns) {
+    timespec at{time_t(ns / 1000000000u), long(ns % 1000000000u)};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, nullptr) == EINTR) {
+    }
+}
+
+constexpr uint64_t WARM_UP_SHARE = 8;
+constexpr uint64_t PATIENCE_NS = 500000000;
+constexpr uint64_t CONNECTING_NS = 50000000;
+constexpr uint64_t SAMPLED = 16;
+constexpr size_t ROOM = 1 << 16;
+
+struct Job {
+    bool near = false;
+    std::string kind;  // round-trips, paced, stream
+    std::string mode, topic;
+    double rate = 0;
+    size_t payload_bytes = 64, topics = 1, subscribers = 1;
+    uint64_t budget_ns = 0;
+    int core = -1;
+    bool realtime = false, whole = false;
+    uint32_t domain = 0;
+
+    // Also binds the process, sets its priority and lets it end with its starter: threads inherit it.
+    Job(int argc, char** argv) {
+        std::map<std::string, std::string> words;
+        for (int index = 1; index < argc; index++) {
+            std::string word = argv[index];
+            size_t at = word.find('=');
+            if (at == std::string::npos) throw std::runtime_error("not key=value: " + word);
+            words[word.substr(0, at)] = word.substr(at + 1);
+        }
+        near = words["role"] == "near";
+        kind = words["kind"];
+        mode = words["mode"];
+        topic = words["topic"];
+        rate = atof(words["rate"].c_str());
+        payload_bytes = strtoul(words["payload_bytes"].c_str(), nullptr, 10);
+        topics = strtoul(words["topics"].c_str(), nullptr, 10);
+        subscribers = strtoul(words["subscribers"].c_str(), nullptr, 10);
+        budget_ns = strtoull(words["budget_ns"].c_str(), nullptr, 10);
+        core = words["core"].empty() ? -1 : atoi(words["core"].c_str());
+        realtime = words["realtime"] == "1";
+        whole = words["whole"] == "1";
+        domain = uint32_t(atoi(words["domain"].c_str()));
+        if (kind.empty() || topic.empty() || payload_bytes < 16) throw std::runtime_error("the job is incomplete");
+        prctl(PR_SET_PDEATHSIG, SIGKILL);
+        if (core >= 0) {
+            cpu_set_t cores;
+            CPU_ZERO(&cores);
+            CPU_SET(core, &cores);
+            if (sched_setaffinity(0, sizeof cores, &cores) != 0) throw std::runtime_error("the core is refused");
+        }
+        sched_param priority{};
+        priority.sched_priority = 50;
+        if (realtime && sched_setscheduler(0, SCHED_FIFO, &priority) != 0)
+            throw std::runtime_error("SCHED_FIFO 50 is refused");
+    }
+    bool is_round_trips() const { return kind == "round-trips"; }
+    bool is_stream() const { return kind == "stream"; }
+    std::string there() const { return topic + (near ? "/there" : "/back"); }
+    std::string back() const { return topic + (near ? "/back" : "/there"); }
+};
+
+inline void say(const std::string& line) {
+    static std::mutex out;
+    std::lock_guard<std::mutex> lock(out);
+    fwrite(line.data(), 1, line.size(), stdout);
+    fputc('\n', stdout);
+    fflush(stdout);
+}
+
+// Set when standard input is closed.
+inline std::atomic<bool>& stop_flag() {
+    static std::atomic<bool> stop{false};
+    static std::thread reader([] {
+        char buffer[256];
+        while (read(0, buffer, sizeof buffer) > 0) {
+        }
+        stop = true;
+    });
+    if (reader.joinable()) reader.detach();
+    return stop;
+}
+
+inline void wait_for_stop() {
+    while (!stop_flag()) sleep_until(monotonic_ns() + 20000000);
+}
+
+struct Stamp {
+    uint64_t number = 0, sent_ns = 0;
+
+    void write(void* out, size_t bytes, bool whole) const {
+        auto* to = static_cast<uint8_t*>(out);
+        if (whole)
+            for (size_t at = 16; at + 8 <= bytes; at += 8) memcpy(to + at, &number, 8);
+        memcpy(to, &number, 8);
+        memcpy(to + 8, &sent_ns, 8);
+    }
+    static Stamp read(const void* in, size_t bytes, bool whole) {
+        auto* from = static_cast<const uint8_t*>(in);
+        Stamp stamp;
+        memcpy(&stamp.number, from, 8);
+        memcpy(&stamp.sent_ns, from + 8, 8);
+        uint64_t difference = 0;
+        if (whole)
+            for (size_t at = 16; at + 8 <= bytes; at += 8) {
+                uint64_t word;
+                memcpy(&word, from + at, 8);
+                difference |= word ^ stamp.number;
+            }
+        if (difference != 0) {
+            fprintf(stderr, "message %lu arrived damaged\n", stamp.number);
+            _exit(1);
+        }
+        return stamp;
+    }
+};
+
+// This process's share of resident memory: what several have mapped counts in part for each.
+inline uint64_t memory_kib() {
+    unsigned long kib = 0;
+    if (FILE* file = fopen("/proc/self/smaps_rollup", "r")) {
+        char line[256];
+        while (fgets(line, sizeof line, file) != nullptr && sscanf(line, "Pss: %lu", &kib) != 1) {
+        }
+        fclose(file);
+    }
+    return kib;
+}
+
+struct Measured {
+    std::vector<uint64_t> times_ns, numbers;
+    uint64_t lost = 0, cpu_ns = 0, memory_kib = 0, messages = 0;
+    double seconds = 0;
+
+    void say() const {
+        auto list = [](const std::vector<uint64_t>& values) {
+            std::string text = "[";
+            for (size_t index = 0; index < values.size(); index++)
+                text += (index ? "," : "") + std::to_string(values[index]);
+            return text + "]";
+        };
+        exchange::say("{\"Measured\":{\"times_ns\":" + list(times_ns) + ",\"numbers\":" + list(numbers) +
+                      ",\"lost\":" + std::to_string(lost) + ",\"cpu_ns\":" + std::to_string(cpu_ns) +
+                      ",\"memory_kib\":" + std::to_string(memory_kib) + ",\"messages\":" + std::to_string(messages) + ",\"seconds\":" + std::to_string(seconds) + "}}");
+    }
+};
+
+inline void say_ready() { say("{\"Ready\":null}"); }
+
+// The clock of round trips; its user holds a lock if several threads use it.
+class RoundTrips {
+  public:
+    explicit RoundTrips(const Job& job) : budget_ns_(job.budget_ns), created_ns_(monotonic_ns()) {
+        measured_.times_ns.reserve(1 << 18);
+    }
+    // The number to send, or 0 when enough was measured.
+    uint64_t start() {
+        uint64_t now = monotonic_ns();
+        if (since_ns_ != 0 && now - since_ns_ >= budget_ns_) return 0;
+        uint64_t warming_ns = now - connected_ns_;
+        // One that loses most of its messages warms up for ever.
+        if (since_ns_ == 0 && connected_ns_ != 0 && warming_ns >= budget_ns_ / WARM_UP_SHARE &&
+            (answers_ >= 30 || warming_ns >= budget_ns_ * 2)) {
+            since_ns_ = now;
+            cpu_ns_ = process_cpu_ns();
+        }
+        started_ns_ = now;
+        return ++number_;
+    }
+    bool end(uint64_t answer) {
+        uint64_t now = monotonic_ns();
+        if (answer != number_) return false;
+        answers_++;
+        if (connected_ns_ == 0) connected_ns_ = now;
+        if (since_ns_ != 0) measured_.times_ns.push_back((now - started_ns_) / 2);
+        return true;
+    }
+    bool is_overdue() const {
+        return monotonic_ns() - started_ns_ >= (connected_ns_ == 0 ? CONNECTING_NS : PATIENCE_NS);
+    }
+    void give_up() {
+        if (since_ns_ != 0) measured_.lost++;
+        if (connected_ns_ == 0 && monotonic_ns() - created_ns_ > 20000000000u) {
+            fprintf(stderr, "the other end did not answer in 20 s\n");
+            _exit(1);
+        }
+    }
+    Measured& measured() {
+        measured_.cpu_ns = process_cpu_ns() - cpu_ns_;
+        measured_.memory_kib = memory_kib();
+        measured_.messages = measured_.times_ns.size();
+        measured_.seconds = double(monotonic_ns() - since_ns_) / 1e9;
+        return measured_;
+    }
+
+  private:
+    Measured measured_;
+    uint64_t budget_ns_, created_ns_, number_ = 0, started_ns_ = 0, connected_ns_ = 0, since_ns_ = 0, cpu_ns_ = 0,
+                                      answers_ = 0;
+};
+
+// The near end of round trips, whose answers come in another thread.
+class Asking {
+  public:
+    Asking(const Job& job, std::function<void(Stamp)> send) : trips_(job), send_(std::move(send)) {}
+    void answered(uint64_t number) {
+        std::lock_guard<std::mutex> lock(mutex_);
+        if (trips_.end(number)) start();
+    }
+    // Until enough was measured.
+    void run() {
+        std::unique_lock<std::mutex> lock(mutex_);
+        start();
+        while (!is_done_) {
+            lock.unlock();
+            sleep_until(monotonic_ns() + CONNECTING_NS);
+            lock.lock();
+            if (!is_done_ && trips_.is_overdue()) {
+                trips_.give_up();
+                start();
+            }
+        }
+    }
+    Measured& measured() { return trips_.measured(); }
+
+  private:
+    void start() {
+        if (is_done_) return;
+        if (uint64_t number = trips_.start()) send_(Stamp{number, monotonic_ns()});
+        else is_done_ = true;
+    }
+    RoundTrips trips_;
+    std::function<void(Stamp)> send_;
+    std::mutex mutex_;
+    bool is_done_ = false;
+};
+
+// Numbers of a flow.
+struct Numbers {
+    uint64_t warm = 0, last = 0, period_ns = 0;
+
+    explicit Numbers(const Job& job) {
+        if (job.is_stream()) return;
+        double exact = job.rate * double(job.budget_ns) / 1e9 / double(job.topics);
+        auto measured = uint64_t(exact);
+        measured = std::max<uint64_t>(measured + (double(measured) < exact), 1);
+        warm = (measured + WARM_UP_SHARE - 1) / WARM_UP_SHARE;
+        last = warm + measured;
+        period_ns = uint64_t(1e9 / job.rate);
+    }
+};
+
+// The near end of a flow: says which topic gets which message when.
+class Source {
+  public:
+    explicit Source(const Job& job) : numbers_(job), topics_(job.topics), is_stream_(job.is_stream()),
+                                      budget_ns_(job.budget_ns) {}
+    bool next(size_t& topic, Stamp& stamp) {
+        topic = size_t(sent_ % topics_);
+        if (started_ns_ == 0) {
+            if (topic == 0) {
+                uint64_t pause_ns = 1000000u * ((topics_ + 9) / 10);
+                if (stop_flag()) {
+                    sent_ = 0;
+                    started_ns_ = monotonic_ns() + pause_ns;
+                }
+                sleep_until(monotonic_ns() + pause_ns);
+            }
+            if (started_ns_ == 0) sent_++;
+            stamp = Stamp{0, monotonic_ns()};
+            return true;
+        }
+        uint64_t number = sent_ / topics_ + 1, now;
+        bool is_warm;
+        if (is_stream_) {
+            now = monotonic_ns();
+            if (now > started_ns_ && now - started_ns_ >= budget_ns_ / WARM_UP_SHARE + budget_ns_) return false;
+            is_warm = now > started_ns_ && now - started_ns_ >= budget_ns_ / WARM_UP_SHARE;
+        } else {
+            sleep_until(started_ns_ + sent_ * numbers_.period_ns);
+            if (number > numbers_.last) return false;
+            now = monotonic_ns();
+            is_warm = number > numbers_.warm;
+        }
+        if (is_warm && since_ns_ == 0) {
+            since_ns_ = now;
+            cpu_ns_ = process_cpu_ns();
+            before_ = sent_;
+        }
+        sent_++;
+        stamp = Stamp{number, now};
+        return true;
+    }
+    Measured measured() const {
+        Measured measured;
+        measured.cpu_ns = process_cpu_ns() - cpu_ns_;
+        measured.seconds = double(monotonic_ns() - since_ns_) / 1e9;
+        measured.memory_kib = memory_kib();
+        measured.messages = sent_ - before_;
+        return measured;
+    }
+
+  private:
+    Numbers numbers_;
+    uint64_t topics_, sent_ = 0, started_ns_ = 0, since_ns_ = 0, cpu_ns_ = 0, before_ = 0;
+    bool is_stream_;
+    uint64_t budget_ns_;
+};
+
+// The far end of a flow: what arrives at all subscriptions of the process.
+class Sink {
+  public:
+    class Inlet {
+      public:
+        explicit Inlet(Sink& sink) : sink_(sink) { times_.reserve(ROOM / sink.topics_); }
+        void arrive(Stamp stamp) {
+            uint64_t now = monotonic_ns();
+            std::lock_guard<std::mutex> lock(mutex_);
+            if (!is_connected_) {
+                is_connected_ = true;
+                sink_.connect(now);
+            }
+            if (stamp.number == 0) return;
+            if (!sink_.is_stream_) {
+                if (stamp.number <= sink_.numbers_.warm) return;
+                begin(now);
+                received_++;
+                times_.emplace_back(stamp.number, now > stamp.sent_ns ? now - stamp.sent_ns : 0);
+            } else {
+                if (first_ns_ == 0) first_ns_ = now;
+                if (since_ns_ != 0) {
+                    received_++;
+                    if (stamp.number > last_number_ + 1) lost_ += stamp.number - last_number_ - 1;
+                    if (received_ % SAMPLED == 0 && times_.size() < ROOM) {
+                        times_.emplace_back(stamp.number, (now - sampled_ns_) / SAMPLED);
+                        sampled_ns_ = now;
+                    }
+                } else if (now - first_ns_ >= sink_.budget_ns_ / WARM_UP_SHARE) {
+                    begin(now);
+                    sampled_ns_ = now;
+                }
+                last_number_ = stamp.number;
+            }
+            last_ns_ = now;
+        }
+
+      private:
+        friend class Sink;
+        void begin(uint64_t now) {
+            if (since_ns_ == 0) since_ns_ = now;
+            uint64_t none = 0;
+            if (sink_.cpu_ns_ == 0) sink_.cpu_ns_.compare_exchange_strong(none, process_cpu_ns());
+        }
+        Sink& sink_;
+        std::mutex mutex_;
+        bool is_connected_ = false;
+        std::vector<std::pair<uint64_t, uint64_t>> times_;
+        uint64_t received_ = 0, lost_ = 0, last_number_ = 0, first_ns_ = 0, since_ns_ = 0, sampled_ns_ = 0, last_ns_ = 0;
+    };
+
+    explicit Sink(const Job& job) : numbers_(job), topics_(job.topics), is_stream_(job.is_stream()),
+                                    budget_ns_(job.budget_ns) {
+        for (size_t index = 0; index < job.topics * job.subscribers; index++)
+            inlets.push_back(std::make_unique<Inlet>(*this));
+    }
+    // That of topic t is at t, t + topics, ...
+    std::vector<std::unique_ptr<Inlet>> inlets;
+
+    Measured measured() {
+        Measured measured;
+        measured.cpu_ns = process_cpu_ns() - cpu_ns_;
+        std::vector<std::pair<uint64_t, uint64_t>> arrivals;
+        for (auto& inlet : inlets) {
+            std::lock_guard<std::mutex> lock(inlet->mutex_);
+            measured.messages += inlet->received_;
+            uint64_t expected = numbers_.last - numbers_.warm;
+            if (is_stream_) measured.lost += inlet->lost_;
+            else if (expected > inlet->received_) measured.lost += expected - inlet->received_;
+            if (inlet->since_ns_ != 0)
+                measured.seconds = std::max(measured.seconds, double(inlet->last_ns_ - inlet->since_ns_) / 1e9);
+            arrivals.insert(arrivals.end(), inlet->times_.begin(), inlet->times_.end());
+        }
+        size_t subscribers = inlets.size() / topics_;
+        if (topics_ == 1 && subscribers > 1) arrivals = to_the_last(arrivals, subscribers);
+        for (auto& [number, time] : arrivals) {
+            measured.times_ns.push_back(time);
+            if (topics_ == 1) measured.numbers.push_back(number);
+        }
+        return measured;
+    }
+
+  private:
+    static std::vector<std::pair<uint64_t, uint64_t>> to_the_last(std::vector<std::pair<uint64_t, uint64_t>> arrivals,
+                                                                  size_t receivers) {
+        std::sort(arrivals.begin(), arrivals.end());
+        std::vector<std::pair<uint64_t, uint64_t>> last;
+        for (size_t from = 0, to; from < arrivals.size(); from = to) {
+            for (to = from; to < arrivals.size() && arrivals[to].first == arrivals[from].first;) to++;
+            if (to - from == receivers) last.push_back(arrivals[to - 1]);
+        }
+        return last;
+    }
+    void connect(uint64_t now) {
+        uint64_t none = 0;
+        first_ns_.compare_exchange_strong(none, now);
+        if (++connected_ == inlets.size())
+            say("{\"Connected\":{\"first_ns\":" + std::to_string(first_ns_) + ",\"all_ns\":" + std::to_string(now) + "}}");
+    }
+
+    Numbers numbers_;
+    size_t topics_;
+    bool is_stream_;
+    uint64_t budget_ns_;
+    std::atomic<size_t> connected_{0};
+    std::atomic<uint64_t> first_ns_{0}, cpu_ns_{0};
+};
+
+}  // namespace exchange

@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! r2r as its examples have it: one thread that spins and runs its callbacks; `std_msgs/msg/UInt8MultiArray`.
+//!
+//! `typed`: messages are Rust structs. `native`: messages are the middleware's C structs, made once and written and read in
+//! place. Loans are for types of a fixed size, and no package of ROS 2 has one that carries these payloads.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use futures::stream::LocalBoxStream;
+use futures::{FutureExt, StreamExt};
+use r2r::std_msgs::msg::UInt8MultiArray;
+use r2r::{Context, Node, QosProfile};
+use tautline_exchange::{
+    Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
+};
+use tautline_rt::clock::monotonic_ns;
+
+/// How often it is looked whether the end has come.
+const LOOK: Duration = Duration::from_millis(50);
+
+fn main() -> ExitCode {
+    let job = std::env::args().nth(1).unwrap_or_default();
+    match Job::begin(&job).and_then(|job| run(&job)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("compare-r2r: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(job: &Job) -> Result<()> {
+    let (own, stop) = (job.clone(), stop_flag());
+    // The middleware's threads inherit the priority.
+    job.as_application(move || {
+        let name = if own.role == Role::Near { "near" } else { "far" };
+        let node = Node::create(Context::create()?, name, "")?;
+        match (own.exchange, own.role) {
+            (Exchange::RoundTrips, _) => round_trips(node, &own, &stop),
+            (_, Role::Near) => send_flow(node, &own, stop),
+            (_, Role::Far) => receive_flow(node, &own, &stop),
+        }
+    })
+}
+
+fn round_trips(mut node: Node, job: &Job, stop: &AtomicBool) -> Result<()> {
+    let [to, from] = job.topics();
+    let (out, input) = (Outlet::new(&mut node, job, &to)?, stamps(&mut node, job, &from)?);
+    let mut end = End { node, out, input };
+    match job.role {
+        Role::Near => {
+            if let Some(measured) = drive(job, &mut end)? {
+                say(&Line::Measured(measured));
+            }
+        }
+        Role::Far => {
+            say(&Line::Ready(None));
+            while !stop.load(Ordering::Relaxed) {
+                if let Some(number) = end.receive(LOOK)? {
+                    end.send(number)?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn send_flow(mut node: Node, job: &Job, stop: Arc<AtomicBool>) -> Result<()> {
+    let open = |index| Outlet::new(&mut node, job, &format!("{}/t{index}", job.topic));
+    let mut outlets = (0..job.way.topics).map(open).collect::<Result<Vec<_>>>()?;
+    let mut source = Source::new(job, stop);
+    while let Some((topic, stamp)) = source.next() {
+        outlets[topic].send(stamp)?;
+    }
+    say(&Line::Measured(source.measured()));
+    // What is under way is repeated from its history.
+    std::thread::sleep(LOOK * 2);
+    Ok(())
+}
+
+fn receive_flow(mut node: Node, job: &Job, stop: &AtomicBool) -> Result<()> {
+    let sink = Sink::new(job);
+    let mut inputs: Vec<(Input, Inlet)> = Vec::new();
+    for (topic, inlet) in sink.inlets(job) {
+        inputs.push((stamps(&mut node, job, &format!("{}/t{topic}", job.topic))?, inlet));
+    }
+    say(&Line::Ready(None));
+    while !stop.load(Ordering::Relaxed) {
+        node.spin_once(LOOK);
+        for (input, inlet) in &mut inputs {
+            while let Some(Some(stamp)) = input.next().now_or_never() {
+                inlet.arrive(stamp?);
+            }
+        }
+    }
+    say(&Line::Measured(sink.measured()));
+    Ok(())
+}
+
+struct End {
+    node: Node,
+    out: Outlet,
+    input: Input,
+}
+
+impl Link for End {
+    fn send(&mut self, number: u64) -> Result<()> {
+        self.out.send(Stamp { number, sent_ns: monotonic_ns() })
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        let end_ns = monotonic_ns() + patience.as_nanos() as u64;
+        loop {
+            if let Some(Some(stamp)) = self.input.next().now_or_never() {
+                return Ok(Some(stamp?.number));
+            }
+            let now = monotonic_ns();
+            if now >= end_ns {
+                return Ok(None);
+            }
+            self.node.spin_once(Duration::from_nanos(end_ns - now));
+        }
+    }
+}
+
+fn qos(job: &Job) -> QosProfile {
+    let depth = if job.exchange == Exchange::RoundTrips { 1 } else { 10 };
+    QosProfile::default().reliable().keep_last(depth)
+}
+
+/// A publisher and its message, made once.
+struct Outlet {
+    send: Box<dyn FnMut(Stamp) -> Result<()>>,
+}
+
+impl Outlet {
+    fn new(node: &mut Node, job: &Job, topic: &str) -> Result<Self> {
+        let mut message = UInt8MultiArray { data: vec![0; job.payload_bytes], ..Default::default() };
+        let publisher = node.create_publisher::<UInt8MultiArray>(topic, qos(job))?;
+        let whole = job.way.whole;
+        if !is_native(job) {
+            let send = move |stamp: Stamp| {
+                stamp.write(&mut message.data, whole);
+                Ok(publisher.publish(&message)?)
+            };
+            return Ok(Outlet { send: Box::new(send) });
+        }
+        // Of a type that cannot be loaned this is memory of its own.
+        let mut native = publisher.borrow_loaned_message()?;
+        native.data.update(&message.data);
+        let send = move |stamp: Stamp| {
+            // SAFETY: a sequence owns `size` bytes at `data`, and nobody else has this one.
+            let bytes = unsafe { std::slice::from_raw_parts_mut(native.data.data, native.data.size) };
+            stamp.write(bytes, whole);
+            Ok(publisher.publish_native(&mut native)?)
+        };
+        Ok(Outlet { send: Box::new(send) })
+    }
+
+    fn send(&mut self, stamp: Stamp) -> Result<()> {
+        (self.send)(stamp)
+    }
+}
+
+fn is_native(job: &Job) -> bool {
+    job.way.mode == "native"
+}
+
+type Input = LocalBoxStream<'static, Result<Stamp>>;
+
+/// What is read of the messages of a topic.
+fn stamps(node: &mut Node, job: &Job, topic: &str) -> Result<Input> {
+    let whole = job.way.whole;
+    Ok(if is_native(job) {
+        let messages = node.subscribe_native::<UInt8MultiArray>(topic, qos(job))?;
+        let stamps = messages.map(move |message| {
+            // SAFETY: a sequence owns `size` bytes at `data`.
+            let bytes = unsafe { std::slice::from_raw_parts(message.data.data, message.data.size) };
+            Stamp::read(bytes, whole)
+        });
+        stamps.boxed_local()
+    } else {
+        let messages = node.subscribe::<UInt8MultiArray>(topic, qos(job))?;
+        messages.map(move |message| Stamp::read(&message.data, whole)).boxed_local()
+    })
+}

@@ -1,0 +1,276 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The report as one page that needs nothing else.
+
+use std::fmt::Write;
+
+use tautline_benches::page::{STYLE, escape, list};
+
+use crate::Result;
+use crate::figures::{Bar, bars, distributions, fan_out, latency_by_size};
+use crate::load::LOAD;
+use crate::modes::{MODES, SYSTEMS, strengths};
+use crate::plan::Plan;
+use crate::report::{Report, Row, payload, short};
+
+/// The page.
+pub fn page(plan: &Plan, report: &Report) -> Result<String> {
+    let mut out = String::new();
+    write!(
+        out,
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Tautline beside other middleware</title>\
+         <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}</style></head><body>\n\
+         <h1>Tautline beside other middleware</h1>\n<p>One run of all systems on one machine: absolute times belong to it, \
+         ratios within the run are what is compared.</p>\n"
+    )?;
+    if !report.is_realtime {
+        out.push_str("<p class=\"late\">Measured without real-time priorities: these are not the numbers to compare.</p>\n");
+    }
+    write_verdicts(&mut out, report)?;
+    write_latency(&mut out, report)?;
+    write_bars(&mut out, report)?;
+    write_tables(&mut out, report)?;
+    write_settings(&mut out)?;
+    list(&mut out, "Method", &method())?;
+    list(&mut out, "Machine, versions, conditions", &report.machine)?;
+    if plan.quick {
+        out.push_str("<p>A quick run: fewer payloads, rounds and messages than a full one.</p>\n");
+    }
+    out.push_str("</body></html>\n");
+    Ok(out)
+}
+
+fn write_verdicts(out: &mut String, report: &Report) -> Result<()> {
+    out.push_str("<h2>What must hold</h2>\n<ul class=\"verdicts\">\n");
+    for verdict in &report.verdicts {
+        let (class, word) = match verdict.holds {
+            Some(true) => ("yes", "met"),
+            Some(false) => ("no", "MISSED"),
+            None => ("unknown", "–"),
+        };
+        let (claim, found) = (escape(&verdict.claim), escape(&verdict.found));
+        writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}</li>")?;
+    }
+    out.push_str("</ul>\n");
+    Ok(())
+}
+
+fn write_figure(out: &mut String, svg: Option<String>, caption: &str) {
+    if let Some(svg) = svg {
+        *out += &format!("<figure>\n{svg}\n<figcaption>{}</figcaption></figure>\n", escape(caption));
+    }
+}
+
+fn write_latency(out: &mut String, report: &Report) -> Result<()> {
+    let rows = &report.rows;
+    if !rows.iter().any(|row| row.experiment.starts_with("latency/")) {
+        return Ok(());
+    }
+    out.push_str("<h2>Latency by size</h2>\n");
+    for (experiment, caption) in [
+        (
+            "latency/whole/held-off",
+            "Payload written and read whole, idle states held off for all. What a system adds to the floor is its own.",
+        ),
+        (
+            "latency/untouched/held-off",
+            "Only 16 bytes of the payload are written and read, idle states held off: who copies, and who does not.",
+        ),
+        (
+            "latency/whole/as-shipped",
+            "Payload written and read whole, idle states as the machine has them, but for Tautline's own-default, which holds them off by itself.",
+        ),
+    ] {
+        write_figure(out, latency_by_size(rows, experiment)?, caption);
+    }
+    out.push_str("<h2>Distributions</h2>\n");
+    for bytes in [64, 1 << 20] {
+        let caption =
+            format!("Half round trips of {}, written and read whole, idle states held off.", payload(bytes));
+        write_figure(out, distributions(rows, "latency/whole/held-off", bytes)?, &caption);
+    }
+    Ok(())
+}
+
+fn write_bars(out: &mut String, report: &Report) -> Result<()> {
+    type Number = fn(&Row) -> Option<f64>;
+    let of = |experiment: &str, bytes: usize, number: Number, spread: fn(&Row) -> Option<(f64, f64)>| {
+        let rows =
+            report.rows.iter().filter(|row| row.experiment == experiment && row.payload_bytes == bytes);
+        rows.filter_map(|row| Some(Bar::new(row, number(row)?, spread(row)))).collect::<Vec<_>>()
+    };
+    let rounds: fn(&Row) -> Option<(f64, f64)> = |row| row.details.as_ref().map(|details| details.p50_us);
+    let to_p99: fn(&Row) -> Option<(f64, f64)> = |row| row.p50_us.zip(row.p99_us);
+    let none: fn(&Row) -> Option<(f64, f64)> = |_| None;
+    let p50: Number = |row| row.p50_us;
+    let pictures = [
+        (
+            "64 B, idle states as shipped: p50 in µs; whiskers to p99",
+            of("latency/whole/as-shipped", 64, p50, to_p99),
+            None,
+        ),
+        (
+            "1 KiB at 1 kHz, quiet: p50 in µs; whiskers to p99",
+            of("open-loop/quiet/held-off", 1024, p50, to_p99),
+            Some(500.0),
+        ),
+        (
+            "1 KiB at 1 kHz, under load: p50 in µs; whiskers to p99",
+            of("open-loop/load/held-off", 1024, p50, to_p99),
+            Some(500.0),
+        ),
+        (
+            "20 topics at 100 Hz: CPU time of all processes in % of a core",
+            of(
+                "robot/20x100Hz",
+                4096,
+                |row| row.details.as_ref().map(|details| details.cpu_share * 100.0),
+                none,
+            ),
+            None,
+        ),
+        (
+            "20 topics at 100 Hz: resident memory of all processes in MiB",
+            of("robot/20x100Hz", 4096, |row| row.rss_mib, none),
+            None,
+        ),
+        (
+            "Throughput at 64 B: 1000 messages/s",
+            of(
+                "throughput",
+                64,
+                |row| row.details.as_ref().map(|details| details.messages_per_s / 1e3),
+                none,
+            ),
+            None,
+        ),
+        (
+            "Throughput at 1 MiB: GB/s",
+            of(
+                "throughput",
+                1 << 20,
+                |row| {
+                    row.details
+                        .as_ref()
+                        .map(|details| details.messages_per_s * row.payload_bytes as f64 / 1e9)
+                },
+                none,
+            ),
+            None,
+        ),
+        (
+            "From the start of the sender to its first message: ms; whiskers are the rounds",
+            milliseconds(of("start-up/first-message", 64, p50, rounds)),
+            None,
+        ),
+        (
+            "From the start of a late receiver to its first message: ms",
+            milliseconds(of("start-up/late-joiner", 64, p50, rounds)),
+            None,
+        ),
+        (
+            "100 topics, from the start of the sender to a message on each: ms",
+            milliseconds(of("start-up/100-topics", 64, p50, rounds)),
+            None,
+        ),
+    ];
+    for (title, all, end) in pictures {
+        write_figure(out, bars(title, &all, end)?, "");
+    }
+    for (kind, caption) in [
+        (
+            "fan-out/one-process",
+            "1 MiB to subscriptions of one process: time until the last one has read it.",
+        ),
+        ("fan-out/processes", "1 MiB to one subscription in each of several processes."),
+    ] {
+        write_figure(out, fan_out(&report.rows, kind)?, caption);
+    }
+    Ok(())
+}
+
+fn milliseconds(mut bars: Vec<Bar>) -> Vec<Bar> {
+    for bar in &mut bars {
+        bar.value /= 1e3;
+        bar.spread = bar.spread.map(|(least, most)| (least / 1e3, most / 1e3));
+        bar.text = short(bar.value);
+    }
+    bars
+}
+
+fn write_tables(out: &mut String, report: &Report) -> Result<()> {
+    out.push_str(
+        "<h2>All numbers</h2>\n<p>Times in µs; CPU: of sending and receiving one message together, of fan-out to all \
+         subscriptions, in µs; memory: resident, of all processes, what they share counts once.</p>\n",
+    );
+    for (title, rows) in report.tables() {
+        write!(
+            out,
+            "<h3>{title}</h3>\n<div class=\"scroll\"><table><tr><th class=\"l\">experiment</th><th>payload</th>\
+             <th class=\"l\">system</th><th class=\"l\">mode</th><th>n</th><th>p50</th><th>p99</th><th>p99.9</th><th>max</th>\
+             <th>lost</th><th>CPU µs</th><th>MiB</th><th class=\"l\">note</th></tr>\n"
+        )?;
+        let mut previous = None;
+        for row in rows {
+            let first =
+                if previous == Some((&row.experiment, row.payload_bytes)) { "" } else { " class=\"first\"" };
+            previous = Some((&row.experiment, row.payload_bytes));
+            write!(
+                out,
+                "<tr{first}><td class=\"l\">{}</td><td>{}</td><td class=\"l\">{}</td><td class=\"l\">{}</td><td>{}</td>",
+                escape(&row.experiment),
+                payload(row.payload_bytes),
+                row.system,
+                row.mode,
+                row.n
+            )?;
+            for number in [row.p50_us, row.p99_us, row.p999_us, row.max_us] {
+                write!(out, "<td>{}</td>", number.map_or(String::new(), short))?;
+            }
+            let lost = if row.lost > 0 { " class=\"late\"" } else { "" };
+            write!(out, "<td{lost}>{}</td>", row.lost)?;
+            for number in [row.cpu_us_per_msg, row.rss_mib] {
+                write!(out, "<td>{}</td>", number.map_or(String::new(), short))?;
+            }
+            writeln!(out, "<td class=\"l\">{}</td></tr>", escape(&row.note))?;
+        }
+        out.push_str("</table></div>\n");
+    }
+    Ok(())
+}
+
+fn write_settings(out: &mut String) -> Result<()> {
+    out.push_str("<h2>Settings of each system</h2>\n<table><tr><th class=\"l\">system</th><th class=\"l\">mode</th><th class=\"l\">settings</th></tr>\n");
+    for mode in MODES {
+        writeln!(
+            out,
+            "<tr><td class=\"l\">{}</td><td class=\"l\">{}</td><td class=\"l\" style=\"white-space:normal\">{}</td></tr>",
+            mode.system,
+            mode.mode,
+            escape(mode.settings)
+        )?;
+    }
+    out.push_str("</table>\n<h2>What others do better</h2>\n<ul>\n");
+    for system in SYSTEMS.into_iter().filter(|system| !strengths(system).is_empty()) {
+        writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strengths(system)))?;
+    }
+    out.push_str("</ul>\n");
+    Ok(())
+}
+
+fn method() -> Vec<String> {
+    [
+        "Two processes (or more, of fan-out), pinned: the sender to one core, the receivers to the other; every thread that sends or receives has SCHED_FIFO 50, also those that a system starts by itself.",
+        "Every system runs in every round, directly after its rivals, in the order of the round before reversed.",
+        "Latency: a message to and fro, half of it. Written and read whole: the sender writes every byte in the place that its system gives it, the receiver looks at every byte; untouched: the first 16 bytes.",
+        "Idle states: as shipped, or held off for all by /dev/cpu_dma_latency, taken and released for each measurement. On a virtual machine leaving an idle state costs far more than any middleware.",
+        "One way: the sender stamps the message with CLOCK_MONOTONIC before it asks for memory; the receiver reads the clock when it has it. The sender keeps its rate whatever becomes of the messages.",
+        "CPU time: of latency that of one end, which sends and receives one message per round trip; else that of all processes, by their own clocks, after the warm-up, per message that was sent.",
+        "Throughput: as fast as the receiver lets the sender: keep all and reliable, or what a system has of it; times are those between arrivals, means of 16.",
+        "Start-up: from before the process is started to its message in the receiver; includes loading the program.",
+        "A message is lost if its number never arrives at a subscription, counted after the warm-up.",
+    ]
+    .map(str::to_owned)
+    .into_iter()
+    .chain([format!("Load: {LOAD}.")])
+    .collect()
+}

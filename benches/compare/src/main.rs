@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What does a user get who chooses Tautline, and what who chooses something else? One run of all of them.
+//!
+//! The same messages, payloads, priorities and cores for every system; every system runs in every round, directly after its
+//! rivals. The measuring processes are this binary again, started with `--child`, and the rivals' programs, which
+//! `cargo xtask bench compare` builds: a job on the command line, lines of JSON back, as `tautline-exchange` has them.
+//!
+//! | module | holds |
+//! |---|---|
+//! | `modes` | the systems and their ways, with the settings of each and what it does better |
+//! | `plan` | what is measured: experiments, payloads, idle states, rounds |
+//! | `rounds` | the parent: rounds to and fro, and what became of each case |
+//! | `pair`, `flow` | one measurement: round trips, or one way |
+//! | `load` | what disturbs the measurement under load |
+//! | `systems` | the systems that this binary runs itself |
+//! | `report`, `verdict` | the tables, the JSON, the ratios that must hold |
+//! | `html`, `figures` | the page |
+
+mod figures;
+mod flow;
+mod html;
+mod load;
+mod modes;
+mod pair;
+mod plan;
+mod report;
+mod rounds;
+mod systems;
+mod verdict;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::Parser;
+use modes::Programs;
+use plan::{Experiment, Plan};
+use report::Report;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tautline_benches::Disturbance;
+use tautline_exchange::APPLICATION_PRIORITY;
+use tautline_rt::{CoreSet, permission};
+
+/// What nobody handles but the person who reads it.
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+
+/// Measures Tautline beside other middleware.
+#[derive(Parser)]
+#[command(after_help = "Examples:
+  cargo xtask bench compare --quick                                   under five minutes, once it is built
+  cargo xtask bench compare --json compare.json --html compare.html   under half an hour
+  cargo xtask bench compare --systems tautline,fastdds -- --only latency,robot")]
+struct Options {
+    /// Fewer payloads, fewer and shorter rounds
+    #[arg(long)]
+    quick: bool,
+    /// A round of a few payloads, to see that everything runs; the numbers mean nothing
+    #[arg(long, conflicts_with = "quick")]
+    smoke: bool,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write the report with its pictures to FILE
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Draw the latencies by size to FILE
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Take the numbers of an earlier run from FILE instead of measuring: for --svg and the ratios
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "html"])]
+    from: Option<PathBuf>,
+    /// How often each is measured
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    rounds: Option<u32>,
+    /// Measure without real-time priorities; the numbers then say little
+    #[arg(long)]
+    no_rt: bool,
+    /// The two cores, the sender's and the receiver's [default: the first two allowed]
+    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 2)]
+    cores: Option<Vec<usize>>,
+    /// Only these experiments [default: all]
+    #[arg(long, value_name = "EXPERIMENT,...", value_delimiter = ',', value_enum)]
+    only: Vec<Experiment>,
+    /// Only these systems [default: all]
+    #[arg(long, value_name = "SYSTEM,...", value_delimiter = ',', value_parser = modes::SYSTEMS)]
+    systems: Vec<String>,
+    /// A rival's program
+    #[arg(long, value_name = "NAME=PATH")]
+    program: Vec<String>,
+    /// Why a rival is left out
+    #[arg(long, value_name = "NAME=REASON")]
+    without: Vec<String>,
+    /// Run one process of a measurement; the arguments are its system and its job
+    #[arg(long, hide = true, num_args = 2, value_names = ["SYSTEM", "JOB"])]
+    child: Option<Vec<String>>,
+}
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    let result = match (options.child.as_deref(), &options.from) {
+        (Some([system, job]), _) => {
+            systems::run(system, job).map_err(|error| error as Box<dyn std::error::Error>)
+        }
+        (_, Some(path)) => show(&options, path),
+        _ => measure(&options),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("compare: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure(options: &Options) -> Result<()> {
+    if !options.no_rt {
+        permission::realtime_permitted(APPLICATION_PRIORITY + 10)
+            .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
+    }
+    let programs = Programs::new(&options.program, &options.without)?;
+    let plan = Plan::new(options, cores(options)?, programs);
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        // The second one ends at once.
+        signal_hook::flag::register_conditional_shutdown(signal, 130, interrupted.clone())?;
+        signal_hook::flag::register(signal, interrupted.clone())?;
+    }
+    let disturbance = Disturbance::start();
+    let cells = rounds::run(&plan, &interrupted)?;
+    let report = Report::new(&plan, cells, disturbance.report());
+    report.print();
+    if let Some(path) = &options.json {
+        write(path, &report.json()?)?;
+    }
+    if let Some(path) = &options.html {
+        write(path, &html::page(&plan, &report)?)?;
+        println!("\nthe report is in {}", path.display());
+    }
+    draw(options, &report)?;
+    report.failure_of_our_own().map_or(Ok(()), |failure| Err(failure.into()))
+}
+
+/// Shows an earlier run.
+fn show(options: &Options, path: &std::path::Path) -> Result<()> {
+    let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let report = Report::of_rows(serde_json::from_str(&text)?);
+    report.print();
+    draw(options, &report)
+}
+
+fn draw(options: &Options, report: &Report) -> Result<()> {
+    let Some(path) = &options.svg else { return Ok(()) };
+    let picture = figures::latency_by_size(&report.rows, "latency/whole/held-off")?;
+    write(path, &picture.ok_or("latencies of several sizes are needed for a picture")?)
+}
+
+fn write(path: &std::path::Path, text: &str) -> Result<()> {
+    std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()).into())
+}
+
+/// The sender's and the receiver's core.
+fn cores(options: &Options) -> Result<[usize; 2]> {
+    let chosen = match &options.cores {
+        Some(cores) => cores.clone(),
+        None => CoreSet::allowed()?.iter().take(2).collect(),
+    };
+    match chosen[..] {
+        [sender, receiver] if sender != receiver => Ok([sender, receiver]),
+        _ => Err(format!("two different cores are needed, there are {chosen:?}: name them with --cores A,B")
+            .into()),
+    }
+}

@@ -1,0 +1,256 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The systems and their ways.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::Command;
+
+use crate::Result;
+
+/// All systems, in the order of the tables.
+pub const SYSTEMS: [&str; 9] =
+    ["floor", "tautline", "iceoryx2", "fastdds", "cyclonedds", "r2r", "zenoh", "hiroz", "copper"];
+
+/// How a system's processes are started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Program {
+    /// This one, with `--child`.
+    Own,
+    /// A program of this name that takes its job as JSON.
+    Json(&'static str),
+    /// A program of this name that takes its job as words `key=value`.
+    Words(&'static str),
+}
+
+/// What a mode takes part in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Everything.
+    All,
+    /// Round trips.
+    RoundTrips,
+    /// Round trips of payloads that are neither written nor read.
+    Untouched,
+    /// Round trips with idle states as shipped, for it decides about them itself.
+    AsShipped,
+    /// A floor, of payloads that are written and read whole.
+    Whole,
+}
+
+/// A way of a system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mode {
+    pub system: &'static str,
+    pub mode: &'static str,
+    pub program: Program,
+    /// Both processes on the receiver's core.
+    pub one_core: bool,
+    pub part: Part,
+    /// What was set, for the report.
+    pub settings: &'static str,
+}
+
+const fn own(system: &'static str, mode: &'static str, part: Part, settings: &'static str) -> Mode {
+    Mode { system, mode, program: Program::Own, one_core: false, part, settings }
+}
+
+const fn words(system: &'static str, mode: &'static str, settings: &'static str) -> Mode {
+    Mode { system, mode, program: Program::Words(system), one_core: false, part: Part::All, settings }
+}
+
+const fn json(system: &'static str, mode: &'static str, part: Part, settings: &'static str) -> Mode {
+    Mode { system, mode, program: Program::Json(system), one_core: false, part, settings }
+}
+
+const ZENOH: &str = "zenoh 1.10.2; two peers with one TCP link over the loopback, callbacks, answers from within them, congestion control: block; express; its threads at FIFO 50, too";
+
+/// All of them, rivals in question next to each other.
+pub const MODES: &[Mode] = &[
+    own(
+        "floor",
+        "futex",
+        Part::RoundTrips,
+        "memory that both processes map; one futex wake each way; the payload is written and read there",
+    ),
+    own("floor", "memcpy", Part::Whole, "a copy of the payload from one buffer to another within a process"),
+    own(
+        "tautline",
+        "blocking",
+        Part::All,
+        "plain message, loaned and read in place; a callback thread at FIFO 50, the sampler at FIFO 60 on the same core; reliable, keep last 10",
+    ),
+    Mode {
+        one_core: true,
+        ..own(
+            "tautline",
+            "one-core",
+            Part::RoundTrips,
+            "as blocking, with samplers and callbacks of both processes on one core",
+        )
+    },
+    own(
+        "tautline",
+        "busy-poll",
+        Part::RoundTrips,
+        "as blocking, but the callback thread polls: CallbackOptions::busy_poll",
+    ),
+    own(
+        "tautline",
+        "image",
+        Part::RoundTrips,
+        "sensor_msgs/msg/Image, a message of variable size: lengths stated, written in the loan, validated and read in place",
+    ),
+    own(
+        "tautline",
+        "own-default",
+        Part::AsShipped,
+        "as blocking, with Tautline's own default about idle states: in real-time mode it holds them off (/dev/cpu_dma_latency)",
+    ),
+    own(
+        "iceoryx2",
+        "waitset",
+        Part::All,
+        "loan_slice_uninit, an event per message, a WaitSet; safe overflow; greatest event id 1, which makes collecting cheap",
+    ),
+    own("iceoryx2", "busy-poll", Part::RoundTrips, "as waitset, but the receiver asks again and again"),
+    words(
+        "fastdds",
+        "default",
+        "listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable, keep last 1 (10 where messages come one way)",
+    ),
+    words(
+        "fastdds",
+        "tuned",
+        "as default, with shared memory alone: segment of 64 MiB, messages of up to 16 MiB without fragments",
+    ),
+    words(
+        "fastdds",
+        "data-sharing",
+        "as tuned, with a plain type, data sharing and loans on both sides: loan_sample, take without a copy",
+    ),
+    words(
+        "cyclonedds",
+        "default",
+        "C interface, an array of octets, listener; UDP as it comes; reliable, keep last 1 (10 where messages come one way)",
+    ),
+    words(
+        "cyclonedds",
+        "tuned",
+        "as default, on the loopback interface alone, with packets of up to 64 KiB and socket buffers of up to 16 MB",
+    ),
+    json(
+        "r2r",
+        "typed",
+        Part::All,
+        "r2r 0.9.7 over rmw_fastrtps_cpp; std_msgs/msg/UInt8MultiArray as a Rust struct; one thread spins and runs the callbacks; the builtin transports as they come; reliable, keep last 1 (10 where messages come one way, also for throughput, where it loses what the receiver misses)",
+    ),
+    json(
+        "r2r",
+        "native",
+        Part::All,
+        "as typed, with the C struct: publish_native of a message that is made once, subscribe_native",
+    ),
+    json("zenoh", "tcp", Part::All, ZENOH),
+    json(
+        "zenoh",
+        "tcp-ordinary",
+        Part::All,
+        "as tcp, without real-time priorities: its threads at one priority wake one another for every packet",
+    ),
+    json(
+        "zenoh",
+        "shm",
+        Part::All,
+        "as tcp, with payloads in its shared memory, allocated for each message as in z_ping_shm (block until garbage is collected)",
+    ),
+    json(
+        "hiroz",
+        "pub-sub",
+        Part::Untouched,
+        "hiroz 0.2.1 as in its z_pingpong: a node each, std_msgs/msg/ByteMultiArray whose body is made once, two peers with one TCP link; its bytes are not written again for each message",
+    ),
+];
+
+/// What else was asked for: system, mode, and why it is not measured.
+pub const NOT_JOINED: &[(&str, &str, &str)] = &[
+    (
+        "tautline",
+        "gateway",
+        "nodes over two gateways are measured by cargo xtask bench network, beside plain Zenoh and hiroz",
+    ),
+    (
+        "r2r",
+        "loaned",
+        "loans are for types of a fixed size, and no package of ROS 2 has one that carries these payloads",
+    ),
+    ("cyclonedds", "shared memory", "it needs a daemon of iceoryx 1 (RouDi)"),
+    ("copper", "-", "no program has been written for it yet; nor for dora, nor for taktora-executor"),
+];
+
+/// What a rival does better, whatever the figures say.
+pub fn strengths(system: &str) -> &'static str {
+    match system {
+        "iceoryx2" => {
+            "least time where the receiver polls or needs no more than bytes; C, C++, C# and Python bindings; runs without Linux; no process takes part but the two"
+        }
+        "fastdds" => {
+            "DDS on the wire: interoperates with other vendors; security, content filters, persistence, discovery servers; on networks without any further process; C++ and Python; many platforms"
+        }
+        "cyclonedds" => {
+            "DDS on the wire in C with a small footprint; C, C++, Python, Rust bindings; many platforms"
+        }
+        "r2r" => {
+            "every RMW of ROS 2 and its whole graph of tools; needs no other middleware than the one that is installed"
+        }
+        "zenoh" => {
+            "any topology from microcontroller to cloud, queries and storages, routers, plugins; many languages and platforms"
+        }
+        "hiroz" => "ROS 2's graph over Zenoh without a ROS 2 installation and without a gateway",
+        "copper" => {
+            "the whole schedule is compiled ahead; deterministic replay of a run; runs without an operating system"
+        }
+        _ => "",
+    }
+}
+
+/// Where the rivals' programs are, or why they are not.
+pub struct Programs {
+    paths: BTreeMap<String, PathBuf>,
+    missing: BTreeMap<String, String>,
+}
+
+impl Programs {
+    /// Of `NAME=PATH` and `NAME=REASON`.
+    pub fn new(programs: &[String], without: &[String]) -> Result<Self> {
+        let split = |text: &String| -> Result<(String, String)> {
+            let (name, rest) = text.split_once('=').ok_or_else(|| format!("{text}: not NAME=..."))?;
+            if !SYSTEMS.contains(&name) {
+                return Err(format!("{name} is none of {}", SYSTEMS.join(", ")).into());
+            }
+            Ok((name.to_owned(), rest.to_owned()))
+        };
+        let paths = programs.iter().map(|text| split(text).map(|(name, path)| (name, path.into())));
+        Ok(Programs {
+            paths: paths.collect::<Result<_>>()?,
+            missing: without.iter().map(split).collect::<Result<_>>()?,
+        })
+    }
+
+    /// A system's program.
+    ///
+    /// # Errors
+    /// Why there is none.
+    pub fn find(&self, name: &str) -> std::result::Result<&PathBuf, String> {
+        let path = self.paths.get(name);
+        path.ok_or_else(|| self.missing.get(name).cloned().unwrap_or_else(|| NOT_BUILT.to_owned()))
+    }
+
+    /// What a program of C++ says that it was built with.
+    pub fn version(&self, name: &str) -> Option<String> {
+        let output = Command::new(self.paths.get(name)?).arg("version").output().ok()?;
+        let text = String::from_utf8(output.stdout).ok()?;
+        Some(text.trim().to_owned()).filter(|text| !text.is_empty())
+    }
+}
+
+const NOT_BUILT: &str = "its program was not named: cargo xtask bench compare builds it";

@@ -1,0 +1,319 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is measured.
+
+use std::time::Duration;
+
+use clap::ValueEnum;
+
+use crate::Options;
+use crate::modes::{MODES, Mode, Part, Program, Programs};
+
+/// A question.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Experiment {
+    /// Half round trips by size
+    Latency,
+    /// One-way times of a topic at 1 kHz, with a quiet machine and under load
+    OpenLoop,
+    /// One topic of 1 MiB to many subscriptions
+    FanOut,
+    /// 20 topics at 100 Hz: CPU time, memory, losses
+    Robot,
+    /// As many messages as go through
+    Throughput,
+    /// From the start of a process to its first message
+    StartUp,
+}
+
+/// What the cores may do while they wait.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Idle {
+    /// Sleep, as the machine is set up, unless the system itself decides otherwise.
+    AsShipped,
+    /// Nothing: `/dev/cpu_dma_latency` is held at 0.
+    HeldOff,
+}
+
+/// What is done with one system.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Task {
+    /// Half round trips.
+    RoundTrips {
+        /// The payload is written and read whole.
+        whole: bool,
+    },
+    /// One way at a rate over all topics, with a disturbance or without.
+    Paced { rate: f64, topics: usize, processes: usize, subscribers: usize, is_loaded: bool },
+    /// One way, as fast as the receiver lets it.
+    Stream,
+    /// From the start of the sender, or of the receiver, to its messages on all topics.
+    Start { topics: usize, is_late_joiner: bool },
+}
+
+/// One thing to measure with one system.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    pub experiment: Experiment,
+    pub task: Task,
+    pub mode: &'static Mode,
+    pub payload_bytes: usize,
+    pub idle: Idle,
+    pub budget: Duration,
+    pub rounds: u32,
+}
+
+impl Case {
+    /// The experiment with its settings, as in the JSON.
+    pub fn experiment(&self) -> String {
+        let idle = match self.idle {
+            Idle::AsShipped => "as-shipped",
+            Idle::HeldOff => "held-off",
+        };
+        match self.task {
+            Task::RoundTrips { whole } => {
+                format!("latency/{}/{idle}", if whole { "whole" } else { "untouched" })
+            }
+            Task::Paced { is_loaded, .. } if self.experiment == Experiment::OpenLoop => {
+                format!("open-loop/{}/{idle}", if is_loaded { "load" } else { "quiet" })
+            }
+            Task::Paced { processes, subscribers, .. } if self.experiment == Experiment::FanOut => {
+                match processes {
+                    1 => format!("fan-out/one-process/{subscribers}"),
+                    _ => format!("fan-out/processes/{processes}"),
+                }
+            }
+            Task::Paced { rate, topics, .. } => format!("robot/{topics}x{}Hz", rate / topics as f64),
+            Task::Stream => "throughput".to_owned(),
+            Task::Start { is_late_joiner: true, .. } => "start-up/late-joiner".to_owned(),
+            Task::Start { topics: 1, .. } => "start-up/first-message".to_owned(),
+            Task::Start { topics, .. } => format!("start-up/{topics}-topics"),
+        }
+    }
+
+    /// The whole, for messages.
+    pub fn name(&self) -> String {
+        format!("{} {}, {}, {} B", self.mode.system, self.mode.mode, self.experiment(), self.payload_bytes)
+    }
+}
+
+/// Everything that is measured.
+pub struct Plan {
+    pub realtime: bool,
+    /// The sender's and the receiver's.
+    pub cores: [usize; 2],
+    pub cases: Vec<Case>,
+    /// The most rounds of a case.
+    pub rounds: u32,
+    pub programs: Programs,
+    /// Modes that would have taken part, and why they do not.
+    pub missing: Vec<(&'static Mode, String)>,
+    /// Those asked for; none: all.
+    systems: Vec<String>,
+    pub quick: bool,
+}
+
+/// How much of it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Extent {
+    Smoke,
+    Quick,
+    Full,
+}
+
+impl Plan {
+    pub fn new(options: &Options, cores: [usize; 2], programs: Programs) -> Self {
+        let extent = match options {
+            Options { smoke: true, .. } => Extent::Smoke,
+            Options { quick: true, .. } => Extent::Quick,
+            _ => Extent::Full,
+        };
+        let is_wanted = |mode: &&Mode| is_among(&options.systems, mode.system);
+        let (mut modes, mut missing) = (Vec::new(), Vec::new());
+        for mode in MODES.iter().filter(is_wanted) {
+            match mode.program {
+                Program::Own => modes.push(mode),
+                Program::Json(name) | Program::Words(name) => match programs.find(name) {
+                    Ok(_) => modes.push(mode),
+                    Err(reason) => missing.push((mode, reason)),
+                },
+            }
+        }
+        let mut cases = Vec::new();
+        for experiment in Experiment::value_variants() {
+            if options.only.is_empty() || options.only.contains(experiment) {
+                cases.extend(of_experiment(*experiment, extent, &modes));
+            }
+        }
+        if let Some(rounds) = options.rounds {
+            cases.iter_mut().for_each(|case| case.rounds = rounds);
+        }
+        let rounds = cases.iter().map(|case| case.rounds).max().unwrap_or(0);
+        let quick = extent != Extent::Full;
+        let systems = options.systems.clone();
+        Plan { realtime: !options.no_rt, cores, cases, rounds, programs, missing, systems, quick }
+    }
+
+    /// Whether a system was asked for.
+    pub fn is_wanted(&self, system: &str) -> bool {
+        is_among(&self.systems, system)
+    }
+
+    /// How many measurements there will be.
+    pub fn runs(&self) -> u64 {
+        self.cases.iter().map(|case| u64::from(case.rounds)).sum()
+    }
+}
+
+fn is_among(systems: &[String], system: &str) -> bool {
+    systems.is_empty() || systems.iter().any(|name| name == system)
+}
+
+/// One setting of an experiment, for every mode that takes part.
+struct Setting {
+    task: Task,
+    payload_bytes: usize,
+    idle: Idle,
+    budget_ms: u64,
+    rounds: u32,
+}
+
+fn of_experiment(experiment: Experiment, extent: Extent, modes: &[&'static Mode]) -> Vec<Case> {
+    let settings = match experiment {
+        Experiment::Latency => latency(extent),
+        Experiment::OpenLoop => open_loop(extent),
+        Experiment::FanOut => fan_out(extent),
+        Experiment::Robot => robot(extent),
+        Experiment::Throughput => throughput(extent),
+        Experiment::StartUp => start_up(extent),
+    };
+    let case = |setting: &Setting, mode| Case {
+        experiment,
+        task: setting.task,
+        mode,
+        payload_bytes: setting.payload_bytes,
+        idle: setting.idle,
+        budget: Duration::from_millis(setting.budget_ms),
+        rounds: setting.rounds,
+    };
+    let of_setting = |setting: &Setting| -> Vec<Case> {
+        modes.iter().filter(|mode| takes_part(mode, setting)).map(|mode| case(setting, mode)).collect()
+    };
+    settings.iter().flat_map(of_setting).collect()
+}
+
+fn takes_part(mode: &Mode, setting: &Setting) -> bool {
+    match (mode.part, setting.task) {
+        (Part::All, _) => true,
+        (Part::RoundTrips, Task::RoundTrips { .. }) => true,
+        (Part::Untouched, Task::RoundTrips { whole }) => !whole,
+        (Part::AsShipped, Task::RoundTrips { .. }) => setting.idle == Idle::AsShipped,
+        (Part::Whole, Task::RoundTrips { whole }) => whole && setting.idle == Idle::HeldOff,
+        _ => false,
+    }
+}
+
+/// Powers of 8, and the two sizes of which ratios are promised.
+const SIZES: [usize; 8] = [64, 512, 4 << 10, 32 << 10, 256 << 10, 1 << 20, 2 << 20, 8 << 20];
+
+fn latency(extent: Extent) -> Vec<Setting> {
+    let (whole_held, whole_shipped, untouched_held, budget_ms, rounds): (&[usize], &[usize], &[usize], _, _) =
+        match extent {
+            Extent::Smoke => (&[64, 1 << 20], &[64], &[64], 60, 1),
+            Extent::Quick => (&[64, 4 << 10, 1 << 20, 8 << 20], &[64], &[64, 8 << 20], 200, 2),
+            Extent::Full => (&SIZES, &[64, 4 << 10, 256 << 10, 8 << 20], &SIZES, 400, 3),
+        };
+    let setting = |whole, idle, sizes: &[usize]| -> Vec<Setting> {
+        let of_size = |&payload_bytes: &usize| Setting {
+            task: Task::RoundTrips { whole },
+            payload_bytes,
+            idle,
+            budget_ms,
+            rounds,
+        };
+        sizes.iter().map(of_size).collect()
+    };
+    let mut settings = setting(true, Idle::HeldOff, whole_held);
+    settings.extend(setting(false, Idle::HeldOff, untouched_held));
+    settings.extend(setting(true, Idle::AsShipped, whole_shipped));
+    settings
+}
+
+fn paced(topics: usize, rate: f64, processes: usize, subscribers: usize, is_loaded: bool) -> Task {
+    Task::Paced { rate: rate * topics as f64, topics, processes, subscribers, is_loaded }
+}
+
+fn open_loop(extent: Extent) -> Vec<Setting> {
+    let (budget_ms, rounds) = match extent {
+        Extent::Smoke => (200, 1),
+        Extent::Quick => (1500, 1),
+        Extent::Full => (3000, 3),
+    };
+    let setting = |is_loaded| Setting {
+        task: paced(1, 1000.0, 1, 1, is_loaded),
+        payload_bytes: 1 << 10,
+        idle: Idle::HeldOff,
+        budget_ms,
+        rounds,
+    };
+    vec![setting(false), setting(true)]
+}
+
+fn fan_out(extent: Extent) -> Vec<Setting> {
+    let (counts, budget_ms, rounds): (&[usize], _, _) = match extent {
+        Extent::Smoke => (&[2], 200, 1),
+        Extent::Quick => (&[1, 8], 800, 1),
+        Extent::Full => (&[1, 2, 4, 8, 16], 1000, 2),
+    };
+    let setting = |processes, subscribers| Setting {
+        task: paced(1, 50.0, processes, subscribers, false),
+        payload_bytes: 1 << 20,
+        idle: Idle::HeldOff,
+        budget_ms,
+        rounds,
+    };
+    let in_one = counts.iter().map(|&count| setting(1, count));
+    let in_many = counts.iter().filter(|&&count| count > 1).map(|&count| setting(count, 1));
+    in_one.chain(in_many).collect()
+}
+
+fn robot(extent: Extent) -> Vec<Setting> {
+    let (budget_ms, rounds) = match extent {
+        Extent::Smoke => (500, 1),
+        Extent::Quick => (3000, 1),
+        Extent::Full => (20_000, 1),
+    };
+    vec![Setting {
+        task: paced(20, 100.0, 1, 1, false),
+        payload_bytes: 4 << 10,
+        idle: Idle::AsShipped,
+        budget_ms,
+        rounds,
+    }]
+}
+
+fn throughput(extent: Extent) -> Vec<Setting> {
+    let (budget_ms, rounds) = match extent {
+        Extent::Smoke => (100, 1),
+        Extent::Quick => (500, 1),
+        Extent::Full => (1000, 3),
+    };
+    let setting =
+        |payload_bytes| Setting { task: Task::Stream, payload_bytes, idle: Idle::HeldOff, budget_ms, rounds };
+    vec![setting(64), setting(1 << 20)]
+}
+
+fn start_up(extent: Extent) -> Vec<Setting> {
+    let rounds = match extent {
+        Extent::Smoke => 1,
+        Extent::Quick => 2,
+        Extent::Full => 5,
+    };
+    let setting = |topics, is_late_joiner| Setting {
+        task: Task::Start { topics, is_late_joiner },
+        payload_bytes: 64,
+        idle: Idle::AsShipped,
+        budget_ms: 10,
+        rounds,
+    };
+    vec![setting(1, false), setting(1, true), setting(100, false)]
+}

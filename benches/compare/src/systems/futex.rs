@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The floors: one futex wake each way, and a copy of the payload within a process.
+
+use std::fs::File;
+use std::hint::black_box;
+use std::time::Duration;
+
+use tautline_exchange::{FutexPair, Job, Line, Link, Measured, Result, Role, Stamp, drive, say, stop_flag};
+use tautline_rt::clock::monotonic_ns;
+
+use super::answer;
+
+/// At least as many bytes are copied between two looks at the clock.
+const COPIED_BYTES: usize = 256 << 10;
+
+/// Runs one end; the job's endpoint is the file of the shared memory.
+pub fn run(job: &Job) -> Result<()> {
+    let (own, stop) = (job.clone(), stop_flag());
+    job.as_application(move || {
+        let path = own.endpoint.as_deref().ok_or("no file for the shared memory")?;
+        let file = File::options().read(true).write(true).open(path)?;
+        let pair = FutexPair::open(file, own.role, own.payload_bytes)?;
+        let mut end = End { pair, whole: own.way.whole };
+        match own.role {
+            Role::Near => {
+                if let Some(measured) = drive(&own, &mut end)? {
+                    say(&Line::Measured(measured));
+                }
+                Ok(())
+            }
+            Role::Far => {
+                say(&Line::Ready(own.endpoint.clone()));
+                answer(&mut end, &stop)
+            }
+        }
+    })
+}
+
+struct End {
+    pair: FutexPair,
+    whole: bool,
+}
+
+impl Link for End {
+    fn send(&mut self, number: u64) -> Result<()> {
+        let stamp = Stamp { number, sent_ns: monotonic_ns() };
+        Ok(self.pair.send(|out| stamp.write_uninit(out, self.whole))?)
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        let stamp = self.pair.receive(patience, |bytes| Stamp::read(bytes, self.whole))?;
+        Ok(stamp.transpose()?.map(|stamp| stamp.number))
+    }
+}
+
+/// How long a copy of the payload takes.
+pub fn copy(job: &Job) -> Result<()> {
+    let own = job.clone();
+    job.as_application(move || {
+        say(&Line::Measured(copies(&own)));
+        Ok(())
+    })
+}
+
+fn copies(job: &Job) -> Measured {
+    let (from, mut to) = (vec![1_u8; job.payload_bytes], vec![2_u8; job.payload_bytes]);
+    // Enough of them that the clock costs nothing.
+    let copies = (COPIED_BYTES / job.payload_bytes).max(1) as u64;
+    let mut measured = Measured::default();
+    let start_ns = monotonic_ns();
+    let mut now = start_ns;
+    while now - start_ns < job.budget.as_nanos() as u64 {
+        for _ in 0..copies {
+            to.copy_from_slice(black_box(&from));
+            black_box(&mut to);
+        }
+        let before = std::mem::replace(&mut now, monotonic_ns());
+        measured.times_ns.push((now - before) / copies);
+    }
+    measured
+}

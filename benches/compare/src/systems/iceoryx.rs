@@ -1,0 +1,286 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! iceoryx2 as its users write it: a loan per message, and either polling or an event service with a `WaitSet`.
+
+use std::hint::spin_loop;
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path as FilePath;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::*;
+use tautline_exchange::{
+    Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
+};
+use tautline_rt::clock::monotonic_ns;
+
+use super::{LOOK, answer};
+
+/// Samples that wait: as many as the other systems keep.
+const DEPTH: usize = 10;
+
+/// Runs one end. The job's endpoint is the directory of its files, whose name starts those in shared memory.
+pub fn run(job: &Job) -> Result<()> {
+    // Before there is a thread that polls on this core.
+    let (own, stop) = (job.clone(), stop_flag());
+    job.as_application(move || {
+        let node = node(&own)?;
+        match (own.exchange, own.role) {
+            (Exchange::RoundTrips, _) => round_trips(&node, &own, &stop),
+            (_, Role::Near) => send_flow(&node, &own, stop),
+            (_, Role::Far) => receive_flow(&node, &own, &stop),
+        }
+    })
+}
+
+fn round_trips(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
+    let [to, from] = job.topics();
+    let (out, input) = (Outlet::open(node, job, &to)?, node.input(job, &from)?);
+    let listening = match input.listener {
+        Some(_) => Some(waitset()?),
+        None => None,
+    };
+    let guard = match (&listening, &input.listener) {
+        (Some(waitset), Some(listener)) => Some(waitset.attach_notification(listener)?),
+        _ => None,
+    };
+    let mut end = End { out, input: &input, waitset: listening.as_ref(), whole: job.way.whole };
+    match job.role {
+        Role::Near => {
+            if let Some(measured) = drive(job, &mut end)? {
+                say(&Line::Measured(measured));
+            }
+        }
+        Role::Far => {
+            say(&Line::Ready(job.endpoint.clone()));
+            answer(&mut end, stop)?;
+        }
+    }
+    drop(guard);
+    Ok(())
+}
+
+fn send_flow(node: &Node<ipc::Service>, job: &Job, stop: Arc<AtomicBool>) -> Result<()> {
+    let open = |index| Outlet::open(node, job, &format!("{}/{index}", job.topic));
+    let outlets = (0..job.way.topics).map(open).collect::<Result<Vec<_>>>()?;
+    let mut source = Source::new(job, stop);
+    while let Some((topic, stamp)) = source.next() {
+        outlets[topic].send(stamp, job.way.whole)?;
+    }
+    say(&Line::Measured(source.measured()));
+    // What it sent is read from its memory.
+    std::thread::sleep(LOOK);
+    Ok(())
+}
+
+fn receive_flow(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
+    let sink = Sink::new(job);
+    let mut inputs: Vec<(Input, Inlet)> = Vec::new();
+    for (topic, inlet) in sink.inlets(job) {
+        inputs.push((node.input(job, &format!("{}/{topic}", job.topic))?, inlet));
+    }
+    say(&Line::Ready(job.endpoint.clone()));
+    if job.way.mode == BUSY_POLL {
+        poll(&inputs, job, stop)?;
+    } else {
+        wait(&inputs, job, stop)?;
+    }
+    say(&Line::Measured(sink.measured()));
+    Ok(())
+}
+
+fn poll(inputs: &[(Input, Inlet)], job: &Job, stop: &AtomicBool) -> Result<()> {
+    while !stop.load(Ordering::Relaxed) {
+        for (input, inlet) in inputs {
+            if let Some(stamp) = input.take(job.way.whole)? {
+                inlet.arrive(stamp);
+            }
+        }
+        spin_loop();
+    }
+    Ok(())
+}
+
+fn wait(inputs: &[(Input, Inlet)], job: &Job, stop: &AtomicBool) -> Result<()> {
+    let waitset = waitset()?;
+    let mut guards = Vec::new();
+    for (input, inlet) in inputs {
+        let listener = input.listener.as_ref().ok_or("no listener")?;
+        guards.push((waitset.attach_notification(listener)?, listener, input, inlet));
+    }
+    while !stop.load(Ordering::Relaxed) {
+        let mut failed = None;
+        let on_event = |id: WaitSetAttachmentId<ipc::Service>| {
+            for (guard, listener, input, inlet) in &guards {
+                if id.has_event_from(guard) {
+                    failed = collect(listener, input, inlet, job.way.whole).err();
+                }
+            }
+            CallbackProgression::Continue
+        };
+        waitset.wait_and_process_once_with_timeout(on_event, LOOK)?;
+        if let Some(error) = failed {
+            return Err(error);
+        }
+    }
+    Ok(())
+}
+
+fn collect(listener: &Listener<ipc::Service>, input: &Input, inlet: &Inlet, whole: bool) -> Result<()> {
+    // Until none is left: iceoryx2 0.10 stops waking a listener that collects once per wake-up.
+    while listener.try_wait(|_| {})? > 0 {}
+    while let Some(stamp) = input.take(whole)? {
+        inlet.arrive(stamp);
+    }
+    Ok(())
+}
+
+const BUSY_POLL: &str = "busy-poll";
+
+struct End<'a> {
+    out: Outlet,
+    input: &'a Input,
+    /// `None`: it polls.
+    waitset: Option<&'a WaitSet<ipc::Service>>,
+    whole: bool,
+}
+
+impl Link for End<'_> {
+    fn send(&mut self, number: u64) -> Result<()> {
+        self.out.send(Stamp { number, sent_ns: monotonic_ns() }, self.whole)
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        let end_ns = monotonic_ns() + patience.as_nanos() as u64;
+        loop {
+            match (self.waitset, &self.input.listener) {
+                (Some(waitset), Some(listener)) => {
+                    let proceed = |_| CallbackProgression::Continue;
+                    waitset.wait_and_process_once_with_timeout(proceed, patience)?;
+                    while listener.try_wait(|_| {})? > 0 {}
+                    if let Some(stamp) = self.input.take(self.whole)? {
+                        return Ok(Some(stamp.number));
+                    }
+                }
+                // The clock is looked at too seldom to slow the polling down.
+                _ => {
+                    for _ in 0..1024 {
+                        if let Some(stamp) = self.input.take(self.whole)? {
+                            return Ok(Some(stamp.number));
+                        }
+                        spin_loop();
+                    }
+                }
+            }
+            if monotonic_ns() > end_ns {
+                return Ok(None);
+            }
+        }
+    }
+}
+
+fn waitset() -> Result<WaitSet<ipc::Service>> {
+    Ok(WaitSetBuilder::new().signal_handling_mode(SignalHandlingMode::Disabled).create::<ipc::Service>()?)
+}
+
+struct Outlet {
+    publisher: Publisher<ipc::Service, [u8], ()>,
+    notifier: Option<Notifier<ipc::Service>>,
+    bytes: usize,
+}
+
+impl Outlet {
+    fn open(node: &Node<ipc::Service>, job: &Job, topic: &str) -> Result<Self> {
+        let factory = node.topic(job, topic)?;
+        let publisher = factory.publisher_builder().initial_max_slice_len(job.payload_bytes);
+        let publisher = publisher.allocation_strategy(AllocationStrategy::Static).create()?;
+        let notifier = match job.way.mode == BUSY_POLL {
+            true => None,
+            false => Some(node.event(job, topic)?.notifier_builder().create()?),
+        };
+        Ok(Outlet { publisher, notifier, bytes: job.payload_bytes })
+    }
+
+    fn send(&self, stamp: Stamp, whole: bool) -> Result<()> {
+        let mut loan = self.publisher.loan_slice_uninit(self.bytes)?;
+        stamp.write_uninit(loan.payload_mut(), whole);
+        // SAFETY: shared memory that the kernel zeroed when it was made; a payload that is not written whole leaves the rest
+        // so, and its receiver reads the stamp, which is written.
+        unsafe { loan.assume_init() }.send()?;
+        if let Some(notifier) = &self.notifier {
+            notifier.notify()?;
+        }
+        Ok(())
+    }
+}
+
+struct Input {
+    subscriber: Subscriber<ipc::Service, [u8], ()>,
+    listener: Option<Listener<ipc::Service>>,
+}
+
+impl Input {
+    fn take(&self, whole: bool) -> Result<Option<Stamp>> {
+        match self.subscriber.receive()? {
+            Some(sample) => Stamp::read(sample.payload(), whole).map(Some),
+            None => Ok(None),
+        }
+    }
+}
+
+type Topic = iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
+type Event = iceoryx2::service::port_factory::event::PortFactory<ipc::Service>;
+
+trait Open {
+    fn topic(&self, job: &Job, name: &str) -> Result<Topic>;
+    fn event(&self, job: &Job, name: &str) -> Result<Event>;
+    fn input(&self, job: &Job, name: &str) -> Result<Input>;
+}
+
+impl Open for Node<ipc::Service> {
+    fn topic(&self, job: &Job, name: &str) -> Result<Topic> {
+        let name = ServiceName::new(&format!("{name}/topic"))?;
+        let topic = self.service_builder(&name).publish_subscribe::<[u8]>();
+        let topic = topic.payload_alignment(Alignment::new(8).ok_or("8 is a power of two")?);
+        let topic = match job.exchange {
+            // Holds the sender back instead of overwriting.
+            Exchange::Stream { .. } => topic.enable_safe_overflow(false).subscriber_max_buffer_size(100),
+            _ => topic.subscriber_max_buffer_size(DEPTH),
+        };
+        Ok(topic.max_publishers(1).max_subscribers(16).open_or_create()?)
+    }
+
+    fn event(&self, _job: &Job, name: &str) -> Result<Event> {
+        let name = ServiceName::new(&format!("{name}/event"))?;
+        // Collecting events costs in proportion to the greatest id: 3 µs at the default of 255.
+        let event = self.service_builder(&name).event().event_id_max_value(1);
+        Ok(event.max_notifiers(1).max_listeners(16).open_or_create()?)
+    }
+
+    fn input(&self, job: &Job, name: &str) -> Result<Input> {
+        let subscriber = self.topic(job, name)?.subscriber_builder().create()?;
+        let listener = match job.way.mode == BUSY_POLL {
+            true => None,
+            false => Some(self.event(job, name)?.listener_builder().create()?),
+        };
+        Ok(Input { subscriber, listener })
+    }
+}
+
+/// A node that shares nothing with other users of iceoryx2 on this machine.
+fn node(job: &Job) -> Result<Node<ipc::Service>> {
+    set_log_level(LogLevel::Error);
+    let directory = FilePath::new(job.endpoint.as_deref().ok_or("no directory for files")?);
+    let prefix = directory.file_name().ok_or("the directory has no name")?;
+    let mut config = Config::default();
+    config.global.prefix = FileName::new(prefix.as_bytes())?;
+    config.global.set_root_path(&Path::new(directory.as_os_str().as_bytes())?);
+    Ok(NodeBuilder::new()
+        .config(&config)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>()?)
+}

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The systems that this program runs itself, one process each.
+
+mod futex;
+mod iceoryx;
+mod tautline;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use tautline_exchange::{Job, Link, Result};
+
+/// Runs one process of a system.
+pub fn run(system: &str, job: &str) -> Result<()> {
+    let job = Job::begin(job)?;
+    match (system, job.way.mode.as_str()) {
+        ("floor", "memcpy") => futex::copy(&job),
+        ("floor", _) => futex::run(&job),
+        ("iceoryx2", _) => iceoryx::run(&job),
+        ("tautline", _) => tautline::run(&job),
+        _ => Err(format!("this program does not run {system}").into()),
+    }
+}
+
+/// How often it is looked whether the end has come.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Answers what comes with its number.
+fn answer(link: &mut dyn Link, stop: &AtomicBool) -> Result<()> {
+    while !stop.load(Ordering::Relaxed) {
+        if let Some(number) = link.receive(LOOK)? {
+            link.send(number)?;
+        }
+    }
+    Ok(())
+}

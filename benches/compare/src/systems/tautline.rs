@@ -1,0 +1,312 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Tautline as its users have it: a context, a node, callback threads, the main thread as the sampler.
+//!
+//! A plain message is bytes of a fixed number; one of variable size is a `sensor_msgs/msg/Image`. Both are written in the loan
+//! and read in place.
+
+use std::sync::mpsc;
+
+use ::tautline::{
+    CallbackOptions, Context, Limits, Loan, Message, Node, Publisher, QosProfile, Realtime, Sample,
+    Subscription, Unpublished,
+};
+use futures::StreamExt;
+use tautline_exchange::{
+    APPLICATION_PRIORITY, Exchange, Inlet, Job, Line, Measured, Result, Role, RoundTrips, Sink, Source,
+    Stamp, on_stop, say, stop_flag,
+};
+use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
+use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
+use tautline_rt::clock::monotonic_ns;
+
+/// The sampler's priority: above the callbacks'.
+const SAMPLER_PRIORITY: u8 = APPLICATION_PRIORITY + 10;
+/// Samples that wait: as many as the other systems keep.
+const DEPTH: usize = 10;
+/// The same of a stream, which holds its sender back.
+const STREAM_DEPTH: usize = 100;
+
+/// What is measured of a message.
+trait Payload: Message {
+    /// Writes and publishes one.
+    fn send(publisher: &Publisher<Self>, job: &Job, stamp: Stamp) -> Result<()>;
+    fn bytes(sample: &Sample<Self>) -> &[u8];
+}
+
+macro_rules! frames {
+    ($($bytes:literal $name:ident $ros_name:literal,)*) => {
+        $(
+            #[derive(Message, Clone, Copy)]
+            #[repr(C)]
+            #[message(name = $ros_name)]
+            struct $name {
+                bytes: [u8; $bytes],
+            }
+
+            impl Payload for $name {
+                fn send(publisher: &Publisher<Self>, job: &Job, stamp: Stamp) -> Result<()> {
+                    let mut loan = publisher.loan()?;
+                    stamp.write(&mut loan.bytes, job.way.whole);
+                    publish(loan)
+                }
+
+                fn bytes(sample: &Sample<Self>) -> &[u8] {
+                    &sample.bytes
+                }
+            }
+        )*
+
+        fn run_plain(job: &Job) -> Result<()> {
+            match job.payload_bytes {
+                $($bytes => play::<$name>(job),)*
+                bytes => Err(format!("there is no frame of {bytes} bytes").into()),
+            }
+        }
+    };
+}
+
+frames! {
+    64 Frame64B "bench_msgs/msg/Frame64B",
+    512 Frame512B "bench_msgs/msg/Frame512B",
+    1024 Frame1KiB "bench_msgs/msg/Frame1KiB",
+    4096 Frame4KiB "bench_msgs/msg/Frame4KiB",
+    32768 Frame32KiB "bench_msgs/msg/Frame32KiB",
+    262144 Frame256KiB "bench_msgs/msg/Frame256KiB",
+    1048576 Frame1MiB "bench_msgs/msg/Frame1MiB",
+    2097152 Frame2MiB "bench_msgs/msg/Frame2MiB",
+    8388608 Frame8MiB "bench_msgs/msg/Frame8MiB",
+}
+
+impl Payload for Image {
+    fn send(publisher: &Publisher<Self>, job: &Job, stamp: Stamp) -> Result<()> {
+        let sizes = ImageSizes { header: HeaderSizes { frame_id: 6 }, encoding: 5, data: job.payload_bytes };
+        let loan = publisher.loan_with(sizes)?.write(|image| {
+            image.header.frame_id.set("camera")?;
+            image.encoding.set("mono8")?;
+            image.height.set(1);
+            image.width.set(job.payload_bytes as u32);
+            image.step.set(job.payload_bytes as u32);
+            stamp.write(image.data.slice_mut(), job.way.whole);
+            image.default_rest();
+            Ok(())
+        })?;
+        publish(loan)
+    }
+
+    fn bytes(sample: &Sample<Self>) -> &[u8] {
+        sample.view().data()
+    }
+}
+
+/// Publishes, once a subscription that keeps all has room.
+fn publish<T: Message>(mut loan: Loan<'_, T>) -> Result<()> {
+    loop {
+        match loan.publish() {
+            Ok(()) => return Ok(()),
+            Err(Unpublished::Full(back)) => loan = back,
+            Err(Unpublished::Incomplete) => return Err("a message did not reach all subscriptions".into()),
+        }
+        std::thread::yield_now();
+    }
+}
+
+/// Runs one end to its end.
+pub fn run(job: &Job) -> Result<()> {
+    if job.way.mode.starts_with("image") { play::<Image>(job) } else { run_plain(job) }
+}
+
+fn play<T: Payload>(job: &Job) -> Result<()> {
+    let context = Context::builder()
+        .domain(job.domain)
+        .realtime(if job.realtime { Realtime::Required } else { Realtime::Off })
+        .sampler_priority(SAMPLER_PRIORITY)
+        .hold_idle(job.way.mode.ends_with("default"));
+    let context = match job.core {
+        Some(core) => context.sampler_core(core),
+        None => context,
+    };
+    let context = context.build()?;
+    let mut end = End::<T> {
+        node: Node::create(context.clone(), if job.role == Role::Near { "near" } else { "far" }, "")?,
+        context,
+        job: job.clone(),
+        kind: std::marker::PhantomData,
+    };
+    match (job.exchange, job.role) {
+        (Exchange::RoundTrips, Role::Near) => end.ask(),
+        (Exchange::RoundTrips, Role::Far) => end.answer(),
+        (_, Role::Near) => end.send_flow(),
+        (_, Role::Far) => end.receive_flow(),
+    }
+}
+
+struct End<T> {
+    context: Context,
+    node: Node,
+    job: Job,
+    kind: std::marker::PhantomData<T>,
+}
+
+impl<T: Payload> End<T> {
+    fn ask(&mut self) -> Result<()> {
+        let [to, from] = self.job.topics();
+        let (publisher, answers) = (self.publisher(&to)?, self.subscription(&from)?);
+        let (own, context) = (self.job.clone(), self.context.clone());
+        let (sender, outcome) = mpsc::channel();
+        let callback = self.node.spawn_callback(self.options(), async move {
+            let asked = ask(&own, publisher, answers).await;
+            let _ = sender.send(asked);
+            context.shutdown();
+        })?;
+        self.node.spin()?;
+        callback.join()?;
+        say(&Line::Measured(outcome.recv()??));
+        Ok(())
+    }
+
+    fn answer(&mut self) -> Result<()> {
+        let [to, from] = self.job.topics();
+        let (publisher, questions) = (self.publisher(&to)?, self.subscription(&from)?);
+        let (own, context) = (self.job.clone(), self.context.clone());
+        let (sender, outcome) = mpsc::channel();
+        let _callback = self.node.spawn_callback(self.options(), async move {
+            let answered = answer(&own, publisher, questions).await;
+            let _ = sender.send(answered);
+            context.shutdown();
+        })?;
+        self.shutdown_on_stop();
+        say(&Line::Ready(None));
+        self.node.spin()?;
+        // Only an error ends before the context does.
+        outcome.try_recv().unwrap_or(Ok(()))
+    }
+
+    fn send_flow(&mut self) -> Result<()> {
+        let publishers = (0..self.job.way.topics)
+            .map(|index| self.publisher(&format!("{}/t{index}", self.job.topic)))
+            .collect::<Result<Vec<_>>>()?;
+        let (own, context) = (self.job.clone(), self.context.clone());
+        let (sender, outcome) = mpsc::channel();
+        let callback = self.node.spawn_callback(self.options(), async move {
+            let _ = sender.send(send_flow(&own, publishers));
+            context.shutdown();
+        })?;
+        self.node.spin()?;
+        callback.join()?;
+        say(&Line::Measured(outcome.recv()??));
+        // What it sent is read from its memory.
+        std::thread::sleep(super::LOOK);
+        Ok(())
+    }
+
+    fn receive_flow(&mut self) -> Result<()> {
+        let sink = Sink::new(&self.job);
+        let (sender, outcome) = mpsc::channel();
+        let mut callbacks = Vec::new();
+        for (topic, inlet) in sink.inlets(&self.job) {
+            let messages = self.subscription(&format!("{}/t{topic}", self.job.topic))?;
+            let (own, context, sender) = (self.job.clone(), self.context.clone(), sender.clone());
+            callbacks.push(self.node.spawn_callback(self.options(), async move {
+                if let Err(error) = receive(&own, messages, inlet).await {
+                    let _ = sender.send(error);
+                    context.shutdown();
+                }
+            })?);
+        }
+        self.shutdown_on_stop();
+        say(&Line::Ready(None));
+        self.node.spin()?;
+        if let Ok(error) = outcome.try_recv() {
+            return Err(error);
+        }
+        say(&Line::Measured(sink.measured()));
+        Ok(())
+    }
+
+    fn shutdown_on_stop(&self) {
+        let context = self.context.clone();
+        on_stop(move || context.shutdown());
+    }
+
+    fn options(&self) -> CallbackOptions {
+        let options = CallbackOptions::fifo(APPLICATION_PRIORITY).name("callback");
+        let options = match self.job.core {
+            Some(core) => options.core(core),
+            None => options,
+        };
+        if self.job.way.mode.contains("busy-poll") { options.busy_poll() } else { options }
+    }
+
+    fn qos(&self) -> QosProfile {
+        match self.job.exchange {
+            Exchange::Stream { .. } => QosProfile::default().keep_all().depth(STREAM_DEPTH),
+            _ => QosProfile::default().keep_last(DEPTH),
+        }
+    }
+
+    fn publisher(&mut self, topic: &str) -> Result<Publisher<T>> {
+        self.limit(topic)?;
+        Ok(self.node.create_publisher(topic, self.qos())?)
+    }
+
+    fn subscription(&mut self, topic: &str) -> Result<Subscription<T>> {
+        self.limit(topic)?;
+        Ok(self.node.subscribe_loaned(topic, self.qos())?)
+    }
+
+    fn limit(&mut self, topic: &str) -> Result<()> {
+        let depth = if matches!(self.job.exchange, Exchange::Stream { .. }) { STREAM_DEPTH } else { DEPTH };
+        let message_bytes = self.job.payload_bytes + 128;
+        let limits = Limits { publishers: 1, message_bytes, depth, held: 2, loans: 2, ..Limits::default() };
+        Ok(self.node.set_topic_limits(topic, limits)?)
+    }
+}
+
+async fn ask<T: Payload>(
+    job: &Job,
+    publisher: Publisher<T>,
+    mut answers: Subscription<T>,
+) -> Result<Measured> {
+    let mut trips = RoundTrips::new(job);
+    while let Some(number) = trips.start() {
+        T::send(&publisher, job, Stamp { number, sent_ns: monotonic_ns() })?;
+        // A question that is lost ends the run: the starter's patience does.
+        while let Some(answer) = answers.next().await {
+            if trips.end(read(&answer, job)?.number) {
+                break;
+            }
+        }
+    }
+    Ok(trips.measured())
+}
+
+async fn answer<T: Payload>(
+    job: &Job,
+    publisher: Publisher<T>,
+    mut questions: Subscription<T>,
+) -> Result<()> {
+    while let Some(question) = questions.next().await {
+        let number = read(&question, job)?.number;
+        T::send(&publisher, job, Stamp { number, sent_ns: monotonic_ns() })?;
+    }
+    Ok(())
+}
+
+fn send_flow<T: Payload>(job: &Job, publishers: Vec<Publisher<T>>) -> Result<Measured> {
+    let mut source = Source::new(job, stop_flag());
+    while let Some((topic, stamp)) = source.next() {
+        T::send(&publishers[topic], job, stamp)?;
+    }
+    Ok(source.measured())
+}
+
+async fn receive<T: Payload>(job: &Job, mut messages: Subscription<T>, inlet: Inlet) -> Result<()> {
+    while let Some(message) = messages.next().await {
+        inlet.arrive(read(&message, job)?);
+    }
+    Ok(())
+}
+
+fn read<T: Payload>(message: &Sample<T>, job: &Job) -> Result<Stamp> {
+    Stamp::read(T::bytes(message), job.way.whole)
+}

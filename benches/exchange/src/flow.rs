@@ -1,0 +1,367 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! One way, from one process to subscriptions in others, whatever becomes of the messages: at a rate, or as fast as it goes.
+//!
+//! The near end sends messages of number 0 until it is told to go; by then every subscription has had one. Numbers are
+//! counted for each topic; those of the first ninth are the warm-up.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tautline_rt::clock::{monotonic_ns, process_cpu_ns, sleep_until_monotonic};
+
+use crate::Stamp;
+use crate::job::{Exchange, Job, Line, Measured, memory_kib, say};
+use crate::near::{WARM_UP_SHARE, nanoseconds};
+
+/// Between two rounds of messages of number 0, of up to ten topics.
+const GREETING_NS: u64 = 1_000_000;
+/// Of messages that come as fast as they go, one in so many is timed.
+const SAMPLED: u64 = 16;
+/// Times that are kept of each subscription.
+const ROOM: usize = 1 << 16;
+
+/// Numbers of a flow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Numbers {
+    /// The last one that is not measured.
+    warm: u64,
+    /// The last one of a flow at a rate.
+    last: Option<u64>,
+    /// Between two messages, whichever their topic.
+    period_ns: u64,
+}
+
+impl Numbers {
+    fn of(job: &Job) -> Self {
+        let rate = match job.exchange {
+            Exchange::Paced { rate } => rate,
+            Exchange::RoundTrips | Exchange::Stream { .. } => {
+                return Numbers { warm: 0, last: None, period_ns: 0 };
+            }
+        };
+        let measured = (rate * job.budget.as_secs_f64() / topics(job) as f64).ceil().max(1.0) as u64;
+        let warm = measured.div_ceil(u64::from(WARM_UP_SHARE));
+        Numbers { warm, last: Some(warm + measured), period_ns: (1e9 / rate) as u64 }
+    }
+}
+
+fn topics(job: &Job) -> usize {
+    job.way.topics.max(1)
+}
+
+/// The near end: says which topic gets which message when.
+#[derive(Debug)]
+pub struct Source {
+    numbers: Numbers,
+    topics: usize,
+    go: Arc<AtomicBool>,
+    /// Messages so far, of number 0 or, since `started_ns`, of others.
+    sent: u64,
+    started_ns: Option<u64>,
+    warm_up_ns: u64,
+    budget_ns: u64,
+    /// CPU time, clock and messages when the warm-up ended.
+    warm: Option<(u64, u64, u64)>,
+}
+
+impl Source {
+    /// Before the first message; `go` as by [`stop_flag`](crate::stop_flag).
+    #[must_use]
+    pub fn new(job: &Job, go: Arc<AtomicBool>) -> Self {
+        let budget_ns = nanoseconds(job.budget);
+        Source {
+            numbers: Numbers::of(job),
+            topics: topics(job),
+            go,
+            sent: 0,
+            started_ns: None,
+            warm_up_ns: budget_ns / u64::from(WARM_UP_SHARE),
+            budget_ns,
+            warm: None,
+        }
+    }
+
+    /// Sleeps until a message is due; returns its topic and its stamp, or `None` at the end.
+    #[expect(clippy::should_implement_trait, reason = "it sleeps")]
+    pub fn next(&mut self) -> Option<(usize, Stamp)> {
+        let topic = (self.sent % self.topics as u64) as usize;
+        let Some(started) = self.started_ns else { return Some(self.greet(topic)) };
+        let number = self.sent / self.topics as u64 + 1;
+        let is_over = match self.numbers.last {
+            Some(last) => {
+                sleep_until_monotonic(started + self.sent * self.numbers.period_ns);
+                number > last
+            }
+            None => monotonic_ns() - started >= self.warm_up_ns + self.budget_ns,
+        };
+        if is_over {
+            return None;
+        }
+        let now = monotonic_ns();
+        let is_warm = match self.numbers.last {
+            Some(_) => number > self.numbers.warm,
+            None => now - started >= self.warm_up_ns,
+        };
+        if is_warm && self.warm.is_none() {
+            self.warm = Some((process_cpu_ns(), now, self.sent));
+        }
+        self.sent += 1;
+        Some((topic, Stamp { number, sent_ns: now }))
+    }
+
+    fn greet(&mut self, topic: usize) -> (usize, Stamp) {
+        if topic == 0 {
+            let pause_ns = GREETING_NS * self.topics.div_ceil(10) as u64;
+            if self.go.load(Ordering::Relaxed) {
+                self.sent = 0;
+                self.started_ns = Some(monotonic_ns() + pause_ns);
+            }
+            sleep_until_monotonic(monotonic_ns() + pause_ns);
+        }
+        self.sent += u64::from(self.started_ns.is_none());
+        (topic, Stamp { number: 0, sent_ns: monotonic_ns() })
+    }
+
+    /// What it took.
+    #[must_use]
+    pub fn measured(&self) -> Measured {
+        let (cpu_ns, since_ns, before) = self.warm.unwrap_or_default();
+        Measured {
+            cpu_ns: process_cpu_ns() - cpu_ns,
+            seconds: (monotonic_ns() - since_ns) as f64 / 1e9,
+            messages: self.sent - before,
+            memory_kib: memory_kib("self"),
+            ..Measured::default()
+        }
+    }
+}
+
+/// The far end: what arrives at all subscriptions of the process.
+#[derive(Debug)]
+pub struct Sink {
+    numbers: Numbers,
+    topics: usize,
+    shared: Arc<Shared>,
+    inlets: Vec<Arc<Mutex<Counts>>>,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    inlets: usize,
+    connected: AtomicUsize,
+    first_ns: AtomicU64,
+    /// When the first measured message came.
+    warm_cpu_ns: AtomicU64,
+}
+
+/// One subscription's end of a [`Sink`].
+#[derive(Clone, Debug)]
+pub struct Inlet {
+    numbers: Numbers,
+    warm_up_ns: u64,
+    shared: Arc<Shared>,
+    counts: Arc<Mutex<Counts>>,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    is_connected: bool,
+    /// Number and latency; or of every sampled message the mean time since the one before.
+    times_ns: Vec<(u64, u64)>,
+    received: u64,
+    lost: u64,
+    last_number: u64,
+    /// When the first message of a stream came, and when measuring began.
+    first_ns: Option<u64>,
+    since_ns: Option<u64>,
+    sampled_ns: u64,
+    last_ns: u64,
+}
+
+impl Sink {
+    /// Before the first message.
+    #[must_use]
+    pub fn new(job: &Job) -> Self {
+        let inlets = topics(job) * job.way.subscribers.max(1);
+        let counts = || Counts { times_ns: Vec::with_capacity(ROOM / topics(job)), ..Counts::default() };
+        Sink {
+            numbers: Numbers::of(job),
+            topics: topics(job),
+            shared: Arc::new(Shared { inlets, ..Shared::default() }),
+            inlets: (0..inlets).map(|_| Arc::new(Mutex::new(counts()))).collect(),
+        }
+    }
+
+    /// The end of each subscription and its topic's index.
+    pub fn inlets(&self, job: &Job) -> Vec<(usize, Inlet)> {
+        let inlet = |(index, counts): (usize, &Arc<Mutex<Counts>>)| {
+            let inlet = Inlet {
+                numbers: self.numbers,
+                warm_up_ns: nanoseconds(job.budget) / u64::from(WARM_UP_SHARE),
+                shared: self.shared.clone(),
+                counts: counts.clone(),
+            };
+            (index % self.topics, inlet)
+        };
+        self.inlets.iter().enumerate().map(inlet).collect()
+    }
+
+    /// What has arrived. Of several subscriptions to one topic: when it had arrived at all of them.
+    #[must_use]
+    pub fn measured(&self) -> Measured {
+        let cpu_ns = process_cpu_ns() - self.shared.warm_cpu_ns.load(Ordering::Relaxed);
+        let mut measured = Measured { cpu_ns, ..Measured::default() };
+        let mut arrivals: Vec<(u64, u64)> = Vec::new();
+        for counts in &self.inlets {
+            let counts = counts.lock().unwrap_or_else(PoisonError::into_inner);
+            measured.messages += counts.received;
+            measured.lost += match self.numbers.last {
+                Some(last) => (last - self.numbers.warm).saturating_sub(counts.received),
+                None => counts.lost,
+            };
+            let seconds = counts.since_ns.map_or(0.0, |since| (counts.last_ns - since) as f64 / 1e9);
+            measured.seconds = measured.seconds.max(seconds);
+            arrivals.extend(&counts.times_ns);
+        }
+        let subscribers = self.inlets.len() / self.topics;
+        if self.topics == 1 && subscribers > 1 {
+            arrivals = to_the_last(arrivals, subscribers);
+        }
+        let (numbers, times_ns) = arrivals.into_iter().unzip();
+        measured.times_ns = times_ns;
+        measured.numbers = if self.topics == 1 { numbers } else { Vec::new() };
+        measured
+    }
+}
+
+/// The longest time of each number that arrived everywhere.
+#[must_use]
+pub fn to_the_last(mut arrivals: Vec<(u64, u64)>, receivers: usize) -> Vec<(u64, u64)> {
+    arrivals.sort_unstable();
+    let of_all = |group: &[(u64, u64)]| (group.len() == receivers).then(|| group[receivers - 1]);
+    arrivals.chunk_by(|a, b| a.0 == b.0).filter_map(of_all).collect()
+}
+
+impl Inlet {
+    /// A message has arrived.
+    pub fn arrive(&self, stamp: Stamp) {
+        let now = monotonic_ns();
+        // Nobody else holds it before the end.
+        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        if !counts.is_connected {
+            counts.is_connected = true;
+            self.connect(now);
+        }
+        if stamp.number > 0 {
+            match self.numbers.last {
+                Some(_) => self.count_paced(&mut counts, stamp, now),
+                None => self.count_streamed(&mut counts, stamp.number, now),
+            }
+        }
+    }
+
+    fn connect(&self, now: u64) {
+        let first = &self.shared.first_ns;
+        let first_ns = match first.compare_exchange(0, now, Ordering::Relaxed, Ordering::Relaxed) {
+            Ok(_) => now,
+            Err(earlier) => earlier,
+        };
+        if self.shared.connected.fetch_add(1, Ordering::Relaxed) + 1 == self.shared.inlets {
+            say(&Line::Connected { first_ns, all_ns: now });
+        }
+    }
+
+    fn begin(&self) {
+        if self.shared.warm_cpu_ns.load(Ordering::Relaxed) == 0 {
+            self.shared.warm_cpu_ns.store(process_cpu_ns(), Ordering::Relaxed);
+        }
+    }
+
+    fn count_paced(&self, counts: &mut Counts, stamp: Stamp, now: u64) {
+        if stamp.number <= self.numbers.warm {
+            return;
+        }
+        if counts.since_ns.is_none() {
+            counts.since_ns = Some(now);
+            self.begin();
+        }
+        counts.received += 1;
+        counts.last_ns = now;
+        counts.times_ns.push((stamp.number, now.saturating_sub(stamp.sent_ns)));
+    }
+
+    fn count_streamed(&self, counts: &mut Counts, number: u64, now: u64) {
+        let first = *counts.first_ns.get_or_insert(now);
+        if counts.since_ns.is_some() {
+            counts.received += 1;
+            counts.lost += number.saturating_sub(counts.last_number + 1);
+            if counts.received.is_multiple_of(SAMPLED) && counts.times_ns.len() < ROOM {
+                counts.times_ns.push((number, (now - counts.sampled_ns) / SAMPLED));
+                counts.sampled_ns = now;
+            }
+        } else if now - first >= self.warm_up_ns {
+            counts.since_ns = Some(now);
+            counts.sampled_ns = now;
+            self.begin();
+        }
+        (counts.last_number, counts.last_ns) = (number, now);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Role, Way};
+    use std::time::Duration;
+
+    fn job(exchange: Exchange, topics: usize, subscribers: usize) -> Job {
+        Job {
+            role: Role::Near,
+            exchange,
+            payload_bytes: 64,
+            budget: Duration::from_millis(8),
+            core: None,
+            realtime: false,
+            domain: 0,
+            topic: "x".into(),
+            endpoint: None,
+            way: Way { topics, subscribers, ..Way::default() },
+        }
+    }
+
+    #[test]
+    fn topics_take_turns_and_the_warm_up_is_sent_too() {
+        // 8 ms at 1000/s on two topics: 4 messages each, and one of the warm-up.
+        let job = job(Exchange::Paced { rate: 1000.0 }, 2, 1);
+        let go = Arc::new(AtomicBool::new(false));
+        let mut source = Source::new(&job, go.clone());
+        let mut next = || source.next().map(|(topic, stamp)| (topic, stamp.number));
+        assert_eq!([next(), next(), next()], [Some((0, 0)), Some((1, 0)), Some((0, 0))]);
+        go.store(true, Ordering::Relaxed);
+        let sent: Vec<_> = std::iter::from_fn(next).filter(|(_, number)| *number > 0).collect();
+        let expected: Vec<_> = (1..=5).flat_map(|number| [(0, number), (1, number)]).collect();
+        assert_eq!(sent, expected);
+        assert_eq!(source.measured().messages, 8);
+    }
+
+    #[test]
+    fn what_is_missing_at_one_of_two_subscriptions_is_lost_and_not_timed() {
+        let job = job(Exchange::Paced { rate: 1000.0 }, 1, 2);
+        let sink = Sink::new(&job);
+        for (index, (_, inlet)) in sink.inlets(&job).into_iter().enumerate() {
+            // 8 are measured, after one of the warm-up.
+            for number in (0..=9).filter(|number| index == 0 || *number != 5) {
+                inlet.arrive(Stamp { number, sent_ns: 0 });
+            }
+        }
+        let measured = sink.measured();
+        assert_eq!((measured.messages, measured.lost), (15, 1));
+        assert_eq!(measured.numbers, [2, 3, 4, 6, 7, 8, 9]);
+    }
+
+    #[test]
+    fn the_last_arrival_counts_where_all_have_it() {
+        let arrivals = vec![(1, 5), (2, 9), (1, 7), (2, 3), (3, 1)];
+        assert_eq!(to_the_last(arrivals, 2), [(1, 7), (2, 9)]);
+    }
+}

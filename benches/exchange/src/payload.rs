@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a message contains: its number and when it was sent, and the number again in each further 8 bytes of a payload that
+//! is written whole.
+
+use std::mem::MaybeUninit;
+
+use crate::Result;
+
+/// The first words of every message.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stamp {
+    /// From 1; 0 while a flow waits for its receivers.
+    pub number: u64,
+    /// `CLOCK_MONOTONIC`, before the message was asked for memory.
+    pub sent_ns: u64,
+}
+
+impl Stamp {
+    /// How many bytes it takes.
+    pub const BYTES: usize = 16;
+
+    /// Writes it, and what follows if the payload is written whole.
+    ///
+    /// # Panics
+    /// Of less than [`BYTES`](Self::BYTES).
+    pub fn write(self, out: &mut [u8], whole: bool) {
+        let (words, _) = out.as_chunks_mut::<8>();
+        self.write_words(words, whole, |word| word);
+    }
+
+    /// As [`write`](Self::write), to memory of which nobody knows what it holds.
+    ///
+    /// # Panics
+    /// Of less than [`BYTES`](Self::BYTES).
+    pub fn write_uninit(self, out: &mut [MaybeUninit<u8>], whole: bool) {
+        let (words, _) = out.as_chunks_mut::<8>();
+        self.write_words(words, whole, |word| word.map(MaybeUninit::new));
+    }
+
+    fn write_words<T: Clone>(self, words: &mut [T], whole: bool, word: impl Fn([u8; 8]) -> T) {
+        if whole {
+            words[2..].fill(word(self.number.to_ne_bytes()));
+        }
+        words[0] = word(self.number.to_ne_bytes());
+        words[1] = word(self.sent_ns.to_ne_bytes());
+    }
+
+    /// Reads it, going through all of a payload that is read whole.
+    ///
+    /// # Errors
+    /// A message that is too short, or damaged.
+    pub fn read(bytes: &[u8], whole: bool) -> Result<Stamp> {
+        let (words, _) = bytes.as_chunks::<8>();
+        let [number, sent_ns, rest @ ..] = words else {
+            return Err(format!("a message of {} bytes arrived", bytes.len()).into());
+        };
+        let stamp = Stamp { number: u64::from_ne_bytes(*number), sent_ns: u64::from_ne_bytes(*sent_ns) };
+        let rest = if whole { rest } else { &[] };
+        let difference = rest.iter().fold(0, |sum, word| sum | (u64::from_ne_bytes(*word) ^ stamp.number));
+        if difference != 0 {
+            return Err(format!("message {} of {} bytes arrived damaged", stamp.number, bytes.len()).into());
+        }
+        Ok(stamp)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn damage_is_seen_where_the_payload_is_read_whole() {
+        for whole in [false, true] {
+            let stamp = Stamp { number: 7, sent_ns: 8 };
+            // Not where words begin.
+            let mut memory = [0; 65];
+            stamp.write(&mut memory[1..], whole);
+            assert_eq!(Stamp::read(&memory[1..], whole).unwrap(), stamp);
+            memory[64] ^= 1;
+            assert_eq!(Stamp::read(&memory[1..], whole).is_err(), whole);
+            assert!(Stamp::read(&memory[..15], whole).is_err());
+        }
+    }
+}

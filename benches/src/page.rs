@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the pages of reports have in common.
+
+use std::fmt::{self, Write};
+
+/// Their looks.
+pub const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;color:#222831;max-width:1120px;margin:2em auto;padding:0 1em}\
+h1{font-size:26px;margin-bottom:.2em}h2{font-size:19px;margin:2em 0 .4em}p,li{max-width:68em}\
+figure{margin:1em 0;overflow-x:auto}figcaption{color:#666e7a;font-size:14px;max-width:68em}\
+svg{max-width:100%;height:auto}\
+table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}\
+th,td{padding:2px 9px;border-bottom:1px solid #e2e6eb;text-align:right;white-space:nowrap}\
+th{background:#f4f6f8;position:sticky;top:0}th.l,td.l{text-align:left}tr.first td{border-top:2px solid #c3cad3}\
+.late{color:#cc2026;font-weight:600}.scroll{overflow:auto;max-height:36em}\
+.verdicts{list-style:none;padding:0}.verdicts li{padding:.25em 0 .25em 6.2em;text-indent:-6.2em}\
+.verdicts b{display:inline-block;width:5.6em;text-indent:0;margin-right:.6em}\
+.yes{color:#1a7f37}.no{color:#cc2026}.unknown{color:#666e7a}";
+
+/// A heading and a list of lines.
+///
+/// # Errors
+/// The writer's.
+pub fn list(out: &mut String, title: &str, lines: &[String]) -> fmt::Result {
+    writeln!(out, "<h2>{title}</h2>\n<ul>")?;
+    for line in lines {
+        writeln!(out, "<li>{}</li>", escape(line))?;
+    }
+    out.push_str("</ul>\n");
+    Ok(())
+}
+
+/// As text of a page.
+#[must_use]
+pub fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}

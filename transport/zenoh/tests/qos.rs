@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Quality of service over the network: publishers of another host come, die and are in time, or are not, for who watches here.
+
+mod support;
+
+use std::time::Duration;
+use support::{Host, connect, string_type, until};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline_transport::{LivelinessChanged, Qos};
+
+#[test]
+fn publishers_of_another_host_are_watched_one_by_one() {
+    let a = Host::first(79, 79);
+    let b = Host::beside(&a, 80);
+    let requested = Qos { deadline: Some(Duration::from_millis(100)), ..Qos::keep_last(10) };
+    let subscription = b.subscription("/chatter", &string_type(), requested);
+    let events = b.participant.claim_slot().unwrap();
+    let mut monitor = subscription.monitor(&events);
+    let [first, second] = [(); 2].map(|()| a.publisher("/chatter", &string_type(), Qos::keep_last(10)));
+    let mut matched = 0;
+    let mut last = LivelinessChanged::default();
+    let mut look = |alive: u64| {
+        let changes = monitor.look(monotonic_ns());
+        if let Some(now) = changes.matched {
+            matched = now.current_count;
+        }
+        last = changes.liveliness.unwrap_or(last);
+        (last.alive_count == alive).then_some((matched, last))
+    };
+    let (count, _) = support::wait("both publishers", || look(2));
+    assert_eq!(count, 2);
+
+    // The deadline is the subscription's: a message of either of them keeps it.
+    let (pulse, _) = subscription.monitor(&events).deadline().unwrap();
+    for publisher in [&first, &second] {
+        connect(publisher, &[&subscription], b"probe");
+        let (before, doorbell) = (monotonic_ns(), b.participant.doorbell());
+        publisher.publish(b"in time").unwrap();
+        until("a sign of life", || doorbell.pulse_ns(pulse) > before);
+    }
+
+    drop(second);
+    let (count, changed) = support::wait("the end of one", || look(1));
+    assert_eq!((count, changed.not_alive_count), (1, 1));
+    drop((first, a));
+    let (count, changed) = support::wait("the end of the other host", || look(0));
+    assert_eq!((count, changed.alive_count_change, changed.not_alive_count), (0, -1, 1));
+}
+
+#[test]
+fn what_is_older_than_its_lifespan_is_not_delivered() {
+    let a = Host::first(81, 81);
+    let b = Host::beside(&a, 82);
+    let lifespan_ns = 200_000_000;
+    let offered = Qos { lifespan: Some(Duration::from_nanos(lifespan_ns)), ..Qos::keep_last(10) };
+    let subscription = b.subscription("/chatter", &string_type(), Qos::keep_last(10));
+    let publisher = a.publisher("/chatter", &string_type(), offered);
+    // What comes soon enough is delivered.
+    connect(&publisher, &[&subscription], b"probe");
+    let expired = || subscription.counters().expired();
+    let before = expired();
+    until("one that was too old when it was taken", || {
+        publisher.publish(b"stale").unwrap();
+        sleep_until_monotonic(monotonic_ns() + lifespan_ns);
+        assert!(subscription.try_take().unwrap().is_none());
+        expired() > before
+    });
+}

@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The comparison with other middleware: builds the rivals, those that it can, and runs all.
+
+use crate::steps::{self, Outcome, execute};
+use crate::{machine, network, r2r};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+use std::{fs, io};
+
+#[derive(clap::Args, Default)]
+#[command(after_help = "Examples:
+  cargo xtask bench compare --quick                                   under five minutes, once it is built
+  cargo xtask bench compare --json compare.json --html compare.html   under half an hour
+  cargo xtask bench compare --systems tautline,iceoryx2,fastdds -- --only latency
+
+A rival that cannot be built here is named in the report, with the reason.")]
+pub struct Options {
+    /// Fewer payloads, fewer and shorter rounds
+    #[arg(long)]
+    pub quick: bool,
+    /// Only these systems [default: all]
+    #[arg(long, value_name = "SYSTEM,...", value_delimiter = ',')]
+    pub systems: Vec<String>,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write the report with its pictures to FILE
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+    /// Passed on: see `cargo xtask bench compare -- --help`
+    #[arg(last = true)]
+    pub arguments: Vec<String>,
+}
+
+/// A system that is not in this workspace, and what makes its program.
+type Rival = (&'static str, fn() -> Result<PathBuf, String>);
+
+const RIVALS: [Rival; 5] = [
+    ("fastdds", build_fastdds),
+    ("cyclonedds", build_cyclonedds),
+    ("r2r", build_r2r),
+    ("zenoh", build_zenoh),
+    ("hiroz", network::build_hiroz),
+];
+
+pub fn run(options: &Options) -> ExitCode {
+    steps::run(&mut command(options))
+}
+
+/// Builds the rivals, and makes the command that measures.
+pub fn command(options: &Options) -> Command {
+    let mut command = steps::cargo("run --release -p tautline-compare --bin compare --");
+    let is_wanted =
+        |name: &str| options.systems.is_empty() || options.systems.iter().any(|system| system == name);
+    for (name, build) in RIVALS.iter().filter(|(name, _)| is_wanted(name)) {
+        match build() {
+            Ok(program) => command.arg(format!("--program={name}={}", program.display())),
+            Err(reason) => command.arg(format!("--without={name}={reason}")),
+        };
+    }
+    if options.quick {
+        command.arg("--quick");
+    }
+    if !options.systems.is_empty() {
+        command.arg(format!("--systems={}", options.systems.join(",")));
+    }
+    for (name, path) in [("--json", &options.json), ("--html", &options.html)] {
+        if let Some(path) = path {
+            command.arg(name).arg(path);
+        }
+    }
+    command.args(&options.arguments);
+    command
+}
+
+/// With the Fast DDS of the ROS 2 that is sourced, else with that of the wheels; some seconds.
+fn build_fastdds() -> Result<PathBuf, String> {
+    let prefix = r2r::prefix()?;
+    let mut gcc = cpp("fastdds")?;
+    gcc.command.arg("-isystem").arg(prefix.join("include")).arg("-L").arg(prefix.join("lib"));
+    // RPATH, for RUNPATH does not reach what the libraries themselves need.
+    let rpath = format!("-Wl,--disable-new-dtags,-rpath,{}/lib", prefix.display());
+    gcc.command.args(["-lfastrtps", "-lfastcdr", "-lpthread", &rpath]);
+    gcc.finish()
+}
+
+/// Debian's packages of Cyclone DDS and of what it is linked with.
+const CYCLONEDDS: [&str; 6] = [
+    "cyclonedds-dev",
+    "libddsc0debian",
+    "libiceoryx-binding-c2",
+    "libiceoryx-hoofs2",
+    "libiceoryx-platform2",
+    "libiceoryx-posh2",
+];
+
+/// With Debian's packages, unpacked under the target directory: nothing is installed.
+fn build_cyclonedds() -> Result<PathBuf, String> {
+    let root = machine::target_dir().join("compare/cyclonedds-root");
+    if !root.join("complete").exists() {
+        unpack(&root, &CYCLONEDDS).map_err(|error| format!("Debian's packages cannot be had: {error}"))?;
+    }
+    let lib = fs::read_dir(root.join("usr/lib")).map_err(|error| error.to_string())?;
+    let mut lib = lib.flatten().map(|entry| entry.path()).filter(|path| path.join("libddsc.so").exists());
+    let lib = lib.next().ok_or("the packages have no libddsc.so")?;
+    let include = root.join("usr/include");
+    let mut gcc = cpp("cyclonedds")?;
+    let by_machine = include.join(lib.file_name().unwrap_or_default());
+    gcc.command.arg("-isystem").arg(&include).arg("-isystem").arg(by_machine);
+    // All of them by name: the library's own RUNPATH hides ours from what it needs.
+    gcc.command.args(["-Wl,--no-as-needed", "-lddsc"]).arg("-L").arg(&lib);
+    for name in ["binding_c", "hoofs", "platform", "posh"] {
+        gcc.command.arg(format!("-l:libiceoryx_{name}.so.2"));
+    }
+    let rpath = format!("-Wl,--disable-new-dtags,-rpath,{}", lib.display());
+    gcc.command.args(["-lpthread", &rpath]);
+    gcc.finish()
+}
+
+/// Fetches packages and unpacks them to a folder.
+fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
+    let say = |error: io::Error| error.to_string();
+    if root.exists() {
+        fs::remove_dir_all(root).map_err(say)?;
+    }
+    fs::create_dir_all(root).map_err(say)?;
+    let succeed = |command: &mut Command| match execute(command) {
+        Outcome::Ok => Ok(()),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+    };
+    succeed(Command::new("apt-get").args(["download", "--quiet"]).args(packages).current_dir(root))?;
+    for entry in fs::read_dir(root).map_err(say)?.flatten() {
+        if entry.path().extension().is_some_and(|extension| extension == "deb") {
+            succeed(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root))?;
+            fs::remove_file(entry.path()).map_err(say)?;
+        }
+    }
+    // Written last: what was interrupted is fetched anew.
+    fs::write(root.join("complete"), packages.join("\n")).map_err(say)
+}
+
+/// A minute from cold; what it uses is built where `bench paper` has it.
+fn build_r2r() -> Result<PathBuf, String> {
+    let target = machine::target_dir().join("ros/paper-r2r");
+    let mut build = r2r::cargo("build --release --locked")?;
+    build.arg("--manifest-path").arg(machine::root().join("benches/compare/r2r/Cargo.toml"));
+    build.arg("--target-dir").arg(&target);
+    // The messages that it uses; all of them take minutes.
+    build.env("IDL_PACKAGE_FILTER", "std_msgs");
+    match execute(&mut build) {
+        Outcome::Ok => Ok(target.join("release/compare-r2r")),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+    }
+}
+
+/// Minutes from cold: a Zenoh with shared memory, which the gateway's has not.
+fn build_zenoh() -> Result<PathBuf, String> {
+    let target = machine::target_dir().join("compare/zenoh-build");
+    let mut build = steps::cargo("build --release --locked");
+    build.arg("--manifest-path").arg(machine::root().join("benches/compare/zenoh/Cargo.toml"));
+    match execute(build.arg("--target-dir").arg(&target)) {
+        Outcome::Ok => Ok(target.join("release/compare-zenoh")),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+    }
+}
+
+/// A program of one C++ file in the making.
+struct Cpp {
+    program: PathBuf,
+    command: Command,
+    is_fresh: bool,
+}
+
+fn cpp(name: &str) -> Result<Cpp, String> {
+    let folder = machine::root().join("benches/compare/cpp");
+    let source = folder.join(format!("{name}.cpp"));
+    let target = machine::target_dir().join("compare");
+    fs::create_dir_all(&target).map_err(|error| format!("{}: {error}", target.display()))?;
+    let program = target.join(name);
+    let is_fresh = is_newer(&program, &[&source, &folder.join("exchange.hpp")]).unwrap_or(false);
+    let mut command = Command::new("g++");
+    // As cargo's release profile: the loops over payloads become vectors in both.
+    command.args(["-std=c++17", "-O3", "-Wall", "-Wextra", "-Werror"]).arg(&source).arg("-o").arg(&program);
+    Ok(Cpp { program, command, is_fresh })
+}
+
+impl Cpp {
+    fn finish(mut self) -> Result<PathBuf, String> {
+        if self.is_fresh {
+            return Ok(self.program);
+        }
+        match execute(&mut self.command) {
+            Outcome::Ok => Ok(self.program),
+            Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+        }
+    }
+}
+
+fn is_newer(file: &Path, others: &[&Path]) -> io::Result<bool> {
+    let built = fs::metadata(file)?.modified()?;
+    others.iter().try_fold(true, |newer, other| Ok(newer && fs::metadata(other)?.modified()? < built))
+}
