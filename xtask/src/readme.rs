@@ -600,6 +600,33 @@ mod tests {
     }
 
     #[test]
+    fn the_comparisons_table_has_a_line_per_way_and_names_what_is_left_out() {
+        let row = |experiment: &str, system: &str, bytes: u64, n: u64| {
+            serde_json::json!({"experiment": experiment, "system": system, "mode": "m", "payload_bytes": bytes, "n": n,
+                               "p50_us": 5.0, "p99_us": 50.0, "p999_us": 500.0, "cpu_us_per_msg": 40.0,
+                               "rss_mib": 12.0, "note": "not measured: why"})
+        };
+        let held = "latency/whole/held-off";
+        let rows = [
+            row(held, "tautline", 64, 9),
+            row("robot/20x100Hz", "tautline", 4096, 9),
+            row(held, "fastdds", 64, 9),
+            row(held, "fastdds", 1 << 20, 0),
+            row("latency/untouched/held-off", "hiroz", 64, 9),
+            row("-", "copper", 0, 0),
+        ];
+        let tables = compare_tables(&rows.to_vec().into());
+        for line in [
+            "| tautline, m | 5.00 / 50.0 | - | - | - | 40.0 | 12.0 |",
+            "| fastdds, m | 5.00 / 50.0 | - | - | - | - | - |",
+            "Left out: copper, m (not measured: why).",
+        ] {
+            assert!(tables.contains(line), "{line}\n{tables}");
+        }
+        assert!(!tables.contains("hiroz"), "it has none of these numbers\n{tables}");
+    }
+
+    #[test]
     fn only_what_is_between_the_marks_changes() {
         let text = "a\n<!-- demo:begin -->\nold\n<!-- demo:end -->\nb\n";
         let new = replace(text, "demo", "table\n").unwrap();
