@@ -15,8 +15,10 @@ use tautline::rcl_interfaces::msg;
 use tautline::{Context, LogSeverity, Node, ParameterValue, QosProfile, Realtime};
 use tautline_msgs::Service;
 
-const CONTAINER: Sibling =
-    Sibling { program: "taut-container", package: "tautline-container", folder: "node/components/container" };
+const CONTAINER: Sibling = Sibling {
+    program: "taut-container",
+    build: "build it with `cargo build --release -p tautline-container`, or install it with `cargo install --path node/components/container`",
+};
 
 /// Making a component may open topics and start threads.
 const PATIENCE: Duration = Duration::from_secs(10);

@@ -5,8 +5,10 @@ use crate::sibling::{Sibling, SiblingError};
 use clap::Args;
 use std::ffi::OsString;
 
-const GATEWAY: Sibling =
-    Sibling { program: "taut-gateway", package: "tautline-gateway", folder: "transport/zenoh" };
+const GATEWAY: Sibling = Sibling {
+    program: "taut-gateway",
+    build: "build it with `cargo build --release -p tautline-gateway`, or install it with `cargo install --path transport/zenoh`",
+};
 
 /// Mirrors this host's topics over the network: one gateway per host and domain.
 ///

@@ -2,6 +2,7 @@
 //! `taut`, the command line of Tautline.
 #![forbid(unsafe_code)]
 
+mod bridge_ros;
 mod check;
 mod component;
 mod demo;
@@ -39,6 +40,7 @@ enum Verb {
     Service(service::ServiceArgs),
     Trace(trace::TraceArgs),
     Gateway(gateway::GatewayArgs),
+    BridgeRos(bridge_ros::BridgeRosArgs),
     Component(component::ComponentArgs),
 }
 
@@ -59,6 +61,7 @@ fn main() -> ExitCode {
         Verb::Node(args) => node::run(&args).map_err(|error| error.to_string()),
         Verb::Service(args) => service::run(&args).map_err(|error| error.to_string()),
         Verb::Gateway(args) => gateway::run(args).map_err(|error| error.to_string()),
+        Verb::BridgeRos(args) => bridge_ros::run(args).map_err(|error| error.to_string()),
         Verb::Component(args) => component::run(args).map_err(|error| error.to_string()),
         Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
     };

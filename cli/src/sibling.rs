@@ -10,32 +10,39 @@ use std::process::Command;
 #[derive(Debug, thiserror::Error)]
 pub enum SiblingError {
     #[error(
-        "{program} is not built: neither beside {} nor in PATH; build it with `cargo build --release -p {package}`, or install it with `cargo install --path {folder}`",
-        beside.display()
+        "{program} is not built: neither beside {} nor in PATH; {build}", beside.display()
     )]
-    Missing { program: &'static str, package: &'static str, folder: &'static str, beside: PathBuf },
+    Missing { program: &'static str, build: &'static str, beside: PathBuf },
     #[error("{} cannot be run: {source}", program.display())]
     Exec { program: PathBuf, source: std::io::Error },
 }
 
-/// A program, and the package and folder that it is built from.
+/// A program, and how to build it.
 pub struct Sibling {
     pub program: &'static str,
-    pub package: &'static str,
-    pub folder: &'static str,
+    pub build: &'static str,
 }
 
 impl Sibling {
     /// Becomes the program: the one beside this one, else the one in PATH. Does not return if it could be started.
     pub fn become_it(&self, arguments: &[OsString]) -> SiblingError {
-        let own = std::env::current_exe().unwrap_or_default();
-        let beside = own.with_file_name(self.program);
-        let program = if beside.is_file() { beside } else { self.program.into() };
+        let program = self.path();
         let source = Command::new(&program).args(arguments).exec();
+        self.error(program, source)
+    }
+
+    /// Where it is: beside this program, else to be looked for in PATH.
+    pub fn path(&self) -> PathBuf {
+        let beside = std::env::current_exe().unwrap_or_default().with_file_name(self.program);
+        if beside.is_file() { beside } else { self.program.into() }
+    }
+
+    /// Why it could not be started.
+    pub fn error(&self, program: PathBuf, source: std::io::Error) -> SiblingError {
         match source.kind() {
             std::io::ErrorKind::NotFound => {
-                let Sibling { program, package, folder } = *self;
-                SiblingError::Missing { program, package, folder, beside: own }
+                let Sibling { program, build } = *self;
+                SiblingError::Missing { program, build, beside: std::env::current_exe().unwrap_or_default() }
             }
             _ => SiblingError::Exec { program, source },
         }

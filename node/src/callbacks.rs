@@ -15,11 +15,12 @@ pub struct NodeCallbacks {
 impl NodeCallbacks {
     pub(crate) fn keep(&self, callback: &CallbackHandle) {
         let mut list = self.list.lock().unwrap_or_else(PoisonError::into_inner);
-        list.retain(|callback| !callback.is_finished());
+        // Those that panicked stay: whoever ends them is told.
+        list.retain(|callback| !(callback.is_finished() && callback.clone().join().is_ok()));
         list.push(callback.clone());
     }
 
-    /// Those that have not ended, as far as it is known.
+    /// Those that have not ended, or have panicked, as far as it is known.
     pub fn handles(&self) -> Vec<CallbackHandle> {
         self.list.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }

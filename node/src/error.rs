@@ -4,7 +4,7 @@ use crate::parameters::ParameterError;
 use std::path::PathBuf;
 use std::time::Duration;
 use tautline_executor::ExecutorError;
-use tautline_msgs::cdr::{DecodeError, WriteError};
+use tautline_msgs::cdr::{DecodeError, EncodeError, WriteError};
 use tautline_rt::RtError;
 use tautline_transport::{
     LoanError, PublishCdrError, PublishError, ServiceError, TakeError, TransportError, Unpublished, Unsent,
@@ -224,6 +224,12 @@ pub enum Error {
     /// The goal that is to be cancelled has ended.
     #[error("the goal that is to be cancelled has ended already: await its result")]
     GoalCancelAlreadyTerminated,
+    /// A message cannot be CDR.
+    #[error(transparent)]
+    Serialize(#[from] EncodeError),
+    /// Bytes are not the CDR of a message.
+    #[error(transparent)]
+    Deserialize(Box<DecodeError>),
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),
@@ -255,6 +261,12 @@ impl From<PublishCdrError> for Error {
             PublishCdrError::Invalid(error) => Error::InvalidCdr(error.into()),
             PublishCdrError::Publish(error) => Error::Publish(error),
         }
+    }
+}
+
+impl From<DecodeError> for Error {
+    fn from(error: DecodeError) -> Self {
+        Error::Deserialize(error.into())
     }
 }
 

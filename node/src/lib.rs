@@ -41,6 +41,7 @@ mod names;
 mod node;
 mod parameters;
 mod qos_events;
+mod r2r;
 mod remap;
 mod service;
 mod statistics;
@@ -81,6 +82,7 @@ pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, Rel
 pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
 };
+pub use r2r::{ROS_DISTRO, WrappedTypesupport};
 pub use remap::RemapRules;
 pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
 #[cfg(feature = "untyped")]
@@ -91,11 +93,15 @@ pub use subscription::Subscription;
 pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
-pub use untyped::{PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema};
+pub use untyped::{
+    PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, WrappedNativeMsgUntyped, find_schema,
+};
 
 pub use indexmap;
 pub use tautline_derive::RosParams;
 pub use tautline_trace::{TraceMode, TraceSettings};
+#[cfg(feature = "action_msgs")]
+pub use uuid;
 
 pub use tautline_executor::{
     Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats, CoreSet,
@@ -105,9 +111,7 @@ pub use tautline_executor::{
 pub use tautline_msgs as msgs;
 pub use tautline_msgs::{Action, Message, Plain, Service};
 /// By r2r's names.
-pub use tautline_msgs::{
-    Action as WrappedActionTypeSupport, Message as WrappedTypesupport, Service as WrappedServiceTypeSupport,
-};
+pub use tautline_msgs::{Action as WrappedActionTypeSupport, Service as WrappedServiceTypeSupport};
 #[cfg(feature = "ros_msgs")]
 #[doc(no_inline)]
 pub use tautline_ros_msgs::*;

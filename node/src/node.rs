@@ -293,6 +293,11 @@ impl Node {
         Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
     }
 
+    /// Ends a publisher, by r2r's name. Dropping it does the same.
+    pub fn destroy_publisher<T: Message>(&mut self, publisher: Publisher<T>) {
+        drop(publisher);
+    }
+
     /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
     ///
     /// # Errors

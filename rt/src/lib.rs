@@ -35,6 +35,7 @@ mod latest;
 mod memory;
 mod noise;
 mod policy;
+mod seat;
 mod sync;
 mod thread;
 mod words;
@@ -53,5 +54,6 @@ pub use memory::{
 };
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
+pub use seat::{Seat, SeatError};
 pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads};
 pub use words::{ForeignMap, ForeignWords, Words, WordsFile, page_words};

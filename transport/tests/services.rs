@@ -106,3 +106,31 @@ fn a_request_that_is_refused_has_no_answer_and_others_have_theirs() {
     let error = server.responders().refuse(RequestId::of(first.info())).unwrap_err();
     assert!(matches!(error, ServiceError::ClientGone { .. }), "{error}");
 }
+
+#[test]
+fn an_answer_that_has_no_place_yet_is_waited_for_though_its_server_has_gone() {
+    let participant = Participant::new(domain(63)).unwrap();
+    let mut server = server(&participant, "/hoarding");
+    let client = client(&participant, "/hoarding");
+    let mut held = Vec::new();
+    let mut pending = loop {
+        let mut pending = ask(&client, b"?");
+        let request = take(&mut server);
+        respond(&server, &request, b"!");
+        match (&mut pending).now_or_never() {
+            Some(response) => held.push(response.unwrap()),
+            None => break pending,
+        }
+    };
+    assert!(held.len() >= tautline_transport::MAX_PENDING_REQUESTS, "{}", held.len());
+    drop(server);
+    assert!((&mut pending).now_or_never().is_none(), "its answer is there, but no more can be held");
+    let unanswered = client.send(client.loan(0).unwrap()).is_ok();
+    held.pop();
+    assert_eq!(pending.now_or_never().unwrap().unwrap().body(), b"!");
+    assert_eq!(
+        (unanswered, client.server_count()),
+        (true, 0),
+        "by then it is known that the server has gone"
+    );
+}

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
+//! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
@@ -14,10 +15,12 @@
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
+//! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `machine` | where things are built, and what this user may do |
 
+mod bridge;
 mod compare;
 mod examples;
 mod fuzz;
@@ -26,10 +29,12 @@ mod machine;
 mod network;
 mod paper;
 mod peers;
+mod programs;
 mod r2r;
 mod readme;
 mod reports;
 mod ros;
+mod services;
 mod steps;
 mod test;
 
@@ -60,10 +65,14 @@ enum Verb {
         #[arg(long)]
         bless: bool,
     },
-    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it
+    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it, and the bridge is built with it
     Ros,
+    /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
+    Bridge,
     /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
+    /// Runs the programs of the test r2r_programs on r2r, with the ROS 2 that is sourced or that under target/ros
+    R2r,
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
@@ -150,18 +159,10 @@ enum Bench {
     Compare(compare::Options),
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
     Network(network::Options),
-    /// A request and its response, beside a topic each way and iceoryx2's request-response
-    Services {
-        /// Fewer and shorter rounds: some seconds
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-        /// Passed on: see `cargo xtask bench services -- --help`
-        #[arg(last = true)]
-        arguments: Vec<String>,
-    },
+    /// A request and its response, beside a topic each way, iceoryx2's request-response and, if there is a ROS 2, r2r's services
+    Services(services::Options),
+    /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
+    Bridge(bridge::Options),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),
 }
@@ -188,16 +189,16 @@ fn main() -> ExitCode {
             steps.finish()
         }
         Verb::Ros => ros::run(),
+        Verb::Bridge => bridge::run(),
         Verb::Peers => peers::run(),
+        Verb::R2r => programs::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
             steps::run(bench("wake", quick, json.as_deref()).args(arguments))
         }
         Verb::Bench(Bench::Messages { quick, json, arguments }) => {
             steps::run(bench("messages", quick, json.as_deref()).args(arguments))
         }
-        Verb::Bench(Bench::Services { quick, json, arguments }) => {
-            steps::run(bench("services", quick, json.as_deref()).args(arguments))
-        }
+        Verb::Bench(Bench::Services(options)) => services::run(&options),
         Verb::Bench(Bench::Deadlines { quick, json }) => {
             steps::run(&mut bench("deadlines", quick, json.as_deref()))
         }
@@ -207,6 +208,7 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Compare(options)) => compare::run(&options),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
+        Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),
         Verb::Miri => {

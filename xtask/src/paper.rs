@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The evaluation: builds r2r's side, if it can, and runs both.
 
-use crate::steps::{self, Outcome, execute};
-use crate::{machine, r2r};
+use crate::{r2r, steps};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
@@ -43,7 +42,7 @@ pub fn run(options: &Options) -> ExitCode {
 
 /// The command that measures. r2r's program is built before.
 pub fn command(options: &Options) -> Command {
-    let r2r = if options.no_r2r { Err("as --no-r2r says".to_owned()) } else { build_r2r() };
+    let r2r = if options.no_r2r { Err("as --no-r2r says".to_owned()) } else { r2r::program("paper-r2r") };
     let mut command = steps::cargo("run --release -p tautline-benches --bin paper --");
     match r2r {
         Ok(program) => command.arg("--r2r").arg(program),
@@ -65,20 +64,6 @@ pub fn command(options: &Options) -> Command {
     }
     command.args(&options.arguments);
     command
-}
-
-/// A minute from cold.
-fn build_r2r() -> Result<PathBuf, String> {
-    let target = machine::target_dir().join("ros/paper-r2r");
-    let manifest = machine::root().join("benches/paper-r2r/Cargo.toml");
-    let mut build = r2r::cargo("build --release --locked")?;
-    build.arg("--manifest-path").arg(manifest).arg("--target-dir").arg(&target);
-    // The messages that it uses; all of them take minutes.
-    build.env("IDL_PACKAGE_FILTER", "std_msgs");
-    match execute(&mut build) {
-        Outcome::Ok => Ok(target.join("release/paper-r2r")),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
-    }
 }
 
 #[cfg(test)]

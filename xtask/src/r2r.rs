@@ -14,13 +14,45 @@ const LIBCLANG: &str = "libclang==18.1.1";
 /// `cargo` with the ROS 2 that the user has sourced, else with the one under the target directory, which is made first.
 pub fn cargo(arguments: &str) -> Result<Command, String> {
     let mut command = steps::cargo(arguments);
+    let environment = environment()?;
+    if let Some((_, lib)) = environment.iter().find(|(name, _)| *name == RPATH) {
+        // RPATH, for RUNPATH does not reach what the libraries themselves need.
+        command.env("RUSTFLAGS", format!("-Clink-arg=-Wl,--disable-new-dtags,-rpath,{lib}"));
+    }
+    command.envs(environment);
+    Ok(command)
+}
+
+/// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
+pub fn program(name: &str) -> Result<PathBuf, String> {
+    let target = machine::target_dir().join("ros/paper-r2r");
+    let mut build = cargo("build --release --locked")?;
+    build.arg("--manifest-path").arg(machine::root().join("benches/paper-r2r/Cargo.toml"));
+    build.arg("--target-dir").arg(&target);
+    // The messages that the programs use; all of them take minutes.
+    build.env("IDL_PACKAGE_FILTER", "std_msgs;test_msgs");
+    match steps::execute(&mut build) {
+        Outcome::Ok => Ok(target.join("release").join(name)),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+    }
+}
+
+/// What the bridge's build script makes the rpath of.
+pub const RPATH: &str = "TAUT_ROS_RPATH";
+
+/// Variables that a build needs beside those that are set: none where a ROS 2 is sourced and the system has libclang.
+pub fn environment() -> Result<Vec<(&'static str, String)>, String> {
+    let mut variables = Vec::new();
     if env::var_os("AMENT_PREFIX_PATH").is_none() || env::var_os("ROS_DISTRO").is_none() {
-        use_wheels(&mut command)?;
+        let prefix = wheels()?;
+        let text = |path: &Path| path.display().to_string();
+        variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", "jazzy".to_owned())]);
+        variables.push((RPATH, text(&prefix.join("lib"))));
     }
     if env::var_os("LIBCLANG_PATH").is_none() && !system_has_libclang() {
-        use_pypi_libclang(&mut command)?;
+        variables.extend(pypi_libclang()?);
     }
-    Ok(command)
+    Ok(variables)
 }
 
 /// The ROS 2 that the user has sourced, else the one under the target directory, which is made first: `include` and `lib`.
@@ -32,6 +64,7 @@ pub fn prefix() -> Result<PathBuf, String> {
     }
 }
 
+/// The wheels' files in the layout of an installed ROS 2.
 fn wheels() -> Result<PathBuf, String> {
     done(ros::prepare())?;
     let prefix = machine::target_dir().join("ros/prefix");
@@ -39,12 +72,16 @@ fn wheels() -> Result<PathBuf, String> {
     Ok(prefix)
 }
 
-fn use_wheels(command: &mut Command) -> Result<(), String> {
-    let prefix = wheels()?;
-    // RPATH, for RUNPATH does not reach what the libraries themselves need.
-    let flags = format!("-Clink-arg=-Wl,--disable-new-dtags,-rpath,{}/lib", prefix.display());
-    command.env("AMENT_PREFIX_PATH", &prefix).env("ROS_DISTRO", "jazzy").env("RUSTFLAGS", flags);
-    Ok(())
+/// A file for a shell to source, with [`environment`] and the venv's Python.
+pub fn setup_file() -> Result<PathBuf, String> {
+    let mut text = String::from("# Made by `cargo xtask ros`: to be sourced.\n");
+    for (name, value) in environment()? {
+        text += &format!("export {name}='{value}'\n");
+    }
+    text += &format!(". '{}'\n", ros::venv().join("bin/activate").display());
+    let path = machine::target_dir().join("ros/setup.sh");
+    fs::write(&path, text).map_err(|error| format!("{}: {error}", path.display()))?;
+    Ok(path)
 }
 
 /// Links the wheels' files into the layout of an installed ROS 2 and adds the libraries that the wheels lack.
@@ -102,7 +139,7 @@ fn system_has_libclang() -> bool {
     llvm.iter().any(|(name, path)| name.starts_with("llvm-") && has(&path.join("lib")))
 }
 
-fn use_pypi_libclang(command: &mut Command) -> Result<(), String> {
+fn pypi_libclang() -> Result<[(&'static str, String); 2], String> {
     done(ros::prepare())?;
     let native = ros::venv().join("lib/python3.11/site-packages/clang/native");
     if !native.exists() {
@@ -113,8 +150,8 @@ fn use_pypi_libclang(command: &mut Command) -> Result<(), String> {
     let gcc =
         Command::new("gcc").arg("-print-file-name=include").output().map_err(|error| error.to_string())?;
     let include = String::from_utf8_lossy(&gcc.stdout).trim().to_owned();
-    command.env("LIBCLANG_PATH", native).env("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{include}"));
-    Ok(())
+    let native = native.display().to_string();
+    Ok([("LIBCLANG_PATH", native), ("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{include}"))])
 }
 
 fn done(outcome: Outcome) -> Result<(), String> {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The README's tables and its picture, made from a run on this machine: no number in them is typed.
 
-use crate::{bench, compare, network, paper, steps};
+use crate::{bench, compare, network, paper, services, steps};
 use serde_json::Value;
 use std::fmt::Write;
 use std::fs;
@@ -19,6 +19,7 @@ pub enum Part {
     Demo,
     Wake,
     Messages,
+    Services,
     Parameters,
     Network,
     Paper,
@@ -26,8 +27,16 @@ pub enum Part {
 }
 
 impl Part {
-    const ALL: [Part; 7] =
-        [Part::Demo, Part::Wake, Part::Messages, Part::Parameters, Part::Network, Part::Paper, Part::Compare];
+    const ALL: [Part; 8] = [
+        Part::Demo,
+        Part::Wake,
+        Part::Messages,
+        Part::Services,
+        Part::Parameters,
+        Part::Network,
+        Part::Paper,
+        Part::Compare,
+    ];
 
     /// Its mark in the README.
     fn mark(self) -> &'static str {
@@ -35,6 +44,7 @@ impl Part {
             Part::Demo => "demo",
             Part::Wake => "wake",
             Part::Messages => "messages",
+            Part::Services => "services",
             Part::Parameters => "parameters",
             Part::Network => "network",
             Part::Paper => "paper",
@@ -52,6 +62,11 @@ impl Part {
             }
             Part::Wake => bench("wake", quick, Some(json)),
             Part::Messages => bench("messages", quick, Some(json)),
+            Part::Services => services::command(&services::Options {
+                quick,
+                json: Some(json.to_owned()),
+                ..Default::default()
+            }),
             Part::Parameters => bench("parameters", quick, Some(json)),
             Part::Network => network::command(&network::Options {
                 quick,
@@ -79,6 +94,7 @@ impl Part {
             Part::Demo => demo_table(run),
             Part::Wake => wake_tables(run),
             Part::Messages => messages_table(run),
+            Part::Services => services_table(run),
             Part::Parameters => parameters_tables(run),
             Part::Network => network_tables(run),
             Part::Paper => paper_table(run),
@@ -388,6 +404,35 @@ fn messages_table(run: &Value) -> String {
     out
 }
 
+/// A line per way to ask and length of the request.
+fn services_table(run: &Value) -> String {
+    let mut out = String::from(
+        "| round trip in µs | bytes asked | n | p50 | p99 | p99.9 | max | lost |\n|---|--:|--:|--:|--:|--:|--:|--:|\n",
+    );
+    for row in run["rows"].as_array().into_iter().flatten() {
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} | {} | {} |",
+            row["system"].as_str().unwrap_or("?"),
+            row["request_bytes"],
+            row["n"],
+            us(row, "p50_us"),
+            us(row, "p99_us"),
+            us(row, "p999_us"),
+            us(row, "max_us"),
+            row["lost"],
+        );
+    }
+    let _ = writeln!(
+        out,
+        "\n`cargo xtask bench services`: two processes, FIFO 50, each on a core, both blocking, alternating rounds, answers of 64 \
+         bytes; in place nothing is copied, r2r's requests are a text that is; {}; {}.",
+        run["versions"].as_str().unwrap_or("?"),
+        machine()
+    );
+    out
+}
+
 /// What a read costs, and what a thread that sets does to a callback.
 fn parameters_tables(run: &Value) -> String {
     let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
@@ -617,13 +662,23 @@ mod tests {
         ];
         let tables = compare_tables(&rows.to_vec().into());
         for line in [
-            "| tautline, m | 5.00 / 50.0 | - | - | - | 40.0 | 12.0 |",
-            "| fastdds, m | 5.00 / 50.0 | - | - | - | - | - |",
+            "| tautline, m | 5.00 / 50.00 | - | - | - | 40.00 | 12.00 |",
+            "| fastdds, m | 5.00 / 50.00 | - | - | - | - | - |",
             "Left out: copper, m (not measured: why).",
         ] {
             assert!(tables.contains(line), "{line}\n{tables}");
         }
         assert!(!tables.contains("hiroz"), "it has none of these numbers\n{tables}");
+    }
+
+    #[test]
+    fn the_services_table_says_what_was_lost_and_with_which_versions() {
+        let run = serde_json::json!({"versions": "r2r 0.9.7", "rows": [
+            {"system": "r2r over Fast DDS", "request_bytes": 64, "n": 10, "p50_us": 123.4, "p99_us": 5.0, "p999_us": 6.0,
+             "max_us": 7.0, "lost": 2}]});
+        let table = services_table(&run);
+        assert!(table.contains("| r2r over Fast DDS | 64 | 10 | 123 | 5.00 | 6.00 | 7.00 | 2 |"), "{table}");
+        assert!(table.contains("r2r 0.9.7"), "{table}");
     }
 
     #[test]

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A real ROS 2 Jazzy from PyPI, in a Python environment under the target directory: rclpy, Fast DDS, message packages.
 
-use crate::machine;
 use crate::steps::{Outcome, announce, execute};
+use crate::{machine, r2r};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::{fs, io};
@@ -17,14 +17,23 @@ const WHEELS: [&str; 7] = [
     "ros-jazzy-test-msgs==2.0.3",
 ];
 
-/// Makes the environment and says where it is.
+/// Makes the environment and says how to use it.
 pub fn run() -> ExitCode {
-    match prepare() {
-        Outcome::Ok => {
-            println!("ROS 2 Jazzy is in {}", venv().display());
+    let setup = match prepare() {
+        Outcome::Ok => r2r::setup_file(),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+    };
+    match setup {
+        Ok(setup) => {
+            println!("ROS 2 Jazzy is in {}. To build and run the bridge with it:", venv().display());
+            println!("  source {}", setup.display());
+            println!(
+                "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
+                machine::target_dir().display()
+            );
             ExitCode::SUCCESS
         }
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => {
+        Err(reason) => {
             eprintln!("{reason}");
             ExitCode::FAILURE
         }

@@ -7,7 +7,8 @@ use crate::reports::{
 };
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
-    bench, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, ros, stress_doorbell,
+    bench, bridge, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, programs, ros,
+    services as round_trips, stress_doorbell,
 };
 use std::process::{Command, ExitCode};
 
@@ -20,6 +21,7 @@ pub fn run(quick: bool) -> ExitCode {
     lints(&mut steps);
     ros(&mut steps);
     tests(&mut steps);
+    bridge::test(&mut steps);
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
@@ -31,8 +33,10 @@ pub fn run(quick: bool) -> ExitCode {
     systemd(&mut steps);
     if quick {
         steps.skip("peers", "--quick");
+        steps.skip("r2r: programs", "--quick");
     } else {
         peers::test(&mut steps, built);
+        programs::test(&mut steps);
     }
     type Step = fn(&mut Steps);
     let slow: [(&str, Step); 12] = [
@@ -63,21 +67,26 @@ pub fn run(quick: bool) -> ExitCode {
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
     // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
+    let sources = ["src/main.rs", "src/bin/services-r2r.rs"];
     for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
         let r2r = machine::root().join(folder);
         let mut format = Command::new("rustfmt");
-        format.args(["--check", "--edition", "2024"]).arg(r2r.join("src/main.rs"));
+        format.args(["--check", "--edition", "2024"]);
+        format.args(sources.map(|source| r2r.join(source)).iter().filter(|source| source.exists()));
         steps.command(&format!("fmt: {name}"), &mut format);
         let mut lock = cargo("fetch --quiet --locked --manifest-path");
         steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
     }
-    for (name, folder) in
-        [("network-hiroz", "benches/network-hiroz"), ("compare-zenoh", "benches/compare/zenoh")]
-    {
+    for (name, folder) in [
+        ("network-hiroz", "benches/network-hiroz"),
+        ("compare-zenoh", "benches/compare/zenoh"),
+        ("r2r-programs", "node/r2r"),
+    ] {
         let manifest = format!("--manifest-path {folder}/Cargo.toml");
         steps.command(&format!("fmt: {name}"), &mut cargo(&format!("fmt {manifest} --check")));
         steps.command(&format!("lock: {name}"), &mut cargo(&format!("fetch --quiet --locked {manifest}")));
     }
+    steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
@@ -93,7 +102,7 @@ fn ros(steps: &mut Steps) {
 
 fn tests(steps: &mut Steps) {
     // Every bundled message, not only those of the default packages.
-    let build = "--workspace --features tautline-ros-msgs/all --no-fail-fast";
+    let build = "--workspace --features tautline/ros_all --no-fail-fast";
     let leak_cycles = machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"));
     if machine::cargo_has("nextest --version").is_ok() {
         let profile = if machine::is_ci() { "ci" } else { "default" };
@@ -218,7 +227,7 @@ fn network(steps: &mut Steps) {
     let json = target.join("network.json");
     let _ = std::fs::remove_file(&json);
     // All that `tests` built, with its features: only the bench itself is not there yet.
-    let build = "build --workspace --features tautline-ros-msgs/all --tests --bin network --bin taut-gateway";
+    let build = "build --workspace --features tautline/ros_all --tests --bin network --bin taut-gateway";
     if !steps.command("bench: network: build", &mut cargo(build)) {
         return steps.skip("bench: network", "not built");
     }
@@ -261,13 +270,12 @@ fn compare(steps: &mut Steps) {
     });
 }
 
-/// It runs; what it says belongs to the machine.
+/// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
 fn services(steps: &mut Steps) {
-    let mut command = bench("services", true, None);
-    if !machine::is_ci() && !machine::realtime_permitted() {
-        command.args(["--no-rt"]);
-    }
-    steps.command("bench: services", &mut command);
+    let no_rt = !machine::is_ci() && !machine::realtime_permitted();
+    let arguments = no_rt.then(|| "--no-rt".to_owned()).into_iter().collect();
+    let options = round_trips::Options { quick: true, no_r2r: true, arguments, ..Default::default() };
+    steps.command("bench: services", &mut round_trips::command(&options));
 }
 
 /// It runs; what it says belongs to the machine.

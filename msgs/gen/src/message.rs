@@ -180,8 +180,7 @@ fn docs(text: &mut Text, definition: &Definition, fields: &[Field]) {
 fn write_field(text: &mut Text, definition: &Definition, field: &Field, module: &str, options: &Options) {
     let name = names::field(&field.name);
     field_docs(text, definition, field);
-    let renamed =
-        (name.trim_start_matches("r#") != field.name).then(|| format!("rename = \"{}\"", field.name));
+    let renamed = (name != field.name).then(|| format!("rename = \"{}\"", field.name));
     let attributes: Vec<_> = renamed.into_iter().chain(serde(&field.ty, options)).collect();
     if !attributes.is_empty() {
         text.line(&format!("#[serde({})]", attributes.join(", ")));

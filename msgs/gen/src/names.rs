@@ -40,20 +40,17 @@ pub fn relative(name: &TypeName, module: &str, options: &Options) -> String {
     format!("{}{}", "super::".repeat(from.len() - common), to[common..].join("::"))
 }
 
-/// A field's name in Rust.
+/// A field's name in Rust: as in r2r, keywords get a `_`.
 pub fn field(name: &str) -> String {
-    match name {
-        // These cannot be raw; `to_owned` is a method of every view.
-        "self" | "super" | "crate" | "to_owned" => format!("{name}_"),
-        _ if KEYWORDS.split(' ').any(|keyword| keyword == name) => format!("r#{name}"),
-        _ => name.to_owned(),
-    }
+    // A method of every view.
+    let is_taken = name == "to_owned" || KEYWORDS.split(' ').any(|keyword| keyword == name);
+    if is_taken { format!("{name}_") } else { name.to_owned() }
 }
 
 /// Of edition 2024, and those that are reserved.
-const KEYWORDS: &str = "abstract as async await become box break const continue do dyn else enum extern false final fn \
-    for gen if impl in let loop macro match mod move mut override priv pub ref return static struct trait true try type \
-    typeof unsafe unsized use virtual where while yield";
+const KEYWORDS: &str = "abstract as async await become box break const continue crate do dyn else enum extern false final \
+    fn for gen if impl in let loop macro match mod move mut override priv pub ref return self static struct super trait \
+    true try type typeof unsafe unsized use virtual where while yield";
 
 #[cfg(test)]
 mod tests {
@@ -78,6 +75,6 @@ mod tests {
 
     #[test]
     fn keywords_are_escaped() {
-        assert_eq!([field("type"), field("self"), field("x")], ["r#type", "self_", "x"]);
+        assert_eq!([field("type"), field("self"), field("x")], ["type_", "self_", "x"]);
     }
 }

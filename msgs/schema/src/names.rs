@@ -150,7 +150,7 @@ pub(crate) fn check_constant(name: &str) -> Result<(), Fault> {
 }
 
 /// Keywords of C++ and Python, whose generators a field of this name would break. Not Rust's: `type` is a common
-/// field, and a generator can write `r#type`.
+/// field, and a generator can write `type_`.
 const KEYWORDS: &str = "\
     alignas alignof and as asm assert async auto await bool break case catch char class const consteval \
     constexpr constinit continue decltype def default del delete do double elif else enum except explicit \

@@ -7,7 +7,6 @@ use super::{Names, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};
-use crate::time::Clock;
 use futures::channel::{mpsc, oneshot};
 use futures::future::{Either, Shared, select};
 use futures::stream::FuturesUnordered;
@@ -50,7 +49,7 @@ type ResultReply<T> = Reply<<T as Action>::GetResult>;
 struct Server<T: Action> {
     name: String,
     /// What goals are stamped by, and requests to cancel those of a time mean.
-    clock: Clock,
+    now: Box<dyn Fn() -> Stamp + Send + Sync>,
     state: Mutex<State<T>>,
 }
 
@@ -170,9 +169,19 @@ fn respond<T: Action>(reply: ResultReply<T>, body: &[u8]) {
     }
 }
 
-fn now(clock: &Clock) -> Stamp {
-    let now = clock.now();
-    (i32::try_from(now.as_secs()).unwrap_or(i32::MAX), now.subsec_nanos())
+/// Tells the time of the node's clock, which is the system's in a build without simulated time.
+fn clock(node: &Node) -> Box<dyn Fn() -> Stamp + Send + Sync> {
+    #[cfg(feature = "rosgraph_msgs")]
+    let now_ns = {
+        let clock = node.clock();
+        move || clock.now_ns()
+    };
+    #[cfg(not(feature = "rosgraph_msgs"))]
+    let (_, now_ns) = (node, tautline_rt::clock::wall_ns);
+    Box::new(move || {
+        let now = Duration::from_nanos(u64::try_from(now_ns()).unwrap_or_default());
+        (i32::try_from(now.as_secs()).unwrap_or(i32::MAX), now.subsec_nanos())
+    })
 }
 
 pub(super) fn create<T: Action>(
@@ -194,7 +203,7 @@ pub(super) fn create<T: Action>(
         futures::stream::poll_fn(move |context| end.poll_triggered(context).map(Some)).fuse()
     };
     let state = State { goals: Goals::new(options.result_timeout), cancels: Vec::new(), feedback, status };
-    let server = Arc::new(Server { name: action.to_owned(), clock: node.clock(), state: Mutex::new(state) });
+    let server = Arc::new(Server { name: action.to_owned(), now: clock(node), state: Mutex::new(state) });
     let user = Arc::new(User { server: server.clone(), end });
     let (mut goals, requests) = mpsc::channel(GOALS_WAITING);
     let users = Arc::downgrade(&user);
@@ -367,7 +376,7 @@ impl<T: Action> ActionServerGoalRequest<T> {
     ) -> Result<(ActionServerGoal<T>, impl Stream<Item = ActionServerCancelRequest> + Unpin + Send + use<T>)>
     {
         let server = &self.user.server;
-        let (id, stamp) = (self.uuid.into_bytes(), now(&server.clock));
+        let (id, stamp) = (self.uuid.into_bytes(), (server.now)());
         let (requests, cancel_requests) = mpsc::unbounded();
         let (end, ended) = oneshot::channel();
         let mut state = server.state();

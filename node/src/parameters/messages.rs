@@ -6,7 +6,7 @@ use tautline_ros_msgs::rcl_interfaces::msg;
 
 impl From<&ParameterValue> for msg::ParameterValue {
     fn from(value: &ParameterValue) -> msg::ParameterValue {
-        let mut message = msg::ParameterValue { r#type: value.parameter_type() as u8, ..Default::default() };
+        let mut message = msg::ParameterValue { type_: value.parameter_type() as u8, ..Default::default() };
         match value.clone() {
             ParameterValue::NotSet => {}
             ParameterValue::Bool(value) => message.bool_value = value,
@@ -27,7 +27,7 @@ impl TryFrom<msg::ParameterValue> for ParameterValue {
     type Error = UnknownParameterType;
 
     fn try_from(value: msg::ParameterValue) -> Result<ParameterValue, UnknownParameterType> {
-        Ok(match value.r#type {
+        Ok(match value.type_ {
             0 => ParameterValue::NotSet,
             1 => ParameterValue::Bool(value.bool_value),
             2 => ParameterValue::Integer(value.integer_value),

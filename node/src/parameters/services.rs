@@ -113,7 +113,7 @@ fn descriptor(
 ) -> msg::ParameterDescriptor {
     let mut message = msg::ParameterDescriptor {
         name: name.to_owned(),
-        r#type: parameter_type as u8,
+        type_: parameter_type as u8,
         description: of.description.clone(),
         additional_constraints: of.additional_constraints.clone(),
         read_only: of.read_only,
@@ -167,11 +167,11 @@ mod tests {
         let parameters = parameters();
         let names = names(&["arm.speed", "nothing", "gain"]);
         let values = get(&parameters, &GetParameters::Request { names: names.clone() }).values;
-        assert_eq!((values[0].integer_value, values[1].r#type, values[2].double_value), (3, 0, 1.0));
+        assert_eq!((values[0].integer_value, values[1].type_, values[2].double_value), (3, 0, 1.0));
         let types = get_types(&parameters, &GetParameterTypes::Request { names: names.clone() }).types;
         assert_eq!(types, [2, 0, 3]);
         let descriptors = describe(&parameters, &DescribeParameters::Request { names }).descriptors;
-        assert_eq!((descriptors[1].name.as_str(), descriptors[1].r#type), ("nothing", 0));
+        assert_eq!((descriptors[1].name.as_str(), descriptors[1].type_), ("nothing", 0));
         let gain = &descriptors[2];
         assert_eq!((gain.description.as_str(), gain.read_only), ("of the controller", false));
         let range = &gain.floating_point_range[0];
@@ -206,7 +206,7 @@ mod tests {
     fn each_is_set_or_refused_with_the_reason() {
         let parameters = parameters();
         let mut unknown = message("gain", 1.0);
-        unknown.value.r#type = 12;
+        unknown.value.type_ = 12;
         let request = SetParameters::Request {
             parameters: vec![
                 message("gain", 1.5),

@@ -274,8 +274,9 @@ impl Parameters {
             let (mut of_new, mut of_changed, mut of_deleted) = (Vec::new(), Vec::new(), Vec::new());
             for (index, value) in values.into_iter().enumerate() {
                 match index {
-                    _ if new.contains(&index) => of_new.push(value),
-                    _ if deleted.contains(&index) => of_deleted.push(value),
+                    // Sorted, for they were found in this order.
+                    _ if new.binary_search(&index).is_ok() => of_new.push(value),
+                    _ if deleted.binary_search(&index).is_ok() => of_deleted.push(value),
                     _ => of_changed.push(value),
                 }
             }

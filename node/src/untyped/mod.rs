@@ -3,10 +3,12 @@
 
 mod bundled;
 mod definitions;
+mod native;
 mod publisher;
 mod subscription;
 
 pub use definitions::find_schema;
+pub use native::WrappedNativeMsgUntyped;
 pub use publisher::PublisherUntyped;
 pub use subscription::{SubscriptionRaw, SubscriptionUntyped};
 
@@ -96,6 +98,11 @@ impl Node {
         let qos = qos_profile.to_transport();
         let raw = self.participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
         Ok(PublisherUntyped::new(raw, schema))
+    }
+
+    /// Ends a publisher, by r2r's name. Dropping it does the same.
+    pub fn destroy_publisher_untyped(&mut self, publisher: PublisherUntyped) {
+        drop(publisher);
     }
 
     /// The definition of the type `topic_type` for `topic`, looked for as [`find_schema`] does. If only nodes of other hosts

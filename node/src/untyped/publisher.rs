@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use crate::error::Result;
+use crate::error::{Error, Result};
+use futures::TryFutureExt;
+use std::future::Future;
 use std::sync::Arc;
 use tautline_msgs::cdr::Endian;
 use tautline_msgs::split_header;
@@ -79,6 +81,24 @@ impl PublisherUntyped {
     /// Number of subscriptions that the next message goes to.
     pub fn subscription_count(&self) -> usize {
         self.raw.subscription_count()
+    }
+
+    /// [`subscription_count`](Self::subscription_count) by r2r's name: those of this process count, too.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn get_inter_process_subscription_count(&self) -> Result<usize> {
+        Ok(self.subscription_count())
+    }
+
+    /// [`RawPublisher::wait_for_subscriptions`] by r2r's name.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn wait_for_inter_process_subscribers(
+        &self,
+    ) -> Result<impl Future<Output = Result<()>> + Send + use<>> {
+        Ok(self.raw.wait_for_subscriptions()?.map_err(Error::from))
     }
 }
 

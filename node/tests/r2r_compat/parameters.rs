@@ -53,8 +53,8 @@ fn run<T: 'static>(
     result.borrow_mut().take().unwrap()
 }
 
-fn parameter(name: &str, r#type: u8) -> msg::Parameter {
-    msg::Parameter { name: name.into(), value: msg::ParameterValue { r#type, ..Default::default() } }
+fn parameter(name: &str, type_: u8) -> msg::Parameter {
+    msg::Parameter { name: name.into(), value: msg::ParameterValue { type_, ..Default::default() } }
 }
 
 #[test]
@@ -93,7 +93,7 @@ fn parameters_without_a_struct() -> Result<(), Box<dyn std::error::Error>> {
         (response.values, parameter_events.take(2).collect::<Vec<_>>().await)
     });
     assert_eq!(values[0].string_array_value, ["hello", "world"]);
-    assert_eq!((values[1].bool_value, values[2].integer_value, values[3].r#type), (true, 7, 0));
+    assert_eq!((values[1].bool_value, values[2].integer_value, values[3].type_), (true, 7, 0));
     assert_eq!(
         events,
         [("key2".into(), ParameterValue::Bool(true)), ("new".into(), ParameterValue::Integer(7))]

@@ -16,11 +16,13 @@ use crate::header::{Gid, NEVER};
 use crate::history::Keeper;
 use crate::janitor::Watch;
 use crate::memory;
+use crate::nodes::{EndpointKind, TopicEndpoint};
 use crate::participant::{Participant, Shared};
 use crate::ports;
 use crate::qos::{Durability, History, Limits, Liveliness, Qos, nanoseconds};
 use crate::topic::{IoxPublisher, Topic, padded};
 use crate::topic_type::TopicType;
+use futures::StreamExt;
 use peers::Peers;
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
@@ -256,6 +258,30 @@ impl RawPublisher {
         let mut peers = self.peers.borrow_mut();
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
         peers.len()
+    }
+
+    /// Waits until the topic has a subscription, on this host or on one that a gateway tells of. The future borrows nothing of
+    /// the publisher, looks when the graph changes and not otherwise, and allocates: it is not for callbacks with deadlines.
+    ///
+    /// # Errors
+    /// [`TransportError::Janitor`] if the thread that looks at the graph, one for all of a participant, cannot be started. The
+    /// future's: [`TransportError`] if the domain's topics cannot be listed.
+    pub fn wait_for_subscriptions(
+        &self,
+    ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<>, TransportError> {
+        let participant = Participant { shared: self.shared.clone(), node: None };
+        let topic = self.topic().to_owned();
+        // Before the first look: nothing that happens after it is missed.
+        let mut events = participant.graph_events()?;
+        Ok(async move {
+            let is_wanted =
+                |end: &TopicEndpoint| end.kind == EndpointKind::Subscription && end.topic == topic;
+            while !participant.graph()?.endpoints.iter().any(is_wanted) {
+                // It does not end: the participant is alive.
+                events.next().await;
+            }
+            Ok(())
+        })
     }
 }
 

@@ -111,7 +111,7 @@ impl Shared {
             for _ in 0..COLLECTED_AT_ONCE {
                 let mut patience = Patience::new();
                 let Poll::Ready(response) = inbox.responses.poll_within(&mut context, &mut patience) else {
-                    // Else there may be more, and the waker was called.
+                    // Else there may be more, also of servers that went, and the waker is called for it.
                     if !patience.is_over()
                         && let Some((gone, alive)) = inbox.servers.take_change()
                     {
@@ -158,8 +158,9 @@ impl Future for RawPending {
     type Output = Result<RawSample, ServiceError>;
 
     /// # Real-time
-    /// Wait-free, O(responses x pending requests); no allocation; woken through this process's sampler. Once it was ready it
-    /// is pending for ever.
+    /// Wait-free, O(responses x pending requests); no allocation; woken through this process's sampler. Whichever of a client's
+    /// requests is polled first takes the responses for all of them: if they wait in threads of several priorities, one may wait for
+    /// a thread of a lower one; a client for each thread does not. Once it was ready it is pending for ever.
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         let RawPending { shared, place, .. } = &mut *self;
         shared.poll_outcome(place, context).map(|outcome| match outcome {

@@ -2,7 +2,7 @@
 //! Services: a request goes to every server, the first answer comes back to the client that asked.
 //!
 //! A service is a topic of requests, which all its clients publish and all its servers subscribe to, and a topic of responses
-//! for each client, to which a server publishes from that client's first request on: an answer wakes only who asked. A
+//! for each client, of which each server has a publisher as long as both are there: an answer wakes only who asked. A
 //! request carries its client's identifier and number in its header, as any sample does; the response repeats both, as on
 //! the ROS 2 wire. Queues keep all: a full one is an error, nothing is lost.
 //!
@@ -174,7 +174,8 @@ pub enum ServiceError {
         /// The service.
         service: Arc<str>,
     },
-    /// Every server that got the request has ended or was killed without an answer.
+    /// Every server that got the request has ended or was killed without an answer; or it was passed on to another host, where
+    /// nobody gave one.
     #[error("service '{service}': its server has gone without an answer; ask again when there is one")]
     ServerGone {
         /// The service.

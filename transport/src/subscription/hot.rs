@@ -319,7 +319,7 @@ impl RawSubscription {
         self.poll_within(context, &mut Patience::new())
     }
 
-    /// As [`poll_take`](Self::poll_take). Pending with the patience over: there may be more, and the task is woken.
+    /// As [`poll_take`](Self::poll_take). Pending with the patience over: there may be more, and the task is woken for it.
     pub(crate) fn poll_within(&self, context: &mut Context<'_>, patience: &mut Patience) -> Poll<RawSample> {
         self.departure.slot.waker().register(context.waker());
         while !patience.is_over() {
@@ -334,6 +334,7 @@ impl RawSubscription {
                     let state = self.state.borrow();
                     let shelf = state.catch.as_ref().map_or(&self.shelf, |catch| &catch.shelf);
                     if !shelf.wake_when_back(context.waker()) {
+                        patience.end();
                         return Poll::Pending;
                     }
                 }
@@ -361,6 +362,10 @@ impl Patience {
 
     fn spend(&mut self) {
         self.0 = self.0.saturating_sub(1);
+    }
+
+    fn end(&mut self) {
+        self.0 = 0;
     }
 
     /// There may be more, but another time.

@@ -222,9 +222,10 @@ impl Control {
                 let services = offered.iter().map(|end| end.topic.clone()).collect();
                 self.descriptions.answer_at(&self.session, domain, services);
                 endpoints.append(&mut offered);
+                // Before they are announced: who hears of a service may ask at once.
+                self.route_services();
                 let actions = self.mirror.set_locals(&locals.nodes, endpoints);
                 self.act(actions);
-                self.route_services();
             }
             Err(error) => tracing::warn!("{error}"),
         }

@@ -2,17 +2,12 @@
 //! One gateway per host, domain and user: who holds the lock on a file is it. The kernel drops the lock of one that
 //! dies, however it dies, so that the next can take over at once.
 
-use rustix::fs::{FlockOperation, Mode, OFlags};
-use rustix::io::Errno;
-use std::io::{self, Read, Write};
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Being the gateway; dropping it makes room for another.
 #[derive(Debug)]
 pub struct Seat {
-    path: PathBuf,
-    _lock: std::fs::File,
+    _seat: tautline_rt::Seat,
 }
 
 /// Why this is not the gateway.
@@ -30,13 +25,8 @@ pub enum SeatError {
         pid: Option<u32>,
     },
     /// The file cannot be made or locked.
-    #[error("the gateway's lock {} cannot be used: {source}; check that /dev/shm exists and is writable", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    #[error("the gateway's lock: {0}")]
+    File(#[source] tautline_rt::SeatError),
 }
 
 fn holder(pid: Option<u32>) -> String {
@@ -49,24 +39,11 @@ impl Seat {
     /// # Errors
     /// [`SeatError::Taken`] while another lives.
     pub fn take(domain: u32) -> Result<Self, SeatError> {
-        let path = path(domain);
-        let refuse = |source: io::Error| SeatError::File { path: path.clone(), source };
-        loop {
-            let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-            let file =
-                rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR).map_err(|e| refuse(e.into()))?;
-            let mut file = std::fs::File::from(file);
-            match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) => {}
-                Err(Errno::WOULDBLOCK) => return Err(SeatError::Taken { domain, pid: read_pid(&mut file) }),
-                Err(errno) => return Err(refuse(errno.into())),
-            }
-            // Removed between opening and locking: that file is nobody's any more.
-            if rustix::fs::fstat(&file).map_err(|e| refuse(e.into()))?.st_nlink == 0 {
-                continue;
-            }
-            file.set_len(0).and_then(|()| write!(file, "{}", std::process::id())).map_err(refuse)?;
-            return Ok(Seat { path, _lock: file });
+        // Beside the domain's shared memory, which is the user's own.
+        match tautline_rt::Seat::take(&format!("{}gateway", tautline_transport::file_prefix(domain))) {
+            Ok(seat) => Ok(Seat { _seat: seat }),
+            Err(tautline_rt::SeatError::Taken { pid, .. }) => Err(SeatError::Taken { domain, pid }),
+            Err(error) => Err(SeatError::File(error)),
         }
     }
 
@@ -86,53 +63,19 @@ impl Seat {
     }
 }
 
-impl Drop for Seat {
-    fn drop(&mut self) {
-        // Still locked: who opened it meanwhile sees that it is gone, and makes another.
-        let _ = rustix::fs::unlink(&self.path);
-    }
-}
-
-fn read_pid(file: &mut std::fs::File) -> Option<u32> {
-    let mut text = String::new();
-    file.take(16).read_to_string(&mut text).ok()?;
-    text.trim().parse().ok()
-}
-
-/// Beside the domain's shared memory, which is the user's own.
-fn path(domain: u32) -> PathBuf {
-    let user = rustix::process::getuid().as_raw();
-    Path::new("/dev/shm").join(format!("taut_{domain}_{user}_gateway"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::process::{Command, Stdio};
-
-    const DOMAIN: u32 = 178;
 
     #[test]
-    fn one_at_a_time_and_taken_over_when_it_died() {
-        let seat = Seat::take(DOMAIN).unwrap();
-        let refusal = Seat::take(DOMAIN).unwrap_err().to_string();
+    fn one_at_a_time() {
+        let seat = Seat::take(178).unwrap();
+        let refusal = Seat::take(178).unwrap_err().to_string();
         let me = format!("process {}", std::process::id());
         assert!(refusal.contains("domain 178") && refusal.contains(&me), "{refusal}");
-        drop(Seat::take(DOMAIN - 1).unwrap());
+        assert!(Seat::wait(178, || true).unwrap().is_none());
+        drop(Seat::take(177).unwrap());
         drop(seat);
-        assert!(!path(DOMAIN).exists() && !path(DOMAIN - 1).exists());
-
-        // Another process that holds the lock and is killed: nothing of it stays locked.
-        let script =
-            format!("exec 9>>{} && flock -x 9 && echo locked && exec sleep 100", path(DOMAIN).display());
-        let mut holder = Command::new("sh").args(["-c", &script]).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = [0; 7];
-        holder.stdout.as_mut().unwrap().read_exact(&mut line).unwrap();
-        assert!(matches!(Seat::take(DOMAIN), Err(SeatError::Taken { pid: None, .. })));
-        assert!(Seat::wait(DOMAIN, || true).unwrap().is_none());
-        holder.kill().unwrap();
-        holder.wait().unwrap();
-        drop(Seat::wait(DOMAIN, || false).unwrap().unwrap());
-        assert!(!path(DOMAIN).exists());
+        drop(Seat::wait(178, || false).unwrap().unwrap());
     }
 }

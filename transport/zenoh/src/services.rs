@@ -13,6 +13,7 @@ use futures::{FutureExt, StreamExt};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc as mpsc_std;
 use std::task::{Context, Poll};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -33,6 +34,9 @@ const AT_ONCE: usize = 16;
 const MAX_WAITING: usize = 4096;
 /// When Zenoh gives up: a client's own limit comes before. An action's result may take as long as it likes.
 const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
+
+/// How long the gateway waits for the thread to offer services.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Which services go which way.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -66,7 +70,8 @@ impl Routes {
 
 /// What the thread is told.
 enum Command {
-    Routes(Routes),
+    /// And who waits for that.
+    Routes(Routes, mpsc_std::Sender<()>),
     Query(TopicKey, Query),
     /// The answer to a request of a client on this host: as much of it as is one.
     Reply(TopicKey, RequestId, ZBytes),
@@ -164,10 +169,15 @@ impl Services {
         Ok(Services { commands, routes: Routes::default(), thread: Some(thread) })
     }
 
+    /// Waits until services that are now offered can be asked, so that they can be announced.
     pub(crate) fn set_routes(&mut self, routes: Routes) {
         if routes != self.routes {
             self.routes = routes.clone();
-            self.commands.tell(Command::Routes(routes));
+            let (done, obeyed) = mpsc_std::channel();
+            self.commands.tell(Command::Routes(routes, done));
+            if obeyed.recv_timeout(PATIENCE).is_err() {
+                tracing::warn!("services change slowly: some are announced before they can be asked");
+            }
         }
     }
 }
@@ -228,7 +238,11 @@ impl Bridge {
             self.sender.waiting.fetch_sub(1, Ordering::Relaxed);
         }
         match command {
-            Command::Routes(routes) => self.set_routes(&routes),
+            Command::Routes(routes, done) => {
+                self.set_routes(&routes);
+                // Ignored: nobody waits any more.
+                let _ = done.send(());
+            }
             Command::Query(key, query) => match self.ask(&key, &query) {
                 Ok(answer) => self.pending.push(answer),
                 Err(reason) => refuse(&query, reason),

@@ -13,12 +13,13 @@ use tautline::{
 use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
 
-use crate::{Job, PRIORITY, Result, System, iceoryx};
+use crate::{Job, Measured, PRIORITY, Result, System, iceoryx};
 
 /// Measures round trips for as long as the job says, after a warm-up of an eighth of that.
 pub struct Clock {
     distribution: Distribution,
     number: u64,
+    answered: u64,
     begun_ns: u64,
     started_ns: u64,
     budget_ns: u64,
@@ -33,6 +34,7 @@ impl Clock {
         Clock {
             distribution: Distribution::new(),
             number: 0,
+            answered: 0,
             begun_ns: monotonic_ns(),
             started_ns: 0,
             budget_ns,
@@ -53,6 +55,7 @@ impl Clock {
     pub fn end(&mut self, answer: u64) {
         let now_ns = monotonic_ns();
         assert_eq!(answer, self.number, "the answer to another question");
+        self.answered += 1;
         if self.number > Self::WARM_UP && now_ns - self.begun_ns > self.budget_ns / 8 {
             self.distribution.record(now_ns - self.started_ns);
         }
@@ -60,7 +63,8 @@ impl Clock {
 
     /// Says what was measured.
     pub fn print(&self) -> Result<()> {
-        println!("{}", serde_json::to_string(&self.distribution.counts())?);
+        let measured = Measured { counts: self.distribution.counts(), lost: self.number - self.answered };
+        println!("{}", serde_json::to_string(&measured)?);
         Ok(stdout().flush()?)
     }
 }

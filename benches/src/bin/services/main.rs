@@ -3,7 +3,7 @@
 //!
 //! Two processes, each pinned to a core, real-time; both ends block. The whole round trip is reported. Every system runs in every
 //! round, directly after its rivals; ratios are those of the median round. The measuring processes are this binary again,
-//! started with `--child`.
+//! started with `--child`, and r2r's program (`benches/paper-r2r/src/bin/services-r2r.rs`), which `--r2r` names.
 //!
 //! | module | holds |
 //! |---|---|
@@ -17,13 +17,13 @@ mod report;
 
 use std::error::Error;
 use std::io::{BufRead, BufReader, Read};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::time::Duration;
 
 use clap::Parser;
 use serde::{Deserialize, Serialize};
-use tautline_benches::{Distribution, Disturbance};
+use tautline_benches::{Distribution, Disturbance, version_of};
 use tautline_rt::{CoreSet, permission};
 
 /// What nobody handles but the person who reads it.
@@ -32,7 +32,7 @@ pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
 /// The priority of the threads that measure.
 pub const PRIORITY: u8 = 50;
 
-/// Measures round trips: Tautline's services beside its topics and iceoryx2's request-response.
+/// Measures round trips: Tautline's services beside its topics, iceoryx2's request-response and r2r's services over Fast DDS.
 #[derive(Parser)]
 #[command(
     after_help = "Examples:\n  cargo xtask bench services --quick\n  cargo xtask bench services --json services.json"
@@ -47,6 +47,12 @@ struct Options {
     /// Measure without real-time priorities; the numbers then say little
     #[arg(long)]
     no_rt: bool,
+    /// r2r's program; without it r2r is left out
+    #[arg(long, value_name = "PROGRAM")]
+    r2r: Option<PathBuf>,
+    /// Why r2r is left out
+    #[arg(long, hide = true, default_value = "no program was given with --r2r")]
+    without_r2r: String,
     /// Run one process of a pair; the argument is its job
     #[arg(long, hide = true)]
     child: Option<String>,
@@ -64,10 +70,12 @@ pub enum System {
     ServiceOwned,
     /// iceoryx2's request-response, with an event service each way.
     Iceoryx2,
+    /// r2r's services, spun as its manual shows, over Fast DDS as it comes.
+    R2r,
 }
 
 impl System {
-    const ALL: [Self; 4] = [Self::Topics, Self::ServiceLoaned, Self::Iceoryx2, Self::ServiceOwned];
+    const ALL: [Self; 5] = [Self::Topics, Self::ServiceLoaned, Self::Iceoryx2, Self::ServiceOwned, Self::R2r];
 
     fn name(self) -> &'static str {
         match self {
@@ -75,6 +83,7 @@ impl System {
             Self::ServiceLoaned => "tautline service, in place",
             Self::ServiceOwned => "tautline service, owned",
             Self::Iceoryx2 => "iceoryx2 request-response",
+            Self::R2r => "r2r over Fast DDS",
         }
     }
 }
@@ -92,11 +101,21 @@ pub struct Job {
     pub(crate) pair: String,
 }
 
+/// What the asking process says.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Measured {
+    /// Round trips in ns and how often each occurred.
+    pub(crate) counts: Vec<(u64, u64)>,
+    /// Questions without an answer.
+    pub(crate) lost: u64,
+}
+
 /// A line of the result.
 pub struct Cell {
     pub(crate) system: System,
     pub(crate) bytes: usize,
     pub(crate) all: Distribution,
+    pub(crate) lost: u64,
     pub(crate) rounds_p50_us: Vec<f64>,
 }
 
@@ -124,12 +143,26 @@ fn measure(options: &Options) -> Result<()> {
     let [asking, answering] = cores[..] else { return Err("two cores are needed".into()) };
     let (rounds, budget) = if options.quick { (3, 200) } else { (7, 1000) };
     let sizes = [64, 4 << 10, 1 << 20];
+    let r2r = match &options.r2r {
+        Some(program) => Some((program.as_path(), versions_of(program)?)),
+        None => None,
+    };
+    if r2r.is_none() {
+        eprintln!("r2r is left out: {}", options.without_r2r);
+    }
     let mut cells: Vec<_> = sizes
         .into_iter()
         .flat_map(|bytes| System::ALL.map(|system| (system, bytes)))
         // A copy of a MiB is no news.
         .filter(|&(system, bytes)| system != System::ServiceOwned || bytes == 64)
-        .map(|(system, bytes)| Cell { system, bytes, all: Distribution::new(), rounds_p50_us: vec![] })
+        .filter(|&(system, _)| system != System::R2r || r2r.is_some())
+        .map(|(system, bytes)| Cell {
+            system,
+            bytes,
+            all: Distribution::new(),
+            lost: 0,
+            rounds_p50_us: vec![],
+        })
         .collect();
     let disturbance = Disturbance::start();
     let progress = indicatif::ProgressBar::new((rounds * cells.len()) as u64);
@@ -145,30 +178,46 @@ fn measure(options: &Options) -> Result<()> {
                 budget: Duration::from_millis(budget),
                 pair: format!("{}_{round}_{}", std::process::id(), progress.position()),
             };
-            let measured = run_pair(&job, asking)
+            let program = match (cell.system, &r2r) {
+                (System::R2r, Some((program, _))) => program.to_path_buf(),
+                _ => std::env::current_exe()?,
+            };
+            let measured = run_pair(&program, &job, asking)
                 .map_err(|error| format!("{}, {} B: {error}", cell.system.name(), cell.bytes))?;
             let mut distribution = Distribution::new();
-            distribution.add(&measured);
+            distribution.add(&measured.counts);
             cell.rounds_p50_us.push(distribution.quantile_us(0.5));
-            cell.all.add(&measured);
+            cell.all.add(&measured.counts);
+            cell.lost += measured.lost;
             progress.inc(1);
         }
     }
     progress.finish_and_clear();
-    let verdict = report::print(&cells, &disturbance.report());
+    let r2r = r2r.map_or_else(|| format!("r2r LEFT OUT: {}", options.without_r2r), |(_, versions)| versions);
+    let versions = format!("iceoryx2 {}, {r2r}", version_of("iceoryx2").unwrap_or("?"));
+    let verdict = report::print(&cells, &disturbance.report(), &versions);
     match &options.json {
-        Some(path) => report::write_json(path, &cells, &verdict),
+        Some(path) => report::write_json(path, &cells, &verdict, &versions),
         None => Ok(()),
     }
 }
 
-/// Round trips in ns and how often each occurred.
-fn run_pair(job: &Job, asking: usize) -> Result<Vec<(u64, u64)>> {
-    let mut answers = Peer::start(job)?;
+/// What r2r's program says that it is made of.
+fn versions_of(program: &Path) -> Result<String> {
+    let output = Command::new(program).arg("--version").output()?;
+    if !output.status.success() {
+        let reason = String::from_utf8_lossy(&output.stderr);
+        return Err(format!("{}: {}", program.display(), reason.trim()).into());
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
+fn run_pair(program: &Path, job: &Job, asking: usize) -> Result<Measured> {
+    let mut answers = Peer::start(program, job)?;
     if answers.line()?.trim() != "ready" {
         return Err(format!("the answering process ended: {}", answers.last_words()).into());
     }
-    let mut asks = Peer::start(&Job { asks: true, core: asking, ..job.clone() })?;
+    let mut asks = Peer::start(program, &Job { asks: true, core: asking, ..job.clone() })?;
     let line = asks.line()?;
     serde_json::from_str(&line)
         .map_err(|_| format!("{}; its peer: {}", asks.last_words(), answers.last_words()).into())
@@ -181,8 +230,10 @@ struct Peer {
 }
 
 impl Peer {
-    fn start(job: &Job) -> Result<Self> {
-        let mut command = Command::new(std::env::current_exe()?);
+    fn start(program: &Path, job: &Job) -> Result<Self> {
+        let mut command = Command::new(program);
+        // Of r2r, which would look for others in the whole network.
+        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         command.arg("--child").arg(serde_json::to_string(job)?).stdin(Stdio::null());
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
         let output = BufReader::new(child.stdout.take().ok_or("a pipe")?);

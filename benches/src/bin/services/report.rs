@@ -5,7 +5,7 @@ use std::path::Path;
 
 use comfy_table::{CellAlignment, Table};
 use serde::Serialize;
-use tautline_benches::{machine, version_of};
+use tautline_benches::machine;
 
 use crate::{Cell, Result, System};
 
@@ -18,11 +18,11 @@ pub struct Verdict {
     holds: bool,
 }
 
-pub fn print(cells: &[Cell], disturbance: &str) -> Vec<Verdict> {
+pub fn print(cells: &[Cell], disturbance: &str, versions: &str) -> Vec<Verdict> {
     println!("Round trips between two processes, both blocking, in µs. {}; {disturbance}.", machine());
-    println!("iceoryx2 {}\n", version_of("iceoryx2").unwrap_or("?"));
+    println!("{versions}\n");
     let mut table = Table::new();
-    table.set_header(["system", "bytes asked", "n", "p50", "p99", "p99.9", "max"]);
+    table.set_header(["system", "bytes asked", "n", "p50", "p99", "p99.9", "max", "lost"]);
     for column in table.column_iter_mut().skip(1) {
         column.set_cell_alignment(CellAlignment::Right);
     }
@@ -36,6 +36,7 @@ pub fn print(cells: &[Cell], disturbance: &str) -> Vec<Verdict> {
             quantile(0.99),
             quantile(0.999),
             format!("{:.0}", cell.all.max_us()),
+            cell.lost.to_string(),
         ]);
     }
     println!("{table}\n");
@@ -68,20 +69,22 @@ fn verdicts(cells: &[Cell]) -> Vec<Verdict> {
     .collect()
 }
 
-pub fn write_json(path: &Path, cells: &[Cell], verdicts: &[Verdict]) -> Result<()> {
+pub fn write_json(path: &Path, cells: &[Cell], verdicts: &[Verdict], versions: &str) -> Result<()> {
     let row = |cell: &Cell| {
         serde_json::json!({
-            "system": cell.system,
+            "system": cell.system.name(),
             "request_bytes": cell.bytes,
             "n": cell.all.len(),
             "p50_us": cell.all.quantile_us(0.5),
             "p99_us": cell.all.quantile_us(0.99),
             "p999_us": cell.all.quantile_us(0.999),
             "max_us": cell.all.max_us(),
+            "lost": cell.lost,
             "rounds_p50_us": cell.rounds_p50_us,
         })
     };
     let rows: Vec<_> = cells.iter().map(row).collect();
-    let run = serde_json::json!({ "machine": machine(), "rows": rows, "verdicts": verdicts });
+    let run =
+        serde_json::json!({ "machine": machine(), "versions": versions, "rows": rows, "verdicts": verdicts });
     Ok(std::fs::write(path, serde_json::to_string_pretty(&run)?)?)
 }

@@ -4,17 +4,18 @@
 #[path = "../../tests/support/mod.rs"]
 mod support;
 
+use futures::FutureExt;
 use gateway_peers::{python, script};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc;
 use std::time::Duration;
-use support::{Host, wait};
-use tautline_msgs::Message;
+use support::{Host, until, wait};
 use tautline_msgs::cdr::Endian;
+use tautline_msgs::{Message, Service};
 use tautline_ros_msgs::{geometry_msgs, sensor_msgs, std_msgs};
-use tautline_transport::{Qos, TopicType};
+use tautline_transport::{Limits, Qos, TopicType};
 
 struct Peer {
     child: Child,
@@ -30,11 +31,19 @@ impl Peer {
             topic.replace('/', "_")
         ));
         std::fs::write(&definition, M::DEFINITION.unwrap().to_text()).unwrap();
+        let more = [M::TYPE_NAME, M::TYPE_HASH.unwrap(), definition.to_str().unwrap()];
+        let peer = Self::start_script(python, host, "peer.py", role, topic, &more);
+        std::fs::remove_file(definition).unwrap();
+        peer
+    }
+
+    /// A script whose arguments are what it does, the port, the domain, the name, and `more`.
+    fn start_script(python: &Path, host: &Host, name: &str, role: &str, topic: &str, more: &[&str]) -> Self {
         let port = host.locator().rsplit(':').next().unwrap().to_owned();
         let mut child = Command::new(python)
-            .arg(script("peer.py"))
-            .args([role, &port, &host.network_domain.to_string(), topic, M::TYPE_NAME, M::TYPE_HASH.unwrap()])
-            .arg(&definition)
+            .arg(script(name))
+            .args([role, &port, &host.network_domain.to_string(), topic])
+            .args(more)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -46,7 +55,6 @@ impl Peer {
         });
         let input = child.stdin.take().unwrap();
         while lines.recv_timeout(Duration::from_secs(60)).expect("the peer does not start") != "started" {}
-        std::fs::remove_file(definition).unwrap();
         Peer { child, input, lines }
     }
 }
@@ -111,6 +119,45 @@ fn messages_both_ways() {
     (scan.header.stamp.sec, scan.range_max) = (7, 72.0);
     scan.ranges = (0..720).map(|n| n as f32 / 10.0).collect();
     both_ways(&python, &host, "scan", &scan);
+}
+
+#[test]
+fn a_service_each_way() {
+    use tautline_ros_msgs::std_srvs::srv::SetBool;
+    let Some(python) = python() else { return };
+    let host = Host::first(67, 67);
+    let limits = Limits::SERVICE;
+    let hash = [<SetBool::Service as Service>::TYPE_HASH];
+    // The network hears of what nodes have.
+    let node = host.participant.create_node("our_node", "/").unwrap();
+    let ours = host.participant.for_node(&node);
+
+    let peer = Peer::start_script(&python, &host, "service.py", "serve", "/theirs/switch", &hash);
+    let client = ours.create_client::<SetBool::Service>("/theirs/switch", limits).unwrap();
+    until("their service", || client.server_count() == 1);
+    for data in [true, false] {
+        let mut pending = client.request(&SetBool::Request { data }).unwrap();
+        let response = wait("their answer", || (&mut pending).now_or_never()).unwrap();
+        let message = if data { "théirs" } else { "" };
+        assert_eq!((response.view().success(), response.view().message()), (data, message));
+        let asked = if data { "asked True" } else { "asked False" };
+        assert_eq!(peer.lines.recv_timeout(Duration::from_secs(20)).unwrap(), asked);
+    }
+    // Killed: what it was asked ends, and with it the service.
+    let _last = client.request(&SetBool::Request { data: true }).unwrap();
+    drop(peer);
+    until("the end of their service", || client.server_count() == 0);
+
+    let mut server = ours.create_server::<SetBool::Service>("/ours/switch", 10, limits).unwrap();
+    let mut peer = Peer::start_script(&python, &host, "service.py", "ask", "/ours/switch", &hash);
+    for (data, answer) in [("True", "answer (True, 'Grüße')"), ("False", "answer (False, 'Grüße')")] {
+        writeln!(peer.input, "{data}").unwrap();
+        let request = wait("their request", || server.try_take().unwrap());
+        assert_eq!(request.data, data == "True");
+        let response = SetBool::Response { success: request.data, message: "Grüße".into() };
+        server.respond(request.id(), &response).unwrap();
+        assert_eq!(peer.lines.recv_timeout(Duration::from_secs(20)).unwrap(), answer);
+    }
 }
 
 /// Their list of topics, types and endpoints, as `ros2 topic info -v` would show it.

@@ -1,0 +1,241 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The processes that publish and subscribe, on either side.
+
+use crate::Result;
+use crate::report::Received;
+use futures::StreamExt;
+use futures::executor::LocalPool;
+use futures::task::{ArcWake, LocalSpawnExt, waker};
+use hdrhistogram::Histogram;
+use r2r::std_msgs::msg::UInt64;
+use r2r::{Context, Node, QosProfile};
+use serde::{Deserialize, Serialize};
+use std::cell::RefCell;
+use std::io::BufRead;
+use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::task::Poll;
+use std::time::{Duration, Instant};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline_transport::{Limits, Participant, Qos, RawPublisher, RawSubscription, TopicType};
+
+/// Messages that a queue holds.
+const DEPTH: usize = 100;
+const TYPE: &str = "std_msgs/msg/UInt64";
+/// How long what is under way may take to arrive.
+const LAST: Duration = Duration::from_secs(10);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Side {
+    Ros,
+    Tautline,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Role {
+    Publisher,
+    Subscriber,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Job {
+    pub side: Side,
+    pub role: Role,
+    pub topics: usize,
+    pub rate: u32,
+    /// Of each topic.
+    pub messages: u32,
+    pub domain: u32,
+}
+
+impl Job {
+    fn names(&self) -> impl Iterator<Item = String> {
+        (0..self.topics).map(|number| format!("/bench/t{number}"))
+    }
+
+    fn expected(&self) -> u64 {
+        self.topics as u64 * u64::from(self.messages)
+    }
+}
+
+pub fn run(job: &str) -> Result<()> {
+    let job: Job = serde_json::from_str(job)?;
+    match (job.side, job.role) {
+        (Side::Ros, Role::Publisher) => publish_in_ros(&job),
+        (Side::Ros, Role::Subscriber) => subscribe_in_ros(&job),
+        (Side::Tautline, Role::Publisher) => publish_in_tautline(&job),
+        (Side::Tautline, Role::Subscriber) => subscribe_in_tautline(&job),
+    }
+}
+
+/// Latencies, from the time in each message.
+struct Log {
+    latency_ns: Histogram<u64>,
+}
+
+impl Log {
+    fn new() -> Result<Self> {
+        Ok(Log { latency_ns: Histogram::new_with_bounds(1, 60_000_000_000, 3)? })
+    }
+
+    fn note(&mut self, published_ns: u64) {
+        self.latency_ns.saturating_record(monotonic_ns().saturating_sub(published_ns).max(1));
+    }
+
+    fn say(&self) -> Result<()> {
+        let at = |quantile| self.latency_ns.value_at_quantile(quantile) as f64 / 1000.0;
+        let received = Received {
+            messages: self.latency_ns.len(),
+            p50_us: at(0.5),
+            p99_us: at(0.99),
+            p999_us: at(0.999),
+            max_us: self.latency_ns.max() as f64 / 1000.0,
+        };
+        println!("{}", serde_json::to_string(&received)?);
+        Ok(())
+    }
+}
+
+/// Whether the parent has said that it is over.
+fn told_to_end() -> mpsc::Receiver<()> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        let _ = std::io::stdin().lock().lines().next();
+        let _ = sender.send(());
+    });
+    receiver
+}
+
+/// Ends when all has arrived, or some time after the parent has said that nothing more is sent.
+struct Patience {
+    told: mpsc::Receiver<()>,
+    since: Option<Instant>,
+}
+
+impl Patience {
+    fn new() -> Self {
+        Patience { told: told_to_end(), since: None }
+    }
+
+    fn is_over(&mut self, is_complete: bool) -> bool {
+        if self.since.is_none() && self.told.try_recv().is_ok() {
+            self.since = Some(Instant::now());
+        }
+        self.since.is_some_and(|since| is_complete || since.elapsed() > LAST)
+    }
+}
+
+fn subscribe_in_ros(job: &Job) -> Result<()> {
+    let mut node = Node::create(Context::create()?, "bench_subscriber", "")?;
+    let mut pool = LocalPool::new();
+    let log = Rc::new(RefCell::new(Log::new()?));
+    for name in job.names() {
+        let messages = node.subscribe::<UInt64>(&name, QosProfile::default().keep_last(DEPTH))?;
+        let log = log.clone();
+        pool.spawner().spawn_local(messages.for_each(move |message| {
+            log.borrow_mut().note(message.data);
+            std::future::ready(())
+        }))?;
+    }
+    println!("ready");
+    let mut patience = Patience::new();
+    while !patience.is_over(log.borrow().latency_ns.len() >= job.expected()) {
+        node.spin_once(Duration::from_millis(10));
+        pool.run_until_stalled();
+    }
+    log.borrow().say()
+}
+
+fn publish_in_ros(job: &Job) -> Result<()> {
+    let mut node = Node::create(Context::create()?, "bench_publisher", "")?;
+    let qos = || QosProfile::default().keep_last(DEPTH);
+    let publishers: Vec<_> = job
+        .names()
+        .map(|name| node.create_publisher::<UInt64>(&name, qos()))
+        .collect::<std::result::Result<_, _>>()?;
+    println!("ready");
+    // r2r's subscriber, and the bridge.
+    for publisher in &publishers {
+        while publisher.get_inter_process_subscription_count()? < 2 {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+    println!("matched");
+    publish(job, |topic| Ok(publishers[topic].publish(&UInt64 { data: monotonic_ns() })?))
+}
+
+fn publish_in_tautline(job: &Job) -> Result<()> {
+    let participant = Participant::new(job.domain)?;
+    let publish_one = |name: String| {
+        let limits = Limits { message_bytes: 64, ..Limits::default() };
+        participant.create_raw_publisher(&name, &TopicType::new(TYPE), Qos::keep_last(DEPTH), limits)
+    };
+    let publishers: Vec<RawPublisher> =
+        job.names().map(publish_one).collect::<std::result::Result<_, _>>()?;
+    println!("ready");
+    // Tautline's subscriber, and the bridge.
+    for publisher in &publishers {
+        while publisher.subscription_count() < 2 {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+    println!("matched");
+    publish(job, |topic| Ok(publishers[topic].publish(&monotonic_ns().to_le_bytes())?))
+}
+
+/// The topics take turns, evenly.
+fn publish(job: &Job, mut publish_one: impl FnMut(usize) -> Result<()>) -> Result<()> {
+    let _ = std::io::stdin().lock().lines().next();
+    let interval_ns = 1_000_000_000 / (u64::from(job.rate) * job.topics as u64);
+    let mut next_ns = monotonic_ns();
+    for _ in 0..job.messages {
+        for topic in 0..job.topics {
+            sleep_until_monotonic(next_ns);
+            publish_one(topic)?;
+            next_ns += interval_ns;
+        }
+    }
+    println!("published");
+    // What it kept may still be asked for.
+    let _ = std::io::stdin().lock().lines().next();
+    Ok(())
+}
+
+struct Flag(AtomicBool);
+
+impl ArcWake for Flag {
+    fn wake_by_ref(flag: &Arc<Self>) {
+        flag.0.store(true, Ordering::Release);
+    }
+}
+
+fn subscribe_in_tautline(job: &Job) -> Result<()> {
+    let participant = Participant::new(job.domain)?;
+    let seat = participant.doorbell().claim_sampler()?;
+    let subscribe = |name: String| {
+        let limits = Limits { message_bytes: 64, ..Limits::default() };
+        participant.create_raw_subscription(&name, &TopicType::new(TYPE), Qos::keep_last(DEPTH), limits)
+    };
+    let all: Vec<RawSubscription> = job.names().map(subscribe).collect::<std::result::Result<_, _>>()?;
+    let flags: Vec<_> = all.iter().map(|_| Arc::new(Flag(AtomicBool::new(true)))).collect();
+    let mut log = Log::new()?;
+    println!("ready");
+    let mut patience = Patience::new();
+    while !patience.is_over(log.latency_ns.len() >= job.expected()) {
+        seat.drain(|_| {});
+        for (subscription, flag) in all.iter().zip(&flags) {
+            if !flag.0.swap(false, Ordering::AcqRel) {
+                continue;
+            }
+            let waker = waker(flag.clone());
+            let mut context = std::task::Context::from_waker(&waker);
+            while let Poll::Ready(sample) = subscription.poll_take(&mut context) {
+                let time = sample.body().get(..8).and_then(|time| time.try_into().ok());
+                log.note(u64::from_le_bytes(time.ok_or("a message without a time")?));
+            }
+        }
+        seat.sleep(Some(monotonic_ns() + 10_000_000));
+    }
+    log.say()
+}

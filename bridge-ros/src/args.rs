@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The command line.
+
+use clap::Parser;
+use std::path::PathBuf;
+use tautline_bridge_ros::{Config, ConfigError, Options, Pattern, PatternError};
+use tautline_rt::Realtime;
+use tautline_transport::MAX_DOMAIN;
+
+/// Joins Tautline's topics, services and actions with those of a ROS 2 graph, of any RMW.
+///
+/// Whatever one side publishes and the other subscribes to is passed on, as CDR, with the publishers' QoS; ROS's tools see
+/// Tautline's nodes and topics, and Tautline's tools those of ROS. Services of Tautline are offered in ROS, those of ROS to the
+/// clients that Tautline has; actions and parameters consist of services and topics. Types are found in the ROS 2 that is
+/// sourced (AMENT_PREFIX_PATH). Without --config everything is bridged.
+#[derive(Parser, Debug)]
+#[command(name = "taut-bridge-ros", version)]
+#[command(after_help = "Examples:
+  taut bridge-ros                                   every topic, by discovery
+  taut bridge-ros --deny '/camera/**'               but for these
+  taut bridge-ros --allow /cmd_vel --allow '/tf*'   only these
+  taut bridge-ros --config bridge.toml              what the file says: names, directions, QoS, rates
+  taut bridge-ros --config bridge.toml --auto       and every topic that it does not speak of
+  taut bridge-ros --domain 5 --ros-domain 0         Tautline's domain 5 and ROS's domain 0
+  taut bridge-ros --json | jq .topics
+  taut bridge-ros --json | jq .services
+
+A file:
+  [[topic]]
+  topic = \"/robot/**\"            # Tautline's names; * is a part, ** any number of parts
+  ros_topic = \"/r1/**\"           # what they are called in ROS
+  direction = \"to_ros\"           # or \"from_ros\"; both ways without it
+  type = \"nav_msgs/msg/Odometry\" # what is expected
+  qos = { reliability = \"best_effort\", durability = \"volatile\", depth = 5 }
+  max_rate_hz = 10.0
+  [[service]]
+  service = \"/set_mode\"
+  ros_service = \"/r1/set_mode\"  # what it is called in ROS
+  direction = \"to_ros\"           # Tautline has the server; \"from_ros\": ROS has it
+  type = \"std_srvs/srv/SetBool\"
+  [[action]]
+  action = \"/dock\"               # its services and its topics; ros_action, direction as above")]
+pub struct Args {
+    /// A file that says which topics are bridged, and how
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Also bridge what the file does not speak of
+    #[arg(long)]
+    auto: bool,
+    /// By discovery, bridge only topics and services that match; may be given several times
+    #[arg(long, value_name = "PATTERN")]
+    allow: Vec<String>,
+    /// Do not bridge topics and services that match; may be given several times
+    #[arg(long, value_name = "PATTERN")]
+    deny: Vec<String>,
+    /// Tautline's domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_DOMAIN)))]
+    domain: Option<u32>,
+    /// ROS's domain [default: ROS_DOMAIN_ID, else 0]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_DOMAIN)))]
+    ros_domain: Option<u32>,
+    /// SCHED_FIFO priority of the threads that carry messages; the RMW's have the one below it
+    #[arg(long, value_name = "N", default_value_t = Options::PRIORITY, value_parser = clap::value_parser!(u8).range(3..=98))]
+    priority: u8,
+    /// Run without real-time priorities
+    #[arg(long)]
+    no_rt: bool,
+    /// Print the numbers as JSON, one object a line
+    #[arg(long)]
+    pub json: bool,
+    /// Seconds between two looks at the numbers
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = parse_interval)]
+    pub interval: f64,
+}
+
+/// What cannot be meant.
+#[derive(Debug, thiserror::Error)]
+pub enum ArgsError {
+    #[error("{variable}={value} is not understood: a domain is a number from 0 to {MAX_DOMAIN}")]
+    Domain { variable: &'static str, value: String },
+    #[error(transparent)]
+    Pattern(#[from] PatternError),
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+}
+
+impl Args {
+    pub fn options(&self) -> Result<Options, ArgsError> {
+        let config = self.config.as_ref().map(Config::read).transpose()?.unwrap_or_default();
+        let (mut rules, mut services) = (config.rules, config.services);
+        for rules in [&mut rules, &mut services] {
+            rules.auto |= self.auto || self.config.is_none();
+            rules.allow.extend(patterns(&self.allow)?);
+            rules.deny.extend(patterns(&self.deny)?);
+        }
+        let domain = match self.domain.or(config.domain) {
+            Some(domain) => domain,
+            None => variable("TAUT_DOMAIN")?.or(variable("ROS_DOMAIN_ID")?).unwrap_or(0),
+        };
+        let ros_domain = match self.ros_domain.or(config.ros_domain) {
+            Some(domain) => Some(domain),
+            None => variable("ROS_DOMAIN_ID")?,
+        };
+        let realtime = if self.no_rt { Realtime::Off } else { Realtime::Required };
+        Ok(Options { domain, ros_domain, rules, services, priority: self.priority, realtime })
+    }
+}
+
+fn patterns(texts: &[String]) -> Result<Vec<Pattern>, PatternError> {
+    texts.iter().map(|text| text.parse()).collect()
+}
+
+fn variable(variable: &'static str) -> Result<Option<u32>, ArgsError> {
+    let value = std::env::var_os(variable).unwrap_or_default().to_string_lossy().into_owned();
+    if value.is_empty() {
+        return Ok(None);
+    }
+    let domain = value.parse().ok().filter(|&domain| domain <= MAX_DOMAIN);
+    domain.map(Some).ok_or(ArgsError::Domain { variable, value })
+}
+
+fn parse_interval(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.1..=3600.0).contains(seconds));
+    seconds.ok_or_else(|| "from 0.1 to 3600 seconds".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(args: &[&str]) -> Args {
+        Args::parse_from([&["taut-bridge-ros", "--domain", "7"], args].concat())
+    }
+
+    #[test]
+    fn options_reach_the_bridge() {
+        let options =
+            args(&["--ros-domain", "3", "--deny", "/x/**", "--allow", "/a", "--no-rt", "--priority", "40"]);
+        let options = options.options().unwrap();
+        assert_eq!((options.domain, options.ros_domain, options.priority), (7, Some(3), 40));
+        assert_eq!(options.realtime, Realtime::Off);
+        let bridged = ["/a", "/b", "/x/y"].map(|topic| options.rules.choice(topic).is_some());
+        assert_eq!(bridged, [true, false, false]);
+    }
+
+    #[test]
+    fn a_file_is_all_unless_auto_is_said() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "ros_domain = 9\n[[topic]]\ntopic = \"/a\"\n").unwrap();
+        let path = file.path().to_str().unwrap();
+        let options = args(&["--config", path]).options().unwrap();
+        assert_eq!(options.ros_domain, Some(9));
+        assert!(options.rules.choice("/a").is_some() && options.rules.choice("/b").is_none());
+        let options = args(&["--config", path, "--auto"]).options().unwrap();
+        assert!(options.rules.choice("/b").is_some());
+        assert!(args(&[]).options().unwrap().rules.choice("/b").is_some());
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused() {
+        for wrong in [["--domain", "233"], ["--ros-domain", "x"], ["--priority", "99"], ["--interval", "0"]] {
+            assert!(
+                Args::try_parse_from([["taut-bridge-ros"].as_slice(), &wrong].concat()).is_err(),
+                "{wrong:?}"
+            );
+        }
+        for wrong in [["--allow", "x"], ["--config", "/nowhere.toml"]] {
+            assert!(args(&wrong).options().unwrap_err().to_string().contains(wrong[1]));
+        }
+    }
+}

@@ -1,0 +1,272 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The bridge itself: joins both domains, and starts the threads that carry.
+
+use crate::control::{Control, Event};
+use crate::incoming::{Incoming, IncomingError};
+use crate::outgoing::{Outgoing, OutgoingError};
+use crate::rcl::{
+    Context, GraphGuard, GuardCondition, Node, RclError, WaitSet, Waitable, rmw_implementation,
+};
+use crate::ros_graph::BRIDGE_PREFIX;
+use crate::rules::Rules;
+use crate::services::{Services, ServicesError};
+use crate::stats::Stats;
+use crate::threads;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::time::Duration;
+use tautline_rt::{JoinHandle, Realtime, RtError, Seat, SeatError, ThreadInfo};
+use tautline_transport::{Participant, RemoteGraph, TransportError};
+
+/// What a bridge is to do. Every field has a default.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Tautline's domain.
+    pub domain: u32,
+    /// ROS's domain; `None`: as `ROS_DOMAIN_ID` says, else 0.
+    pub ros_domain: Option<u32>,
+    /// Which topics.
+    pub rules: Rules,
+    /// Which services.
+    pub services: Rules,
+    /// `SCHED_FIFO` priority of the threads that carry messages, at least 3: the RMW's threads have the one below it, the
+    /// bridge's other threads the one below that. Below the sampler's (90), above the callbacks'.
+    pub priority: u8,
+    /// Whether that is required.
+    pub realtime: Realtime,
+}
+
+impl Options {
+    /// Default of [`Options::priority`].
+    pub const PRIORITY: u8 = 80;
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        let rules = Rules { auto: true, ..Rules::default() };
+        Options {
+            domain: 0,
+            ros_domain: None,
+            services: rules.clone(),
+            rules,
+            priority: Self::PRIORITY,
+            realtime: Realtime::Required,
+        }
+    }
+}
+
+/// Why there is no bridge.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BridgeError {
+    /// There is one: two would pass on everything twice.
+    #[error(
+        "domain {domain} of this host and ROS domain {ros_domain} have a bridge already{}: stop that one, or give it these topics \
+         too", holder(*.pid)
+    )]
+    Taken {
+        /// Tautline's domain.
+        domain: u32,
+        /// ROS's domain.
+        ros_domain: u32,
+        /// Process id of the other, if it wrote it.
+        pid: Option<u32>,
+    },
+    /// The lock that says so.
+    #[error(transparent)]
+    Seat(SeatError),
+    /// ROS.
+    #[error("{0}; is ROS 2 sourced, and RMW_IMPLEMENTATION unset or one that is installed?")]
+    Ros(#[from] RclError),
+    /// The domain's shared memory.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// A thread.
+    #[error(transparent)]
+    Threads(#[from] RtError),
+}
+
+fn holder(pid: Option<u32>) -> String {
+    pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
+}
+
+impl From<OutgoingError> for BridgeError {
+    fn from(error: OutgoingError) -> Self {
+        match error {
+            OutgoingError::Transport(error) => error.into(),
+            OutgoingError::Rt(error) => error.into(),
+            OutgoingError::Rcl(error) => error.into(),
+        }
+    }
+}
+
+impl From<IncomingError> for BridgeError {
+    fn from(error: IncomingError) -> Self {
+        match error {
+            IncomingError::Rt(error) => error.into(),
+            IncomingError::Rcl(error) => error.into(),
+        }
+    }
+}
+
+impl From<ServicesError> for BridgeError {
+    fn from(error: ServicesError) -> Self {
+        match error {
+            ServicesError::Rt(error) => error.into(),
+            ServicesError::Rcl(error) => error.into(),
+        }
+    }
+}
+
+/// A running bridge. Dropping it takes everything back: endpoints, nodes, threads.
+pub struct Bridge {
+    events: mpsc::SyncSender<Event>,
+    shared: Arc<Shared>,
+    wake: Arc<GuardCondition>,
+    threads: Vec<JoinHandle<()>>,
+    info: Vec<ThreadInfo>,
+    _seat: Seat,
+}
+
+/// What is read from outside.
+pub(crate) struct Shared {
+    pub(crate) stop: AtomicBool,
+    stats: Mutex<Stats>,
+}
+
+impl Shared {
+    pub(crate) fn stats(&self) -> MutexGuard<'_, Stats> {
+        self.stats.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Changes that wait to be looked at; more are the same look.
+const EVENTS: usize = 64;
+
+impl Bridge {
+    /// Starts a bridge in this process: six threads of its own and the RMW's, none of which the caller's own real-time
+    /// threads wait for.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`BridgeError`].
+    pub fn spawn(options: Options) -> Result<Self, BridgeError> {
+        let participant = Participant::new(options.domain)?;
+        // From the first port on it is known that they stand for others.
+        participant.set_remote(&RemoteGraph::default())?;
+        let before = tautline_rt::threads()?;
+        let context = Context::new(options.ros_domain)?;
+        let seat = take_seat(options.domain, context.domain())?;
+        let node = Node::new(&context, &node_name(options.domain), "/")?;
+        let priorities = threads::Priorities::new(options.priority, options.realtime)?;
+        let rmw = threads::started_since(&before)?;
+        priorities.set(&rmw)?;
+
+        let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"))?;
+        let incoming = Incoming::start(&context, priorities.carrying("ros-in"))?;
+        let services = Services::start(&participant, &node, priorities.carrying("ros-services"))?;
+        let infos = [outgoing.info(), incoming.info(), services.info()];
+        let mut info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
+        let stats = Stats {
+            domain: options.domain,
+            ros_domain: context.domain(),
+            rmw: rmw_implementation(),
+            ..Stats::default()
+        };
+        let shared = Arc::new(Shared { stop: AtomicBool::new(false), stats: Mutex::new(stats) });
+        let (events, received) = mpsc::sync_channel(EVENTS);
+        let wake = GuardCondition::new(&context)?;
+        let here = {
+            let (participant, events, shared) = (participant.clone(), events.clone(), shared.clone());
+            priorities
+                .other("ros-here")
+                .spawn(move || move || watch_tautline(&participant, &events, &shared))?
+        };
+        let there = {
+            let (graph, wait_set) = (GraphGuard::of(&node), WaitSet::new(&context)?);
+            let (wake, events, shared) = (wake.clone(), events.clone(), shared.clone());
+            priorities
+                .other("ros-there")
+                .spawn(move || move || watch_ros(&graph, wait_set, &wake, &events, &shared))?
+        };
+        let control = {
+            let control =
+                Control::new(&options, participant, node, outgoing, incoming, services, shared.clone());
+            priorities.other("ros-control").spawn(move || move || control.run(&received))?
+        };
+        let threads = vec![control, here, there];
+        info.extend(threads.iter().map(|thread| thread.info().clone()));
+        Ok(Bridge { events, shared, wake, threads, info, _seat: seat })
+    }
+
+    /// What went through and what did not. Rates are those of the second before.
+    pub fn stats(&self) -> Stats {
+        self.shared.stats().clone()
+    }
+
+    /// The bridge's own threads, as they were read back when they started.
+    pub fn threads(&self) -> &[ThreadInfo] {
+        &self.info
+    }
+}
+
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Release);
+        // If it does not fit, the control thread has something to look at and will see the flag.
+        let _ = self.events.try_send(Event::Stop);
+        self.wake.trigger();
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// One bridge per user and pair of domains on a host.
+fn take_seat(domain: u32, ros_domain: u32) -> Result<Seat, BridgeError> {
+    let name = format!("{}bridge_ros_{ros_domain}", tautline_transport::file_prefix(domain));
+    Seat::take(&name).map_err(|error| match error {
+        SeatError::Taken { pid, .. } => BridgeError::Taken { domain, ros_domain, pid },
+        error => BridgeError::Seat(error),
+    })
+}
+
+/// Begins as all bridges' do: what is left of one in ROS after it was killed is known by it.
+fn node_name(domain: u32) -> String {
+    format!("{BRIDGE_PREFIX}{domain}_{}", std::process::id())
+}
+
+/// Says when the topics of Tautline's domain changed.
+fn watch_tautline(participant: &Participant, events: &mpsc::SyncSender<Event>, shared: &Shared) {
+    const PATIENCE: Duration = Duration::from_millis(250);
+    let mut seen = participant.graph_epoch().wrapping_sub(1);
+    while !shared.stop.load(Ordering::Acquire) {
+        let epoch = participant.wait_for_graph_change(seen, PATIENCE);
+        if epoch != seen {
+            seen = epoch;
+            // If it is full, there is a look to come.
+            let _ = events.try_send(Event::Here);
+        }
+    }
+}
+
+/// Says when ROS's graph changed.
+fn watch_ros(
+    graph: &GraphGuard,
+    mut wait_set: WaitSet,
+    wake: &GuardCondition,
+    events: &mpsc::SyncSender<Event>,
+    shared: &Shared,
+) {
+    while !shared.stop.load(Ordering::Acquire) {
+        match wait_set.wait(&[Waitable::Graph(graph), Waitable::Guard(wake)], None) {
+            Ok(_) => drop(events.try_send(Event::There)),
+            Err(error) => {
+                tracing::error!("changes in ROS are not seen: {error}");
+                std::thread::sleep(Duration::from_secs(1));
+            }
+        }
+    }
+}

@@ -1,0 +1,498 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Does what the mirror decides: one thread, told when either graph changes, that makes and ends everything.
+
+use crate::bridge::{Options, Shared};
+use crate::incoming::{Incoming, Inlet, Senders};
+use crate::mirror::{Action, InKey, Inward, Mirror, Outward, TopicKey};
+use crate::outgoing::Outgoing;
+use crate::rate::Limiter;
+use crate::rcl::{Node, RosNode, RosPublisher, RosSubscription};
+use crate::ros_graph::{self, RosGraph};
+use crate::rules::{Direction, Rules};
+use crate::services::{Routes, Services};
+use crate::stats::{Book, IncompatibleQos};
+use crate::types::{BridgedType, Types};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+use tautline_transport::{
+    Durability, Gid, GraphSnapshot, Limits, NodeName, Participant, Qos, RawPublisher, RawSubscription,
+    ServiceEndpoint, TransportError,
+};
+
+/// What the control thread is told.
+pub(crate) enum Event {
+    /// What exists in Tautline changed.
+    Here,
+    /// What exists in ROS changed.
+    There,
+    /// The end.
+    Stop,
+}
+
+/// How often numbers are read, and what failed is tried again.
+const TICK: Duration = Duration::from_secs(1);
+/// How long it is looked often whether a publisher in ROS has found its subscriptions; afterwards, with each tick.
+const MATCH_TIME: Duration = Duration::from_secs(3);
+const MATCH_LOOK: Duration = Duration::from_millis(2);
+
+pub(crate) struct Control {
+    participant: Participant,
+    node: Arc<Node>,
+    mirror: Mirror,
+    types: Types,
+    outgoing: Outgoing,
+    incoming: Incoming,
+    services: Services,
+    service_rules: Rules,
+    shared: Arc<Shared>,
+    graph: RosGraph,
+    /// Whether the last look at what exists failed.
+    is_stale: bool,
+    book: Book,
+    writers: HashMap<(TopicKey, Gid), Counterpart>,
+    out: BTreeMap<TopicKey, Outward>,
+    /// Topics whose samples are not taken before their publishers in ROS have found somebody.
+    waiting: BTreeMap<TopicKey, (Outward, Instant)>,
+    inward: BTreeMap<InKey, Inward>,
+    /// Tautline's nodes, for ROS to see.
+    nodes: BTreeMap<NodeName, Option<Arc<Node>>>,
+    /// What could not be done, and why: it is tried again.
+    failed: Vec<(Action, String)>,
+    incompatible: BTreeMap<String, IncompatibleQos>,
+    started: Instant,
+}
+
+/// A publisher in ROS that stands for one here.
+struct Counterpart {
+    publisher: Arc<RosPublisher>,
+    opened: Instant,
+    /// Whether samples go through it.
+    is_open: bool,
+}
+
+impl Control {
+    pub(crate) fn new(
+        options: &Options,
+        participant: Participant,
+        node: Arc<Node>,
+        outgoing: Outgoing,
+        incoming: Incoming,
+        services: Services,
+        shared: Arc<Shared>,
+    ) -> Self {
+        Control {
+            participant,
+            node,
+            mirror: Mirror::new(options.rules.clone()),
+            types: Types::new(),
+            outgoing,
+            incoming,
+            services,
+            service_rules: options.services.clone(),
+            shared,
+            graph: RosGraph::default(),
+            is_stale: false,
+            book: Book::default(),
+            writers: HashMap::new(),
+            out: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            inward: BTreeMap::new(),
+            nodes: BTreeMap::new(),
+            failed: Vec::new(),
+            incompatible: BTreeMap::new(),
+            started: Instant::now(),
+        }
+    }
+
+    /// Until it is told to stop.
+    pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
+        let mut next_tick = Instant::now() + TICK;
+        self.update();
+        while !self.shared.stop.load(Ordering::Acquire) {
+            let patience = next_tick.saturating_duration_since(Instant::now());
+            let patience = if self.is_matching() { patience.min(MATCH_LOOK) } else { patience };
+            let mut is_changed = false;
+            match events.recv_timeout(patience) {
+                Ok(Event::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break,
+                Ok(Event::Here | Event::There) => is_changed = true,
+                Err(mpsc::RecvTimeoutError::Timeout) => {}
+            }
+            // One look for all that changed at once.
+            while let Ok(event) = events.try_recv() {
+                is_changed |= !matches!(event, Event::Stop);
+            }
+            if Instant::now() >= next_tick {
+                next_tick += TICK;
+                is_changed |= self.is_stale || self.graph.has_unknown();
+                self.try_again();
+                self.services.try_again(|| shown(&self.nodes));
+                self.look_for_incompatible();
+                self.read_numbers(TICK);
+            }
+            if is_changed {
+                self.update();
+            }
+            self.look_for_matches();
+        }
+    }
+
+    /// Brings everything in line with what exists.
+    fn update(&mut self) {
+        let here = self.participant.graph().map_err(|error| error.to_string());
+        let read = here.and_then(|here| match self.graph.read(&self.node) {
+            Ok(()) => Ok(here),
+            Err(error) => Err(error.to_string()),
+        });
+        // Looked at again with the next tick.
+        self.is_stale = read.is_err();
+        let here = match read {
+            Ok(here) => here,
+            Err(error) => return tracing::warn!("what exists is not known: {error}"),
+        };
+        self.note_relays(&here);
+        let ends: Vec<_> = here.endpoints.iter().filter(|end| !end.is_remote).cloned().collect();
+        for action in self.mirror.update(&ends, &self.graph.endpoints) {
+            self.act(action);
+        }
+        self.show_nodes(&here);
+        // After the topics: an action's feedback has its way before goals have.
+        let services = self.read_services();
+        self.route_services(&here, &services);
+        self.show_ros(services);
+    }
+
+    /// Those of ROS, but for bridges' and for what stands there for Tautline's.
+    fn read_services(&self) -> Vec<ServiceEndpoint> {
+        let is_shown = |node: &RosNode| self.nodes.contains_key(&ros_graph::node_name(node));
+        ros_graph::services(&self.node, self.graph.nodes.iter().filter(|node| !is_shown(node)))
+    }
+
+    fn route_services(&mut self, here: &GraphSnapshot, there: &[ServiceEndpoint]) {
+        let ends: Vec<_> = here.services.iter().filter(|end| !end.is_remote).cloned().collect();
+        let routes = Routes::of(&self.service_rules, &ends, there, self.services.routes());
+        self.services.set_routes(routes, shown(&self.nodes));
+    }
+
+    /// Ports of bridges and gateways are in no list of endpoints.
+    fn note_relays(&self, here: &GraphSnapshot) {
+        let Ok(topics) = self.participant.topics() else { return };
+        let known: HashSet<Gid> =
+            here.endpoints.iter().filter(|end| !end.is_remote).map(|end| end.gid).collect();
+        let all = topics.iter().flat_map(|topic| &topic.publishers);
+        let relays =
+            all.filter(|port| port.is_own || !known.contains(&port.gid)).map(|port| port.gid).collect();
+        *self.outgoing.relays().lock().unwrap_or_else(PoisonError::into_inner) = relays;
+    }
+
+    fn act(&mut self, action: Action) {
+        if let Err(reason) = self.try_to(&action) {
+            let topic = &topic_of(&action).topic;
+            tracing::warn!("topic '{topic}' is not bridged: {reason}");
+            self.failed.push((action, reason));
+        }
+    }
+
+    /// What failed may be possible now: a limit, memory, a package that was installed.
+    fn try_again(&mut self) {
+        for (action, before) in std::mem::take(&mut self.failed) {
+            if let Err(reason) = self.try_to(&action) {
+                if reason != before {
+                    tracing::warn!("topic '{}' is not bridged: {reason}", topic_of(&action).topic);
+                }
+                self.failed.push((action, reason));
+            }
+        }
+    }
+
+    fn try_to(&mut self, action: &Action) -> Result<(), String> {
+        match action {
+            Action::OpenWriter(key, gid, qos, hash) => self.open_writer(key, *gid, qos, hash.as_deref())?,
+            Action::CloseWriter(key, gid) => {
+                self.forget(|failed| matches!(failed, Action::OpenWriter(topic, port, ..) if topic == key && port == gid));
+                self.outgoing.close(key.clone(), *gid);
+                self.writers.remove(&(key.clone(), *gid));
+            }
+            Action::StartOut(key, outward)
+                if key.is_of_action() || self.out.contains_key(key) || self.is_matched(key) =>
+            {
+                self.start_out(key, outward)?;
+            }
+            Action::StartOut(key, outward) => {
+                self.waiting.insert(key.clone(), (outward.clone(), Instant::now()));
+            }
+            Action::StopOut(key) => {
+                self.forget(|failed| matches!(failed, Action::StartOut(topic, _) if topic == key));
+                self.waiting.remove(key);
+                self.out.remove(key);
+                let of_topic = self.writers.iter_mut().filter(|((topic, _), _)| topic == key);
+                of_topic.for_each(|(_, writer)| writer.is_open = false);
+                self.outgoing.stop_topic(key.clone());
+            }
+            Action::StartIn(key, inward) => {
+                self.forget(|failed| matches!(failed, Action::StartIn(other, _) if other == key));
+                self.start_in(key, inward)?;
+                self.inward.insert(key.clone(), inward.clone());
+            }
+            Action::ChangeIn(key, inward) => {
+                self.forget(|failed| matches!(failed, Action::ChangeIn(other, _) if other == key));
+                self.change_in(key, inward)?;
+            }
+            Action::StopIn(key) => {
+                self.forget(|failed| {
+                    matches!(failed, Action::StartIn(other, _) | Action::ChangeIn(other, _) if other == key)
+                });
+                self.inward.remove(key);
+                self.incoming.close(key.clone());
+            }
+        }
+        Ok(())
+    }
+
+    /// What is not wanted any more is not tried again.
+    fn forget(&mut self, is_it: impl Fn(&Action) -> bool) {
+        self.failed.retain(|(failed, _)| !is_it(failed));
+    }
+
+    fn change_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
+        for (failed, _) in &mut self.failed {
+            if let Action::StartIn(other, wanted) = failed
+                && other == key
+            {
+                *wanted = inward.clone();
+                return Ok(());
+            }
+        }
+        let is_first = self.inward.get(key).is_some_and(|before| before.publishers.is_empty());
+        let port = if is_first {
+            let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
+            self.port(&key.topic, &found, inward)?
+        } else {
+            None
+        };
+        let senders = self.senders(&inward.publishers);
+        self.incoming.change(key.clone(), senders, Limiter::new(inward.min_period), port);
+        self.inward.insert(key.clone(), inward.clone());
+        Ok(())
+    }
+
+    fn open_writer(&mut self, key: &TopicKey, gid: Gid, qos: &Qos, hash: Option<&str>) -> Result<(), String> {
+        let found = self.find_type(key, hash)?;
+        let publisher = RosPublisher::new(&self.node, &key.ros_topic, &found.support, qos);
+        let publisher = Arc::new(publisher.map_err(|error| error.to_string())?);
+        let counterpart = Counterpart { publisher, opened: Instant::now(), is_open: false };
+        self.writers.insert((key.clone(), gid), counterpart);
+        Ok(())
+    }
+
+    fn find_type(&mut self, key: &TopicKey, hash: Option<&str>) -> Result<BridgedType, String> {
+        self.types.find(&key.type_name, hash).map_err(|error| error.to_string())
+    }
+
+    /// Whether subscriptions in ROS are about to be found.
+    fn is_matching(&self) -> bool {
+        let now = Instant::now();
+        let is_new = |since: Instant| now < since + MATCH_TIME;
+        self.waiting.values().any(|(_, since)| is_new(*since))
+            || self.writers.iter().any(|((key, _), writer)| !writer.is_open && self.out.contains_key(key))
+    }
+
+    /// Samples are taken once a publisher in ROS has somebody to send them to: what it sent before would be lost. One that finds
+    /// nobody, while others do, does not keep its samples waiting for ever.
+    fn look_for_matches(&mut self) {
+        let now = Instant::now();
+        for (key, (outward, since)) in std::mem::take(&mut self.waiting) {
+            if !self.is_matched(&key) {
+                self.waiting.insert(key, (outward, since));
+            } else if let Err(reason) = self.start_out(&key, &outward) {
+                self.failed.push((Action::StartOut(key, outward), reason));
+            }
+        }
+        for ((key, gid), writer) in &mut self.writers {
+            let is_ready = || writer.publisher.subscription_count() > 0 || now >= writer.opened + MATCH_TIME;
+            if !writer.is_open && self.out.contains_key(key) && is_ready() {
+                writer.is_open = true;
+                self.outgoing.open(key.clone(), *gid, writer.publisher.clone());
+            }
+        }
+    }
+
+    /// Whether a publisher in ROS has somebody to send to.
+    fn is_matched(&self, key: &TopicKey) -> bool {
+        let mut writers = self.writers.iter().filter(|((topic, _), _)| topic == key);
+        writers.any(|(_, writer)| writer.publisher.subscription_count() > 0)
+    }
+
+    fn start_out(&mut self, key: &TopicKey, outward: &Outward) -> Result<(), String> {
+        let subscription = self.subscribe(key, outward).map_err(|error| error.to_string())?;
+        let counters = self.counters(key, Direction::ToRos);
+        let limiter = Limiter::new(outward.min_period);
+        self.outgoing.start_topic(key.clone(), subscription, counters, limiter);
+        self.out.insert(key.clone(), outward.clone());
+        Ok(())
+    }
+
+    fn subscribe(&mut self, key: &TopicKey, outward: &Outward) -> Result<RawSubscription, TransportError> {
+        let stated = self.participant.topic_type(&key.topic);
+        let topic_type = stated.unwrap_or_else(|| tautline_transport::TopicType::new(key.type_name.clone()));
+        let durability = if outward.is_kept { Durability::TransientLocal } else { Durability::Volatile };
+        let mut wanted = Qos { durability, ..Qos::keep_last(outward.depth.min(Limits::MAX_DEPTH)) };
+        loop {
+            let limits = Limits::default();
+            match self.participant.create_relay_subscription(&key.topic, &topic_type, wanted, limits) {
+                // A queue as long as the topic allows.
+                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
+                    wanted.depth = existing;
+                }
+                outcome => return outcome,
+            }
+        }
+    }
+
+    fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
+        let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
+        let port = self.port(&key.topic, &found, inward)?;
+        let subscription =
+            RosSubscription::new(&self.node, &key.topic.ros_topic, &found.support, &inward.qos);
+        let inlet = Inlet {
+            subscription: subscription.map_err(|error| error.to_string())?,
+            port,
+            schema: found.schema,
+            counters: self.counters(&key.topic, Direction::FromRos),
+            limiter: Limiter::new(inward.min_period),
+            senders: self.senders(&inward.publishers),
+        };
+        self.incoming.open(key.clone(), inlet);
+        Ok(())
+    }
+
+    /// The port that messages of the class come through here, once there is somebody who sends them.
+    fn port(
+        &self,
+        key: &TopicKey,
+        found: &BridgedType,
+        inward: &Inward,
+    ) -> Result<Option<RawPublisher>, String> {
+        if inward.publishers.is_empty() {
+            return Ok(None);
+        }
+        let depth = inward.offered.depth.clamp(1, Limits::MAX_DEPTH);
+        let mut qos = Qos { depth, ..inward.offered };
+        let port = loop {
+            let limits = Limits::default();
+            match self.participant.create_raw_publisher(&key.topic, &found.topic_type(), qos, limits) {
+                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < qos.depth => {
+                    qos.depth = existing;
+                }
+                outcome => break outcome.map_err(|error| error.to_string())?,
+            }
+        };
+        self.outgoing.relays().lock().unwrap_or_else(PoisonError::into_inner).insert(port.gid());
+        Ok(Some(port))
+    }
+
+    /// Of all publishers in ROS that are known.
+    fn senders(&self, wanted: &BTreeSet<Gid>) -> Senders {
+        let others = self.graph.publishers.iter().filter(|gid| !wanted.contains(gid)).copied().collect();
+        Senders { wanted: wanted.clone(), others }
+    }
+
+    fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<crate::stats::Counters> {
+        let (out, inward) = (&self.out, &self.inward);
+        self.book.counters(key, direction, |key, direction| is_active(out, inward, key, direction))
+    }
+
+    /// ROS's tools list Tautline's nodes.
+    fn show_nodes(&mut self, here: &GraphSnapshot) {
+        let wanted: BTreeSet<&NodeName> =
+            here.nodes.iter().filter(|node| !node.is_remote).map(|node| &node.name).collect();
+        self.nodes.retain(|name, _| wanted.contains(name));
+        for name in wanted {
+            if !self.nodes.contains_key(name) {
+                let node = Node::new(self.node.context(), &name.name, &name.namespace);
+                let node =
+                    node.inspect_err(|error| tracing::warn!("node {name} is not shown in ROS: {error}"));
+                self.nodes.insert(name.clone(), node.ok());
+            }
+        }
+    }
+
+    /// Tautline's tools list what is in ROS.
+    fn show_ros(&self, services: Vec<ServiceEndpoint>) {
+        let own: Vec<RosNode> = self
+            .nodes
+            .values()
+            .flatten()
+            .map(|node| RosNode { name: node.name().into(), namespace: node.namespace().into() })
+            .collect();
+        let mut remote = ros_graph::as_remote(&self.graph, &own, self.mirror.rules());
+        remote.services = services;
+        remote.services.retain_mut(|end| {
+            let name = self.service_rules.tautline_name(&end.name);
+            name.map(|name| end.name = name).is_some()
+        });
+        if let Err(error) = self.participant.set_remote(&remote) {
+            tracing::warn!("nodes and tools of this host do not see what ROS has: {error}");
+        }
+    }
+
+    /// As ROS does: an event for each end that does not fit, which is counted and said.
+    fn look_for_incompatible(&mut self) {
+        let writers = self
+            .writers
+            .iter()
+            .filter_map(|((key, _), writer)| Some((key, writer.publisher.incompatible()?)));
+        for (key, (count, policy)) in writers {
+            tracing::warn!(
+                "topic '{}': an end in ROS does not fit the QoS of one here (last policy: {policy}): no messages go between them; \
+                 change one of them, or set qos.{policy} of the topic in the configuration",
+                key.ros_topic
+            );
+            let last_policy = policy.to_owned();
+            self.incompatible.insert(key.topic.clone(), IncompatibleQos { count, last_policy });
+        }
+    }
+
+    fn read_numbers(&mut self, elapsed: Duration) {
+        let mut stats = self.shared.stats();
+        stats.uptime_s = self.started.elapsed().as_secs_f64();
+        stats.ros_nodes = self.graph.nodes.len();
+        stats.ros_endpoints = self.graph.endpoints.len();
+        stats.not_bridged = self.mirror.problems().clone();
+        let failed =
+            self.failed.iter().map(|(action, reason)| (topic_of(action).topic.clone(), reason.clone()));
+        stats.not_bridged.extend(failed);
+        stats.services_not_bridged = self.services.problems();
+        stats.services = self.services.stats();
+        stats.incompatible_qos = self.incompatible.clone();
+        let (out, inward) = (&self.out, &self.inward);
+        stats.topics =
+            self.book.read(&stats.topics, elapsed, |key, direction| is_active(out, inward, key, direction));
+    }
+}
+
+/// Those that stand in ROS for Tautline's.
+fn shown(nodes: &BTreeMap<NodeName, Option<Arc<Node>>>) -> BTreeMap<NodeName, Arc<Node>> {
+    nodes.iter().filter_map(|(name, node)| Some((name.clone(), node.clone()?))).collect()
+}
+
+fn topic_of(action: &Action) -> &TopicKey {
+    match action {
+        Action::OpenWriter(key, ..) | Action::CloseWriter(key, _) => key,
+        Action::StartOut(key, _) | Action::StopOut(key) => key,
+        Action::StartIn(key, _) | Action::ChangeIn(key, _) | Action::StopIn(key) => &key.topic,
+    }
+}
+
+fn is_active(
+    out: &BTreeMap<TopicKey, Outward>,
+    inward: &BTreeMap<InKey, Inward>,
+    key: &TopicKey,
+    direction: Direction,
+) -> bool {
+    match direction {
+        Direction::ToRos => out.contains_key(key),
+        Direction::FromRos => inward.keys().any(|other| other.topic == *key),
+    }
+}

@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut-bridge-ros`: what `taut bridge-ros` runs.
+#![forbid(unsafe_code)]
+#![allow(rustdoc::broken_intra_doc_links, reason = "what args.rs says is text for a terminal")]
+
+mod args;
+mod status;
+
+use args::Args;
+use clap::Parser;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use status::Status;
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use tautline_bridge_ros::{Bridge, Options};
+use tautline_rt::Realtime;
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    // That a message needs a larger segment is none of the user's doing here.
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,tautline_transport::publisher=error"));
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(colours)
+        .without_time()
+        .init();
+    match run(&args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("taut-bridge-ros: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Why the program ends.
+#[derive(Debug, thiserror::Error)]
+enum Failure {
+    #[error(transparent)]
+    Args(#[from] args::ArgsError),
+    #[error(transparent)]
+    Bridge(#[from] tautline_bridge_ros::BridgeError),
+    #[error("signals cannot be handled: {0}")]
+    Signals(#[source] std::io::Error),
+}
+
+fn run(args: &Args) -> Result<(), Failure> {
+    let options = args.options()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone()).map_err(Failure::Signals)?;
+    }
+    let bridge = Bridge::spawn(options.clone())?;
+    introduce(&bridge, &options);
+    let status = Status::new(args.json);
+    let period = Duration::from_secs_f64(args.interval);
+    let mut next = Instant::now() + period;
+    while !stop.load(Ordering::Relaxed) {
+        let patience = next.saturating_duration_since(Instant::now()).min(Duration::from_millis(50));
+        std::thread::sleep(patience);
+        if Instant::now() >= next {
+            next += period;
+            if status.show(&bridge.stats()).is_err() {
+                // Whoever read it has gone.
+                break;
+            }
+        }
+    }
+    drop(status);
+    drop(bridge);
+    Ok(())
+}
+
+/// What it does: once, to standard error.
+fn introduce(bridge: &Bridge, options: &Options) {
+    let stats = bridge.stats();
+    eprintln!("bridge of domain {} and ROS domain {} ({})", stats.domain, stats.ros_domain, stats.rmw);
+    let rules = &options.rules;
+    match (rules.auto, rules.rules.len()) {
+        (true, 0) => eprintln!("every topic that one side publishes and the other subscribes to"),
+        (true, n) => eprintln!("{n} topics or patterns of the file, and every other topic"),
+        (false, n) => eprintln!("{n} topics or patterns of the file, nothing else (--auto bridges the rest)"),
+    }
+    match options.realtime {
+        Realtime::Off => eprintln!("without real-time priorities: callbacks and the bridge compete"),
+        Realtime::Required => {
+            for thread in bridge.threads() {
+                eprintln!("thread {}: {}", thread.name, thread.policy);
+            }
+        }
+    }
+}

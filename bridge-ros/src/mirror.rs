@@ -1,0 +1,405 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is to be bridged: decided here from what exists on both sides, done elsewhere.
+//!
+//! A pure state machine: what exists goes in, the [`Action`]s that follow from it come out, in the order in which they
+//! are to be done.
+//!
+//! - *To ROS.* Each publisher here has a publisher of its own in ROS, with its QoS, so that ROS sees and matches it by
+//!   itself. Samples are taken from shared memory while ROS has a subscription.
+//! - *From ROS.* Publishers there are told apart by what they offer ([`Class`]): each class has a subscription in ROS that
+//!   requests just that, and a port here that offers just that. So every subscription here gets what it would get in
+//!   ROS: what it is compatible with. While there are no publishers, a subscription of the default class shows in ROS that
+//!   somebody listens.
+//!
+//! **Nothing goes in circles.** Only what others made is looked at: ports of bridges and gateways are no endpoints here,
+//! endpoints of bridges are none there. So a message crosses one bridge at most, however many there are.
+
+use crate::rules::{Choice, Direction, Rules};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tautline_transport::{
+    Durability, EndpointKind, Gid, History, Qos, Reliability, TopicEndpoint, TopicType,
+};
+
+/// A topic on both sides.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TopicKey {
+    /// Tautline's name of it.
+    pub topic: String,
+    /// ROS's name of it.
+    pub ros_topic: String,
+    /// What it carries.
+    pub type_name: String,
+}
+
+impl TopicKey {
+    /// Whether it is an action's feedback or status. A client may send its first goal, and should be told of it, before its
+    /// subscriptions are seen here: these topics go to ROS whether or not it is known that somebody listens.
+    pub(crate) fn is_of_action(&self) -> bool {
+        self.topic.contains("/_action/")
+    }
+}
+
+/// What publishers in ROS offer, as far as it decides who gets their messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Class {
+    /// Whether reliable.
+    pub is_reliable: bool,
+    /// Whether late joiners are served.
+    pub is_kept: bool,
+}
+
+impl Class {
+    /// That of a publisher that offers `qos`.
+    pub fn of(qos: &Qos) -> Self {
+        Class {
+            is_reliable: qos.reliability == Reliability::Reliable,
+            is_kept: qos.durability == Durability::TransientLocal,
+        }
+    }
+
+    fn qos(self, depth: usize) -> Qos {
+        Qos {
+            reliability: if self.is_reliable { Reliability::Reliable } else { Reliability::BestEffort },
+            durability: if self.is_kept { Durability::TransientLocal } else { Durability::Volatile },
+            ..Qos::keep_last(depth)
+        }
+    }
+}
+
+/// A topic that comes from ROS, of publishers of one class.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct InKey {
+    /// The topic.
+    pub topic: TopicKey,
+    /// The class.
+    pub class: Class,
+}
+
+/// How messages of a class are taken from ROS.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Inward {
+    /// What the subscription in ROS requests.
+    pub qos: Qos,
+    /// What the port here offers.
+    pub offered: Qos,
+    /// Of publishers of the class: what others send is left to the subscriptions of their classes. None yet, if the
+    /// subscription is there for ROS to see.
+    pub publishers: BTreeSet<Gid>,
+    /// See [`Choice::min_period`].
+    pub min_period: Option<Duration>,
+    /// What the topic says of its type.
+    pub type_hash: Option<String>,
+}
+
+impl Inward {
+    /// What may change while it runs.
+    fn is_same_subscription(&self, other: &Inward) -> bool {
+        (self.qos, self.offered, &self.type_hash) == (other.qos, other.offered, &other.type_hash)
+    }
+}
+
+/// How messages are taken from shared memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outward {
+    /// Length of the bridge's queue, per publisher.
+    pub depth: usize,
+    /// Whether any publisher serves late joiners.
+    pub is_kept: bool,
+    /// See [`Choice::min_period`].
+    pub min_period: Option<Duration>,
+    /// What the topic says of its type.
+    pub type_hash: Option<String>,
+}
+
+/// Something to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action {
+    /// Make a publisher in ROS that stands for this one.
+    OpenWriter(TopicKey, Gid, Qos, Option<String>),
+    /// It has gone.
+    CloseWriter(TopicKey, Gid),
+    /// Begin to take a topic's samples from shared memory.
+    StartOut(TopicKey, Outward),
+    /// Stop it.
+    StopOut(TopicKey),
+    /// Begin to take a class's messages from ROS; of one that is being taken, begin anew.
+    StartIn(InKey, Inward),
+    /// These are its publishers now, and this the rate.
+    ChangeIn(InKey, Inward),
+    /// Stop it.
+    StopIn(InKey),
+}
+
+/// Depth of a queue between the two sides at least: it is emptied at once, and costs nothing when it is empty.
+pub const MIN_DEPTH: usize = 100;
+/// As above, of what comes from ROS, where publishers do not tell their depth.
+pub const MIN_DEPTH_IN: usize = 1000;
+
+/// The state: what is being bridged.
+pub struct Mirror {
+    rules: Rules,
+    writers: BTreeMap<(TopicKey, Gid), Qos>,
+    out: BTreeMap<TopicKey, Outward>,
+    inward: BTreeMap<InKey, Inward>,
+    problems: BTreeMap<String, String>,
+}
+
+/// What there should be.
+#[derive(Default)]
+struct Wanted {
+    writers: BTreeMap<(TopicKey, Gid), (Qos, Option<String>)>,
+    out: BTreeMap<TopicKey, Outward>,
+    inward: BTreeMap<InKey, Inward>,
+    problems: BTreeMap<String, String>,
+}
+
+impl Mirror {
+    /// Nothing exists yet.
+    pub fn new(rules: Rules) -> Self {
+        let (writers, out, inward) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        Mirror { rules, writers, out, inward, problems: BTreeMap::new() }
+    }
+
+    /// What the rules say.
+    pub fn rules(&self) -> &Rules {
+        &self.rules
+    }
+
+    /// Topics that cannot be bridged, and why.
+    pub fn problems(&self) -> &BTreeMap<String, String> {
+        &self.problems
+    }
+
+    /// What exists now: `here` in Tautline, `there` in ROS, both without what bridges and gateways made.
+    pub fn update(&mut self, here: &[TopicEndpoint], there: &[TopicEndpoint]) -> Vec<Action> {
+        let wanted = self.wanted(here, there);
+        let mut actions = Vec::new();
+        // Ends before beginnings.
+        for key in self.out.keys().filter(|key| !wanted.out.contains_key(*key)) {
+            actions.push(Action::StopOut(key.clone()));
+        }
+        for (key, gid) in self.writers.keys().filter(|key| !wanted.writers.contains_key(*key)) {
+            actions.push(Action::CloseWriter(key.clone(), *gid));
+        }
+        for key in self.inward.keys().filter(|key| !wanted.inward.contains_key(*key)) {
+            actions.push(Action::StopIn(key.clone()));
+        }
+        for (writer, (qos, hash)) in &wanted.writers {
+            if self.writers.get(writer) != Some(qos) {
+                let (key, gid) = writer.clone();
+                if self.writers.contains_key(writer) {
+                    actions.push(Action::CloseWriter(key.clone(), gid));
+                }
+                actions.push(Action::OpenWriter(key, gid, *qos, hash.clone()));
+            }
+        }
+        let mut out = BTreeMap::new();
+        for (key, mut outward) in wanted.out {
+            let running = self.out.get(&key);
+            if let Some(running) = running {
+                // What runs only grows, for a change costs samples or has them come twice.
+                outward.depth = outward.depth.max(running.depth);
+                outward.is_kept |= running.is_kept;
+            }
+            if running != Some(&outward) {
+                actions.push(Action::StartOut(key.clone(), outward.clone()));
+            }
+            out.insert(key, outward);
+        }
+        let mut inward = BTreeMap::new();
+        for (key, mut now) in wanted.inward {
+            match self.inward.get(&key) {
+                None => actions.push(Action::StartIn(key.clone(), now.clone())),
+                Some(running) => {
+                    now.qos.depth = now.qos.depth.max(running.qos.depth);
+                    now.offered.depth = now.offered.depth.max(running.offered.depth);
+                    if !now.is_same_subscription(running) {
+                        actions.push(Action::StartIn(key.clone(), now.clone()));
+                    } else if now != *running {
+                        actions.push(Action::ChangeIn(key.clone(), now.clone()));
+                    }
+                }
+            }
+            inward.insert(key, now);
+        }
+        self.writers = wanted.writers.into_iter().map(|(writer, (qos, _))| (writer, qos)).collect();
+        (self.out, self.inward) = (out, inward);
+        self.problems = wanted.problems;
+        actions
+    }
+
+    fn wanted(&self, here: &[TopicEndpoint], there: &[TopicEndpoint]) -> Wanted {
+        let mut wanted = Wanted::default();
+        let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
+        for end in here {
+            topics.entry(&end.topic).or_default().push(end);
+        }
+        let mut of_ros: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
+        for end in there {
+            of_ros.entry(&end.topic).or_default().push(end);
+        }
+        for (topic, ends) in topics {
+            let Some(choice) = self.rules.choice(topic) else { continue };
+            let others = of_ros.get(&*choice.ros_topic).map_or(&[][..], |ends| ends);
+            if let Err(reason) = wanted.topic(topic, &ends, others, &choice) {
+                wanted.problems.insert(topic.to_owned(), reason);
+            }
+        }
+        wanted
+    }
+}
+
+impl Wanted {
+    /// Adds what is to be done of a topic, of which `here` and `there` are the ends.
+    fn topic(
+        &mut self,
+        topic: &str,
+        here: &[&TopicEndpoint],
+        there: &[&TopicEndpoint],
+        choice: &Choice,
+    ) -> Result<(), String> {
+        // One type: a topic of Tautline's has no second one.
+        let Some(topic_type) = here.first().map(|end| &end.topic_type) else { return Ok(()) };
+        let type_name = &*topic_type.name;
+        if let Some(expected) = choice.type_name.as_deref().filter(|expected| *expected != type_name) {
+            return Err(format!(
+                "it carries {type_name}, but the configuration says {expected}: correct 'type', or leave it out"
+            ));
+        }
+        let (same, other): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
+            there.iter().copied().partition(|end| end.topic_type.name == type_name);
+        let (same, changed): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
+            same.into_iter().partition(|end| is_same_hash(&end.topic_type, topic_type));
+        let key = TopicKey {
+            topic: topic.to_owned(),
+            ros_topic: choice.ros_topic.clone(),
+            type_name: type_name.to_owned(),
+        };
+        if choice.goes(Direction::ToRos) {
+            self.out(&key, here, &same, choice, topic_type);
+        }
+        if choice.goes(Direction::FromRos) {
+            self.inward(&key, here, &same, choice, topic_type);
+        }
+        // Of the types that ROS has, this is one: the others are none of ours.
+        match (same.is_empty(), changed.first(), other.first()) {
+            (true, Some(changed), _) => Err(format!(
+                "{type_name} is defined differently in ROS ({}) and here ({}): rebuild one of them with the other's definition",
+                changed.topic_type.hash.as_deref().unwrap_or("no hash"),
+                topic_type.hash.as_deref().unwrap_or("no hash"),
+            )),
+            (true, None, Some(other)) => Err(format!(
+                "it carries {type_name}, in ROS {}: rename one of them, or use the same type",
+                other.topic_type.name
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    fn out(
+        &mut self,
+        key: &TopicKey,
+        here: &[&TopicEndpoint],
+        there: &[&TopicEndpoint],
+        choice: &Choice,
+        topic_type: &TopicType,
+    ) {
+        let hash = topic_type.hash.as_ref().map(ToString::to_string);
+        let writers = || here.iter().filter(|end| end.kind == EndpointKind::Publisher);
+        for end in writers() {
+            let qos = choice.qos.applied_to(Qos {
+                // Its lease is renewed by means that are not seen here.
+                liveliness: tautline_transport::Liveliness::Automatic,
+                liveliness_lease_duration: None,
+                ..end.qos
+            });
+            self.writers.insert((key.clone(), end.gid), (qos, hash.clone()));
+        }
+        let is_read = key.is_of_action() || there.iter().any(|end| end.kind == EndpointKind::Subscription);
+        if let (true, Some(depth)) = (is_read, writers().map(|end| depth(&end.qos)).max()) {
+            let is_kept = writers().any(|end| end.qos.durability == Durability::TransientLocal);
+            let outward = Outward {
+                depth: depth.max(MIN_DEPTH),
+                is_kept,
+                min_period: choice.min_period,
+                type_hash: hash,
+            };
+            self.out.insert(key.clone(), outward);
+        }
+    }
+
+    fn inward(
+        &mut self,
+        key: &TopicKey,
+        here: &[&TopicEndpoint],
+        there: &[&TopicEndpoint],
+        choice: &Choice,
+        topic_type: &TopicType,
+    ) {
+        let readers = || here.iter().filter(|end| end.kind == EndpointKind::Subscription);
+        let Some(deepest) = readers().map(|end| depth(&end.qos)).max() else { return };
+        let mut classes: BTreeMap<Class, Vec<&TopicEndpoint>> = BTreeMap::new();
+        for end in there.iter().filter(|end| end.kind == EndpointKind::Publisher) {
+            classes.entry(Class::of(&choice.qos.applied_to(end.qos))).or_default().push(end);
+        }
+        // A publisher that is yet to come finds somebody at once, if it offers the default. One that offers less would be told
+        // that it does not fit.
+        if classes.is_empty() && readers().any(|end| end.qos.reliability == Reliability::Reliable) {
+            let default = Class { is_reliable: true, is_kept: false };
+            classes.insert(Class::of(&choice.qos.applied_to(default.qos(1))), Vec::new());
+        }
+        for (class, publishers) in classes {
+            let late = readers().filter(|end| end.qos.durability == Durability::TransientLocal);
+            let kept = publishers.iter().map(|end| depth(&end.qos)).fold(0, usize::saturating_add);
+            let deepest_late = late.map(|end| depth(&end.qos)).max().unwrap_or(1);
+            let qos = choice.qos.applied_to(class.qos(deepest.max(MIN_DEPTH_IN)));
+            let inward = Inward {
+                qos,
+                offered: Qos {
+                    deadline: longest(publishers.iter().map(|end| end.qos.deadline)),
+                    liveliness_lease_duration: longest(
+                        publishers.iter().map(|end| end.qos.liveliness_lease_duration),
+                    ),
+                    ..Class::of(&qos).qos(match class.is_kept {
+                        true => choice.qos.depth.unwrap_or(kept.max(deepest_late)),
+                        false => 1,
+                    })
+                },
+                publishers: publishers.iter().map(|end| end.gid).collect(),
+                min_period: choice.min_period,
+                type_hash: topic_type.hash.as_ref().map(ToString::to_string),
+            };
+            // Only what the configuration says can ask for more than there is.
+            if let Some(policy) = publishers.iter().find_map(|end| end.qos.incompatibility(&qos)) {
+                let reason = format!(
+                    "a publisher in ROS does not offer what `qos` requests ({policy:?}): leave that out of the configuration"
+                );
+                self.problems.insert(key.topic.clone(), reason);
+            }
+            self.inward.insert(InKey { topic: key.clone(), class }, inward);
+        }
+    }
+}
+
+/// What all of them keep; `None` is without a limit.
+fn longest(times: impl Iterator<Item = Option<Duration>>) -> Option<Duration> {
+    times.reduce(|one, other| Some(one?.max(other?))).flatten()
+}
+
+/// What is not known agrees with everything.
+fn is_same_hash(one: &TopicType, other: &TopicType) -> bool {
+    match (&one.hash, &other.hash) {
+        (Some(one), Some(other)) => one == other,
+        _ => true,
+    }
+}
+
+/// Samples that an end keeps; keep-all has no number and gets a large one.
+fn depth(qos: &Qos) -> usize {
+    const KEEP_ALL: usize = 1000;
+    if qos.history == History::KeepAll { qos.depth.max(KEEP_ALL) } else { qos.depth.max(1) }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Patterns of topic names: `*` stands for what is between two slashes, `**` for any number of such parts.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// A fully qualified name, in which `*` and `**` may stand for parts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pattern(String);
+
+/// A pattern that cannot be one.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("'{pattern}' is no pattern of topic names: {reason}; write like /chatter, /camera/** or /*/odom")]
+pub struct PatternError {
+    /// What was given.
+    pub pattern: String,
+    /// Why not.
+    pub reason: &'static str,
+}
+
+impl Pattern {
+    /// Whether `name`, a fully qualified name, is one of these.
+    pub fn matches(&self, name: &str) -> bool {
+        fn parts(text: &str) -> Vec<&str> {
+            text.split('/').skip(1).collect()
+        }
+        let (pattern, name) = (parts(&self.0), parts(name));
+        // Of each part of the name so far: whether the pattern so far can end there.
+        let mut ends = vec![false; name.len() + 1];
+        ends[0] = true;
+        for part in pattern {
+            if part == "**" {
+                let first = ends.iter().position(|end| *end).unwrap_or(ends.len());
+                ends.iter_mut().skip(first).for_each(|end| *end = true);
+            } else {
+                for at in (0..name.len()).rev() {
+                    ends[at + 1] = ends[at] && (part == "*" && !name[at].is_empty() || part == name[at]);
+                }
+                ends[0] = false;
+            }
+        }
+        ends[name.len()]
+    }
+
+    /// The one name that it stands for, if it is one.
+    pub fn exact(&self) -> Option<&str> {
+        (!self.0.contains('*')).then_some(&*self.0)
+    }
+
+    /// `/a/b` of `/a/b/**`.
+    pub fn prefix(&self) -> Option<&str> {
+        self.0.strip_suffix("/**").filter(|prefix| !prefix.contains('*'))
+    }
+}
+
+impl FromStr for Pattern {
+    type Err = PatternError;
+
+    fn from_str(text: &str) -> Result<Self, PatternError> {
+        let refuse = |reason| Err(PatternError { pattern: text.to_owned(), reason });
+        let Some(rest) = text.strip_prefix('/') else { return refuse("it does not begin with '/'") };
+        for part in rest.split('/') {
+            let is_word = part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+            if part.is_empty() {
+                return refuse("a part of it is empty");
+            }
+            if !matches!(part, "*" | "**") && !is_word {
+                return refuse("a part is a word of letters, digits and '_', or '*', or '**'");
+            }
+        }
+        Ok(Pattern(text.to_owned()))
+    }
+}
+
+impl fmt::Display for Pattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_matches() {
+        let matching = [
+            ("/a", "/a"),
+            ("/**", "/a/b/c"),
+            ("/a/**", "/a"),
+            ("/a/**", "/a/b"),
+            ("/*/odom", "/base/odom"),
+            ("/**/x", "/x"),
+            ("/**/b/*", "/a/b/b/c"),
+        ];
+        let others =
+            [("/a", "/b"), ("/a", "/a/b"), ("/a/**", "/ab"), ("/*/odom", "/odom"), ("/*/odom", "/a/b/odom")];
+        let matches = |pattern: &str, name| pattern.parse::<Pattern>().unwrap().matches(name);
+        assert!(matching.into_iter().all(|(pattern, name)| matches(pattern, name)));
+        assert!(!others.into_iter().any(|(pattern, name)| matches(pattern, name)));
+    }
+
+    #[test]
+    fn what_is_no_pattern() {
+        for text in ["", "a", "/", "/a//b", "/a/", "/a b", "/a*"] {
+            let error = text.parse::<Pattern>().unwrap_err().to_string();
+            assert!(error.contains(&format!("'{text}'")), "{error}");
+        }
+    }
+}

@@ -1,0 +1,164 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Membership of a ROS domain, and its nodes.
+
+use super::error::{RclError, check};
+use r2r_rcl::*;
+use std::ffi::{CStr, CString};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Membership of a ROS domain. With Fast DDS: one participant, whose threads start here.
+pub struct Context {
+    raw: *mut rcl_context_t,
+    domain: u32,
+}
+
+// SAFETY: rcl reads a context from many threads; it is changed by `new` and `drop` alone, which have it for themselves.
+unsafe impl Send for Context {}
+// SAFETY: as above.
+unsafe impl Sync for Context {}
+
+impl Context {
+    /// Joins `domain`, or the one that `ROS_DOMAIN_ID` says.
+    ///
+    /// # Errors
+    /// [`RclError`], of the RMW most likely.
+    pub fn new(domain: Option<u32>) -> Result<Arc<Self>, RclError> {
+        // SAFETY: rcl's protocol: zero, initialise, use, end. The options live until `rcl_init` has copied them. The
+        // context is boxed, for nodes keep its address, and freed by `drop`.
+        unsafe {
+            let mut options = rcl_get_zero_initialized_init_options();
+            check(
+                "preparing a context",
+                rcl_init_options_init(&mut options, rcutils_get_default_allocator()),
+            )?;
+            let set = domain.map_or(Ok(()), |domain| {
+                check("setting the domain", rcl_init_options_set_domain_id(&mut options, domain as usize))
+            });
+            let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_context()));
+            let started =
+                set.and_then(|()| check("starting ROS 2", rcl_init(0, std::ptr::null(), &options, raw)));
+            let _ = rcl_init_options_fini(&mut options);
+            let mut context = Context { raw, domain: 0 };
+            if let Err(error) = started {
+                drop(Box::from_raw(raw));
+                std::mem::forget(context);
+                return Err(error);
+            }
+            let mut number = 0;
+            check("reading the domain", rcl_context_get_domain_id(raw, &mut number))?;
+            context.domain = u32::try_from(number).unwrap_or(u32::MAX);
+            Ok(Arc::new(context))
+        }
+    }
+
+    /// The domain.
+    pub fn domain(&self) -> u32 {
+        self.domain
+    }
+
+    pub(crate) fn raw(&self) -> *mut rcl_context_t {
+        self.raw
+    }
+}
+
+impl Drop for Context {
+    fn drop(&mut self) {
+        // SAFETY: nobody else has it: what uses it holds an `Arc` of it.
+        unsafe {
+            let _ = rcl_shutdown(self.raw);
+            let _ = rcl_context_fini(self.raw);
+            drop(Box::from_raw(self.raw));
+        }
+    }
+}
+
+/// The RMW implementation, such as `rmw_fastrtps_cpp`.
+pub fn rmw_implementation() -> String {
+    // SAFETY: a constant text of the library that is linked.
+    unsafe { CStr::from_ptr(rmw_get_implementation_identifier()) }.to_string_lossy().into_owned()
+}
+
+/// A node of the ROS graph.
+pub struct Node {
+    raw: *mut rcl_node_t,
+    name: String,
+    namespace: String,
+    /// Held while something of the node is made or destroyed, which rcl does not do twice at once.
+    making: Mutex<()>,
+    context: Arc<Context>,
+}
+
+// SAFETY: rcl looks at the graph from many threads; what changes the node holds `making`.
+unsafe impl Send for Node {}
+// SAFETY: as above.
+unsafe impl Sync for Node {}
+
+/// Nodes are made and destroyed one at a time: rcl's list of loggers is the process's.
+static NODES: Mutex<()> = Mutex::new(());
+
+impl Node {
+    /// Makes a node, without a publisher of `/rosout`.
+    ///
+    /// # Errors
+    /// [`RclError`]: a name that cannot be one.
+    pub fn new(context: &Arc<Context>, name: &str, namespace: &str) -> Result<Arc<Self>, RclError> {
+        let (c_name, c_namespace) = (text(name)?, text(namespace)?);
+        let _making = NODES.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: rcl's protocol; the node is boxed, for publishers keep its address, and freed by `drop`.
+        unsafe {
+            let mut options = rcl_node_get_default_options();
+            options.enable_rosout = false;
+            let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_node()));
+            let made = rcl_node_init(raw, c_name.as_ptr(), c_namespace.as_ptr(), context.raw(), &options);
+            let made = check("making a node", made);
+            let _ = rcl_node_options_fini(&mut options);
+            if let Err(error) = made {
+                drop(Box::from_raw(raw));
+                return Err(error);
+            }
+            let (name, namespace) = (name.to_owned(), namespace.to_owned());
+            Ok(Arc::new(Node { raw, name, namespace, making: Mutex::new(()), context: context.clone() }))
+        }
+    }
+
+    /// Without its namespace.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The namespace.
+    pub fn namespace(&self) -> &str {
+        &self.namespace
+    }
+
+    /// Its context.
+    pub fn context(&self) -> &Arc<Context> {
+        &self.context
+    }
+
+    pub(crate) fn raw(&self) -> *mut rcl_node_t {
+        self.raw
+    }
+
+    /// To be held while something of the node is made or destroyed.
+    pub(crate) fn making(&self) -> MutexGuard<'_, ()> {
+        self.making.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        let _making = NODES.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: nobody else has it: what uses it holds an `Arc` of it.
+        unsafe {
+            let _ = rcl_node_fini(self.raw);
+            drop(Box::from_raw(self.raw));
+        }
+    }
+}
+
+/// As C has it.
+pub(crate) fn text(text: &str) -> Result<CString, RclError> {
+    let what = "reading a name";
+    CString::new(text).map_err(|_| RclError { what, code: 0, reason: format!("{text:?} contains a zero") })
+}

@@ -1,0 +1,222 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Listing the ROS graph: rcl's own functions, for r2r's one ends the process when a topic has two types (0.9.7).
+
+use super::context::{Node, text};
+use super::error::{RclError, check};
+use crate::qos::from_ros;
+use r2r_rcl::*;
+use std::collections::BTreeMap;
+use std::ffi::{CStr, c_char};
+use tautline_transport::{EndpointKind, Gid, Qos};
+
+/// Names of topics or services, each with all types that it has.
+pub type RosTopics = BTreeMap<String, Vec<String>>;
+
+/// A node's name and namespace.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RosNode {
+    /// Without the namespace.
+    pub name: String,
+    /// Such as `/`.
+    pub namespace: String,
+}
+
+/// A publisher or subscription.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RosEndpoint {
+    /// Which of both.
+    pub kind: EndpointKind,
+    /// The node that has it; `None` if that is not known, or if it is no ROS node's.
+    pub node: Option<RosNode>,
+    /// Such as `std_msgs/msg/String`.
+    pub type_name: String,
+    /// `RIHS01_...`, if it says so.
+    pub type_hash: Option<String>,
+    /// Its identifier.
+    pub gid: Gid,
+    /// As far as the RMW knows it: not the depth, with DDS.
+    pub qos: Qos,
+}
+
+impl Node {
+    /// All topics.
+    ///
+    /// # Errors
+    /// [`RclError`].
+    pub fn topics(&self) -> Result<RosTopics, RclError> {
+        // SAFETY: the node is initialised; the list is zero before, and ended by `collect`.
+        unsafe {
+            let mut allocator = rcutils_get_default_allocator();
+            let mut list = rmw_get_zero_initialized_names_and_types();
+            let code = rcl_get_topic_names_and_types(self.raw(), &mut allocator, false, &mut list);
+            collect("listing topics", code, list)
+        }
+    }
+
+    /// The services that a node answers.
+    ///
+    /// # Errors
+    /// [`RclError`]: the node has gone.
+    pub fn services_of(&self, node: &RosNode) -> Result<RosTopics, RclError> {
+        let (name, namespace) = (text(&node.name)?, text(&node.namespace)?);
+        // SAFETY: as in `topics`.
+        unsafe {
+            let mut allocator = rcutils_get_default_allocator();
+            let mut list = rmw_get_zero_initialized_names_and_types();
+            let (name, namespace) = (name.as_ptr(), namespace.as_ptr());
+            let code = rcl_get_service_names_and_types_by_node(
+                self.raw(),
+                &mut allocator,
+                name,
+                namespace,
+                &mut list,
+            );
+            collect("listing a node's services", code, list)
+        }
+    }
+
+    /// The services that a node requests.
+    ///
+    /// # Errors
+    /// [`RclError`]: the node has gone.
+    pub fn clients_of(&self, node: &RosNode) -> Result<RosTopics, RclError> {
+        let (name, namespace) = (text(&node.name)?, text(&node.namespace)?);
+        // SAFETY: as in `topics`.
+        unsafe {
+            let mut allocator = rcutils_get_default_allocator();
+            let mut list = rmw_get_zero_initialized_names_and_types();
+            let (name, namespace) = (name.as_ptr(), namespace.as_ptr());
+            let code = rcl_get_client_names_and_types_by_node(
+                self.raw(),
+                &mut allocator,
+                name,
+                namespace,
+                &mut list,
+            );
+            collect("listing a node's clients", code, list)
+        }
+    }
+
+    /// All nodes; those that have the same name are listed as often as they are there.
+    ///
+    /// # Errors
+    /// [`RclError`].
+    pub fn nodes(&self) -> Result<Vec<RosNode>, RclError> {
+        // SAFETY: the node is initialised; both lists are zero before, equally long after, and ended here.
+        unsafe {
+            let mut names = rcutils_get_zero_initialized_string_array();
+            let mut namespaces = rcutils_get_zero_initialized_string_array();
+            let allocator = rcutils_get_default_allocator();
+            let code = rcl_get_node_names(self.raw(), allocator, &mut names, &mut namespaces);
+            let listed = check("listing nodes", code).map(|()| {
+                let all = strings(names.data, names.size)
+                    .into_iter()
+                    .zip(strings(namespaces.data, namespaces.size));
+                all.map(|(name, namespace)| RosNode { name, namespace }).collect()
+            });
+            let _ = rcutils_string_array_fini(&mut names);
+            let _ = rcutils_string_array_fini(&mut namespaces);
+            listed
+        }
+    }
+
+    /// The publishers or subscriptions of `topic`, a fully qualified name, of all types.
+    ///
+    /// # Errors
+    /// [`RclError`].
+    pub fn endpoints(&self, topic: &str, kind: EndpointKind) -> Result<Vec<RosEndpoint>, RclError> {
+        let name = text(topic)?;
+        // SAFETY: the node is initialised; the list is zero before, and ended here; its texts are copied before.
+        unsafe {
+            let mut list = rmw_get_zero_initialized_topic_endpoint_info_array();
+            let mut allocator = rcutils_get_default_allocator();
+            let get = match kind {
+                EndpointKind::Publisher => rcl_get_publishers_info_by_topic,
+                EndpointKind::Subscription => rcl_get_subscriptions_info_by_topic,
+            };
+            let code = get(self.raw(), &mut allocator, name.as_ptr(), false, &mut list);
+            let listed = check("listing a topic's endpoints", code).map(|()| {
+                let infos = match list.size {
+                    0 => &[],
+                    size => std::slice::from_raw_parts(list.info_array, size),
+                };
+                infos.iter().map(|info| endpoint(kind, info)).collect()
+            });
+            let _ = rmw_topic_endpoint_info_array_fini(&mut list, &mut allocator);
+            listed
+        }
+    }
+}
+
+/// # Safety
+/// The info is one that rmw wrote.
+unsafe fn endpoint(kind: EndpointKind, info: &rmw_topic_endpoint_info_t) -> RosEndpoint {
+    // SAFETY: rmw's texts end with a zero, or are null.
+    let (name, namespace, type_name) =
+        unsafe { (string(info.node_name), string(info.node_namespace), string(info.topic_type)) };
+    // As rmw calls what has not been told yet.
+    let is_known = !name.is_empty() && !name.contains("_UNKNOWN_");
+    let hash = &info.topic_type_hash;
+    RosEndpoint {
+        kind,
+        node: is_known.then_some(RosNode { name, namespace }),
+        type_name,
+        type_hash: hash_text(hash.version, &hash.value),
+        gid: gid(&info.endpoint_gid),
+        qos: from_ros(&info.qos_profile),
+    }
+}
+
+/// `RIHS01_` and its digits; `None` if it is not set.
+pub(super) fn hash_text(version: u8, value: &[u8; 32]) -> Option<String> {
+    let digits = || value.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+    (version == 1).then(|| format!("RIHS01_{}", digits()))
+}
+
+/// The 16 bytes that matter.
+pub(super) fn gid(data: &[u8]) -> Gid {
+    let mut gid = Gid::default();
+    for (to, from) in gid.0.iter_mut().zip(data) {
+        *to = *from;
+    }
+    gid
+}
+
+/// # Safety
+/// `list` is what the call that returned `code` wrote.
+unsafe fn collect(
+    what: &'static str,
+    code: rcl_ret_t,
+    mut list: rcl_names_and_types_t,
+) -> Result<RosTopics, RclError> {
+    // SAFETY: as many lists of types as names, as rmw writes them.
+    unsafe {
+        let listed = check(what, code).map(|()| {
+            let names = strings(list.names.data, list.names.size);
+            let types = |at| {
+                let types: &rcutils_string_array_t = &*list.types.add(at);
+                strings(types.data, types.size)
+            };
+            names.into_iter().enumerate().map(|(at, name)| (name, types(at))).collect()
+        });
+        let _ = rcl_names_and_types_fini(&mut list);
+        listed
+    }
+}
+
+/// # Safety
+/// `size` texts, each of which ends with a zero.
+unsafe fn strings(data: *mut *mut c_char, size: usize) -> Vec<String> {
+    // SAFETY: as the caller says.
+    (0..size).map(|at| unsafe { string(*data.add(at)) }).collect()
+}
+
+/// # Safety
+/// A text that ends with a zero, or null.
+unsafe fn string(text: *const c_char) -> String {
+    if text.is_null() {
+        return String::new();
+    }
+    // SAFETY: as the caller says.
+    unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
+}

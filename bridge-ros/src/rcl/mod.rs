@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A thin, safe layer over rcl, through the bindings of r2r: what carries bytes, and what lists a graph. All of the
+//! crate's `unsafe` is here.
+//!
+//! rcl's objects are made and destroyed by one thread at a time ([`Node`] has a lock for that), and may be used by
+//! several afterwards: publishing and looking at the graph are thread-safe; taking, and waiting with one wait set, are
+//! done by one thread, which `&mut` says.
+
+mod context;
+mod error;
+mod events;
+mod graph;
+mod guard;
+mod publisher;
+mod serialized;
+mod service;
+mod service_support;
+mod subscription;
+mod type_support;
+mod wait;
+
+pub use context::{Context, Node, rmw_implementation};
+pub use error::RclError;
+pub use graph::{RosEndpoint, RosNode};
+pub use guard::{GraphGuard, GuardCondition};
+pub use publisher::RosPublisher;
+pub use serialized::SerializedMessage;
+pub use service::{RosClient, RosRequestId, RosServer};
+pub use service_support::{RosStruct, ServiceSupport};
+pub use subscription::{RosMessageInfo, RosSubscription};
+pub use type_support::{MessageSupport, TypeSupportError, is_message_type, is_service_type};
+pub use wait::{WaitSet, Waitable};

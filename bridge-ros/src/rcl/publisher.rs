@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Publishes serialized bytes in ROS.
+
+use super::context::{Node, text};
+use super::error::{RclError, check};
+use super::events::Incompatible;
+use super::serialized::SerializedMessage;
+use super::type_support::MessageSupport;
+use crate::qos::to_ros;
+use r2r_rcl::*;
+use std::sync::Arc;
+use tautline_transport::Qos;
+
+/// A publisher of bytes.
+pub struct RosPublisher {
+    raw: *mut rcl_publisher_t,
+    incompatible: Option<Incompatible>,
+    node: Arc<Node>,
+    _support: MessageSupport,
+}
+
+// SAFETY: publishing is thread-safe; it is made and destroyed under the node's lock.
+unsafe impl Send for RosPublisher {}
+// SAFETY: as above.
+unsafe impl Sync for RosPublisher {}
+
+impl RosPublisher {
+    /// A publisher of `topic`, a fully qualified name.
+    ///
+    /// # Errors
+    /// [`RclError`]: a name or QoS that cannot be one.
+    pub fn new(node: &Arc<Node>, topic: &str, support: &MessageSupport, qos: &Qos) -> Result<Self, RclError> {
+        let name = text(topic)?;
+        let _making = node.making();
+        // SAFETY: rcl's protocol; the type support lives as long as the publisher; boxed, for the node keeps its address.
+        unsafe {
+            let mut options = rcl_publisher_get_default_options();
+            options.qos = to_ros(qos);
+            let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_publisher()));
+            let made = rcl_publisher_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
+            if let Err(error) = check("making a publisher", made) {
+                drop(Box::from_raw(raw));
+                return Err(error);
+            }
+            let incompatible = Incompatible::of_publisher(raw);
+            Ok(RosPublisher { raw, incompatible, node: node.clone(), _support: support.clone() })
+        }
+    }
+
+    /// Publishes.
+    ///
+    /// # Errors
+    /// [`RclError`].
+    pub fn publish(&self, message: &SerializedMessage) -> Result<(), RclError> {
+        // SAFETY: both are initialised; without an allocation rmw makes its own.
+        let code = unsafe { rcl_publish_serialized_message(self.raw, message.raw(), std::ptr::null_mut()) };
+        check("publishing", code)
+    }
+
+    /// Subscriptions that have been found and fit.
+    pub fn subscription_count(&self) -> usize {
+        let mut count = 0;
+        // SAFETY: it is initialised until it is dropped.
+        let code = unsafe { rcl_publisher_get_subscription_count(self.raw, &mut count) };
+        check("counting subscriptions", code).map_or(0, |()| count)
+    }
+
+    /// If subscriptions have appeared since the last call that request what this publisher does not offer: how many in
+    /// all, and which policy it was last.
+    pub fn incompatible(&self) -> Option<(u64, &'static str)> {
+        self.incompatible.as_ref()?.take()
+    }
+}
+
+impl Drop for RosPublisher {
+    fn drop(&mut self) {
+        let _making = self.node.making();
+        self.incompatible = None;
+        // SAFETY: nobody else has it; its event has ended before it, its node lives.
+        unsafe {
+            let _ = rcl_publisher_fini(self.raw, self.node.raw());
+            drop(Box::from_raw(self.raw));
+        }
+    }
+}

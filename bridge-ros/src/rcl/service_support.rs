@@ -1,0 +1,222 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Types of services, found at run time. rmw carries services as C structs only, not as bytes: so a struct is made by
+//! the package's own functions, and rmw converts between it and CDR. No type is compiled in.
+
+use super::error::{RclError, check};
+use super::serialized::SerializedMessage;
+use super::type_support::{self, TypeSupportError};
+use libloading::Library;
+use r2r_rcl::*;
+use std::ffi::c_void;
+use std::sync::Arc;
+
+/// What ROS needs to know of a service to carry it. A clone is the same.
+#[derive(Clone)]
+pub struct ServiceSupport {
+    raw: *const rosidl_service_type_support_t,
+    request: StructSupport,
+    response: StructSupport,
+    hash: Option<String>,
+    _libraries: [Arc<Library>; 2],
+}
+
+/// Of one of the two messages.
+#[derive(Clone, Copy)]
+struct StructSupport {
+    raw: *const rosidl_message_type_support_t,
+    create: unsafe extern "C" fn() -> *mut c_void,
+    destroy: unsafe extern "C" fn(*mut c_void),
+}
+
+// SAFETY: constant data and functions of libraries that stay loaded.
+unsafe impl Send for ServiceSupport {}
+// SAFETY: as above.
+unsafe impl Sync for ServiceSupport {}
+
+impl ServiceSupport {
+    /// Finds the service `name`, `std_srvs/srv/SetBool` or `test_msgs/action/Fibonacci_SendGoal`, in what
+    /// `AMENT_PREFIX_PATH` names.
+    ///
+    /// # Errors
+    /// [`TypeSupportError`].
+    pub fn load(name: &str) -> Result<Self, TypeSupportError> {
+        let of_kind = |kind| type_support::split(name, kind).map(|(package, base)| (package, kind, base));
+        let Some((package, kind, base)) = of_kind("srv").or_else(|| of_kind("action")) else {
+            return Err(TypeSupportError::ServiceName { name: name.to_owned() });
+        };
+        let (support, at) = type_support::load_library(package, "rosidl_typesupport_c")?;
+        let (structs, _) = type_support::load_library(package, "rosidl_generator_c")?;
+        let unknown = || TypeSupportError::Unknown {
+            package: package.to_owned(),
+            kind: "srv",
+            name: base.to_owned(),
+            at: at.clone(),
+        };
+        type Get = unsafe extern "C" fn() -> *const rosidl_service_type_support_t;
+        let symbol =
+            format!("rosidl_typesupport_c__get_service_type_support_handle__{package}__{kind}__{base}");
+        // SAFETY: rosidl generates functions of this name with this type; what they return is constant data of the library.
+        let raw = unsafe { support.get::<Get>(symbol.as_bytes()).map_err(|_| unknown())?() };
+        let part = |part: &str| {
+            let full = format!("{package}__{kind}__{base}_{part}");
+            // SAFETY: as above, of each of the three names.
+            unsafe { StructSupport::load(&full, &support, &structs) }.ok_or_else(unknown)
+        };
+        let (request, response) = (part("Request")?, part("Response")?);
+        // SAFETY: as above; the function is the library's, and wants the handle itself.
+        let hash = unsafe {
+            let raw = raw.as_ref().ok_or_else(unknown)?;
+            let hash = raw.get_type_hash_func.and_then(|get| get(raw).as_ref());
+            hash.and_then(|hash| super::graph::hash_text(hash.version, &hash.value))
+        };
+        Ok(ServiceSupport { raw, request, response, hash, _libraries: [support, structs] })
+    }
+
+    /// `RIHS01_...`, of the definition that is installed here.
+    pub fn hash(&self) -> Option<&str> {
+        self.hash.as_deref()
+    }
+
+    /// A request, to be filled.
+    ///
+    /// # Errors
+    /// [`RclError`]: no memory.
+    pub fn new_request(&self) -> Result<RosStruct, RclError> {
+        RosStruct::new(self.request, self)
+    }
+
+    /// A response, to be filled.
+    ///
+    /// # Errors
+    /// [`RclError`]: no memory.
+    pub fn new_response(&self) -> Result<RosStruct, RclError> {
+        RosStruct::new(self.response, self)
+    }
+
+    pub(crate) fn raw(&self) -> *const rosidl_service_type_support_t {
+        self.raw
+    }
+}
+
+impl StructSupport {
+    /// # Safety
+    /// rosidl generated both libraries for the type `full`.
+    unsafe fn load(full: &str, support: &Library, structs: &Library) -> Option<Self> {
+        type Get = unsafe extern "C" fn() -> *const rosidl_message_type_support_t;
+        let get = format!("rosidl_typesupport_c__get_message_type_support_handle__{full}");
+        // SAFETY: as the caller says, functions of these names have these types.
+        unsafe {
+            let raw = support.get::<Get>(get.as_bytes()).ok()?();
+            let create = *structs.get(format!("{full}__create").as_bytes()).ok()?;
+            let destroy = *structs.get(format!("{full}__destroy").as_bytes()).ok()?;
+            (!raw.is_null()).then_some(StructSupport { raw, create, destroy })
+        }
+    }
+}
+
+/// A request or a response as the struct that C programs have.
+pub struct RosStruct {
+    raw: *mut c_void,
+    support: StructSupport,
+    _service: ServiceSupport,
+}
+
+// SAFETY: it owns its memory, which is of the default allocator.
+unsafe impl Send for RosStruct {}
+
+impl RosStruct {
+    fn new(support: StructSupport, service: &ServiceSupport) -> Result<Self, RclError> {
+        // SAFETY: makes an initialised struct, or null.
+        let raw = unsafe { (support.create)() };
+        if raw.is_null() {
+            let (what, reason) = ("making a struct", "out of memory".to_owned());
+            return Err(RclError { what, code: RCL_RET_BAD_ALLOC as i32, reason });
+        }
+        Ok(RosStruct { raw, support, _service: service.clone() })
+    }
+
+    /// Reads it from CDR, with its encapsulation.
+    ///
+    /// # Errors
+    /// [`RclError`]: the bytes are none of the type. The struct is valid then, too.
+    pub fn deserialize(&mut self, bytes: &SerializedMessage) -> Result<(), RclError> {
+        // SAFETY: the struct is one of the type that the support is for; rmw reads the bytes.
+        check("reading a message", unsafe { rmw_deserialize(bytes.raw(), self.support.raw, self.raw) })
+    }
+
+    /// Writes it as CDR, with its encapsulation.
+    ///
+    /// # Errors
+    /// [`RclError`]: no memory.
+    pub fn serialize(&self, bytes: &mut SerializedMessage) -> Result<(), RclError> {
+        // SAFETY: as above; rmw grows the buffer with its own allocator.
+        check("writing a message", unsafe { rmw_serialize(self.raw, self.support.raw, bytes.raw_mut()) })
+    }
+
+    pub(crate) fn raw(&self) -> *const c_void {
+        self.raw
+    }
+
+    pub(crate) fn raw_mut(&mut self) -> *mut c_void {
+        self.raw
+    }
+}
+
+impl Drop for RosStruct {
+    fn drop(&mut self) {
+        // SAFETY: made by `create`, and nobody else has it.
+        unsafe { (self.support.destroy)(self.raw) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(name: &str) -> String {
+        ServiceSupport::load(name).err().unwrap().to_string()
+    }
+
+    #[test]
+    fn what_is_missing_is_named_with_its_fix() {
+        for name in ["", "SetBool", "std_srvs/SetBool", "std_srvs/msg/SetBool", "std_srvs/srv/"] {
+            assert!(message(name).contains("write package/srv/Name"), "{name}");
+        }
+        assert!(message("no_such_srvs/srv/A").contains("ros-$ROS_DISTRO-no-such-srvs"));
+        let unknown = message("std_srvs/srv/SetBoole");
+        assert!(unknown.contains("no srv 'SetBoole'"), "{unknown}");
+    }
+
+    #[test]
+    fn hashes_are_those_of_the_definitions() {
+        let mut packages = tautline_schema::Packages::from_env();
+        for name in
+            ["std_srvs/srv/SetBool", "test_msgs/srv/BasicTypes", "test_msgs/action/Fibonacci_GetResult"]
+        {
+            let schema = packages.schema(&name.parse().unwrap()).unwrap();
+            let support = ServiceSupport::load(name).unwrap();
+            assert_eq!(support.hash(), Some(&*schema.hash().to_string()), "{name}");
+        }
+    }
+
+    #[test]
+    fn bytes_go_through_the_struct() {
+        let support = ServiceSupport::load("std_srvs/srv/SetBool").unwrap();
+        let mut response = support.new_response().unwrap();
+        let mut bytes = SerializedMessage::new().unwrap();
+        // success, padding, a text of 3 with its zero
+        let body = [1, 0, 0, 0, 4, 0, 0, 0, b'y', b'e', b's', 0];
+        bytes.assign(&[0, 1, 0, 0], &body).unwrap();
+        response.deserialize(&bytes).unwrap();
+        let mut again = SerializedMessage::new().unwrap();
+        response.serialize(&mut again).unwrap();
+        let again = &again.bytes()[4..];
+        assert_eq!((again[0], &again[4..12]), (1, &body[4..]));
+        // Cut off, and a length that is a lie.
+        for body in [&body[..9], &[1, 0, 0, 0, 255, 255, 255, 127, b'y']] {
+            bytes.assign(&[0, 1, 0, 0], body).unwrap();
+            assert!(response.deserialize(&bytes).is_err());
+        }
+        response.serialize(&mut bytes).unwrap();
+    }
+}

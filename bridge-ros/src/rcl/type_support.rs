@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Types of messages, found at run time: no type is compiled in.
+
+use libloading::Library;
+use r2r_rcl::*;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What ROS needs to know of a type to carry its bytes. A clone is the same.
+#[derive(Clone)]
+pub struct MessageSupport {
+    raw: *const rosidl_message_type_support_t,
+    hash: Option<String>,
+    _library: Arc<Library>,
+}
+
+// SAFETY: constant data of a library that stays loaded.
+unsafe impl Send for MessageSupport {}
+// SAFETY: as above.
+unsafe impl Sync for MessageSupport {}
+
+/// Why a type cannot be carried. Each says what to do.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TypeSupportError {
+    /// Not `package/msg/Name`.
+    #[error("'{name}' is no type of messages: write package/msg/Name, such as std_msgs/msg/String")]
+    Name {
+        /// What was given.
+        name: String,
+    },
+    /// Not `package/srv/Name`.
+    #[error("'{name}' is no type of services: write package/srv/Name, such as std_srvs/srv/SetBool")]
+    ServiceName {
+        /// What was given.
+        name: String,
+    },
+    /// No such package.
+    #[error(
+        "ROS 2 package '{package}' is not installed in any of AMENT_PREFIX_PATH ({}): install it (apt install \
+         ros-$ROS_DISTRO-{}), or source the workspace that has it", prefixes(.searched), package.replace('_', "-")
+    )]
+    Package {
+        /// The package.
+        package: String,
+        /// Where it was looked for.
+        searched: Vec<PathBuf>,
+    },
+    /// A package without the library for C.
+    #[error(
+        "package '{package}' is installed in {}, but its lib{package}__{library}.so cannot be loaded: {reason}; \
+         install or build the package with rosidl_default_generators, and source it", at.display()
+    )]
+    Library {
+        /// The package.
+        package: String,
+        /// Its prefix.
+        at: PathBuf,
+        /// Which of its libraries.
+        library: &'static str,
+        /// The loader's word for it.
+        reason: String,
+    },
+    /// The package has no such type.
+    #[error(
+        "package '{package}' in {} has no {kind} '{name}': correct the name, or rebuild the package if the type is new \
+         (ros2 interface package {package} lists what it has)", at.display()
+    )]
+    Unknown {
+        /// The package.
+        package: String,
+        /// `msg` or `srv`.
+        kind: &'static str,
+        /// The type's own name.
+        name: String,
+        /// The package's prefix.
+        at: PathBuf,
+    },
+}
+
+fn prefixes(searched: &[PathBuf]) -> String {
+    match searched {
+        [] => "which is empty: source ROS 2".to_owned(),
+        some => some.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(":"),
+    }
+}
+
+impl MessageSupport {
+    /// Finds the type `name`, such as `std_msgs/msg/String`, in what `AMENT_PREFIX_PATH` names.
+    ///
+    /// # Errors
+    /// [`TypeSupportError`].
+    pub fn load(name: &str) -> Result<Self, TypeSupportError> {
+        let refuse = || TypeSupportError::Name { name: name.to_owned() };
+        // Those of an action's topics are in its package's folder `action`.
+        let of_kind = |kind| split(name, kind).map(|(package, base)| (package, kind, base));
+        let (package, kind, base) = of_kind("msg").or_else(|| of_kind("action")).ok_or_else(refuse)?;
+        let (library, at) = load_library(package, "rosidl_typesupport_c")?;
+        let symbol =
+            format!("rosidl_typesupport_c__get_message_type_support_handle__{package}__{kind}__{base}");
+        let unknown = || TypeSupportError::Unknown {
+            package: package.to_owned(),
+            kind: "msg",
+            name: base.to_owned(),
+            at: at.clone(),
+        };
+        type Get = unsafe extern "C" fn() -> *const rosidl_message_type_support_t;
+        // SAFETY: rosidl generates functions of this name with this type; what they return is constant data of the library.
+        let raw = unsafe { library.get::<Get>(symbol.as_bytes()).map_err(|_| unknown())?() };
+        if raw.is_null() {
+            return Err(unknown());
+        }
+        // SAFETY: as above; the function is the library's, and wants the handle itself.
+        let hash = unsafe {
+            (*raw)
+                .get_type_hash_func
+                .and_then(|get| get(raw).as_ref())
+                .and_then(|hash| super::graph::hash_text(hash.version, &hash.value))
+        };
+        Ok(MessageSupport { raw, hash, _library: library })
+    }
+
+    /// `RIHS01_...`, of the definition that is installed here.
+    pub fn hash(&self) -> Option<&str> {
+        self.hash.as_deref()
+    }
+
+    pub(crate) fn raw(&self) -> *const rosidl_message_type_support_t {
+        self.raw
+    }
+}
+
+/// Whether `name` is like `std_msgs/msg/String`.
+pub fn is_message_type(name: &str) -> bool {
+    split(name, "msg").is_some()
+}
+
+/// Whether `name` is like `std_srvs/srv/SetBool`.
+pub fn is_service_type(name: &str) -> bool {
+    split(name, "srv").is_some()
+}
+
+/// Package and own name of `package/kind/Name`, if it is one.
+pub(crate) fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)> {
+    let (package, rest) = name.split_once('/')?;
+    let base = rest.strip_prefix(kind)?.strip_prefix('/')?;
+    let is_word =
+        |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
+    (is_word(package) && is_word(base)).then_some((package, base))
+}
+
+/// One of the package's libraries for C, and the prefix that the package is in.
+pub(crate) fn load_library(
+    package: &str,
+    library: &'static str,
+) -> Result<(Arc<Library>, PathBuf), TypeSupportError> {
+    let paths = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
+    let searched: Vec<PathBuf> =
+        std::env::split_paths(&paths).filter(|path| !path.as_os_str().is_empty()).collect();
+    let has = |prefix: &&PathBuf| prefix.join("share").join(package).is_dir();
+    let Some(at) = searched.iter().find(has).cloned() else {
+        return Err(TypeSupportError::Package { package: package.to_owned(), searched });
+    };
+    let file = format!("lib{package}__{library}.so");
+    let beside = at.join("lib").join(&file);
+    let path = if beside.exists() { beside.as_path() } else { Path::new(&file) };
+    // SAFETY: a library of generated code, whose initialisers register types.
+    let loaded = unsafe { Library::new(path) };
+    let loaded = loaded.map_err(|error| TypeSupportError::Library {
+        package: package.to_owned(),
+        at: at.clone(),
+        library,
+        reason: error.to_string(),
+    })?;
+    Ok((Arc::new(loaded), at))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(name: &str) -> String {
+        MessageSupport::load(name).err().unwrap().to_string()
+    }
+
+    #[test]
+    fn what_is_missing_is_named_with_its_fix() {
+        for name in ["", "String", "std_msgs/String", "std_msgs/srv/String", "std_msgs/msg/", "../msg/A"] {
+            assert!(message(name).contains("write package/msg/Name"), "{name}");
+        }
+        let unknown = message("no_such_msgs/msg/A");
+        assert!(
+            unknown.contains("'no_such_msgs'") && unknown.contains("ros-$ROS_DISTRO-no-such-msgs"),
+            "{unknown}"
+        );
+        let unknown = message("std_msgs/msg/Sting");
+        assert!(unknown.contains("no msg 'Sting'") && unknown.contains("'std_msgs'"), "{unknown}");
+        // A package with nothing that can be loaded.
+        let unloadable = message("rclpy/msg/A");
+        assert!(unloadable.contains("rosidl_default_generators"), "{unloadable}");
+    }
+
+    #[test]
+    fn hashes_are_those_of_the_definitions() {
+        let string = MessageSupport::load("std_msgs/msg/String").unwrap();
+        assert_eq!(
+            string.hash(),
+            Some("RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
+        );
+    }
+}

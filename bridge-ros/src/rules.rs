@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which topics are bridged, which way, and how: what the configuration and the command line say.
+
+use crate::pattern::Pattern;
+use serde::Serialize;
+use std::time::Duration;
+use tautline_transport::{Durability, History, Qos, Reliability};
+
+/// Which way messages go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// From Tautline to ROS.
+    ToRos,
+    /// From ROS to Tautline.
+    FromRos,
+}
+
+/// What is said of the topics that match.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rule {
+    /// Tautline's names.
+    pub topic: Pattern,
+    /// What they are called in ROS, if not the same: a name for a name, `/b/**` for `/a/**`.
+    pub ros_topic: Option<Pattern>,
+    /// One way only.
+    pub direction: Option<Direction>,
+    /// The type that is expected.
+    pub type_name: Option<String>,
+    /// What the ROS end offers or requests in place of what is there.
+    pub qos: QosOverride,
+    /// Shortest time between two messages; what comes sooner is dropped and counted.
+    pub min_period: Option<Duration>,
+}
+
+impl Rule {
+    /// Everything of `topic`, as it is there.
+    pub fn new(topic: Pattern) -> Self {
+        let (ros_topic, direction, type_name, min_period) = (None, None, None, None);
+        Rule { topic, ros_topic, direction, type_name, qos: QosOverride::default(), min_period }
+    }
+}
+
+/// Fields of a QoS that are set in place of what is there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[allow(missing_docs, reason = "as those of Qos")]
+pub struct QosOverride {
+    pub reliability: Option<Reliability>,
+    pub durability: Option<Durability>,
+    pub history: Option<History>,
+    pub depth: Option<usize>,
+}
+
+impl QosOverride {
+    /// `qos` with what is set here.
+    #[must_use]
+    pub fn applied_to(&self, qos: Qos) -> Qos {
+        Qos {
+            reliability: self.reliability.unwrap_or(qos.reliability),
+            durability: self.durability.unwrap_or(qos.durability),
+            history: self.history.unwrap_or(qos.history),
+            depth: self.depth.unwrap_or(qos.depth),
+            ..qos
+        }
+    }
+}
+
+/// All that is said of all topics.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rules {
+    /// The first one that matches counts.
+    pub rules: Vec<Rule>,
+    /// Whether topics that no rule speaks of are bridged too.
+    pub auto: bool,
+    /// Of those: only these, if there are any.
+    pub allow: Vec<Pattern>,
+    /// Of all: none of these.
+    pub deny: Vec<Pattern>,
+}
+
+/// What is said of one topic.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Choice {
+    /// What it is called in ROS.
+    pub ros_topic: String,
+    /// See [`Rule::direction`].
+    pub direction: Option<Direction>,
+    /// See [`Rule::type_name`].
+    pub type_name: Option<String>,
+    /// See [`Rule::qos`].
+    pub qos: QosOverride,
+    /// See [`Rule::min_period`].
+    pub min_period: Option<Duration>,
+}
+
+impl Choice {
+    /// Whether messages go this way.
+    pub fn goes(&self, direction: Direction) -> bool {
+        self.direction.is_none_or(|only| only == direction)
+    }
+}
+
+impl Rules {
+    /// What is said of Tautline's `topic`; `None` if it is not bridged.
+    pub fn choice(&self, topic: &str) -> Option<Choice> {
+        if self.deny.iter().any(|pattern| pattern.matches(topic)) {
+            return None;
+        }
+        if let Some(rule) = self.rules.iter().find(|rule| rule.topic.matches(topic)) {
+            let ros_topic = rule.ros_topic.as_ref().and_then(|ros| translated(topic, &rule.topic, ros));
+            return Some(Choice {
+                ros_topic: ros_topic.unwrap_or_else(|| topic.to_owned()),
+                direction: rule.direction,
+                type_name: rule.type_name.clone(),
+                qos: rule.qos,
+                min_period: rule.min_period,
+            });
+        }
+        let is_allowed = self.allow.is_empty() || self.allow.iter().any(|pattern| pattern.matches(topic));
+        (self.auto && is_allowed).then(|| Choice {
+            ros_topic: topic.to_owned(),
+            direction: None,
+            type_name: None,
+            qos: QosOverride::default(),
+            min_period: None,
+        })
+    }
+
+    /// What the topic `ros_topic` of ROS is called in Tautline; `None` if it is not bridged.
+    pub fn tautline_name(&self, ros_topic: &str) -> Option<String> {
+        let renamed = self.rules.iter().find_map(|rule| {
+            let topic = translated(ros_topic, rule.ros_topic.as_ref()?, &rule.topic)?;
+            self.choice(&topic).filter(|choice| choice.ros_topic == ros_topic).map(|_| topic)
+        });
+        renamed.or_else(|| {
+            self.choice(ros_topic)
+                .filter(|choice| choice.ros_topic == ros_topic)
+                .map(|_| ros_topic.to_owned())
+        })
+    }
+}
+
+/// `/b/x` for `/a/x`, by `/a/**` and `/b/**`; `/b` for `/a`, by `/a` and `/b`.
+fn translated(name: &str, from: &Pattern, to: &Pattern) -> Option<String> {
+    if let (Some(from), Some(to)) = (from.exact(), to.exact()) {
+        return (name == from).then(|| to.to_owned());
+    }
+    let rest = name.strip_prefix(from.prefix()?)?;
+    let to = to.prefix()?;
+    (rest.starts_with('/') && rest.len() > 1).then(|| format!("{to}{rest}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pattern(text: &str) -> Pattern {
+        text.parse().unwrap()
+    }
+
+    fn renaming(topic: &str, ros_topic: &str) -> Rule {
+        Rule { ros_topic: Some(pattern(ros_topic)), ..Rule::new(pattern(topic)) }
+    }
+
+    #[test]
+    fn names_go_both_ways() {
+        let rules = Rules {
+            rules: vec![renaming("/a", "/b"), renaming("/robot/**", "/r1/**"), Rule::new(pattern("/same"))],
+            ..Rules::default()
+        };
+        for (here, there) in [("/a", "/b"), ("/robot/x/y", "/r1/x/y"), ("/same", "/same")] {
+            assert_eq!(rules.choice(here).unwrap().ros_topic, there);
+            assert_eq!(rules.tautline_name(there).as_deref(), Some(here));
+        }
+        for name in ["/b", "/r1/x", "/other"] {
+            assert_eq!(rules.choice(name), None, "{name}");
+        }
+        for name in ["/a", "/robot/x", "/other"] {
+            assert_eq!(rules.tautline_name(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn auto_allow_and_deny() {
+        let deny = vec![pattern("/camera/**")];
+        let auto = Rules { auto: true, deny, ..Rules::default() };
+        assert!(auto.choice("/x").is_some() && auto.choice("/camera/raw").is_none());
+        let only = Rules { allow: vec![pattern("/a/*")], rules: vec![Rule::new(pattern("/b"))], ..auto };
+        let bridged = ["/a/x", "/b"].map(|name| only.choice(name).is_some());
+        assert_eq!((bridged, only.choice("/x")), ([true, true], None));
+        assert_eq!(Rules { auto: false, ..only }.choice("/a/x"), None);
+    }
+}

@@ -1,0 +1,201 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which services go which way: decided here from what exists on both sides, done elsewhere.
+
+use crate::rules::{Direction, Rules};
+use std::collections::{BTreeMap, BTreeSet};
+use tautline_transport::{NodeName, ServiceEndpoint, ServiceKind};
+
+/// A service on both sides.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct ServiceKey {
+    /// Tautline's name of it.
+    pub(crate) service: String,
+    /// ROS's name of it.
+    pub(crate) ros_service: String,
+    /// Its type.
+    pub(crate) type_name: String,
+}
+
+/// A service that Tautline has.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct OfferedService {
+    /// What its server says of its type.
+    pub(crate) type_hash: Option<String>,
+    /// The server's node.
+    pub(crate) node: NodeName,
+}
+
+/// A service that ROS has.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct SoughtService {
+    /// What Tautline's clients say of its type.
+    pub(crate) type_hash: Option<String>,
+    /// How many servers ROS has.
+    pub(crate) servers: usize,
+}
+
+/// Which services go which way.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Routes {
+    /// Tautline's: ROS may ask.
+    pub(crate) offered: BTreeMap<ServiceKey, OfferedService>,
+    /// Those that only ROS has, with clients here.
+    pub(crate) sought: BTreeMap<ServiceKey, SoughtService>,
+    /// Services that cannot be bridged, and why.
+    pub(crate) problems: BTreeMap<String, String>,
+}
+
+impl Routes {
+    /// What follows from what exists: `here` in Tautline, `there` in ROS, both without what this bridge made. What was offered
+    /// `before` stays so though ROS gets a server of it, perhaps another bridge's: two would make way for each other for ever.
+    pub(crate) fn of(
+        rules: &Rules,
+        here: &[ServiceEndpoint],
+        there: &[ServiceEndpoint],
+        before: &Routes,
+    ) -> Self {
+        let mut routes = Routes::default();
+        let names: BTreeSet<&str> = here.iter().map(|end| &*end.name).collect();
+        for name in names {
+            let ends: Vec<&ServiceEndpoint> = here.iter().filter(|end| end.name == name).collect();
+            routes.add(rules, name, &ends, there, before);
+        }
+        routes
+    }
+
+    fn add(
+        &mut self,
+        rules: &Rules,
+        service: &str,
+        here: &[&ServiceEndpoint],
+        there: &[ServiceEndpoint],
+        before: &Routes,
+    ) {
+        let Some(choice) = rules.choice(service) else { return };
+        let servers =
+            there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.ros_topic);
+        let server = here.iter().find(|end| end.kind == ServiceKind::Server);
+        let Some(end) = server.or_else(|| here.first()) else { return };
+        if let Some(expected) = choice.type_name.as_ref().filter(|expected| **expected != end.type_name) {
+            let reason = format!(
+                "it is a {}, but the configuration says {expected}: correct 'type', or leave it out",
+                end.type_name
+            );
+            return drop(self.problems.insert(service.to_owned(), reason));
+        }
+        let key = ServiceKey {
+            service: service.to_owned(),
+            ros_service: choice.ros_topic.clone(),
+            type_name: end.type_name.clone(),
+        };
+        let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
+            servers.partition(|server| server.type_name == end.type_name);
+        match (server, other.first()) {
+            (Some(server), _) if choice.goes(Direction::ToRos) => {
+                let is_alone = same.is_empty() && other.is_empty();
+                if !is_alone {
+                    // Who asks in ROS would get two answers.
+                    let reason = "both Tautline and ROS have a server of it: stop or rename one of them";
+                    self.problems.insert(service.to_owned(), reason.to_owned());
+                }
+                if is_alone || before.offered.contains_key(&key) {
+                    let (type_hash, node) = (server.type_hash.clone(), server.node.clone());
+                    self.offered.insert(key, OfferedService { type_hash, node });
+                }
+            }
+            (None, _) if choice.goes(Direction::FromRos) && !same.is_empty() => {
+                let sought = SoughtService { type_hash: end.type_hash.clone(), servers: same.len() };
+                self.sought.insert(key, sought);
+            }
+            (None, Some(other)) => {
+                let reason = format!(
+                    "clients here ask for a {}, in ROS it is a {}: rename one of them, or use the same type",
+                    end.type_name, other.type_name
+                );
+                self.problems.insert(service.to_owned(), reason);
+            }
+            _ => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rules::Rule;
+    use tautline_transport::Gid;
+
+    const SET_BOOL: &str = "std_srvs/srv/SetBool";
+
+    fn end(kind: ServiceKind, name: &str, type_name: &str) -> ServiceEndpoint {
+        ServiceEndpoint {
+            kind,
+            name: name.into(),
+            type_name: type_name.into(),
+            type_hash: None,
+            gid: Gid::default(),
+            node: NodeName { namespace: "/".into(), name: "node".into() },
+            pid: None,
+            is_remote: false,
+        }
+    }
+
+    fn server(name: &str) -> ServiceEndpoint {
+        end(ServiceKind::Server, name, SET_BOOL)
+    }
+
+    fn client(name: &str) -> ServiceEndpoint {
+        end(ServiceKind::Client, name, SET_BOOL)
+    }
+
+    fn names<T>(keys: &BTreeMap<ServiceKey, T>) -> Vec<(&str, &str)> {
+        keys.keys().map(|key| (&*key.service, &*key.ros_service)).collect()
+    }
+
+    fn of(rules: &Rules, here: &[ServiceEndpoint], there: &[ServiceEndpoint]) -> Routes {
+        Routes::of(rules, here, there, &Routes::default())
+    }
+
+    #[test]
+    fn servers_here_are_offered_and_those_of_ros_only_to_clients_here() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let here = [server("/here"), client("/here"), client("/there"), client("/nowhere"), server("/both")];
+        let there =
+            [server("/there"), server("/there"), client("/here"), server("/unasked"), server("/both")];
+        let routes = of(&rules, &here, &there);
+        assert_eq!(names(&routes.offered), [("/here", "/here")]);
+        assert_eq!(names(&routes.sought), [("/there", "/there")]);
+        assert_eq!(routes.sought.values().next().unwrap().servers, 2);
+        assert!(routes.sought.keys().all(|key| key.service != "/both"));
+        assert!(routes.problems["/both"].contains("both Tautline and ROS"), "{:?}", routes.problems);
+        assert_eq!(of(&Rules::default(), &here, &there), Routes::default());
+    }
+
+    #[test]
+    fn types_and_directions() {
+        let mut rule = Rule::new("/a".parse().unwrap());
+        rule.ros_topic = Some("/b".parse().unwrap());
+        let rules = |rule: &Rule| Rules { rules: vec![rule.clone()], ..Rules::default() };
+        let routes = of(&rules(&rule), &[client("/a")], &[server("/b")]);
+        assert_eq!(names(&routes.sought), [("/a", "/b")]);
+        let trigger = end(ServiceKind::Server, "/b", "std_srvs/srv/Trigger");
+        let routes = of(&rules(&rule), &[client("/a")], std::slice::from_ref(&trigger));
+        assert!(routes.sought.is_empty() && routes.problems["/a"].contains("std_srvs/srv/Trigger"));
+        rule.direction = Some(Direction::FromRos);
+        assert_eq!(of(&rules(&rule), &[server("/a")], &[]), Routes::default());
+        rule.direction = Some(Direction::ToRos);
+        assert_eq!(names(&of(&rules(&rule), &[server("/a")], &[]).offered), [("/a", "/b")]);
+        rule.type_name = Some("std_srvs/srv/Empty".into());
+        let routes = of(&rules(&rule), &[server("/a")], &[]);
+        assert!(routes.offered.is_empty() && routes.problems["/a"].contains("std_srvs/srv/Empty"));
+    }
+
+    #[test]
+    fn what_is_offered_stays_so() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let first = of(&rules, &[server("/a")], &[]);
+        let second = Routes::of(&rules, &[server("/a")], &[server("/a")], &first);
+        assert_eq!((names(&second.offered), second.problems.len()), (vec![("/a", "/a")], 1));
+        assert!(Routes::of(&rules, &[], &[server("/a")], &second).offered.is_empty());
+    }
+}

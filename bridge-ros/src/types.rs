@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is known of the types of topics: ROS's type support, and the definition, which what arrives is checked against.
+
+use crate::rcl::{MessageSupport, TypeSupportError};
+use std::collections::HashMap;
+use std::sync::Arc;
+use tautline_schema::{Layout, Packages, Schema, Size, TypeName};
+use tautline_transport::{SchemaStore, TopicType};
+
+/// A type that both sides can carry.
+#[derive(Clone)]
+pub(crate) struct BridgedType {
+    pub(crate) support: MessageSupport,
+    pub(crate) schema: Arc<Schema>,
+}
+
+/// Why a type is not bridged.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TypeError {
+    #[error(transparent)]
+    Support(#[from] TypeSupportError),
+    #[error(
+        "no definition of {name} is found: install the package's .msg files (share/<package>/msg in AMENT_PREFIX_PATH): {reason}"
+    )]
+    Definition { name: String, reason: String },
+    #[error(
+        "{name} has another definition in the ROS 2 that this bridge runs with ({installed}) than in this topic ({stated}): \
+         source the one that the topic's nodes were built with, or rebuild them"
+    )]
+    Hash { name: String, installed: String, stated: String },
+}
+
+/// Finds types; those found are remembered.
+pub(crate) struct Types {
+    store: SchemaStore,
+    packages: Packages,
+    found: HashMap<String, BridgedType>,
+}
+
+impl Types {
+    pub(crate) fn new() -> Self {
+        Types { store: SchemaStore::of_user(), packages: Packages::from_env(), found: HashMap::new() }
+    }
+
+    /// The type `name`, if its hash is the one that the topic states.
+    pub(crate) fn find(&mut self, name: &str, stated: Option<&str>) -> Result<BridgedType, TypeError> {
+        let found = match self.found.get(name) {
+            Some(found) => found.clone(),
+            None => {
+                let support = MessageSupport::load(name)?;
+                let schema = self.schema(name, &support)?;
+                let found = BridgedType { support, schema };
+                self.found.insert(name.to_owned(), found.clone());
+                found
+            }
+        };
+        let installed = found.schema.hash().to_string();
+        match stated {
+            Some(stated) if stated != installed => {
+                Err(TypeError::Hash { name: name.into(), installed, stated: stated.into() })
+            }
+            _ => Ok(found),
+        }
+    }
+
+    /// The definition that ROS's type support was made from.
+    fn schema(&mut self, name: &str, support: &MessageSupport) -> Result<Arc<Schema>, TypeError> {
+        let refuse = |reason: String| TypeError::Definition { name: name.into(), reason };
+        let type_name: TypeName = name.parse().map_err(|_| refuse("it is no type name".into()))?;
+        let is_it = |schema: &Schema| support.hash().is_none_or(|hash| schema.hash().to_string() == hash);
+        let reason = match self.packages.schema(&type_name) {
+            Ok(schema) if is_it(&schema) => return Ok(schema.into()),
+            Ok(schema) => {
+                format!("the one that is installed has the hash {}, not the library's", schema.hash())
+            }
+            Err(error) => error.to_string(),
+        };
+        // What is kept is a claim.
+        let kept = support.hash().and_then(|hash| self.store.read(hash).ok().flatten());
+        let kept = kept.and_then(|claimed| Schema::from_text(&type_name, &claimed.text).ok());
+        kept.filter(is_it).map(Arc::new).ok_or_else(|| refuse(reason))
+    }
+}
+
+impl BridgedType {
+    /// As a topic of Tautline's states it.
+    pub(crate) fn topic_type(&self) -> TopicType {
+        let topic_type = TopicType::new(self.schema.name().to_string())
+            .with_hash(self.schema.hash().to_string())
+            .with_definition(self.schema.to_text());
+        match Layout::of(&self.schema).size {
+            Size::Fixed(body_bytes) => topic_type.with_body_bytes(body_bytes),
+            _ => topic_type,
+        }
+    }
+}

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What ends without a word: a bridge that is killed, a ROS node that is. What comes in its place is found.
+
+mod support;
+
+use serde_json::json;
+use std::time::{Duration, Instant};
+use support::{
+    BridgeProcess, Peer, STRING, matched, publisher, ros, subscription, take, take_texts, text_body,
+};
+use tautline_transport::{Participant, Qos};
+
+/// After this a restarted bridge or node is expected to be heard. Looked at where CI is set: elsewhere the machine may be busy.
+const RECOVERY: Duration = Duration::from_secs(5);
+
+fn check(what: &str, since: Instant) {
+    let elapsed = since.elapsed();
+    println!("{what}: {elapsed:?}");
+    assert!(std::env::var_os("CI").is_none() || elapsed < RECOVERY, "{what}: {elapsed:?}");
+}
+
+#[test]
+fn a_killed_bridge_and_a_killed_node_are_replaced() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 1;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "survivor");
+    let here = publisher(&participant, "/to_ros", STRING, Qos::default());
+    let from_ros = subscription(&participant, "/from_ros", STRING, Qos::default());
+    let there = peer.subscription("/to_ros", STRING, json!({}));
+    let theirs = peer.publisher("/from_ros", STRING, json!({}));
+    matched(&here, 1);
+    here.publish(&text_body("before")).unwrap();
+    assert_eq!(peer.take_texts(there, 1), ["before"]);
+
+    bridge.kill();
+    let since = Instant::now();
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    // Published until it is heard: nobody knows yet that the one before has gone.
+    let end = since + support::PATIENCE;
+    let mut heard = Vec::new();
+    while heard.is_empty() {
+        assert!(Instant::now() < end, "nothing is heard of the new bridge");
+        here.publish(&text_body("after")).unwrap();
+        heard = peer.take_texts(there, 0);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(heard.iter().all(|text| text == "after"), "{heard:?}");
+    while from_ros.try_take().unwrap().is_none() {
+        assert!(Instant::now() < end, "nothing is heard through the new bridge");
+        peer.publish_text(theirs, &["after"]);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    check("a bridge that was killed and restarted", since);
+
+    peer.kill();
+    let since = Instant::now();
+    let mut peer = Peer::start(&venv, DOMAIN, "survivor");
+    let there = peer.subscription("/to_ros", STRING, json!({}));
+    let theirs = peer.publisher("/from_ros", STRING, json!({}));
+    peer.matched(theirs, 1);
+    peer.publish_text(theirs, &["again"]);
+    let mut last = String::new();
+    while last != "again" {
+        last = take_texts(&from_ros, 1).pop().unwrap();
+    }
+    peer.matched(there, 1);
+    here.publish(&text_body("again")).unwrap();
+    assert_eq!(peer.take_texts(there, 1).last().map(String::as_str), Some("again"));
+    check("a node that was killed and restarted", since);
+    drop(bridge);
+}
+
+#[test]
+fn bursts_as_long_as_the_queue_arrive_whole_and_in_order() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 2;
+    const BURST: usize = 1000;
+    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "bursts");
+    let texts: Vec<String> = (0..BURST).map(|number| format!("{number}")).collect();
+
+    let here = publisher(&participant, "/to_ros", STRING, Qos::keep_last(BURST));
+    let there = peer.subscription("/to_ros", STRING, json!({ "depth": BURST }));
+    matched(&here, 1);
+    for text in &texts {
+        here.publish(&text_body(text)).unwrap();
+    }
+    assert_eq!(peer.take_texts(there, BURST), texts);
+
+    let here = subscription(&participant, "/from_ros", STRING, Qos::keep_last(BURST));
+    let there = peer.publisher("/from_ros", STRING, json!({ "depth": BURST }));
+    peer.matched(there, 1);
+    peer.publish_text(there, &texts);
+    assert_eq!(take_texts(&here, BURST), texts);
+    assert_eq!(here.counters().lost(), 0);
+}
+
+#[test]
+fn images_of_8_mib() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 3;
+    const BYTES: usize = 8 << 20;
+    const IMAGE: &str = "sensor_msgs/msg/Image";
+    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "images");
+    let from_ros = subscription(&participant, "/from_ros", IMAGE, Qos::keep_last(5));
+    let theirs = peer.publisher("/from_ros", IMAGE, json!({ "depth": 5 }));
+    let here = publisher(&participant, "/to_ros", IMAGE, Qos::keep_last(5));
+    let there = peer.tell(json!({
+        "do": "subscription", "topic": "/to_ros", "type": IMAGE, "qos": { "depth": 5 }, "digest": true
+    }));
+    let there = there.as_u64().unwrap();
+    peer.matched(theirs, 1);
+    matched(&here, 1);
+    let large =
+        |seed| json!({ "do": "publish_large", "end": theirs, "type": IMAGE, "bytes": BYTES, "seed": seed });
+    for seed in 0..3 {
+        let digest = peer.tell(large(seed));
+        // And back, as it came.
+        let bodies = take(&from_ros, 1);
+        here.publish(&bodies[0]).unwrap();
+        assert_eq!(peer.take(there, 1), [digest]);
+    }
+}

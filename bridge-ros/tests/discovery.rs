@@ -1,0 +1,293 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What discovery has to cope with: late joiners, topics with two types, other domains, names, several bridges, ends that
+//! do not fit.
+
+mod support;
+
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use support::{
+    BridgeProcess, Peer, STRING, matched, publisher, ros, subscription, take_texts, text_body, wait_until,
+};
+use tautline_transport::{EndpointKind, Participant, Qos};
+
+#[test]
+fn late_joiners_get_what_is_kept() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 6;
+    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "latched");
+    let latched = json!({ "latched": true, "depth": 2 });
+    let kept = Qos::keep_last(2).transient_local();
+
+    // Published before anybody was there; two join one after the other.
+    let here = publisher(&participant, "/to_ros", STRING, kept);
+    for text in ["old", "one", "two"] {
+        here.publish(&text_body(text)).unwrap();
+    }
+    for _ in 0..2 {
+        let there = peer.subscription("/to_ros", STRING, latched.clone());
+        assert_eq!(peer.take_texts(there, 2), ["one", "two"]);
+    }
+    let there = peer.publisher("/from_ros", STRING, latched);
+    peer.publish_text(there, &["old", "one", "two"]);
+    for _ in 0..2 {
+        let here = subscription(&participant, "/from_ros", STRING, kept);
+        assert_eq!(take_texts(&here, 2), ["one", "two"]);
+    }
+    // Each publisher keeps its own, as those of /tf_static do.
+    let first = peer.publisher("/tf_static", STRING, json!({ "latched": true, "depth": 1 }));
+    let second = peer.publisher("/tf_static", STRING, json!({ "latched": true, "depth": 1 }));
+    peer.publish_text(first, &["first"]);
+    peer.publish_text(second, &["second"]);
+    for _ in 0..2 {
+        let here = subscription(&participant, "/tf_static", STRING, Qos::keep_last(100).transient_local());
+        let got: BTreeSet<String> = take_texts(&here, 2).into_iter().collect();
+        assert_eq!(got, ["first", "second"].map(String::from).into());
+    }
+}
+
+#[test]
+fn a_topic_with_two_types_in_ros() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 7;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    // A process has one type of a topic.
+    let mut peer = Peer::start(&venv, DOMAIN, "two_types");
+    let mut other = Peer::start(&venv, DOMAIN, "of_the_other_type");
+    let wrong = other.publisher("/both", "std_msgs/msg/Int32", json!({}));
+    let here = subscription(&participant, "/both", STRING, Qos::default());
+    let said = bridge.wait_for("the mismatch", |stats| stats["not_bridged"]["/both"].is_string());
+    let said = said["not_bridged"]["/both"].as_str().unwrap().to_owned();
+    assert!(said.contains("std_msgs/msg/Int32") && said.contains(STRING), "{said}");
+    let right = peer.publisher("/both", STRING, json!({}));
+    peer.matched(right, 1);
+    peer.publish_text(right, &["text"]);
+    assert_eq!(take_texts(&here, 1), ["text"]);
+    bridge.wait_for("no mismatch", |stats| stats["not_bridged"] == json!({}));
+    // The other way, and the wrong one is still there.
+    let here = publisher(&participant, "/both", STRING, Qos::default());
+    let there = peer.subscription("/both", STRING, json!({}));
+    matched(&here, 2);
+    here.publish(&text_body("back")).unwrap();
+    assert_eq!(peer.take_texts(there, 1), ["back"]);
+    other.matched(wrong, 0);
+}
+
+#[test]
+fn ros_domain_id_is_honoured() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 8;
+    let bridge = BridgeProcess::start_with(DOMAIN, DOMAIN + 1, &[], |command| {
+        command.arg("--no-rt");
+    });
+    assert_eq!(bridge.stats()["ros_domain"], DOMAIN + 1);
+    drop(bridge);
+    // Without the option; Tautline's domain is said by another variable.
+    let command = || {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros"));
+        command.args(["--no-rt", "--json"]).env("TAUT_DOMAIN", DOMAIN.to_string());
+        command.env("ROS_DOMAIN_ID", (DOMAIN + 1).to_string()).stdout(std::process::Stdio::piped());
+        command
+    };
+    let mut child = command().spawn().unwrap();
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stdout.take().unwrap()));
+    let stats: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
+    assert_eq!((&stats["domain"], &stats["ros_domain"]), (&json!(DOMAIN), &json!(DOMAIN + 1)));
+    let participant = Participant::new(DOMAIN).unwrap();
+    let here = publisher(&participant, "/x", STRING, Qos::default());
+    let (mut other, mut same) = (Peer::start(&venv, DOMAIN, "other"), Peer::start(&venv, DOMAIN + 1, "same"));
+    let nothing = other.subscription("/x", STRING, json!({}));
+    let there = same.subscription("/x", STRING, json!({}));
+    matched(&here, 1);
+    same.matched(there, 1);
+    here.publish(&text_body("there")).unwrap();
+    assert_eq!(same.take_texts(there, 1), ["there"]);
+    other.matched(nothing, 0);
+    assert!(other.take(nothing, 0).is_empty());
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+#[test]
+fn names_directions_and_rates_of_a_file() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 10;
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let text = "
+        [[topic]]
+        topic = '/robot/**'
+        ros_topic = '/r1/**'
+        [[topic]]
+        topic = '/out_only'
+        direction = 'to_ros'
+        [[topic]]
+        topic = '/slow'
+        max_rate_hz = 0.01
+        [[topic]]
+        topic = '/weak'
+        qos = { reliability = 'best_effort', depth = 7 }
+        [[topic]]
+        topic = '/typed'
+        type = 'std_msgs/msg/Int32'
+    ";
+    std::fs::write(file.path(), text).unwrap();
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &["--config", file.path().to_str().unwrap()]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "file");
+
+    let here = publisher(&participant, "/robot/a", STRING, Qos::default());
+    let there = peer.subscription("/r1/a", STRING, json!({}));
+    let back = (
+        subscription(&participant, "/robot/b", STRING, Qos::default()),
+        peer.publisher("/r1/b", STRING, json!({})),
+    );
+    matched(&here, 1);
+    here.publish(&text_body("renamed")).unwrap();
+    assert_eq!(peer.take_texts(there, 1), ["renamed"]);
+    peer.matched(back.1, 1);
+    peer.publish_text(back.1, &["renamed"]);
+    assert_eq!(take_texts(&back.0, 1), ["renamed"]);
+
+    let slow = publisher(&participant, "/slow", STRING, Qos::default());
+    let there = peer.subscription("/slow", STRING, json!({}));
+    matched(&slow, 1);
+    for text in ["first", "second", "third"] {
+        slow.publish(&text_body(text)).unwrap();
+    }
+    assert_eq!(peer.take_texts(there, 1), ["first"]);
+    wait_until("drops", || bridge.topic("/slow", "to_ros")["dropped"]["rate limit"] == 2);
+
+    let _weak = publisher(&participant, "/weak", STRING, Qos::default());
+    peer.tell(json!({ "do": "wait_topic", "topic": "/weak", "type": STRING }));
+    let ends = peer.tell(json!({ "do": "endpoints", "topic": "/weak" }));
+    assert_eq!(ends[0][0][1], "BEST_EFFORT", "{ends}");
+
+    let _typed = publisher(&participant, "/typed", STRING, Qos::default());
+    bridge.wait_for("the wrong type", |stats| {
+        stats["not_bridged"]["/typed"].as_str().is_some_and(|said| said.contains("std_msgs/msg/Int32"))
+    });
+    // What is not in the file, or goes the other way only.
+    let _one_way = subscription(&participant, "/out_only", STRING, Qos::default());
+    let _other = subscription(&participant, "/other", STRING, Qos::default());
+    let (one_way, other) =
+        (peer.publisher("/out_only", STRING, json!({})), peer.publisher("/other", STRING, json!({})));
+    // Later than these, and bridged.
+    let _last = subscription(&participant, "/robot/last", STRING, Qos::default());
+    let last = peer.publisher("/r1/last", STRING, json!({}));
+    peer.matched(last, 1);
+    peer.matched(one_way, 0);
+    peer.matched(other, 0);
+}
+
+#[test]
+fn ends_that_do_not_fit_are_told_as_ros_tells_them() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 11;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "misfits");
+    // Offered here, requested there.
+    let _here = publisher(&participant, "/out", STRING, Qos::default().best_effort());
+    let there = peer.subscription("/out", STRING, json!({}));
+    let policy = peer.tell(json!({ "do": "incompatible_qos", "end": there }));
+    assert!(policy.as_str().unwrap().contains("RELIABILITY"), "{policy}");
+    bridge.wait_for("the event", |stats| stats["incompatible_qos"]["/out"]["last_policy"] == "reliability");
+    wait_until("it is said", || bridge.said().contains("'/out'") && bridge.said().contains("reliability"));
+    // Offered there, requested here: of two publishers the one that fits is heard.
+    let here = subscription(&participant, "/in", STRING, Qos::default());
+    let weak = peer.publisher("/in", STRING, json!({ "best_effort": true }));
+    let strong = peer.publisher("/in", STRING, json!({}));
+    // By the subscription for its class, and by the other one, which leaves it to that.
+    peer.matched(strong, 2);
+    wait_until("both are bridged", || {
+        let topics = participant.topics().unwrap();
+        let topic = topics.iter().find(|topic| topic.name == "/in");
+        topic.is_some_and(|topic| topic.publishers.len() == 2)
+    });
+    peer.publish_text(weak, &["weak"]);
+    peer.publish_text(strong, &["strong"]);
+    assert_eq!(take_texts(&here, 1), ["strong"]);
+    wait_until("both arrived", || bridge.topic("/in", "from_ros")["messages"] == 2);
+    assert!(here.try_take().unwrap().is_none());
+    // A subscription that asks for less hears both.
+    let modest = subscription(&participant, "/in", STRING, Qos::default().best_effort());
+    peer.publish_text(weak, &["weak"]);
+    assert_eq!(take_texts(&modest, 1), ["weak"]);
+}
+
+#[test]
+fn each_side_lists_the_other() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 12;
+    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let node = participant.create_node("driver", "/robot").unwrap();
+    let of_node = participant.for_node(&node);
+    let _port = publisher(&of_node, "/lidar", "sensor_msgs/msg/PointCloud2", Qos::default().best_effort());
+    let mut peer = Peer::start(&venv, DOMAIN, "lister");
+    peer.tell(json!({ "do": "wait_node", "name": "/robot/driver" }));
+    peer.tell(json!({ "do": "wait_topic", "topic": "/lidar", "type": "sensor_msgs/msg/PointCloud2" }));
+    let _there = peer.publisher("/theirs", STRING, json!({ "latched": true }));
+
+    wait_until("ROS's node and topic are listed", || {
+        let graph = participant.graph().unwrap();
+        let node = graph.nodes.iter().find(|node| node.name.full_name() == "/lister");
+        let end = graph.endpoints.iter().find(|end| end.topic == "/theirs");
+        let Some((node, end)) = node.zip(end) else { return false };
+        assert!(node.is_remote && node.pid.is_none(), "{node:?}");
+        assert_eq!((end.kind, &*end.topic_type.name), (EndpointKind::Publisher, STRING));
+        assert!(end.topic_type.hash.as_deref().is_some_and(|hash| hash.starts_with("RIHS01_df668c74")));
+        assert_eq!(end.qos.durability, tautline_transport::Durability::TransientLocal);
+        assert_eq!(end.node.as_ref().map(|node| &*node.name), Some("lister"));
+        true
+    });
+    // What is there for the other side's sake is not listed on this one.
+    let graph = participant.graph().unwrap();
+    assert!(graph.nodes.iter().all(|node| !node.name.name.starts_with("taut_bridge_")), "{:?}", graph.nodes);
+    assert_eq!(graph.nodes.iter().filter(|node| node.name.name == "driver").count(), 1);
+    drop((_port, of_node, node));
+    peer.tell(json!({ "do": "wait_node", "name": "/robot/driver", "there": false }));
+}
+
+#[test]
+fn two_bridges_neither_loop_nor_double() {
+    let Some(venv) = ros() else { return };
+    // Two domains of Tautline, one of ROS. A second one for a pair of domains is refused.
+    const DOMAINS: [u32; 2] = [13, 14];
+    let bridges = [BridgeProcess::start(DOMAINS[0], 13, &[]), BridgeProcess::start(DOMAINS[1], 13, &[])];
+    let refused = support::failure_of(&["--domain", "14", "--ros-domain", "13", "--no-rt"], |_| {});
+    let pid = bridges[1].pid();
+    assert!(
+        refused.contains("have a bridge already") && refused.contains(&format!("process {pid}")),
+        "{refused}"
+    );
+    let participants = DOMAINS.map(|domain| Participant::new(domain).unwrap());
+    let mut peer = Peer::start(&venv, 13, "between");
+    let publishers = participants.each_ref().map(|one| publisher(one, "/x", STRING, Qos::default()));
+    let subscriptions = participants.each_ref().map(|one| subscription(one, "/x", STRING, Qos::default()));
+    let (out, into) = (peer.publisher("/x", STRING, json!({})), peer.subscription("/x", STRING, json!({})));
+    // Those here, and the bridges.
+    publishers.iter().for_each(|one| matched(one, 2));
+    peer.matched(out, 3);
+    peer.matched(into, 3);
+    for (number, one) in publishers.iter().enumerate() {
+        one.publish(&text_body(&format!("from {number}"))).unwrap();
+    }
+    peer.publish_text(out, &["from ros"]);
+    let all = |texts: Vec<String>| texts.into_iter().collect::<BTreeSet<_>>();
+    assert_eq!(all(peer.take_texts(into, 3)), ["from 0", "from 1", "from ros"].map(String::from).into());
+    for (number, one) in subscriptions.iter().enumerate() {
+        assert_eq!(all(take_texts(one, 2)), [format!("from {number}"), "from ros".into()].into());
+    }
+    // Had one of them come twice, it would be there before what is sent now.
+    for one in &publishers {
+        one.publish(&text_body("last")).unwrap();
+    }
+    assert_eq!(peer.take_texts(into, 2), ["last", "last"]);
+    for one in &subscriptions {
+        assert_eq!(take_texts(one, 1), ["last"]);
+    }
+}

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""As ros_peer.py, and with services, actions and parameters."""
+
+import threading
+import time
+
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from std_srvs.srv import SetBool
+from test_msgs.action import Fibonacci
+from test_msgs.srv import BasicTypes
+
+import ros_peer
+from ros_peer import ros_values
+
+SERVICES = {"std_srvs/srv/SetBool": SetBool, "test_msgs/srv/BasicTypes": BasicTypes}
+
+
+def set_bool(request, response):
+    response.success = request.data
+    response.message = "on" if request.data else "off"
+    return response
+
+
+def echo(request, response):
+    for field in request.get_fields_and_field_types():
+        setattr(response, field, getattr(request, field))
+    return response
+
+
+def silent(request, response):
+    """Until the process is killed."""
+    threading.Event().wait()
+
+
+class Peer(ros_peer.Peer):
+    executor = lambda self: MultiThreadedExecutor(4)
+
+    def __init__(self, name):
+        super().__init__(name)
+        self.group = ReentrantCallbackGroup()
+
+    def add(self, end):
+        self.ends.append(end)
+        return len(self.ends) - 1
+
+    def done(self, future):
+        self.wait(future.done)
+        return future.result()
+
+    def service(self, name, type, behaviour):
+        callback = {"set_bool": set_bool, "echo": echo, "silent": silent}[behaviour]
+        return self.add(self.node.create_service(SERVICES[type], name, callback, callback_group=self.group))
+
+    def client(self, name, type):
+        return self.add(self.node.create_client(SERVICES[type], name, callback_group=self.group))
+
+    def available(self, end, is_so=True):
+        """Waits until the client's service is there, or is not."""
+        return self.wait(lambda: self.ends[end].service_is_ready() == is_so)
+
+    def call(self, end, requests):
+        """Waits for the service; sends all requests before it waits for the first response."""
+        client = self.ends[end]
+        self.wait(client.service_is_ready)
+        return [ros_values.plain_message(self.done(future)) for future in [
+            client.call_async(fill(client.srv_type.Request(), request)) for request in requests]]
+
+    def ask(self, end, request):
+        """Sends a request whose response is looked for with `answered`."""
+        client = self.ends[end]
+        self.asked = client.call_async(fill(client.srv_type.Request(), request))
+        return True
+
+    def flood(self, end, request, count):
+        """Sends so many requests, as fast as they are taken from this process, and waits for none."""
+        client = self.ends[end]
+        self.wait(client.service_is_ready)
+        self.flooded = []
+        for index in range(count):
+            self.flooded.append(client.call_async(fill(client.srv_type.Request(), request)))
+            if index % 5 == 4:
+                time.sleep(0.001)
+        return True
+
+    def answered(self):
+        return self.asked.done()
+
+    def action_server(self, name):
+        """Fibonacci, slowly; negative orders are rejected."""
+        def execute(goal):
+            sequence = [0, 1]
+            while len(sequence) <= goal.request.order:
+                if goal.is_cancel_requested:
+                    goal.canceled()
+                    return Fibonacci.Result(sequence=[-1])
+                goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
+                time.sleep(0.02)
+                sequence.append((sequence[-1] + sequence[-2]) % 1000)
+            goal.succeed()
+            return Fibonacci.Result(sequence=sequence)
+
+        accept = lambda goal: GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
+        return self.add(ActionServer(
+            self.node, Fibonacci, name, execute, goal_callback=accept, callback_group=self.group,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT))
+
+    def action_client(self, name):
+        return self.add(ActionClient(self.node, Fibonacci, name, callback_group=self.group))
+
+    def goal(self, end, order, cancel_after=None):
+        """Sends a goal; cancels it after so much feedback. What became of it."""
+        client, feedback = self.ends[end], []
+        self.wait(client.server_is_ready)
+
+        def hear(message):
+            with self.changed:
+                feedback.append(list(message.feedback.sequence))
+                self.changed.notify_all()
+
+        goal = self.done(client.send_goal_async(Fibonacci.Goal(order=order), feedback_callback=hear))
+        if not goal.accepted:
+            return {"accepted": False}
+        result = goal.get_result_async()
+        if cancel_after is not None:
+            self.wait(lambda: len(feedback) >= cancel_after)
+            cancelling = len(self.done(goal.cancel_goal_async()).goals_canceling)
+        else:
+            cancelling = 0
+        result = self.done(result)
+        return {"accepted": True, "status": result.status, "sequence": list(result.result.sequence),
+                "feedback": feedback, "cancelling": cancelling}
+
+    def parameters(self, node):
+        """A client of a node's parameters, once its services are there."""
+        client = AsyncParameterClient(self.node, node, callback_group=self.group)
+        self.wait(client.services_are_ready)
+        return self.add(client)
+
+    def get_parameters(self, end, names):
+        values = self.done(self.ends[end].get_parameters(names)).values
+        return [ros_values.plain_message(value) for value in values]
+
+    def set_parameters(self, end, values):
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        results = self.done(self.ends[end].set_parameters(parameters)).results
+        return [[result.successful, result.reason] for result in results]
+
+    def list_parameters(self, end):
+        return sorted(self.done(self.ends[end].list_parameters()).result.names)
+
+    def describe_parameters(self, end, names):
+        descriptors = self.done(self.ends[end].describe_parameters(names)).descriptors
+        return [ros_values.plain_message(descriptor) for descriptor in descriptors]
+
+    def publish_clock(self, end, sec, nanosec=0):
+        message = ros_values.find("rosgraph_msgs/msg/Clock")()
+        message.clock.sec, message.clock.nanosec = sec, nanosec
+        self.ends[end].publish(message)
+        return True
+
+    def publish_transform(self, end, child, x):
+        message = ros_values.find("geometry_msgs/msg/TransformStamped")()
+        message.child_frame_id, message.transform.translation.x = child, x
+        self.ends[end].publish(message)
+        return True
+
+    def services_of(self, node, namespace="/"):
+        return sorted(name for name, _ in self.node.get_service_names_and_types_by_node(node, namespace))
+
+
+def fill(message, values):
+    for field, value in values.items():
+        setattr(message, field, value)
+    return message
+
+
+if __name__ == "__main__":
+    ros_peer.main(Peer)

@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Priorities, read back from the kernel; and the bridge as a part of another program.
+
+mod support;
+
+use support::{BridgeProcess, ros, wait_until};
+use tautline_bridge_ros::{Bridge, Options};
+use tautline_rt::{Policy, Realtime};
+
+/// Name and policy of each thread of a process: field 41 of its stat is the policy (1: SCHED_FIFO), 40 the priority.
+fn threads(pid: u32) -> Vec<(String, Option<u8>)> {
+    let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).unwrap();
+    let read = |task: std::fs::DirEntry| {
+        let stat = std::fs::read_to_string(task.path().join("stat")).ok()?;
+        let (head, tail) = stat.rsplit_once(')')?;
+        let fields: Vec<&str> = tail.split_whitespace().collect();
+        // The first of these is field 3.
+        let (priority, policy) = (fields[37].parse().ok()?, fields[38]);
+        Some((head.split_once('(')?.1.to_owned(), (policy == "1").then_some(priority)))
+    };
+    tasks.filter_map(|task| read(task.unwrap())).collect()
+}
+
+#[test]
+fn the_rmws_threads_are_below_those_that_carry_and_above_the_others() {
+    if ros().is_none() {
+        return;
+    }
+    if let Err(error) = tautline_rt::permission::realtime_permitted(42) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        println!("skipped: {error}");
+        return;
+    }
+    let bridge = BridgeProcess::start_with(6, 6, &["--priority", "42"], |_| {});
+    let of = |name: &'static str| {
+        let found = threads(bridge.pid()).into_iter().filter(move |(thread, _)| thread.starts_with(name));
+        found.map(|(_, priority)| priority).collect::<Vec<_>>()
+    };
+    for name in ["ros-in", "ros-out"] {
+        assert_eq!(of(name), [Some(42)], "{name}");
+    }
+    for name in ["ros-control", "ros-here", "ros-there"] {
+        assert_eq!(of(name), [Some(40)], "{name}");
+    }
+    let rmw = of("dds.");
+    assert!(rmw.len() >= 4, "{:?}", threads(bridge.pid()));
+    assert!(rmw.iter().all(|priority| *priority == Some(41)), "{:?}", threads(bridge.pid()));
+    assert_eq!(of("janitor"), [None]);
+}
+
+#[test]
+fn a_bridge_in_another_program() {
+    if ros().is_none() {
+        return;
+    }
+    let options = Options { domain: 7, ros_domain: Some(8), realtime: Realtime::Off, ..Options::default() };
+    let bridge = Bridge::spawn(options.clone()).unwrap();
+    let stats = bridge.stats();
+    assert_eq!((stats.domain, stats.ros_domain, &*stats.rmw), (7, 8, "rmw_fastrtps_cpp"));
+    let names: Vec<&str> = bridge.threads().iter().map(|thread| &*thread.name).collect();
+    assert_eq!(names, ["ros-out", "ros-in", "ros-services", "ros-control", "ros-here", "ros-there"]);
+    assert!(bridge.threads().iter().all(|thread| !matches!(thread.policy, Policy::Fifo(_))));
+    drop(bridge);
+    wait_until("its threads have ended", || {
+        let threads = threads(std::process::id());
+        // Fast DDS keeps one for the next participant.
+        let is_left =
+            |name: &str| name.starts_with("ros-") || name.starts_with("dds.") && name != "dds.shm.wdog";
+        !threads.iter().any(|(name, _)| is_left(name))
+    });
+    drop(Bridge::spawn(options).unwrap());
+}

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut bridge-ros`: becomes `taut-bridge-ros`, a program of its own, so that nobody needs a ROS 2 who does not use it.
+
+use crate::sibling::{Sibling, SiblingError};
+use clap::Args;
+use std::ffi::OsString;
+use std::process::{Command, ExitCode, Stdio};
+
+const BRIDGE: Sibling = Sibling {
+    program: "taut-bridge-ros",
+    build: "it needs a ROS 2: source one (source /opt/ros/jazzy/setup.bash, or what `cargo xtask ros` says), then build it with \
+            `cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir target`, or install it with \
+            `cargo install --path bridge-ros`",
+};
+
+/// Joins Tautline's topics with those of a ROS 2 graph, of any RMW.
+///
+/// Runs the program taut-bridge-ros: the one beside this one, else the one in PATH. Its options: taut bridge-ros --help.
+#[derive(Args, Debug)]
+#[command(disable_help_flag = true)]
+pub struct BridgeRosArgs {
+    /// Passed on
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
+    arguments: Vec<OsString>,
+}
+
+/// Why the bridge was not started.
+#[derive(Debug, thiserror::Error)]
+pub enum BridgeRosError {
+    #[error(transparent)]
+    Start(#[from] SiblingError),
+    #[error(
+        "taut-bridge-ros does not find the libraries of ROS 2: {said}; source the ROS 2 that it was built with \
+         (source /opt/ros/jazzy/setup.bash), and run it again"
+    )]
+    Libraries { said: String },
+    #[error(
+        "ROS 2 does not start with RMW_IMPLEMENTATION={value}: {said}; unset it, or install that one (apt install \
+         ros-$ROS_DISTRO-{}) and source ROS 2 again", value.replace('_', "-")
+    )]
+    Rmw { value: String, said: String },
+    #[error("taut-bridge-ros does not start: {said}")]
+    Other { said: String },
+}
+
+/// Does not return if the bridge could be started.
+pub fn run(args: BridgeRosArgs) -> Result<ExitCode, BridgeRosError> {
+    // The loader and ROS may end it before it can say a word: whether it can run at all is asked first.
+    let program = BRIDGE.path();
+    let answer = Command::new(&program).arg("--version").stdin(Stdio::null()).output();
+    let answer = answer.map_err(|source| BRIDGE.error(program, source))?;
+    if !answer.status.success() {
+        let rmw = std::env::var("RMW_IMPLEMENTATION").ok().filter(|value| !value.is_empty());
+        return Err(explained(&String::from_utf8_lossy(&answer.stderr), rmw));
+    }
+    Err(BRIDGE.become_it(&args.arguments).into())
+}
+
+fn explained(stderr: &str, rmw: Option<String>) -> BridgeRosError {
+    let said = stderr.trim().lines().next().unwrap_or("it says nothing").to_owned();
+    match rmw {
+        _ if stderr.contains("shared librar") && !stderr.contains("rmw") => {
+            BridgeRosError::Libraries { said }
+        }
+        Some(value) => BridgeRosError::Rmw { value, said },
+        None => BridgeRosError::Other { said },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_loader_and_ros_say_is_explained() {
+        let loader = "taut-bridge-ros: error while loading shared libraries: librcl.so: cannot open shared object file\n";
+        let said = explained(loader, None).to_string();
+        assert!(said.contains("librcl.so") && said.contains("source /opt/ros/jazzy/setup.bash"), "{said}");
+        let rcl = "[ERROR] [rcl]: Expected RMW implementation identifier of 'rmw_x_cpp' but instead found 'rmw_fastrtps_cpp'\n";
+        let said = explained(rcl, Some("rmw_x_cpp".into())).to_string();
+        assert!(
+            said.contains("RMW_IMPLEMENTATION=rmw_x_cpp: ") && said.contains("ros-$ROS_DISTRO-rmw-x-cpp"),
+            "{said}"
+        );
+        assert!(explained("", None).to_string().contains("it says nothing"));
+    }
+}

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use super::find_schema;
+use crate::error::Result;
+use std::cell::RefCell;
+use std::sync::Arc;
+use tautline_schema::{DynamicMessage, Schema};
+
+/// A message of a type that is known by name, between CDR and JSON, by r2r's name.
+/// [`DynamicMessage`] has more.
+///
+/// ```
+/// use tautline::WrappedNativeMsgUntyped;
+///
+/// let message = WrappedNativeMsgUntyped::new_from("geometry_msgs/msg/Point")?;
+/// message.from_json(serde_json::json!({ "x": 1.5 }))?; // what is left out has its default
+/// assert_eq!(message.to_json()?, serde_json::json!({ "x": 1.5, "y": 0.0, "z": 0.0 }));
+/// # Ok::<(), tautline::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct WrappedNativeMsgUntyped {
+    schema: Arc<Schema>,
+    message: RefCell<DynamicMessage>,
+}
+
+impl WrappedNativeMsgUntyped {
+    /// A message of defaults of the type `package/msg/Name`. Its definition is looked for as [`find_schema`] does.
+    ///
+    /// # Errors
+    /// [`Error::UnknownType`](crate::Error::UnknownType) if the definition is not found, [`Error::Schema`](crate::Error::Schema)
+    /// if it, or the name, is wrong.
+    pub fn new_from(typename: &str) -> Result<Self> {
+        let schema = find_schema("", &typename.parse()?, None)?;
+        let message = RefCell::new(DynamicMessage::new(&schema));
+        Ok(WrappedNativeMsgUntyped { schema, message })
+    }
+
+    /// Reads the CDR of a message, with its encapsulation header.
+    ///
+    /// # Errors
+    /// [`Error::Message`](crate::Error::Message) with field and byte if it is none of the type; this one is then what it was.
+    pub fn from_serialized_bytes(&mut self, data: &[u8]) -> Result<()> {
+        *self.message.get_mut() = DynamicMessage::from_cdr(&self.schema, data)?;
+        Ok(())
+    }
+
+    /// The message as JSON.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn to_json(&self) -> Result<serde_json::Value> {
+        Ok(self.message.borrow().to_json_value())
+    }
+
+    /// Reads a message from JSON: an object of its fields, those left out having their defaults.
+    ///
+    /// # Errors
+    /// [`Error::Message`](crate::Error::Message) with the field if it is none of the type; this one is then what it was.
+    #[allow(clippy::wrong_self_convention, reason = "the name is r2r's")]
+    pub fn from_json(&self, json: serde_json::Value) -> Result<()> {
+        *self.message.borrow_mut() = DynamicMessage::from_json_value(&self.schema, json)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,7 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Programs for r2r 0.9.7, run on Tautline.
+#![allow(clippy::clone_on_copy, reason = "r2r's QosProfile is not Copy")]
+
+extern crate tautline as r2r;
+
+mod programs;

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Being the only one: who holds the lock on a file is it. The kernel drops the lock of a process that dies, however it dies,
+//! so that the next can take over at once.
+
+use crate::shm::DIRECTORY;
+use rustix::fs::{FlockOperation, Mode, OFlags};
+use rustix::io::Errno;
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+/// A seat that one process has; dropping it makes room for another.
+#[derive(Debug)]
+pub struct Seat {
+    path: PathBuf,
+    _lock: std::fs::File,
+}
+
+/// Why it is not had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SeatError {
+    /// Another process has it.
+    #[error("{} is locked by another process", path.display())]
+    Taken {
+        /// The file.
+        path: PathBuf,
+        /// Process id of the other, if it wrote it.
+        pid: Option<u32>,
+    },
+    /// The file cannot be made or locked.
+    #[error("the lock {} cannot be used: {source}; check that /dev/shm exists and is writable", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl Seat {
+    /// Takes the seat that the file `name` in /dev/shm stands for.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`SeatError::Taken`] while another has it.
+    pub fn take(name: &str) -> Result<Self, SeatError> {
+        let path = Path::new(DIRECTORY).join(name);
+        let refuse = |source: io::Error| SeatError::File { path: path.clone(), source };
+        loop {
+            let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+            let file =
+                rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR).map_err(|e| refuse(e.into()))?;
+            let mut file = std::fs::File::from(file);
+            match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => {}
+                Err(Errno::WOULDBLOCK) => {
+                    let pid = read_pid(&mut file);
+                    return Err(SeatError::Taken { path, pid });
+                }
+                Err(errno) => return Err(refuse(errno.into())),
+            }
+            // Removed between opening and locking: that file is nobody's any more.
+            if rustix::fs::fstat(&file).map_err(|e| refuse(e.into()))?.st_nlink == 0 {
+                continue;
+            }
+            file.set_len(0).and_then(|()| write!(file, "{}", std::process::id())).map_err(refuse)?;
+            return Ok(Seat { path, _lock: file });
+        }
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        // Still locked: who opened it meanwhile sees that it is gone, and makes another.
+        let _ = rustix::fs::unlink(&self.path);
+    }
+}
+
+fn read_pid(file: &mut std::fs::File) -> Option<u32> {
+    let mut text = String::new();
+    file.take(16).read_to_string(&mut text).ok()?;
+    text.trim().parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::{Command, Stdio};
+
+    #[test]
+    fn one_at_a_time_and_taken_over_when_it_died() {
+        let name = format!("taut_seat_{}", std::process::id());
+        let path = Path::new(DIRECTORY).join(&name);
+        let seat = Seat::take(&name).unwrap();
+        let refusal = Seat::take(&name).unwrap_err();
+        assert!(matches!(refusal, SeatError::Taken { pid: Some(pid), .. } if pid == std::process::id()));
+        drop(Seat::take(&format!("{name}_other")).unwrap());
+        drop(seat);
+        assert!(!path.exists());
+
+        // Another process that holds the lock and is killed: nothing of it stays locked.
+        let script = format!("exec 9>>{} && flock -x 9 && echo locked && exec sleep 100", path.display());
+        let mut holder = Command::new("sh").args(["-c", &script]).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = [0; 7];
+        holder.stdout.as_mut().unwrap().read_exact(&mut line).unwrap();
+        assert!(matches!(Seat::take(&name), Err(SeatError::Taken { pid: None, .. })));
+        holder.kill().unwrap();
+        holder.wait().unwrap();
+        drop(Seat::take(&name).unwrap());
+        assert!(!path.exists());
+    }
+}
