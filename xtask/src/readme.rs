@@ -645,6 +645,33 @@ mod tests {
     }
 
     #[test]
+    fn the_comparisons_table_has_a_line_per_way_and_names_what_is_left_out() {
+        let row = |experiment: &str, system: &str, bytes: u64, n: u64| {
+            serde_json::json!({"experiment": experiment, "system": system, "mode": "m", "payload_bytes": bytes, "n": n,
+                               "p50_us": 5.0, "p99_us": 50.0, "p999_us": 500.0, "cpu_us_per_msg": 40.0,
+                               "rss_mib": 12.0, "note": "not measured: why"})
+        };
+        let held = "latency/whole/held-off";
+        let rows = [
+            row(held, "tautline", 64, 9),
+            row("robot/20x100Hz", "tautline", 4096, 9),
+            row(held, "fastdds", 64, 9),
+            row(held, "fastdds", 1 << 20, 0),
+            row("latency/untouched/held-off", "hiroz", 64, 9),
+            row("-", "copper", 0, 0),
+        ];
+        let tables = compare_tables(&rows.to_vec().into());
+        for line in [
+            "| tautline, m | 5.00 / 50.00 | - | - | - | 40.00 | 12.00 |",
+            "| fastdds, m | 5.00 / 50.00 | - | - | - | - | - |",
+            "Left out: copper, m (not measured: why).",
+        ] {
+            assert!(tables.contains(line), "{line}\n{tables}");
+        }
+        assert!(!tables.contains("hiroz"), "it has none of these numbers\n{tables}");
+    }
+
+    #[test]
     fn the_services_table_says_what_was_lost_and_with_which_versions() {
         let run = serde_json::json!({"versions": "r2r 0.9.7", "rows": [
             {"system": "r2r over Fast DDS", "request_bytes": 64, "n": 10, "p50_us": 123.4, "p99_us": 5.0, "p999_us": 6.0,

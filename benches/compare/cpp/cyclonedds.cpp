@@ -5,6 +5,7 @@
 #include "exchange.hpp"
 
 #include <dds/dds.h>
+#include <dds/version.h>
 
 #include <functional>
 

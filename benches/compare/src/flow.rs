@@ -75,7 +75,8 @@ impl Setup<'_> {
         let mut arrived_ns = connected(&mut fars[0])?;
         if is_late_joiner {
             started_ns = monotonic_ns();
-            let (mut late, _) = self.start_far(case, topic, endpoint)?;
+            // Its first message may come before it says that it is ready.
+            let mut late = self.spawn_far(case, topic, endpoint)?;
             arrived_ns = connected(&mut late)?;
             fars.push(late);
         }
@@ -103,7 +104,7 @@ impl Setup<'_> {
         let mut fars = Vec::new();
         let mut endpoints: Vec<String> = Vec::new();
         for _ in 0..processes {
-            let (far, endpoint) = self.start_far(case, topic, None)?;
+            let (far, endpoint) = self.start_far(case, topic)?;
             fars.push(far);
             endpoints.extend(endpoint);
         }

@@ -102,15 +102,15 @@ impl Setup<'_> {
         })
     }
 
-    /// The far end, ready; and where the near one finds it. One that comes late is told where the others are.
-    pub fn start_far(
-        &self,
-        case: &Case,
-        topic: &str,
-        others: Option<String>,
-    ) -> Result<(Process<'_, Line>, Option<String>)> {
+    /// The far end, before it is ready. One that comes late is told where the others are.
+    pub fn spawn_far(&self, case: &Case, topic: &str, others: Option<String>) -> Result<Process<'_, Line>> {
         let endpoint = self.meeting_place(case)?.or(others);
-        let mut far = self.start(case, &Job { endpoint, ..self.job(case, Role::Far, topic) })?;
+        self.start(case, &Job { endpoint, ..self.job(case, Role::Far, topic) })
+    }
+
+    /// The far end, ready; and where the near one finds it.
+    pub fn start_far(&self, case: &Case, topic: &str) -> Result<(Process<'_, Line>, Option<String>)> {
+        let mut far = self.spawn_far(case, topic, None)?;
         let endpoint = far.expect(PATIENCE, |line| match line {
             Line::Ready(endpoint) => Some(endpoint),
             _ => None,
@@ -134,7 +134,7 @@ impl Setup<'_> {
         let (mut far, endpoint) = match alone {
             true => (None, None),
             false => {
-                let (far, endpoint) = self.start_far(case, topic, None)?;
+                let (far, endpoint) = self.start_far(case, topic)?;
                 (Some(far), endpoint)
             }
         };

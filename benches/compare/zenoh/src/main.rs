@@ -26,7 +26,7 @@ const LOOK: Duration = Duration::from_millis(20);
 
 fn main() -> ExitCode {
     let job = std::env::args().nth(1).unwrap_or_default();
-    match Job::begin(&job).and_then(|job| run(job)) {
+    match Job::begin(&job).and_then(run) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("compare-zenoh: {error}");
@@ -202,7 +202,11 @@ impl Link for End {
 fn ask(session: &Session, job: &Job) -> Result<()> {
     let [to, from] = job.topics();
     let (sender, answers) = mpsc::sync_channel(16);
-    let _subscriber = subscribe(session, job, &from, move |stamp| drop(sender.try_send(stamp.number)))?;
+    // Ignored: nobody waits for an answer that comes too late.
+    let keep = move |stamp: Stamp| {
+        let _ = sender.try_send(stamp.number);
+    };
+    let _subscriber = subscribe(session, job, &from, keep)?;
     let mut end = End { out: Outlet::new(session, job, &to, pool(job)?)?, answers };
     if let Some(measured) = drive(job, &mut end)? {
         say(&Line::Measured(measured));
