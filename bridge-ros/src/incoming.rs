@@ -22,10 +22,11 @@ use tautline_transport::{Gid, LoanError, MessageInfo, PublishError, RawPublisher
 
 /// Messages taken of one topic before the next topic has its turn.
 const TURN: usize = 64;
-/// Messages of publishers that are not known yet, and how long they are waited for.
+/// Messages of publishers that are not known yet, and how long they are waited for: longer than it takes to give up the name of
+/// a publisher's node, and the next look at the graph.
 const EARLY_MESSAGES: usize = 1000;
 const EARLY_BYTES: usize = 64 << 20;
-const EARLY_TIME: Duration = Duration::from_secs(2);
+const EARLY_TIME: Duration = Duration::from_secs(5);
 
 /// A topic and class that come in.
 pub(crate) struct Inlet {
