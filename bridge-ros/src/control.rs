@@ -33,6 +33,8 @@ pub(crate) enum Event {
 
 /// How often numbers are read, and what failed is tried again.
 const TICK: Duration = Duration::from_secs(1);
+/// Between two looks at what exists, for each millisecond that the first one took.
+const PAUSE: Duration = Duration::from_millis(4);
 /// How long it is looked often whether a publisher in ROS has found its subscriptions; afterwards, with each tick.
 const MATCH_TIME: Duration = Duration::from_secs(3);
 const MATCH_LOOK: Duration = Duration::from_millis(2);
@@ -108,13 +110,17 @@ impl Control {
 
     /// Until it is told to stop.
     pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
-        let mut next_tick = Instant::now() + TICK;
-        self.update();
+        let (mut next_tick, mut next_update) = (Instant::now() + TICK, Instant::now());
+        let mut is_changed = true;
         while !self.shared.stop.load(Ordering::Acquire) {
-            let patience = next_tick.saturating_duration_since(Instant::now());
-            let patience = if self.is_matching() { patience.min(MATCH_LOOK) } else { patience };
-            let mut is_changed = false;
-            match events.recv_timeout(patience) {
+            let mut until = next_tick;
+            if is_changed {
+                until = until.min(next_update);
+            }
+            if self.is_matching() {
+                until = until.min(Instant::now() + MATCH_LOOK);
+            }
+            match events.recv_timeout(until.saturating_duration_since(Instant::now())) {
                 Ok(Event::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break,
                 Ok(Event::Here | Event::There) => is_changed = true,
                 Err(mpsc::RecvTimeoutError::Timeout) => {}
@@ -131,8 +137,13 @@ impl Control {
                 self.look_for_incompatible();
                 self.read_numbers(TICK);
             }
-            if is_changed {
+            if is_changed && Instant::now() >= next_update {
+                is_changed = false;
+                let start = Instant::now();
                 self.update();
+                // However much changes, most of the time is left to others.
+                next_update =
+                    Instant::now() + PAUSE * start.elapsed().as_millis().try_into().unwrap_or(u32::MAX);
             }
             self.look_for_matches();
         }
