@@ -326,8 +326,8 @@ fn compare_tables(run: &Value) -> String {
     }
     let mut missing: Vec<String> = Vec::new();
     for row in rows.iter().filter(|row| row["experiment"] == "-") {
-        let text =
-            format!("{} ({})", row["system"].as_str().unwrap_or("?"), row["note"].as_str().unwrap_or("?"));
+        let word = |key: &str| row[key].as_str().unwrap_or("?");
+        let text = format!("{}, {} ({})", word("system"), word("mode"), word("note"));
         if !missing.contains(&text) {
             missing.push(text);
         }
