@@ -2,9 +2,9 @@
 //! Does what the mirror decides: one thread, told when either graph changes, that makes and ends everything.
 
 use crate::bridge::{Options, Shared};
-use crate::incoming::{Incoming, Inlet, Senders};
+use crate::incoming::{Incoming, Inlet, Port, Senders};
 use crate::mirror::{Action, InKey, Inward, Mirror, Outward, TopicKey};
-use crate::outgoing::Outgoing;
+use crate::outgoing::{Last, Outgoing, Writer};
 use crate::rate::Limiter;
 use crate::rcl::{Node, RosNode, RosPublisher, RosSubscription};
 use crate::ros_graph::{self, RosGraph};
@@ -12,7 +12,7 @@ use crate::rules::{Direction, Rules};
 use crate::services::{Routes, Services};
 use crate::stats::{Book, IncompatibleQos};
 use crate::types::{BridgedType, Types};
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
@@ -57,7 +57,7 @@ pub(crate) struct Control {
     out: BTreeMap<TopicKey, Outward>,
     /// Topics whose samples are not taken before their publishers in ROS have found somebody.
     waiting: BTreeMap<TopicKey, (Outward, Instant)>,
-    inward: BTreeMap<InKey, Inward>,
+    inward: BTreeMap<InKey, Taken>,
     /// Tautline's nodes, for ROS to see.
     nodes: BTreeMap<NodeName, Option<Arc<Node>>>,
     /// What could not be done, and why: it is tried again.
@@ -68,10 +68,33 @@ pub(crate) struct Control {
 
 /// A publisher in ROS that stands for one here.
 struct Counterpart {
-    publisher: Arc<RosPublisher>,
+    writer: Writer,
     opened: Instant,
     /// Whether samples go through it.
     is_open: bool,
+}
+
+/// A class that is being taken from ROS.
+struct Taken {
+    inward: Inward,
+    /// While there is somebody who sends.
+    port: Option<Offer>,
+    /// As the thread that takes was told.
+    senders: Senders,
+}
+
+/// What a port offers, and how deep it could.
+#[derive(Clone, Copy)]
+struct Offer {
+    qos: Qos,
+    most_depth: usize,
+}
+
+impl Offer {
+    /// Whether a new port would offer no more.
+    fn is_as_good(&self, wanted: Qos) -> bool {
+        Qos { depth: wanted.depth.clamp(1, self.most_depth), ..wanted } == self.qos
+    }
 }
 
 impl Control {
@@ -162,11 +185,13 @@ impl Control {
             Ok(here) => here,
             Err(error) => return tracing::warn!("what exists is not known: {error}"),
         };
-        self.note_relays(&here);
+        let relays = here.relays.iter().copied().collect();
+        *self.outgoing.relays().lock().unwrap_or_else(PoisonError::into_inner) = relays;
         let ends: Vec<_> = here.endpoints.iter().filter(|end| !end.is_remote).cloned().collect();
         for action in self.mirror.update(&ends, &self.graph.endpoints) {
             self.act(action);
         }
+        self.renew_senders();
         self.show_nodes(&here);
         // After the topics: an action's feedback has its way before goals have.
         let services = self.read_services();
@@ -186,15 +211,17 @@ impl Control {
         self.services.set_routes(routes, shown(&self.nodes));
     }
 
-    /// Ports of bridges and gateways are in no list of endpoints.
-    fn note_relays(&self, here: &GraphSnapshot) {
-        let Ok(topics) = self.participant.topics() else { return };
-        let known: HashSet<Gid> =
-            here.endpoints.iter().filter(|end| !end.is_remote).map(|end| end.gid).collect();
-        let all = topics.iter().flat_map(|topic| &topic.publishers);
-        let relays =
-            all.filter(|port| port.is_own || !known.contains(&port.gid)).map(|port| port.gid).collect();
-        *self.outgoing.relays().lock().unwrap_or_else(PoisonError::into_inner) = relays;
+    /// Publishers in ROS come and go that a subscription matches though they are not of its class.
+    fn renew_senders(&mut self) {
+        for (key, taken) in &mut self.inward {
+            let Some(publishers) = self.mirror.publishers(key) else { continue };
+            let senders = senders(&self.graph, key, publishers, taken.port.is_some());
+            if senders != taken.senders {
+                taken.senders = senders.clone();
+                let limiter = Limiter::new(taken.inward.min_period);
+                self.incoming.change(key.clone(), senders, limiter, None);
+            }
+        }
     }
 
     fn act(&mut self, action: Action) {
@@ -218,10 +245,11 @@ impl Control {
     }
 
     fn try_to(&mut self, action: &Action) -> Result<(), String> {
+        // What is not wanted any more is not tried again.
+        self.failed.retain(|(failed, _)| !action.replaces(failed));
         match action {
             Action::OpenWriter(key, gid, qos, hash) => self.open_writer(key, *gid, qos, hash.as_deref())?,
             Action::CloseWriter(key, gid) => {
-                self.forget(|failed| matches!(failed, Action::OpenWriter(topic, port, ..) if topic == key && port == gid));
                 self.outgoing.close(key.clone(), *gid);
                 self.writers.remove(&(key.clone(), *gid));
             }
@@ -234,36 +262,20 @@ impl Control {
                 self.waiting.insert(key.clone(), (outward.clone(), Instant::now()));
             }
             Action::StopOut(key) => {
-                self.forget(|failed| matches!(failed, Action::StartOut(topic, _) if topic == key));
                 self.waiting.remove(key);
                 self.out.remove(key);
                 let of_topic = self.writers.iter_mut().filter(|((topic, _), _)| topic == key);
                 of_topic.for_each(|(_, writer)| writer.is_open = false);
                 self.outgoing.stop_topic(key.clone());
             }
-            Action::StartIn(key, inward) => {
-                self.forget(|failed| matches!(failed, Action::StartIn(other, _) if other == key));
-                self.start_in(key, inward)?;
-                self.inward.insert(key.clone(), inward.clone());
-            }
-            Action::ChangeIn(key, inward) => {
-                self.forget(|failed| matches!(failed, Action::ChangeIn(other, _) if other == key));
-                self.change_in(key, inward)?;
-            }
+            Action::StartIn(key, inward) => self.start_in(key, inward)?,
+            Action::ChangeIn(key, inward) => self.change_in(key, inward)?,
             Action::StopIn(key) => {
-                self.forget(|failed| {
-                    matches!(failed, Action::StartIn(other, _) | Action::ChangeIn(other, _) if other == key)
-                });
                 self.inward.remove(key);
                 self.incoming.close(key.clone());
             }
         }
         Ok(())
-    }
-
-    /// What is not wanted any more is not tried again.
-    fn forget(&mut self, is_it: impl Fn(&Action) -> bool) {
-        self.failed.retain(|(failed, _)| !is_it(failed));
     }
 
     fn change_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
@@ -275,16 +287,18 @@ impl Control {
                 return Ok(());
             }
         }
-        let is_first = self.inward.get(key).is_some_and(|before| before.publishers.is_empty());
-        let port = if is_first {
+        let before = self.inward.get(key).and_then(|taken| taken.port);
+        let port = if before.is_none() {
             let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
             self.port(&key.topic, &found, inward)?
         } else {
             None
         };
-        let senders = self.senders(&inward.publishers);
-        self.incoming.change(key.clone(), senders, Limiter::new(inward.min_period), port);
-        self.inward.insert(key.clone(), inward.clone());
+        let offer = before.or(port.as_ref().map(|(_, offer)| *offer));
+        let senders = senders(&self.graph, key, &inward.publishers, offer.is_some());
+        let limiter = Limiter::new(inward.min_period);
+        self.incoming.change(key.clone(), senders.clone(), limiter, port.map(|(port, _)| port));
+        self.inward.insert(key.clone(), Taken { inward: inward.clone(), port: offer, senders });
         Ok(())
     }
 
@@ -292,7 +306,8 @@ impl Control {
         let found = self.find_type(key, hash)?;
         let publisher = RosPublisher::new(&self.node, &key.ros_topic, &found.support, qos);
         let publisher = Arc::new(publisher.map_err(|error| error.to_string())?);
-        let counterpart = Counterpart { publisher, opened: Instant::now(), is_open: false };
+        let writer = Writer { publisher, last: Last::default() };
+        let counterpart = Counterpart { writer, opened: Instant::now(), is_open: false };
         self.writers.insert((key.clone(), gid), counterpart);
         Ok(())
     }
@@ -320,11 +335,12 @@ impl Control {
                 self.failed.push((Action::StartOut(key, outward), reason));
             }
         }
-        for ((key, gid), writer) in &mut self.writers {
-            let is_ready = || writer.publisher.subscription_count() > 0 || now >= writer.opened + MATCH_TIME;
-            if !writer.is_open && self.out.contains_key(key) && is_ready() {
-                writer.is_open = true;
-                self.outgoing.open(key.clone(), *gid, writer.publisher.clone());
+        for ((key, gid), counterpart) in &mut self.writers {
+            let is_matched = || counterpart.writer.publisher.subscription_count() > 0;
+            let is_ready = || is_matched() || now >= counterpart.opened + MATCH_TIME;
+            if !counterpart.is_open && self.out.contains_key(key) && is_ready() {
+                counterpart.is_open = true;
+                self.outgoing.open(key.clone(), *gid, counterpart.writer.clone());
             }
         }
     }
@@ -332,7 +348,7 @@ impl Control {
     /// Whether a publisher in ROS has somebody to send to.
     fn is_matched(&self, key: &TopicKey) -> bool {
         let mut writers = self.writers.iter().filter(|((topic, _), _)| topic == key);
-        writers.any(|(_, writer)| writer.publisher.subscription_count() > 0)
+        writers.any(|(_, counterpart)| counterpart.writer.publisher.subscription_count() > 0)
     }
 
     fn start_out(&mut self, key: &TopicKey, outward: &Outward) -> Result<(), String> {
@@ -362,8 +378,23 @@ impl Control {
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
+        // What the port keeps for late joiners is not to be lost without need.
+        let before = self.inward.get(key).filter(|taken| taken.inward.type_hash == inward.type_hash);
+        let same = before
+            .and_then(|taken| Some((taken.port?, taken.inward.qos)))
+            .filter(|(port, _)| port.is_as_good(inward.offered));
+        if same.is_some_and(|(_, qos)| qos == inward.qos) {
+            return self.change_in(key, inward);
+        }
         let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
-        let port = self.port(&key.topic, &found, inward)?;
+        let (port, offer) = match same {
+            Some((offer, _)) => (Port::Same, Some(offer)),
+            None => match self.port(&key.topic, &found, inward)? {
+                Some((port, offer)) => (Port::New(port), Some(offer)),
+                None => (Port::None, None),
+            },
+        };
+        let senders = senders(&self.graph, key, &inward.publishers, offer.is_some());
         let subscription =
             RosSubscription::new(&self.node, &key.topic.ros_topic, &found.support, &inward.qos);
         let inlet = Inlet {
@@ -372,9 +403,10 @@ impl Control {
             schema: found.schema,
             counters: self.counters(&key.topic, Direction::FromRos),
             limiter: Limiter::new(inward.min_period),
-            senders: self.senders(&inward.publishers),
+            senders: senders.clone(),
         };
         self.incoming.open(key.clone(), inlet);
+        self.inward.insert(key.clone(), Taken { inward: inward.clone(), port: offer, senders });
         Ok(())
     }
 
@@ -384,7 +416,7 @@ impl Control {
         key: &TopicKey,
         found: &BridgedType,
         inward: &Inward,
-    ) -> Result<Option<RawPublisher>, String> {
+    ) -> Result<Option<(RawPublisher, Offer)>, String> {
         if inward.publishers.is_empty() {
             return Ok(None);
         }
@@ -400,13 +432,8 @@ impl Control {
             }
         };
         self.outgoing.relays().lock().unwrap_or_else(PoisonError::into_inner).insert(port.gid());
-        Ok(Some(port))
-    }
-
-    /// Of all publishers in ROS that are known.
-    fn senders(&self, wanted: &BTreeSet<Gid>) -> Senders {
-        let others = self.graph.publishers.iter().filter(|gid| !wanted.contains(gid)).copied().collect();
-        Senders { wanted: wanted.clone(), others }
+        let most_depth = port.limits().depth;
+        Ok(Some((port, Offer { qos, most_depth })))
     }
 
     fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<crate::stats::Counters> {
@@ -453,7 +480,7 @@ impl Control {
         let writers = self
             .writers
             .iter()
-            .filter_map(|((key, _), writer)| Some((key, writer.publisher.incompatible()?)));
+            .filter_map(|((key, _), end)| Some((key, end.writer.publisher.incompatible()?)));
         for (key, (count, policy)) in writers {
             tracing::warn!(
                 "topic '{}': an end in ROS does not fit the QoS of one here (last policy: {policy}): no messages go between them; \
@@ -483,6 +510,12 @@ impl Control {
     }
 }
 
+/// Of the publishers in ROS that are known.
+fn senders(graph: &RosGraph, key: &InKey, publishers: &BTreeSet<Gid>, has_port: bool) -> Senders {
+    let none = BTreeSet::new();
+    Senders::of(graph.publishers.get(&key.topic.ros_topic).unwrap_or(&none), publishers, has_port)
+}
+
 /// Those that stand in ROS for Tautline's.
 fn shown(nodes: &BTreeMap<NodeName, Option<Arc<Node>>>) -> BTreeMap<NodeName, Arc<Node>> {
     nodes.iter().filter_map(|(name, node)| Some((name.clone(), node.clone()?))).collect()
@@ -498,7 +531,7 @@ fn topic_of(action: &Action) -> &TopicKey {
 
 fn is_active(
     out: &BTreeMap<TopicKey, Outward>,
-    inward: &BTreeMap<InKey, Inward>,
+    inward: &BTreeMap<InKey, Taken>,
     key: &TopicKey,
     direction: Direction,
 ) -> bool {

@@ -10,6 +10,7 @@ use crate::rate::Limiter;
 use crate::rcl::{
     Context, GuardCondition, RclError, RosMessageInfo, RosSubscription, SerializedMessage, WaitSet, Waitable,
 };
+use crate::ros_graph::NAME_TIME;
 use crate::stats::{Counters, Numbers};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,25 +27,61 @@ const TURN: usize = 64;
 /// a publisher's node, and the next look at the graph.
 const EARLY_MESSAGES: usize = 1000;
 const EARLY_BYTES: usize = 64 << 20;
-const EARLY_TIME: Duration = Duration::from_secs(5);
+const EARLY_TIME: Duration = NAME_TIME.saturating_add(Duration::from_secs(3));
 
 /// A topic and class that come in.
 pub(crate) struct Inlet {
     pub(crate) subscription: RosSubscription,
-    /// Once there is somebody who sends.
-    pub(crate) port: Option<RawPublisher>,
+    pub(crate) port: Port,
     pub(crate) schema: Arc<Schema>,
     pub(crate) counters: Arc<Counters>,
     pub(crate) limiter: Limiter,
     pub(crate) senders: Senders,
 }
 
+/// What messages come through here.
+pub(crate) enum Port {
+    /// There is nobody who sends.
+    None,
+    /// Through the one that the key has: what it keeps for late joiners stays.
+    Same,
+    New(RawPublisher),
+}
+
 /// Whose messages a subscription passes on: it may match others, which a subscription of their class takes.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Senders {
-    pub(crate) wanted: BTreeSet<Gid>,
+    wanted: BTreeSet<Gid>,
     /// Of other classes, and of bridges.
-    pub(crate) others: BTreeSet<Gid>,
+    others: BTreeSet<Gid>,
+}
+
+/// What a message's publisher is to a subscription.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sender {
+    Wanted,
+    Other,
+    /// Not known yet: its message waits.
+    Unknown,
+}
+
+impl Senders {
+    /// Of all publishers of the topic that are `known`, `publishers` are those of the class. Without a port for them their
+    /// messages wait.
+    pub(crate) fn of(known: &BTreeSet<Gid>, publishers: &BTreeSet<Gid>, has_port: bool) -> Self {
+        Senders {
+            wanted: if has_port { publishers.clone() } else { BTreeSet::new() },
+            others: known.difference(publishers).copied().collect(),
+        }
+    }
+
+    fn find(&self, gid: &Gid) -> Sender {
+        match (self.wanted.contains(gid), self.others.contains(gid)) {
+            (true, _) => Sender::Wanted,
+            (_, true) => Sender::Other,
+            _ => Sender::Unknown,
+        }
+    }
 }
 
 enum Command {
@@ -186,9 +223,10 @@ impl Loop {
     fn obey(&mut self, command: Command) {
         match command {
             Command::Start(key, inlet) => {
-                // One that takes over goes on where the other ended: both may have got the same.
-                let (numbers, early) = self.end(&key);
-                let mut route = Route { inlet, numbers, early, early_bytes: 0, has_more: true };
+                let mut route = Route::new(inlet);
+                if let Some(old) = self.end(&key) {
+                    route.take_over(old, key.class.is_kept);
+                }
                 route.settle();
                 self.routes.push((key, route));
             }
@@ -198,7 +236,7 @@ impl Loop {
                         route.inlet.limiter = limiter;
                     }
                     if let Some(port) = port {
-                        route.inlet.port = Some(*port);
+                        route.inlet.port = Port::New(*port);
                     }
                     route.inlet.senders = senders;
                     route.settle();
@@ -209,10 +247,8 @@ impl Loop {
     }
 
     /// What arrived before still goes through, or is left over.
-    fn end(&mut self, key: &InKey) -> (Numbers, Vec<Early>) {
-        let Some(at) = self.routes.iter().position(|(other, _)| other == key) else {
-            return Default::default();
-        };
+    fn end(&mut self, key: &InKey) -> Option<Route> {
+        let at = self.routes.iter().position(|(other, _)| other == key)?;
         let (_, mut route) = self.routes.swap_remove(at);
         // Bounded, for a publisher could be faster than this.
         for _ in 0..64 {
@@ -221,11 +257,28 @@ impl Loop {
                 break;
             }
         }
-        (route.numbers, route.early)
+        Some(route)
     }
 }
 
 impl Route {
+    fn new(inlet: Box<Inlet>) -> Self {
+        Route { inlet, numbers: Numbers::default(), early: Vec::new(), early_bytes: 0, has_more: true }
+    }
+
+    /// Goes on where the other ended: both may have got the same. But what a new port is to keep for late joiners must come
+    /// through it, so who listens already gets it once more.
+    fn take_over(&mut self, old: Route, is_kept: bool) {
+        let is_same_port = matches!(self.inlet.port, Port::Same);
+        if is_same_port {
+            self.inlet.port = old.inlet.port;
+        }
+        if is_same_port || !is_kept {
+            self.numbers = old.numbers;
+        }
+        self.early = old.early;
+    }
+
     /// Takes and passes on what is there, at most a turn of it.
     fn serve(&mut self, buffer: &mut SerializedMessage) {
         self.has_more = true;
@@ -242,11 +295,10 @@ impl Route {
     }
 
     fn receive(&mut self, bytes: &[u8], info: RosMessageInfo) {
-        let senders = &self.inlet.senders;
-        if senders.wanted.contains(&info.gid) {
-            self.pass(bytes, info);
-        } else if !senders.others.contains(&info.gid) {
-            self.keep_early(bytes, info);
+        match self.inlet.senders.find(&info.gid) {
+            Sender::Wanted => self.pass(bytes, info),
+            Sender::Other => {}
+            Sender::Unknown => self.keep_early(bytes, info),
         }
     }
 
@@ -273,12 +325,13 @@ impl Route {
     fn settle(&mut self) {
         self.early_bytes = 0;
         for early in std::mem::take(&mut self.early) {
-            let senders = &self.inlet.senders;
-            if senders.wanted.contains(&early.info.gid) {
-                self.pass(&early.bytes, early.info);
-            } else if !senders.others.contains(&early.info.gid) {
-                self.early_bytes += early.bytes.len();
-                self.early.push(early);
+            match self.inlet.senders.find(&early.info.gid) {
+                Sender::Wanted => self.pass(&early.bytes, early.info),
+                Sender::Other => {}
+                Sender::Unknown => {
+                    self.early_bytes += early.bytes.len();
+                    self.early.push(early);
+                }
             }
         }
         let wanted = &self.inlet.senders.wanted;
@@ -343,7 +396,7 @@ impl Inlet {
             DynamicMessage::validate(&self.schema, body, Endian::Little).map_err(|_| Dropped::Invalid)?;
         // What follows the last field is nobody's.
         let body = body.get(..body.len().saturating_sub(trailing)).unwrap_or_default();
-        let Some(port) = &self.port else { return Err(Dropped::Unknown) };
+        let Port::New(port) = &self.port else { return Err(Dropped::Unknown) };
         let mut loan = port.loan(body.len())?;
         loan.copy_from_slice(body);
         let source = MessageInfo {
@@ -360,6 +413,20 @@ impl Inlet {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_is_of_another_class_is_not_waited_for() {
+        let [wanted, other, new] = [1, 2, 3].map(|id| Gid([id; 16]));
+        let publishers = BTreeSet::from([wanted]);
+        let found = |known: &[Gid], has_port| {
+            let senders = Senders::of(&known.iter().copied().collect(), &publishers, has_port);
+            [wanted, other, new].map(|gid| senders.find(&gid))
+        };
+        assert_eq!(found(&[wanted, other], true), [Sender::Wanted, Sender::Other, Sender::Unknown]);
+        assert_eq!(found(&[wanted, other, new], true), [Sender::Wanted, Sender::Other, Sender::Other]);
+        // Whose port could not be made: its messages wait for the next try.
+        assert_eq!(found(&[wanted, other], false), [Sender::Unknown, Sender::Other, Sender::Unknown]);
+    }
 
     #[test]
     fn what_is_no_xcdr1_is_refused_with_its_reason() {

@@ -131,10 +131,29 @@ pub enum Action {
     StopIn(InKey),
 }
 
+impl Action {
+    /// Whether `failed`, which could not be done before, is not to be tried again after this: it would undo it.
+    pub(crate) fn replaces(&self, failed: &Action) -> bool {
+        use Action::*;
+        match (self, failed) {
+            (OpenWriter(key, gid, ..) | CloseWriter(key, gid), OpenWriter(other, port, ..)) => {
+                (key, gid) == (other, port)
+            }
+            (StartOut(key, _) | StopOut(key), StartOut(other, _)) => key == other,
+            (StartIn(key, _) | StopIn(key), StartIn(other, _) | ChangeIn(other, _)) => key == other,
+            (ChangeIn(key, _), ChangeIn(other, _)) => key == other,
+            _ => false,
+        }
+    }
+}
+
 /// Depth of a queue between the two sides at least: it is emptied at once, and costs nothing when it is empty.
 pub const MIN_DEPTH: usize = 100;
 /// As above, of what comes from ROS, where publishers do not tell their depth.
 pub const MIN_DEPTH_IN: usize = 1000;
+/// What is kept of a class from ROS for late joiners at least; more is twice as much, and so on. A change costs those who listen
+/// already what they get twice, so a few publishers more must not be one.
+pub const MIN_KEPT: usize = 32;
 
 /// The state: what is being bridged.
 pub struct Mirror {
@@ -164,6 +183,11 @@ impl Mirror {
     /// What the rules say.
     pub fn rules(&self) -> &Rules {
         &self.rules
+    }
+
+    /// Publishers in ROS of a class.
+    pub fn publishers(&self, key: &InKey) -> Option<&BTreeSet<Gid>> {
+        self.inward.get(key).map(|inward| &inward.publishers)
     }
 
     /// Topics that cannot be bridged, and why.
@@ -362,7 +386,7 @@ impl Wanted {
                         publishers.iter().map(|end| end.qos.liveliness_lease_duration),
                     ),
                     ..Class::of(&qos).qos(match class.is_kept {
-                        true => choice.qos.depth.unwrap_or(kept.max(deepest_late)),
+                        true => choice.qos.depth.unwrap_or_else(|| kept_depth(kept.max(deepest_late))),
                         false => 1,
                     })
                 },
@@ -393,6 +417,10 @@ fn is_same_hash(one: &TopicType, other: &TopicType) -> bool {
         (Some(one), Some(other)) => one == other,
         _ => true,
     }
+}
+
+fn kept_depth(wanted: usize) -> usize {
+    wanted.max(MIN_KEPT).checked_next_power_of_two().unwrap_or(wanted)
 }
 
 /// Samples that an end keeps; keep-all has no number and gets a large one.

@@ -10,7 +10,7 @@ use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use crate::stats::Counters;
 use futures::task::{ArcWake, waker};
 use std::collections::{HashMap, HashSet, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
@@ -31,7 +31,7 @@ const EARLY_TIME: Duration = Duration::from_secs(3);
 enum Command {
     /// Also of a topic that is being taken: by this subscription from now on.
     Start(TopicKey, Box<RawSubscription>, Arc<Counters>, Limiter),
-    Open(TopicKey, Gid, Arc<RosPublisher>),
+    Open(TopicKey, Gid, Writer),
     Close(TopicKey, Gid),
     Stop(TopicKey),
 }
@@ -93,9 +93,9 @@ impl Outgoing {
         self.tell(Command::Start(key, Box::new(subscription), counters, limiter));
     }
 
-    /// What the publisher `gid` sends goes through `publisher`.
-    pub(crate) fn open(&self, key: TopicKey, gid: Gid, publisher: Arc<RosPublisher>) {
-        self.tell(Command::Open(key, gid, publisher));
+    /// What the publisher `gid` sends goes through `writer`.
+    pub(crate) fn open(&self, key: TopicKey, gid: Gid, writer: Writer) {
+        self.tell(Command::Open(key, gid, writer));
     }
 
     pub(crate) fn close(&self, key: TopicKey, gid: Gid) {
@@ -142,10 +142,23 @@ struct Route {
     flag: Arc<Flag>,
 }
 
-struct Writer {
-    publisher: Arc<RosPublisher>,
-    /// The last sample's number at its port: a subscription that takes over sees some again.
-    last: u64,
+/// A publisher in ROS that stands for one here.
+#[derive(Clone)]
+pub(crate) struct Writer {
+    pub(crate) publisher: Arc<RosPublisher>,
+    pub(crate) last: Last,
+}
+
+/// The last sample's number at its port: a subscription that takes over, or begins anew and gets what is kept, sees some again.
+/// It lives as long as the publisher in ROS, which has them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Last(Arc<AtomicU64>);
+
+impl Last {
+    /// Whether it is new; it is not from now on.
+    fn admits(&self, number: u64) -> bool {
+        self.0.fetch_max(number, Ordering::Relaxed) < number
+    }
 }
 
 /// A sample whose publisher has no counterpart in ROS yet.
@@ -209,7 +222,7 @@ impl Loop {
             }
             if Instant::now() >= next_look {
                 next_look = Instant::now() + LOOK;
-                self.routes.values_mut().for_each(Route::look);
+                self.routes.values_mut().for_each(|route| route.look(&self.relays));
             }
             if !is_busy {
                 self.seat.sleep(Some(monotonic_ns() + LOOK.as_nanos() as u64));
@@ -224,7 +237,7 @@ impl Loop {
                 if let Some(route) = self.routes.get_mut(&key) {
                     // The new one has been there for a while: first what came before, then what came to both once.
                     route.serve_all(relays, buffer);
-                    route.look();
+                    route.look(relays);
                     (route.subscription, route.limiter, route.lost) = (subscription, limiter, 0);
                     return route.flag.is_set.store(true, Ordering::SeqCst);
                 }
@@ -234,9 +247,9 @@ impl Loop {
                     Route { subscription, counters, limiter, writers, early, early_bytes: 0, lost: 0, flag };
                 self.routes.insert(key, route);
             }
-            Command::Open(key, gid, publisher) => {
+            Command::Open(key, gid, writer) => {
                 if let Some(route) = self.routes.get_mut(&key) {
-                    route.open(gid, publisher, buffer);
+                    route.open(gid, writer, buffer);
                 }
             }
             Command::Close(key, gid) => {
@@ -249,6 +262,8 @@ impl Loop {
             Command::Stop(key) => {
                 if let Some(mut route) = self.routes.remove(&key) {
                     route.serve_all(relays, buffer);
+                    route.look(relays);
+                    route.early.iter().for_each(|_| route.counters.dropped(NO_COUNTERPART));
                 }
             }
         }
@@ -270,9 +285,11 @@ impl Route {
         true
     }
 
-    /// Bounded, for a publisher could be faster than this.
+    /// All that was there: bounded by what fits in, for a publisher could be faster than this.
     fn serve_all(&mut self, relays: &Relays, buffer: &mut SerializedMessage) {
-        for _ in 0..64 {
+        // And one publisher that has gone.
+        let publishers = self.subscription.publisher_count() + 1;
+        for _ in 0..turns(self.subscription.qos().depth, publishers) {
             if !self.serve(relays, buffer) {
                 break;
             }
@@ -281,14 +298,13 @@ impl Route {
 
     fn pass(&mut self, sample: &RawSample, relays: &Relays, buffer: &mut SerializedMessage) {
         let (port, number) = (sample.port_gid(), sample.port_sequence_number());
-        let Some(writer) = self.writers.get_mut(&port) else {
+        let Some(writer) = self.writers.get(&port) else {
             if !relays.lock().unwrap_or_else(PoisonError::into_inner).contains(&port) {
                 self.keep_early(port, sample);
             }
             return;
         };
-        if number > writer.last {
-            writer.last = number;
+        if writer.last.admits(number) {
             publish(&writer.publisher, sample.body(), buffer, &self.counters, &mut self.limiter);
         }
     }
@@ -306,34 +322,45 @@ impl Route {
     }
 
     /// A publisher has its counterpart: what it sent before goes first.
-    fn open(&mut self, gid: Gid, publisher: Arc<RosPublisher>, buffer: &mut SerializedMessage) {
-        let mut last = 0;
+    fn open(&mut self, gid: Gid, writer: Writer, buffer: &mut SerializedMessage) {
         for early in std::mem::take(&mut self.early) {
             if early.port == gid {
                 self.early_bytes -= early.body.len();
-                last = early.number;
-                publish(&publisher, &early.body, buffer, &self.counters, &mut self.limiter);
+                if writer.last.admits(early.number) {
+                    publish(&writer.publisher, &early.body, buffer, &self.counters, &mut self.limiter);
+                }
             } else {
                 self.early.push_back(early);
             }
         }
-        self.writers.insert(gid, Writer { publisher, last });
+        self.writers.insert(gid, writer);
     }
 
-    fn look(&mut self) {
+    fn look(&mut self, relays: &Relays) {
         let (counters, bytes) = (&self.counters, &mut self.early_bytes);
-        self.early.retain(|early| {
-            let stays = early.since.elapsed() < EARLY_TIME;
-            if !stays {
-                *bytes -= early.body.len();
-                counters.dropped(NO_COUNTERPART);
-            }
-            stays
-        });
+        if !self.early.is_empty() {
+            let relays = relays.lock().unwrap_or_else(PoisonError::into_inner);
+            self.early.retain(|early| {
+                let is_relay = relays.contains(&early.port);
+                let is_late = early.since.elapsed() >= EARLY_TIME;
+                if is_late && !is_relay {
+                    counters.dropped(NO_COUNTERPART);
+                }
+                if is_late || is_relay {
+                    *bytes -= early.body.len();
+                }
+                !is_late && !is_relay
+            });
+        }
         let lost = self.subscription.counters().lost();
         self.counters.lost(lost - self.lost);
         self.lost = lost;
     }
+}
+
+/// Turns that empty a queue as deep as this for each of so many publishers.
+fn turns(depth: usize, publishers: usize) -> usize {
+    depth.saturating_mul(publishers).div_ceil(TURN) + 1
 }
 
 const NO_COUNTERPART: &str = "publisher not in ROS yet";
@@ -351,5 +378,27 @@ fn publish(
     match buffer.assign(&ENCAPSULATION, body).and_then(|()| publisher.publish(buffer)) {
         Ok(()) => counters.passed(body.len()),
         Err(error) => counters.dropped(error.reason),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_publisher_in_ros_has_does_not_come_again() {
+        let last = Last::default();
+        assert!([1, 2, 5].into_iter().all(|number| last.admits(number)));
+        // Taken up again, by a subscription that gets what is kept.
+        let again = last.clone();
+        assert!(![2, 5].into_iter().any(|number| again.admits(number)));
+        assert!(again.admits(6) && !last.admits(6));
+    }
+
+    #[test]
+    fn a_queue_is_emptied_however_deep() {
+        for (depth, publishers) in [(1, 1), (100, 1), (1000, 3), (65_536, 8)] {
+            assert!(turns(depth, publishers) * TURN >= depth * publishers);
+        }
     }
 }

@@ -12,8 +12,9 @@ use tautline_transport::{
 /// How the names of bridges' nodes begin: what these nodes have stands for others' ends.
 pub const BRIDGE_PREFIX: &str = "taut_bridge_";
 
-/// Whose node an endpoint is comes later than the endpoint; what stays without one for so long is no ROS node's.
-const NAME_TIME: Duration = Duration::from_secs(2);
+/// Whose node an endpoint is comes later than the endpoint; what stays without one for so long is no ROS node's. Longer than two
+/// heartbeats of Fast DDS (3 s), after which it sends again what got lost: another bridge's end must not be taken for a node's.
+pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 
 /// What exists in ROS.
 #[derive(Default)]
@@ -22,15 +23,15 @@ pub(crate) struct RosGraph {
     pub(crate) nodes: Vec<RosNode>,
     /// Publishers and subscriptions, but for bridges'.
     pub(crate) endpoints: Vec<TopicEndpoint>,
-    /// All publishers that it is known of whether they are a bridge's.
-    pub(crate) publishers: BTreeSet<Gid>,
+    /// By topic, all publishers that it is known of whether they are a bridge's.
+    pub(crate) publishers: HashMap<String, BTreeSet<Gid>>,
     unknown: HashMap<Gid, Instant>,
 }
 
 impl RosGraph {
     /// Reads it anew.
     pub(crate) fn read(&mut self, node: &Node) -> Result<(), RclError> {
-        let (mut endpoints, mut publishers) = (Vec::new(), BTreeSet::new());
+        let (mut endpoints, mut publishers) = (Vec::new(), HashMap::<String, BTreeSet<Gid>>::new());
         let before = std::mem::take(&mut self.unknown);
         for topic in node.topics()?.into_keys() {
             for kind in [EndpointKind::Publisher, EndpointKind::Subscription] {
@@ -43,7 +44,7 @@ impl RosGraph {
                         }
                     }
                     if kind == EndpointKind::Publisher {
-                        publishers.insert(end.gid);
+                        publishers.entry(topic.clone()).or_default().insert(end.gid);
                     }
                     let is_bridge =
                         end.node.as_ref().is_some_and(|node| node.name.starts_with(BRIDGE_PREFIX));

@@ -273,6 +273,7 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
     assert_eq!((there, only_there), (&remote.endpoints[0], &remote.endpoints[1]));
     assert!(here.node.as_ref() == Some(node.name()) && !here.is_remote);
     assert_eq!(graph.services, [service]);
+    assert_eq!(graph.relays, [_stand_in.gid()], "from the same look as the endpoints");
 
     gateway.set_remote(&RemoteGraph::default()).unwrap();
     assert_eq!(names(&observer.graph().unwrap()), ["/here"]);

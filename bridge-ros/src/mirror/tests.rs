@@ -146,7 +146,7 @@ fn queues_and_what_is_kept_are_as_deep_as_the_deepest_asks() {
         [end(EndpointKind::Publisher, "/x", 7, offered), end(EndpointKind::Publisher, "/x", 8, offered)];
     let actions = mirror.update(&here, &there);
     let Action::StartIn(_, inward) = &actions[0] else { panic!("{actions:?}") };
-    assert_eq!((inward.qos.depth, inward.offered.depth), (5000, 5000));
+    assert_eq!((inward.qos.depth, inward.offered.depth), (5000, 8192));
     assert_eq!((inward.offered.durability, inward.offered.deadline), (Durability::TransientLocal, second));
     // The deadline of one that has none is kept by nobody.
     let actions = mirror.update(
@@ -159,6 +159,43 @@ fn queues_and_what_is_kept_are_as_deep_as_the_deepest_asks() {
     let actions = mirror.update(&[subscription("/y", 1)], &[publisher("/y", 7)]);
     let Some(Action::StartIn(_, inward)) = actions.last() else { panic!("{actions:?}") };
     assert_eq!((inward.qos.depth, inward.offered.depth), (MIN_DEPTH_IN, 1));
+}
+
+#[test]
+fn a_few_latched_publishers_more_are_no_new_port() {
+    let mut mirror = auto();
+    let here = [end(EndpointKind::Subscription, "/x", 1, Qos::keep_last(1).transient_local())];
+    let latched = |id| end(EndpointKind::Publisher, "/x", id, Qos::keep_last(10).transient_local());
+    assert_eq!(told(&mirror.update(&here, &[latched(7)])), ["in /x latched [7]"]);
+    let three = [latched(7), latched(8), latched(9)];
+    assert_eq!(told(&mirror.update(&here, &three)), ["change /x latched [7, 8, 9]"]);
+    let four = [latched(7), latched(8), latched(9), latched(10)];
+    assert_eq!(told(&mirror.update(&here, &four)), ["in /x latched [7, 8, 9, 10]"], "it must keep more");
+    assert_eq!(told(&mirror.update(&here, &three)), ["change /x latched [7, 8, 9]"]);
+}
+
+#[test]
+fn what_failed_is_not_tried_again_after_what_came_later() {
+    let mut mirror = auto();
+    let here = [publisher("/x", 1), subscription("/x", 2)];
+    let there = [publisher("/x", 7), subscription("/x", 8)];
+    let begin = mirror.update(&here, &there);
+    let [open, out, start] = begin.as_slice() else { panic!("{begin:?}") };
+    let change = &mirror.update(&here, &[there[0].clone(), there[1].clone(), publisher("/x", 9)])[0];
+    let ends = mirror.update(&[], &[]);
+    let [stop_out, close, stop_in] = ends.as_slice() else { panic!("{ends:?}") };
+    let all = [open, out, start, change, stop_out, close, stop_in];
+    let replaced = |action: &Action| {
+        told(&all.map(Action::clone).into_iter().filter(|failed| action.replaces(failed)).collect::<Vec<_>>())
+    };
+    assert_eq!(replaced(open), ["open /x 1"]);
+    assert_eq!(replaced(close), ["open /x 1"]);
+    assert_eq!(replaced(out), ["take /x 100"]);
+    assert_eq!(replaced(stop_out), ["take /x 100"]);
+    // A change of what could not be begun is that beginning's.
+    assert_eq!(replaced(change), ["change /x default [7, 9]"]);
+    assert_eq!(replaced(start), ["in /x default [7]", "change /x default [7, 9]"]);
+    assert_eq!(replaced(stop_in), ["in /x default [7]", "change /x default [7, 9]"]);
 }
 
 #[test]

@@ -132,6 +132,8 @@ pub struct GraphSnapshot {
     pub endpoints: Vec<TopicEndpoint>,
     /// Services and clients, sorted by name.
     pub services: Vec<ServiceEndpoint>,
+    /// Publishers that gateways and bridges opened here: they stand for others' and are in no list above.
+    pub relays: Vec<Gid>,
 }
 
 /// What other hosts have: see [`Participant::set_remote`]. `pid`, `is_remote` and `is_own` are not looked at, nor is an
@@ -240,8 +242,9 @@ impl Participant {
             .filter_map(|(gid, node)| Some((gid, node?)))
             .collect();
         let is_relay = |arena| records.iter().any(|record| record.is_relay && record.arena == arena);
-        let mut endpoints = Vec::new();
+        let (mut endpoints, mut relays) = (Vec::new(), Vec::new());
         for topic in &topics {
+            relays.extend(topic.publishers.iter().filter(|end| is_relay(end.arena.0)).map(|end| end.gid));
             let kinds = [
                 (EndpointKind::Publisher, &topic.publishers),
                 (EndpointKind::Subscription, &topic.subscriptions),
@@ -270,7 +273,7 @@ impl Participant {
         };
         let mut services: Vec<ServiceEndpoint> = records.iter().flat_map(of_record).collect();
         services.sort_by(|one, other| (&one.name, one.kind).cmp(&(&other.name, other.kind)));
-        Ok(GraphSnapshot { nodes: nodes(&records), endpoints, services })
+        Ok(GraphSnapshot { nodes: nodes(&records), endpoints, services, relays })
     }
 
     /// Says what other hosts have, in place of what it said before, and that this participant's own ports stand for
