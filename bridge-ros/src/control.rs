@@ -18,7 +18,7 @@ use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_transport::{
     Durability, Gid, GraphSnapshot, Limits, NodeName, Participant, Qos, RawPublisher, RawSubscription,
-    ServiceEndpoint, TransportError,
+    ServiceEndpoint, ServiceKind, TransportError,
 };
 
 /// What the control thread is told.
@@ -207,7 +207,16 @@ impl Control {
 
     fn route_services(&mut self, here: &GraphSnapshot, there: &[ServiceEndpoint]) {
         let ends: Vec<_> = here.services.iter().filter(|end| !end.is_remote).cloned().collect();
-        let routes = Routes::of(&self.service_rules, &ends, there, self.services.routes());
+        let mut there = there.to_vec();
+        let asked = ends.iter().filter(|end| end.kind == ServiceKind::Client).map(|end| &*end.name);
+        for service in asked.collect::<BTreeSet<_>>() {
+            if let Some(choice) = self.service_rules.choice(service) {
+                // Without it a server is known by its node's name alone.
+                let found = self.node.servers(&choice.ros_topic).unwrap_or_default();
+                ros_graph::identify(&mut there, &choice.ros_topic, &found);
+            }
+        }
+        let routes = Routes::of(&self.service_rules, &ends, &there, self.services.routes());
         self.services.set_routes(routes, shown(&self.nodes));
     }
 

@@ -108,6 +108,22 @@ pub(crate) fn as_remote(graph: &RosGraph, own: &[RosNode], rules: &Rules) -> Rem
     remote
 }
 
+/// Says in `ends` which servers of `service` there are, as far as `found` tells: a node that was started anew has the name of the
+/// one before.
+pub(crate) fn identify(ends: &mut Vec<ServiceEndpoint>, service: &str, found: &[RosEndpoint]) {
+    let is_server = |end: &ServiceEndpoint| end.kind == ServiceKind::Server && end.name == service;
+    let (servers, others): (Vec<_>, Vec<_>) = std::mem::take(ends).into_iter().partition(is_server);
+    *ends = others;
+    for server in servers {
+        let of_node = |end: &&RosEndpoint| end.node.as_ref().map(node_name).as_ref() == Some(&server.node);
+        let mut gids: Vec<Gid> = found.iter().filter(of_node).map(|end| end.gid).collect();
+        if gids.is_empty() {
+            gids.push(server.gid);
+        }
+        ends.extend(gids.into_iter().map(|gid| ServiceEndpoint { gid, ..server.clone() }));
+    }
+}
+
 /// The services and clients of `nodes`, but for bridges'. A name that two nodes have is there twice, and so is what they have.
 pub(crate) fn services<'n>(node: &Node, nodes: impl Iterator<Item = &'n RosNode>) -> Vec<ServiceEndpoint> {
     let mut ends = Vec::new();
@@ -131,4 +147,49 @@ pub(crate) fn services<'n>(node: &Node, nodes: impl Iterator<Item = &'n RosNode>
     }
     ends.sort_by(|one, other| (&one.name, one.kind, &one.node).cmp(&(&other.name, other.kind, &other.node)));
     ends
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tautline_transport::Qos;
+
+    #[test]
+    fn servers_are_told_apart_by_where_they_take_requests() {
+        let node = |name: &str| RosNode { name: name.into(), namespace: "/".into() };
+        let end = |name: &str, kind, of| ServiceEndpoint {
+            kind,
+            name: name.into(),
+            type_name: "a/srv/B".into(),
+            type_hash: None,
+            gid: Gid::default(),
+            node: node_name(&node(of)),
+            pid: None,
+            is_remote: true,
+        };
+        let found = |of, gid| RosEndpoint {
+            kind: EndpointKind::Subscription,
+            node: Some(node(of)),
+            type_name: "a/srv/B".into(),
+            type_hash: None,
+            gid: Gid([gid; 16]),
+            qos: Qos::default(),
+        };
+        let mut ends = vec![
+            end("/x", ServiceKind::Client, "one"),
+            end("/x", ServiceKind::Server, "one"),
+            end("/x", ServiceKind::Server, "two"),
+            end("/y", ServiceKind::Server, "one"),
+        ];
+        // A bridge's is none of ours; that of `two` is not told yet.
+        identify(&mut ends, "/x", &[found("one", 1), found("taut_bridge_1", 3)]);
+        let told = |end: &ServiceEndpoint| (end.name.clone(), end.node.name.clone(), end.gid.0[0]);
+        let servers = ends.iter().filter(|end| end.kind == ServiceKind::Server).map(told);
+        let expected = [("/y", "one", 0), ("/x", "one", 1), ("/x", "two", 0)];
+        assert_eq!(
+            servers.collect::<Vec<_>>(),
+            expected.map(|(name, of, gid)| (name.into(), of.into(), gid))
+        );
+        assert_eq!(ends.len(), 4);
+    }
 }

@@ -49,6 +49,49 @@ fn late_joiners_get_what_is_kept() {
 }
 
 #[test]
+fn what_is_kept_stays_and_comes_once_though_ends_come_and_go() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 5;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "latched");
+    let latched = |depth: usize| json!({ "latched": true, "depth": depth });
+
+    // To ROS: between two readers nobody listens, and the bridge takes nothing.
+    let here = publisher(&participant, "/to_ros", STRING, Qos::keep_last(2).transient_local());
+    for text in ["one", "two"] {
+        here.publish(&text_body(text)).unwrap();
+    }
+    let first = peer.subscription("/to_ros", STRING, latched(2));
+    assert_eq!(peer.take_texts(first, 2), ["one", "two"]);
+    peer.tell(json!({ "do": "destroy", "end": first }));
+    wait_until("it rests", || bridge.topic("/to_ros", "to_ros")["active"] == false);
+    let second = peer.subscription("/to_ros", STRING, latched(2));
+    assert_eq!(peer.take_texts(second, 2), ["one", "two"]);
+    wait_until("it goes on", || bridge.topic("/to_ros", "to_ros")["active"] == true);
+    here.publish(&text_body("three")).unwrap();
+    assert_eq!(peer.take_texts(second, 1), ["three"], "what is kept came again");
+
+    // From ROS: publishers come while somebody listens, until they are too many for what was kept.
+    let deep = Qos::keep_last(100).transient_local();
+    let listening = subscription(&participant, "/tf_static", STRING, deep);
+    let mut all = BTreeSet::new();
+    for number in 0..6 {
+        let text = format!("frame {number}");
+        let there = peer.publisher("/tf_static", STRING, latched(1));
+        peer.publish_text(there, &[&text]);
+        all.insert(text.clone());
+        wait_until("who listens has it", || {
+            let mut texts = std::iter::from_fn(|| listening.try_take().unwrap());
+            texts.any(|sample| support::text_of(sample.body()) == text)
+        });
+        let late = subscription(&participant, "/tf_static", STRING, deep);
+        let got: BTreeSet<String> = take_texts(&late, all.len()).into_iter().collect();
+        assert_eq!(got, all, "a late joiner after publisher {number}");
+    }
+}
+
+#[test]
 fn a_topic_with_two_types_in_ros() {
     let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 7;

@@ -125,6 +125,19 @@ impl Node {
     /// # Errors
     /// [`RclError`].
     pub fn endpoints(&self, topic: &str, kind: EndpointKind) -> Result<Vec<RosEndpoint>, RclError> {
+        self.ends_of(topic, kind, false)
+    }
+
+    /// The servers of `service`, a fully qualified name: where they take requests. Of a DDS; another RMW tells none.
+    ///
+    /// # Errors
+    /// [`RclError`].
+    pub fn servers(&self, service: &str) -> Result<Vec<RosEndpoint>, RclError> {
+        self.ends_of(&format!("rq{service}Request"), EndpointKind::Subscription, true)
+    }
+
+    /// `is_raw`: the name is the RMW's own.
+    fn ends_of(&self, topic: &str, kind: EndpointKind, is_raw: bool) -> Result<Vec<RosEndpoint>, RclError> {
         let name = text(topic)?;
         // SAFETY: the node is initialised; the list is zero before, and ended here; its texts are copied before.
         unsafe {
@@ -134,7 +147,7 @@ impl Node {
                 EndpointKind::Publisher => rcl_get_publishers_info_by_topic,
                 EndpointKind::Subscription => rcl_get_subscriptions_info_by_topic,
             };
-            let code = get(self.raw(), &mut allocator, name.as_ptr(), false, &mut list);
+            let code = get(self.raw(), &mut allocator, name.as_ptr(), is_raw, &mut list);
             let listed = check("listing a topic's endpoints", code).map(|()| {
                 let infos = match list.size {
                     0 => &[],

@@ -176,3 +176,40 @@ impl Drop for RosClient {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Context, Node};
+    use super::*;
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn a_server_that_replaces_another_has_another_identifier() {
+        let context = Context::new(Some(5)).unwrap();
+        let node = Node::new(&context, "servers", "/").unwrap();
+        let support = ServiceSupport::load("std_srvs/srv/SetBool").unwrap();
+        let name = format!("/of_{}", std::process::id());
+        let server = || RosServer::new(&node, &name, &support).unwrap();
+        let gids = |count| {
+            let end = Instant::now() + Duration::from_secs(60);
+            loop {
+                let found = node.servers(&name).unwrap();
+                if found.len() == count && found.iter().all(|end| end.node.is_some()) {
+                    assert!(found.iter().all(|end| end.node.as_ref().unwrap().name == "servers"));
+                    return found.into_iter().map(|end| end.gid).collect::<Vec<_>>();
+                }
+                assert!(Instant::now() < end, "{found:?}");
+                std::thread::yield_now();
+            }
+        };
+        let first = server();
+        let before = gids(1);
+        let second = server();
+        let both = gids(2);
+        drop(first);
+        let after = gids(1);
+        assert!(before != after && both.contains(&before[0]) && both.contains(&after[0]));
+        drop(second);
+        gids(0);
+    }
+}

@@ -254,7 +254,7 @@ impl Exchange {
                 }
             }
             if let Some(sought) = self.sought.get_mut(key) {
-                sought.set_servers(service.servers);
+                sought.set_servers(&service.servers);
             }
         }
     }

@@ -11,6 +11,7 @@
 
 mod exchange;
 mod offered;
+mod pending;
 mod routes;
 mod sought;
 mod stats;

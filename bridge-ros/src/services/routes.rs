@@ -3,7 +3,7 @@
 
 use crate::rules::{Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
-use tautline_transport::{NodeName, ServiceEndpoint, ServiceKind};
+use tautline_transport::{Gid, NodeName, ServiceEndpoint, ServiceKind};
 
 /// A service on both sides.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -30,8 +30,24 @@ pub(crate) struct OfferedService {
 pub(crate) struct SoughtService {
     /// What Tautline's clients say of its type.
     pub(crate) type_hash: Option<String>,
-    /// How many servers ROS has.
-    pub(crate) servers: usize,
+    /// Its servers in ROS.
+    pub(crate) servers: BTreeSet<ServerId>,
+}
+
+/// A server in ROS.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct ServerId {
+    pub(crate) node: NodeName,
+    /// Where it takes requests; zero if that is not known (yet): not every RMW tells.
+    pub(crate) gid: Gid,
+}
+
+impl ServerId {
+    /// Whether both may be the same one.
+    pub(crate) fn is(&self, other: &ServerId) -> bool {
+        let is_unknown = [self.gid, other.gid].contains(&Gid::default());
+        self.node == other.node && (is_unknown || self.gid == other.gid)
+    }
 }
 
 /// Which services go which way.
@@ -104,7 +120,9 @@ impl Routes {
                 }
             }
             (None, _) if choice.goes(Direction::FromRos) && !same.is_empty() => {
-                let sought = SoughtService { type_hash: end.type_hash.clone(), servers: same.len() };
+                let id = |server: &&ServiceEndpoint| ServerId { node: server.node.clone(), gid: server.gid };
+                let servers = same.iter().map(id).collect();
+                let sought = SoughtService { type_hash: end.type_hash.clone(), servers };
                 self.sought.insert(key, sought);
             }
             (None, Some(other)) => {
@@ -123,7 +141,6 @@ impl Routes {
 mod tests {
     use super::*;
     use crate::rules::Rule;
-    use tautline_transport::Gid;
 
     const SET_BOOL: &str = "std_srvs/srv/SetBool";
 
@@ -160,12 +177,12 @@ mod tests {
     fn servers_here_are_offered_and_those_of_ros_only_to_clients_here() {
         let rules = Rules { auto: true, ..Rules::default() };
         let here = [server("/here"), client("/here"), client("/there"), client("/nowhere"), server("/both")];
-        let there =
-            [server("/there"), server("/there"), client("/here"), server("/unasked"), server("/both")];
+        let again = ServiceEndpoint { gid: Gid([1; 16]), ..server("/there") };
+        let there = [server("/there"), again, client("/here"), server("/unasked"), server("/both")];
         let routes = of(&rules, &here, &there);
         assert_eq!(names(&routes.offered), [("/here", "/here")]);
         assert_eq!(names(&routes.sought), [("/there", "/there")]);
-        assert_eq!(routes.sought.values().next().unwrap().servers, 2);
+        assert_eq!(routes.sought.values().next().unwrap().servers.len(), 2);
         assert!(routes.sought.keys().all(|key| key.service != "/both"));
         assert!(routes.problems["/both"].contains("both Tautline and ROS"), "{:?}", routes.problems);
         assert_eq!(of(&Rules::default(), &here, &there), Routes::default());
@@ -188,6 +205,17 @@ mod tests {
         rule.type_name = Some("std_srvs/srv/Empty".into());
         let routes = of(&rules(&rule), &[server("/a")], &[]);
         assert!(routes.offered.is_empty() && routes.problems["/a"].contains("std_srvs/srv/Empty"));
+    }
+
+    #[test]
+    fn a_server_that_was_replaced_is_another_route() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let of = |gid| {
+            let there = ServiceEndpoint { gid: Gid([gid; 16]), ..server("/a") };
+            of(&rules, &[client("/a")], &[there])
+        };
+        assert_eq!(of(1), of(1));
+        assert_ne!(of(1), of(2), "as many as before");
     }
 
     #[test]

@@ -1,14 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A service of ROS's that clients here ask.
 
-use super::routes::ServiceKey;
+use super::pending::Pending;
+use super::routes::{ServerId, ServiceKey};
 use super::stats::Counters;
 use super::types::{BridgedService, NotBridged, from_body, to_body};
 use crate::rcl::{Node, RosClient, RosStruct, SerializedMessage};
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use tautline_transport::{Limits, Participant, RawSample, RawServer, RequestId, TransportError};
+use std::time::Instant;
+use tautline_transport::{
+    Limits, Participant, RawSample, RawServer, RequestId, ServiceError, TransportError,
+};
 
 /// Requests taken of one service before the next one has its turn.
 const TURN: usize = 16;
@@ -20,6 +24,8 @@ const MOST_PENDING: usize = 10;
 /// The same of what an action's server answers when a goal has ended: it takes them at once.
 const MOST_PENDING_RESULTS: usize = 1024;
 
+const SERVER_GONE: &str = "its server in ROS has gone";
+
 pub(super) struct Sought {
     client: RosClient,
     /// While requests reach the one in ROS.
@@ -27,20 +33,14 @@ pub(super) struct Sought {
     types: BridgedService,
     request: RosStruct,
     response: RosStruct,
-    pending: BTreeMap<i64, Pending>,
-    most_pending: usize,
-    /// How many servers ROS has.
-    servers: usize,
+    pending: Pending,
+    /// A request that has no place among them.
+    next: Option<RawSample>,
+    /// What ROS has.
+    servers: BTreeSet<ServerId>,
     service: String,
     participant: Participant,
     counters: Arc<Counters>,
-}
-
-/// A request that ROS has.
-struct Pending {
-    id: RequestId,
-    /// How many of the servers that got it may still be there.
-    servers: usize,
 }
 
 impl Sought {
@@ -57,12 +57,12 @@ impl Sought {
             types: types.clone(),
             request: types.support.new_request()?,
             response: types.support.new_response()?,
-            pending: BTreeMap::new(),
-            most_pending: match key.service.ends_with("/_action/get_result") {
+            pending: Pending::new(match key.service.ends_with("/_action/get_result") {
                 true => MOST_PENDING_RESULTS,
                 false => MOST_PENDING,
-            },
-            servers: 0,
+            }),
+            next: None,
+            servers: BTreeSet::new(),
             service: key.service.clone(),
             participant: participant.clone(),
             counters,
@@ -78,26 +78,30 @@ impl Sought {
         self.server.is_none()
     }
 
-    /// ROS has so many servers now. A request that only those got who have gone will not be answered: all that wait end
-    /// with an error then, for a server here cannot let go of a single one.
-    pub(super) fn set_servers(&mut self, servers: usize) {
-        let gone = self.servers.saturating_sub(servers);
-        self.servers = servers;
-        let mut is_lost = false;
-        for pending in self.pending.values_mut() {
-            pending.servers = pending.servers.saturating_sub(gone);
-            is_lost |= pending.servers == 0;
+    /// ROS has these servers now. A request that only those got who have gone will not be answered.
+    pub(super) fn set_servers(&mut self, servers: &BTreeSet<ServerId>) {
+        for id in self.pending.set_servers(servers) {
+            self.refuse(id, SERVER_GONE);
         }
-        if is_lost {
-            self.let_go();
+        self.servers = servers.clone();
+    }
+
+    /// Who asked gets an error instead of an answer.
+    fn refuse(&mut self, id: RequestId, reason: impl ToString) {
+        self.counters.failed(reason);
+        let Some(server) = &self.server else { return };
+        match server.responders().refuse(id) {
+            Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
+            // With its server it ends in any case.
+            Err(_) => self.let_go(),
         }
     }
 
-    /// Whoever waits for an answer gets an error.
+    /// Whoever waits for an answer gets an error: its server here has gone.
     fn let_go(&mut self) {
         self.counters.set_active(false);
-        self.counters.failed_times(self.pending.len(), "its server in ROS has gone");
-        self.server = None;
+        self.counters.failed_times(self.pending.len(), SERVER_GONE);
+        (self.server, self.next) = (None, None);
         self.pending.clear();
     }
 
@@ -119,23 +123,37 @@ impl Sought {
             self.counters.set_active(true);
         }
         for _ in 0..TURN {
-            if self.pending.len() >= self.most_pending {
-                self.forget_gone();
-                if self.pending.len() >= self.most_pending {
-                    return Ok(false);
-                }
-            }
-            let Some(Poll::Ready(request)) = self.server.as_mut().map(|server| server.poll_take(context))
-            else {
+            let Some(request) = self.next.take().or_else(|| self.take(context)) else { return Ok(false) };
+            if !self.make_room() {
+                self.next = Some(request);
                 return Ok(false);
-            };
+            }
             if let Err(reason) = self.pass_on(&request, buffer) {
-                self.counters.failed(reason);
-                // It would wait for ever.
-                self.let_go();
+                self.refuse(RequestId::of(request.info()), reason);
             }
         }
         Ok(true)
+    }
+
+    fn take(&mut self, context: &mut Context<'_>) -> Option<RawSample> {
+        match self.server.as_mut()?.poll_take(context) {
+            Poll::Ready(request) => Some(request),
+            Poll::Pending => None,
+        }
+    }
+
+    /// Whether there is a place for one more: whose client has gone makes way, and in the end the oldest, whose answer may have
+    /// been lost.
+    fn make_room(&mut self) -> bool {
+        if self.pending.is_full() {
+            self.forget_gone();
+        }
+        if self.pending.is_full()
+            && let Some(id) = self.pending.take_silent(Instant::now())
+        {
+            self.refuse(id, "its server in ROS is silent");
+        }
+        !self.pending.is_full()
     }
 
     fn pass_on(&mut self, request: &RawSample, buffer: &mut SerializedMessage) -> Result<(), String> {
@@ -143,14 +161,14 @@ impl Sought {
         from_body(request.body(), &self.types.request, &mut self.request, buffer)
             .map_err(|error| error.to_string())?;
         let number = self.client.send(&self.request).map_err(|error| error.reason)?;
-        self.pending.insert(number, Pending { id, servers: self.servers.max(1) });
+        self.pending.add(number, id, self.servers.clone(), Instant::now());
         Ok(())
     }
 
     /// Requests whose clients have gone.
     fn forget_gone(&mut self) {
         if let Some(server) = &self.server {
-            self.pending.retain(|_, pending| server.responders().loan(pending.id, 0).is_ok());
+            self.pending.retain(|id| server.responders().loan(id, 0).is_ok());
         }
     }
 
@@ -159,14 +177,14 @@ impl Sought {
         for _ in 0..TURN {
             match self.client.take(&mut self.response) {
                 Ok(Some(number)) => {
-                    // Of several servers, the first one's counts.
-                    let Some(Pending { id, .. }) = self.pending.remove(&number) else { continue };
+                    let Some(id) = self.pending.remove(number) else { continue };
                     match self.answer(id, buffer) {
                         Ok(()) => self.counters.answered(),
-                        Err(reason) => self.counters.failed(reason),
+                        Err(reason) => self.refuse(id, reason),
                     }
                 }
                 Ok(None) => break,
+                // Which request it answered is not told: that one makes way when its place is needed.
                 Err(error) => return self.counters.failed(error.reason),
             }
         }

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Requests that a service of ROS's has not answered: which of its servers may still do so.
+
+use super::routes::ServerId;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+use tautline_transport::RequestId;
+
+/// After so long a request that is not answered makes way for another that has no place.
+pub(super) const SILENT_TIME: Duration = Duration::from_secs(30);
+
+/// By the number that ROS has of them, which counts up.
+pub(super) struct Pending {
+    asked: BTreeMap<i64, Asked>,
+    most: usize,
+}
+
+struct Asked {
+    id: RequestId,
+    /// Those that got it and may still be there.
+    servers: BTreeSet<ServerId>,
+    since: Instant,
+}
+
+impl Pending {
+    /// With places for so many.
+    pub(super) fn new(most: usize) -> Self {
+        Pending { asked: BTreeMap::new(), most }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.asked.len()
+    }
+
+    pub(super) fn is_full(&self) -> bool {
+        self.asked.len() >= self.most
+    }
+
+    pub(super) fn add(&mut self, number: i64, id: RequestId, servers: BTreeSet<ServerId>, since: Instant) {
+        self.asked.insert(number, Asked { id, servers, since });
+    }
+
+    /// It is answered. Of several servers, the first one's answer counts.
+    pub(super) fn remove(&mut self, number: i64) -> Option<RequestId> {
+        self.asked.remove(&number).map(|asked| asked.id)
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.asked.clear();
+    }
+
+    /// Only those that somebody waits for.
+    pub(super) fn retain(&mut self, is_waiting: impl Fn(RequestId) -> bool) {
+        self.asked.retain(|_, asked| is_waiting(asked.id));
+    }
+
+    /// ROS has these servers now. Removes and returns those that nobody can answer any more.
+    pub(super) fn set_servers(&mut self, servers: &BTreeSet<ServerId>) -> Vec<RequestId> {
+        let mut lost = Vec::new();
+        self.asked.retain(|_, asked| {
+            let still = asked.servers.iter().filter_map(|had| servers.iter().find(|has| had.is(has)));
+            asked.servers = still.cloned().collect();
+            if asked.servers.is_empty() {
+                lost.push(asked.id);
+            }
+            !asked.servers.is_empty()
+        });
+        lost
+    }
+
+    /// The oldest one, if it is not answered for so long that it makes way.
+    pub(super) fn take_silent(&mut self, now: Instant) -> Option<RequestId> {
+        let oldest = self.asked.first_entry()?;
+        (now.saturating_duration_since(oldest.get().since) >= SILENT_TIME).then(|| oldest.remove().id)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tautline_transport::{Gid, NodeName};
+
+    fn id(sequence_number: u64) -> RequestId {
+        RequestId { client: Gid([1; 16]), sequence_number }
+    }
+
+    fn server(gid: u8) -> ServerId {
+        ServerId { node: NodeName { namespace: "/".into(), name: "node".into() }, gid: Gid([gid; 16]) }
+    }
+
+    #[test]
+    fn a_server_that_was_replaced_between_two_looks_does_not_answer() {
+        let now = Instant::now();
+        let mut pending = Pending::new(10);
+        pending.add(1, id(1), [server(1)].into(), now);
+        pending.add(2, id(2), [server(1), server(2)].into(), now);
+        assert!(pending.set_servers(&[server(1), server(2)].into()).is_empty());
+        // As many as before, but others; the second may answer yet.
+        assert_eq!(pending.set_servers(&[server(2), server(3)].into()), [id(1)]);
+        assert_eq!(pending.remove(2), Some(id(2)));
+        assert_eq!(pending.len(), 0);
+    }
+
+    #[test]
+    fn a_server_that_is_told_late_is_the_same() {
+        let mut pending = Pending::new(10);
+        pending.add(1, id(1), [server(0)].into(), Instant::now());
+        assert!(pending.set_servers(&[server(1)].into()).is_empty());
+        assert_eq!(pending.set_servers(&[server(2)].into()), [id(1)]);
+    }
+
+    #[test]
+    fn who_is_silent_makes_way_in_the_end() {
+        let start = Instant::now();
+        let mut pending = Pending::new(2);
+        pending.add(1, id(1), [server(1)].into(), start);
+        assert!(!pending.is_full());
+        pending.add(2, id(2), [server(1)].into(), start + SILENT_TIME);
+        assert!(pending.is_full());
+        assert_eq!(pending.take_silent(start + SILENT_TIME / 2), None);
+        assert_eq!(pending.take_silent(start + SILENT_TIME), Some(id(1)));
+        assert_eq!(pending.take_silent(start + SILENT_TIME), None);
+    }
+}
