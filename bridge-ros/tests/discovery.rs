@@ -73,7 +73,7 @@ fn what_is_kept_stays_and_comes_once_though_ends_come_and_go() {
     assert_eq!(peer.take_texts(second, 1), ["three"], "what is kept came again");
 
     // From ROS: publishers come while somebody listens, until they are too many for what was kept.
-    let deep = Qos::keep_last(100).transient_local();
+    let deep = Qos::keep_last(10).transient_local();
     let listening = subscription(&participant, "/tf_static", STRING, deep);
     let mut all = BTreeSet::new();
     for number in 0..6 {
