@@ -18,7 +18,7 @@ use tautline_transport::MAX_DOMAIN;
 #[command(after_help = "Examples:
   taut bridge-ros                                   every topic, by discovery
   taut bridge-ros --deny '/camera/**'               but for these
-  taut bridge-ros --allow /cmd_vel --allow '/tf*'   only these
+  taut bridge-ros --allow /cmd_vel --allow /tf      only these
   taut bridge-ros --config bridge.toml              what the file says: names, directions, QoS, rates
   taut bridge-ros --config bridge.toml --auto       and every topic that it does not speak of
   taut bridge-ros --domain 5 --ros-domain 0         Tautline's domain 5 and ROS's domain 0
@@ -141,6 +141,25 @@ mod tests {
         assert_eq!(options.realtime, Realtime::Off);
         let bridged = ["/a", "/b", "/x/y"].map(|topic| options.rules.choice(topic).is_some());
         assert_eq!(bridged, [true, false, false]);
+    }
+
+    #[test]
+    fn examples_are_understood() {
+        let help = <Args as clap::CommandFactory>::command().render_help().to_string();
+        let examples = help.lines().filter_map(|line| line.trim_start().strip_prefix("taut bridge-ros "));
+        let mut count = 0;
+        for example in examples {
+            // What it means is said behind it.
+            let command = example.split("  ").next().unwrap().split(" |").next().unwrap().replace('\'', "");
+            let args =
+                Args::try_parse_from(["taut-bridge-ros"].into_iter().chain(command.split_whitespace()))
+                    .unwrap();
+            for pattern in [&args.allow, &args.deny].into_iter().flatten() {
+                pattern.parse::<Pattern>().unwrap();
+            }
+            count += 1;
+        }
+        assert!(count >= 6, "{help}");
     }
 
     #[test]

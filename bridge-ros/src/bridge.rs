@@ -75,6 +75,15 @@ pub enum BridgeError {
     /// The lock that says so.
     #[error(transparent)]
     Seat(SeatError),
+    /// An RMW that does not tell whose a message is.
+    #[error(
+        "with {rmw} the bridge cannot know whose a message is: set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for it (nodes on other DDS \
+         implementations may keep theirs)"
+    )]
+    Rmw {
+        /// Its name.
+        rmw: String,
+    },
     /// ROS.
     #[error("{0}; is ROS 2 sourced, and RMW_IMPLEMENTATION unset or one that is installed?")]
     Ros(#[from] RclError),
@@ -153,6 +162,7 @@ impl Bridge {
     /// # Errors
     /// [`BridgeError`].
     pub fn spawn(options: Options) -> Result<Self, BridgeError> {
+        let rmw = known_rmw(rmw_implementation())?;
         let participant = Participant::new(options.domain)?;
         // From the first port on it is known that they stand for others.
         participant.set_remote(&RemoteGraph::default())?;
@@ -161,44 +171,48 @@ impl Bridge {
         let seat = take_seat(options.domain, context.domain())?;
         let node = Node::new(&context, &node_name(options.domain), "/")?;
         let priorities = threads::Priorities::new(options.priority, options.realtime)?;
-        let rmw = threads::started_since(&before)?;
-        priorities.set(&rmw)?;
+        priorities.set(&threads::started_since(&before)?)?;
 
         let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"))?;
         let incoming = Incoming::start(&context, priorities.carrying("ros-in"))?;
         let services = Services::start(&participant, &node, priorities.carrying("ros-services"))?;
         let infos = [outgoing.info(), incoming.info(), services.info()];
-        let mut info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
-        let stats = Stats {
-            domain: options.domain,
-            ros_domain: context.domain(),
-            rmw: rmw_implementation(),
-            ..Stats::default()
-        };
+        let info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
+        let stats = Stats { domain: options.domain, ros_domain: context.domain(), rmw, ..Stats::default() };
         let shared = Arc::new(Shared { stop: AtomicBool::new(false), stats: Mutex::new(stats) });
         let (events, received) = mpsc::sync_channel(EVENTS);
         let wake = GuardCondition::new(&context)?;
+        let threads = Vec::new();
+        // From here on what was started ends if something fails.
+        let mut bridge = Bridge { events, shared, wake, threads, info, _seat: seat };
+        let control = {
+            let shared = bridge.shared.clone();
+            let (participant, node) = (participant.clone(), node.clone());
+            let control = Control::new(&options, participant, node, outgoing, incoming, services, shared);
+            priorities.other("ros-control").spawn(move || move || control.run(&received))?
+        };
+        bridge.hold(control);
         let here = {
-            let (participant, events, shared) = (participant.clone(), events.clone(), shared.clone());
+            let (events, shared) = (bridge.events.clone(), bridge.shared.clone());
             priorities
                 .other("ros-here")
                 .spawn(move || move || watch_tautline(&participant, &events, &shared))?
         };
+        bridge.hold(here);
         let there = {
             let (graph, wait_set) = (GraphGuard::of(&node), WaitSet::new(&context)?);
-            let (wake, events, shared) = (wake.clone(), events.clone(), shared.clone());
+            let (wake, events, shared) = (bridge.wake.clone(), bridge.events.clone(), bridge.shared.clone());
             priorities
                 .other("ros-there")
                 .spawn(move || move || watch_ros(&graph, wait_set, &wake, &events, &shared))?
         };
-        let control = {
-            let control =
-                Control::new(&options, participant, node, outgoing, incoming, services, shared.clone());
-            priorities.other("ros-control").spawn(move || move || control.run(&received))?
-        };
-        let threads = vec![control, here, there];
-        info.extend(threads.iter().map(|thread| thread.info().clone()));
-        Ok(Bridge { events, shared, wake, threads, info, _seat: seat })
+        bridge.hold(there);
+        Ok(bridge)
+    }
+
+    fn hold(&mut self, thread: JoinHandle<()>) {
+        self.info.push(thread.info().clone());
+        self.threads.push(thread);
     }
 
     /// What went through and what did not. Rates are those of the second before.
@@ -222,6 +236,12 @@ impl Drop for Bridge {
             let _ = thread.join();
         }
     }
+}
+
+/// A message must carry the identifier by which its publisher is listed.
+fn known_rmw(rmw: String) -> Result<String, BridgeError> {
+    // Its messages carry an instance handle.
+    if rmw == "rmw_cyclonedds_cpp" { Err(BridgeError::Rmw { rmw }) } else { Ok(rmw) }
 }
 
 /// One bridge per user and pair of domains on a host.
@@ -268,5 +288,17 @@ fn watch_ros(
                 std::thread::sleep(Duration::from_secs(1));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_rmw_that_does_not_tell_whose_a_message_is_is_refused_with_the_fix() {
+        let error = known_rmw("rmw_cyclonedds_cpp".into()).unwrap_err().to_string();
+        assert!(error.contains("with rmw_cyclonedds_cpp") && error.contains("=rmw_fastrtps_cpp"), "{error}");
+        assert_eq!(known_rmw("rmw_fastrtps_cpp".into()).unwrap(), "rmw_fastrtps_cpp");
     }
 }

@@ -203,6 +203,7 @@ impl<'t> Reader<'t> {
             type_name,
             qos,
             min_period: max_rate_hz.map(|rate| Duration::from_secs_f64(1.0 / rate)),
+            is_of_actions: false,
         })
     }
 
@@ -229,13 +230,12 @@ impl<'t> Reader<'t> {
         let (action, ros_action) = self.names(&mut section, value.span().start, "action", "ros_action");
         let direction = self.direction(&mut section);
         self.unknown(&section);
-        // A pattern is one already: what an action consists of is below its name.
         let parts = |action: Pattern| match action.exact() {
             Some(name) => format!("{name}/_action/**").parse().ok(),
             None => Some(action),
         };
         let ros_topic = ros_action.and_then(parts);
-        Some(Rule { ros_topic, direction, ..Rule::new(action.and_then(parts)?) })
+        Some(Rule { ros_topic, direction, is_of_actions: true, ..Rule::new(action.and_then(parts)?) })
     }
 
     fn table(&mut self, value: &'t Value<'t>, title: &'static str) -> Option<Section<'t>> {
@@ -482,6 +482,7 @@ mod tests {
             ros_action = "/r1/dock"
             [[action]]
             action = "/arm/**"
+            ros_action = "/ros_arm/**"
             direction = "to_ros"
         "#;
         let config = Config::parse(text).unwrap();
@@ -500,7 +501,18 @@ mod tests {
         for rules in [&config.rules, &config.services] {
             let dock = rules.choice("/dock/_action/feedback").unwrap();
             assert_eq!((&*dock.ros_topic, dock.direction), ("/r1/dock/_action/feedback", None));
-            assert_eq!(rules.choice("/arm/left/_action/status").unwrap().direction, Some(Direction::ToRos));
+            let arm = rules.choice("/arm/left/_action/status").unwrap();
+            assert_eq!(
+                (&*arm.ros_topic, arm.direction),
+                ("/ros_arm/left/_action/status", Some(Direction::ToRos))
+            );
+            // No action's: as if nothing were said of it.
+            let other = rules.choice("/arm/joint_states").unwrap();
+            assert_eq!((&*other.ros_topic, other.direction), ("/arm/joint_states", None));
+            assert_eq!(
+                rules.tautline_name("/ros_arm/left/_action/status").as_deref(),
+                Some("/arm/left/_action/status")
+            );
         }
         assert!(
             config.services.choice("/camera/set").is_none() && config.services.choice("/other").is_some()

@@ -14,7 +14,7 @@ use crate::stats::{Book, IncompatibleQos};
 use crate::types::{BridgedType, Types};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError, mpsc};
+use std::sync::{Arc, PoisonError, Weak, mpsc};
 use std::time::{Duration, Instant};
 use tautline_transport::{
     Durability, Gid, GraphSnapshot, Limits, NodeName, Participant, Qos, RawPublisher, RawSubscription,
@@ -60,9 +60,10 @@ pub(crate) struct Control {
     inward: BTreeMap<InKey, Taken>,
     /// Tautline's nodes, for ROS to see.
     nodes: BTreeMap<NodeName, Option<Arc<Node>>>,
+    /// Those of nodes that have gone, as long as a service holds them.
+    gone: Vec<(NodeName, Weak<Node>)>,
     /// What could not be done, and why: it is tried again.
     failed: Vec<(Action, String)>,
-    incompatible: BTreeMap<String, IncompatibleQos>,
     started: Instant,
 }
 
@@ -72,6 +73,15 @@ struct Counterpart {
     opened: Instant,
     /// Whether samples go through it.
     is_open: bool,
+    incompatible: Option<Incompatible>,
+}
+
+/// Ends in ROS that do not fit a publisher's QoS.
+#[derive(Clone, Copy)]
+struct Incompatible {
+    count: u64,
+    last_policy: &'static str,
+    since: Instant,
 }
 
 /// A class that is being taken from ROS.
@@ -125,18 +135,18 @@ impl Control {
             waiting: BTreeMap::new(),
             inward: BTreeMap::new(),
             nodes: BTreeMap::new(),
+            gone: Vec::new(),
             failed: Vec::new(),
-            incompatible: BTreeMap::new(),
             started: Instant::now(),
         }
     }
 
     /// Until it is told to stop.
     pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
-        let (mut next_tick, mut next_update) = (Instant::now() + TICK, Instant::now());
+        let (mut last_tick, mut next_update) = (Instant::now(), Instant::now());
         let mut is_changed = true;
         while !self.shared.stop.load(Ordering::Acquire) {
-            let mut until = next_tick;
+            let mut until = last_tick + TICK;
             if is_changed {
                 until = until.min(next_update);
             }
@@ -152,13 +162,15 @@ impl Control {
             while let Ok(event) = events.try_recv() {
                 is_changed |= !matches!(event, Event::Stop);
             }
-            if Instant::now() >= next_tick {
-                next_tick += TICK;
+            // One, however long an update took.
+            let elapsed = last_tick.elapsed();
+            if elapsed >= TICK {
+                last_tick += elapsed;
                 is_changed |= self.is_stale || self.graph.has_unknown();
                 self.try_again();
                 self.services.try_again(|| shown(&self.nodes));
                 self.look_for_incompatible();
-                self.read_numbers(TICK);
+                self.read_numbers(elapsed);
             }
             if is_changed && Instant::now() >= next_update {
                 is_changed = false;
@@ -201,7 +213,12 @@ impl Control {
 
     /// Those of ROS, but for bridges' and for what stands there for Tautline's.
     fn read_services(&self) -> Vec<ServiceEndpoint> {
-        let is_shown = |node: &RosNode| self.nodes.contains_key(&ros_graph::node_name(node));
+        let gone = self.still_shown();
+        let is_shown = |node: &RosNode| {
+            let name = ros_graph::node_name(node);
+            self.nodes.contains_key(&name)
+                || gone.iter().any(|node| node.name == name.name && node.namespace == name.namespace)
+        };
         ros_graph::services(&self.node, self.graph.nodes.iter().filter(|node| !is_shown(node)))
     }
 
@@ -316,7 +333,7 @@ impl Control {
         let publisher = RosPublisher::new(&self.node, &key.ros_topic, &found.support, qos);
         let publisher = Arc::new(publisher.map_err(|error| error.to_string())?);
         let writer = Writer { publisher, last: Last::default() };
-        let counterpart = Counterpart { writer, opened: Instant::now(), is_open: false };
+        let counterpart = Counterpart { writer, opened: Instant::now(), is_open: false, incompatible: None };
         self.writers.insert((key.clone(), gid), counterpart);
         Ok(())
     }
@@ -399,7 +416,7 @@ impl Control {
         let (port, offer) = match same {
             Some((offer, _)) => (Port::Same, Some(offer)),
             None => match self.port(&key.topic, &found, inward)? {
-                Some((port, offer)) => (Port::New(port), Some(offer)),
+                Some((port, offer)) => (Port::New(Box::new(port)), Some(offer)),
                 None => (Port::None, None),
             },
         };
@@ -454,7 +471,14 @@ impl Control {
     fn show_nodes(&mut self, here: &GraphSnapshot) {
         let wanted: BTreeSet<&NodeName> =
             here.nodes.iter().filter(|node| !node.is_remote).map(|node| &node.name).collect();
-        self.nodes.retain(|name, _| wanted.contains(name));
+        self.gone.retain(|(_, node)| node.strong_count() > 0);
+        self.nodes.retain(|name, node| {
+            let stays = wanted.contains(name);
+            if let (false, Some(node)) = (stays, node) {
+                self.gone.push((name.clone(), Arc::downgrade(node)));
+            }
+            stays
+        });
         for name in wanted {
             if !self.nodes.contains_key(name) {
                 let node = Node::new(self.node.context(), &name.name, &name.namespace);
@@ -465,6 +489,12 @@ impl Control {
         }
     }
 
+    /// Nodes that have gone here and stand in ROS until their services have ended.
+    fn still_shown(&self) -> Vec<RosNode> {
+        let gone = self.gone.iter().filter(|(_, node)| node.strong_count() > 0);
+        gone.map(|(name, _)| RosNode { name: name.name.clone(), namespace: name.namespace.clone() }).collect()
+    }
+
     /// Tautline's tools list what is in ROS.
     fn show_ros(&self, services: Vec<ServiceEndpoint>) {
         let own: Vec<RosNode> = self
@@ -472,6 +502,7 @@ impl Control {
             .values()
             .flatten()
             .map(|node| RosNode { name: node.name().into(), namespace: node.namespace().into() })
+            .chain(self.still_shown())
             .collect();
         let mut remote = ros_graph::as_remote(&self.graph, &own, self.mirror.rules());
         remote.services = services;
@@ -486,18 +517,15 @@ impl Control {
 
     /// As ROS does: an event for each end that does not fit, which is counted and said.
     fn look_for_incompatible(&mut self) {
-        let writers = self
-            .writers
-            .iter()
-            .filter_map(|((key, _), end)| Some((key, end.writer.publisher.incompatible()?)));
-        for (key, (count, policy)) in writers {
+        for ((key, _), counterpart) in &mut self.writers {
+            let Some((count, policy)) = counterpart.writer.publisher.incompatible() else { continue };
             tracing::warn!(
                 "topic '{}': an end in ROS does not fit the QoS of one here (last policy: {policy}): no messages go between them; \
                  change one of them, or set qos.{policy} of the topic in the configuration",
                 key.ros_topic
             );
-            let last_policy = policy.to_owned();
-            self.incompatible.insert(key.topic.clone(), IncompatibleQos { count, last_policy });
+            let since = Instant::now();
+            counterpart.incompatible = Some(Incompatible { count, last_policy: policy, since });
         }
     }
 
@@ -512,11 +540,30 @@ impl Control {
         stats.not_bridged.extend(failed);
         stats.services_not_bridged = self.services.problems();
         stats.services = self.services.stats();
-        stats.incompatible_qos = self.incompatible.clone();
+        let ends = self.writers.iter();
+        let ends = ends.filter_map(|((key, _), end)| Some((&*key.topic, end.incompatible?)));
+        stats.incompatible_qos = incompatible_by_topic(ends);
         let (out, inward) = (&self.out, &self.inward);
         stats.topics =
             self.book.read(&stats.topics, elapsed, |key, direction| is_active(out, inward, key, direction));
     }
+}
+
+/// Those of all publishers of a topic that are there now.
+fn incompatible_by_topic<'t>(
+    ends: impl Iterator<Item = (&'t str, Incompatible)>,
+) -> BTreeMap<String, IncompatibleQos> {
+    let mut topics: BTreeMap<&str, Incompatible> = BTreeMap::new();
+    for (topic, end) in ends {
+        let all = topics.entry(topic).or_insert(Incompatible { count: 0, ..end });
+        let count = all.count + end.count;
+        let last = if end.since > all.since { end } else { *all };
+        *all = Incompatible { count, ..last };
+    }
+    let told = |(topic, all): (&str, Incompatible)| {
+        (topic.to_owned(), IncompatibleQos { count: all.count, last_policy: all.last_policy.to_owned() })
+    };
+    topics.into_iter().map(told).collect()
 }
 
 /// Of the publishers in ROS that are known.
@@ -547,5 +594,25 @@ fn is_active(
     match direction {
         Direction::ToRos => out.contains_key(key),
         Direction::FromRos => inward.keys().any(|other| other.topic == *key),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_that_do_not_fit_are_those_of_all_publishers_of_a_topic() {
+        let start = Instant::now();
+        let end = |count, last_policy, after_s| Incompatible {
+            count,
+            last_policy,
+            since: start + Duration::from_secs(after_s),
+        };
+        let ends =
+            [("/x", end(2, "reliability", 5)), ("/x", end(3, "deadline", 1)), ("/y", end(1, "deadline", 2))];
+        let told = incompatible_by_topic(ends.into_iter());
+        let of = |topic: &str| (told[topic].count, &*told[topic].last_policy);
+        assert_eq!((of("/x"), of("/y")), ((5, "reliability"), (1, "deadline")));
     }
 }

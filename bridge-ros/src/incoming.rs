@@ -45,7 +45,7 @@ pub(crate) enum Port {
     None,
     /// Through the one that the key has: what it keeps for late joiners stays.
     Same,
-    New(RawPublisher),
+    New(Box<RawPublisher>),
 }
 
 /// Whose messages a subscription passes on: it may match others, which a subscription of their class takes.
@@ -236,7 +236,7 @@ impl Loop {
                         route.inlet.limiter = limiter;
                     }
                     if let Some(port) = port {
-                        route.inlet.port = Port::New(*port);
+                        route.inlet.port = Port::New(port);
                     }
                     route.inlet.senders = senders;
                     route.settle();

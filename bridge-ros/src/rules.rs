@@ -31,13 +31,20 @@ pub struct Rule {
     pub qos: QosOverride,
     /// Shortest time between two messages; what comes sooner is dropped and counted.
     pub min_period: Option<Duration>,
+    /// Only what actions consist of: what is below `_action`.
+    pub is_of_actions: bool,
 }
 
 impl Rule {
     /// Everything of `topic`, as it is there.
     pub fn new(topic: Pattern) -> Self {
         let (ros_topic, direction, type_name, min_period) = (None, None, None, None);
-        Rule { topic, ros_topic, direction, type_name, qos: QosOverride::default(), min_period }
+        let qos = QosOverride::default();
+        Rule { topic, ros_topic, direction, type_name, qos, min_period, is_of_actions: false }
+    }
+
+    fn matches(&self, topic: &str) -> bool {
+        self.topic.matches(topic) && (!self.is_of_actions || topic.contains("/_action/"))
     }
 }
 
@@ -106,7 +113,7 @@ impl Rules {
         if self.deny.iter().any(|pattern| pattern.matches(topic)) {
             return None;
         }
-        if let Some(rule) = self.rules.iter().find(|rule| rule.topic.matches(topic)) {
+        if let Some(rule) = self.rules.iter().find(|rule| rule.matches(topic)) {
             let ros_topic = rule.ros_topic.as_ref().and_then(|ros| translated(topic, &rule.topic, ros));
             return Some(Choice {
                 ros_topic: ros_topic.unwrap_or_else(|| topic.to_owned()),
