@@ -7,7 +7,7 @@ use tautline_bridge_ros::{Config, ConfigError, Options, Pattern, PatternError};
 use tautline_rt::Realtime;
 use tautline_transport::MAX_DOMAIN;
 
-/// Joins Tautline's topics, services and actions with those of a ROS 2 graph, of any RMW.
+/// Joins Tautline's topics, services and actions with those of a ROS 2 graph.
 ///
 /// Whatever one side publishes and the other subscribes to is passed on, as CDR, with the publishers' QoS; ROS's tools see
 /// Tautline's nodes and topics, and Tautline's tools those of ROS. Services of Tautline are offered in ROS, those of ROS to the

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The bridge: topics and services joined with a ROS 2 graph of any RMW, as raw CDR.
+//! The bridge: topics and services joined with a ROS 2 graph, as raw CDR.
 
 mod bridge;
 mod config;

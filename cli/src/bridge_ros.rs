@@ -13,7 +13,7 @@ const BRIDGE: Sibling = Sibling {
             `cargo install --path bridge-ros`",
 };
 
-/// Joins Tautline's topics with those of a ROS 2 graph, of any RMW.
+/// Joins Tautline's topics with those of a ROS 2 graph.
 ///
 /// Runs the program taut-bridge-ros: the one beside this one, else the one in PATH. Its options: taut bridge-ros --help.
 #[derive(Args, Debug)]
