@@ -3,8 +3,8 @@
 
 mod support;
 
-use futures::StreamExt;
 use futures::future::join_all;
+use futures::{FutureExt, StreamExt};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
@@ -13,6 +13,7 @@ use support::{BridgeProcess, PATIENCE, Peer, ros, wait_until};
 use tautline::std_srvs::srv::SetBool;
 use tautline::test_msgs::srv::BasicTypes;
 use tautline::{CallbackOptions, Client, Node, QosProfile, ServiceError};
+use tautline_transport::{Limits, Participant, ServiceType};
 
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
@@ -236,6 +237,35 @@ fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
     bridge.kill();
     let ends = here.wait("errors", join_all(pending));
     assert!(ends.iter().all(Result::is_err));
+}
+
+#[test]
+fn what_cannot_be_passed_on_ends_alone() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 14;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let mut here = Spinning::new(DOMAIN, "here");
+    let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
+    peer.tell(json!({ "do": "service", "name": "/there", "type": SET_BOOL, "behaviour": "silent" }));
+    let client = here.node.create_client::<SetBool::Service>("/there", qos()).unwrap();
+    available(&mut here, &client);
+    let mut waiting = client.request(&SetBool::Request { data: true }).unwrap();
+    let participant = Participant::new(DOMAIN).unwrap();
+    let service_type = ServiceType::of::<SetBool::Service>();
+    let raw = participant.create_raw_client("/there", &service_type, Limits::SERVICE).unwrap();
+    // Cut off.
+    let mut refused = raw.send(raw.loan(0).unwrap()).unwrap();
+    let mut outcome = None;
+    wait_until("an error", || {
+        outcome = (&mut refused).now_or_never();
+        outcome.is_some()
+    });
+    assert!(matches!(outcome, Some(Err(ServiceError::ServerGone { .. }))));
+    let failed = || bridge.service("/there")["failed"].as_object().cloned().unwrap_or_default();
+    wait_until("it is counted", || !failed().is_empty());
+    let failed = failed();
+    assert_eq!(failed.values().collect::<Vec<_>>(), [&json!(1)], "{failed:?}");
+    assert!((&mut waiting).now_or_never().is_none(), "the other one goes on");
 }
 
 #[test]
