@@ -87,7 +87,7 @@ struct Incompatible {
 /// A class that is being taken from ROS.
 struct Taken {
     inward: Inward,
-    /// While there is somebody who sends.
+    /// Once there is somebody who sends.
     port: Option<Offer>,
     /// As the thread that takes was told.
     senders: Senders,
@@ -214,11 +214,8 @@ impl Control {
     /// Those of ROS, but for bridges' and for what stands there for Tautline's.
     fn read_services(&self) -> Vec<ServiceEndpoint> {
         let gone = self.still_shown();
-        let is_shown = |node: &RosNode| {
-            let name = ros_graph::node_name(node);
-            self.nodes.contains_key(&name)
-                || gone.iter().any(|node| node.name == name.name && node.namespace == name.namespace)
-        };
+        let is_shown =
+            |node: &RosNode| self.nodes.contains_key(&ros_graph::node_name(node)) || gone.contains(node);
         ros_graph::services(&self.node, self.graph.nodes.iter().filter(|node| !is_shown(node)))
     }
 
