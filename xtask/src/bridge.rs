@@ -25,14 +25,16 @@ pub struct Options {
 
 /// Builds the bridge and r2r's side, and measures.
 pub fn bench(options: &Options) -> ExitCode {
-    match build() {
-        Ok(()) => {}
+    let environment = match build() {
+        Ok(environment) => environment,
         Err(reason) => {
             eprintln!("bench bridge: {reason}");
             return ExitCode::FAILURE;
         }
-    }
+    };
     let mut command = Command::new(machine::target_dir().join("release/bench-bridge"));
+    // The bridge finds types where this says.
+    command.envs(environment);
     if options.quick {
         command.args(["--seconds", "2"]);
     }
@@ -42,8 +44,8 @@ pub fn bench(options: &Options) -> ExitCode {
     steps::run(command.args(&options.arguments))
 }
 
-/// Some minutes from cold.
-fn build() -> Result<(), String> {
+/// Some minutes from cold. Returns what its programs need to run as well.
+fn build() -> Result<Vec<(&'static str, String)>, String> {
     let mut build =
         cargo("build --release --locked --manifest-path bridge-ros/Cargo.toml --features bench --bins");
     let environment = r2r::environment()?;
@@ -51,10 +53,10 @@ fn build() -> Result<(), String> {
         // r2r's build script needs the libraries too, and has no rpath.
         build.env("LD_LIBRARY_PATH", lib);
     }
-    build.envs(environment).env("CARGO_TARGET_DIR", machine::target_dir());
+    build.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
     // The messages that it uses; all of them take minutes.
     match execute(build.env("IDL_PACKAGE_FILTER", "std_msgs")) {
-        Outcome::Ok => Ok(()),
+        Outcome::Ok => Ok(environment),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("the build failed: {reason}")),
     }
 }
