@@ -44,8 +44,9 @@ impl Drop for Status {
 fn line(stats: &Stats) -> String {
     let way = |direction, name| {
         let of = || stats.topics.iter().filter(move |topic| topic.active && topic.direction == direction);
-        let bytes = of().map(|topic| topic.reading.bytes_per_s).sum();
-        let samples: f64 = of().map(|topic| topic.reading.samples_per_s).sum();
+        // Not `sum`, which begins with -0.
+        let bytes = of().map(|topic| topic.reading.bytes_per_s).fold(0.0, |sum, rate| sum + rate);
+        let samples = of().map(|topic| topic.reading.samples_per_s).fold(0.0, |sum, rate| sum + rate);
         format!("{name} {} {samples:.0}/s", counted(of().count(), "topic", "topics", rate(bytes)))
     };
     let lost: u64 = stats.topics.iter().map(|topic| topic.reading.lost).sum();
