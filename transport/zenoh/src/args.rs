@@ -94,7 +94,7 @@ pub struct Args {
     #[arg(long)]
     pub json: bool,
     /// Seconds between two looks at the numbers
-    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = parse_interval)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = tautline_relay::parse_interval)]
     pub interval: f64,
 }
 
@@ -186,11 +186,6 @@ fn parse_bytes(text: &str) -> Result<usize, String> {
     bytes.filter(|bytes| (1024..=MOST).contains(bytes)).ok_or_else(|| {
         "from 1024 to 1073741824 (1 GiB, what Zenoh takes at most); K, M, G are powers of 1024".into()
     })
-}
-
-fn parse_interval(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|seconds| (0.1..=3600.0).contains(seconds));
-    seconds.ok_or_else(|| "from 0.1 to 3600 seconds".into())
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
+use tautline_relay::as_deep_as_allowed;
 use tautline_schema::{Packages, TypeHash, TypeName};
 use tautline_transport::{Gid, Limits, Participant, Qos, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
@@ -308,22 +309,11 @@ impl Control {
 
     fn start_out(&mut self, key: &TopicKey, qos: OutQos) -> Result<(), TransportError> {
         let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX);
-        let mut wanted =
-            Qos { durability: qos.durability, ..Qos::keep_last(depth.clamp(1, Limits::MAX_DEPTH)) };
-        let subscription = loop {
-            match self.participant.create_relay_subscription(
-                &key.topic,
-                &topic_type(key),
-                wanted,
-                Limits::default(),
-            ) {
-                // A queue as long as the topic allows.
-                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
-                    wanted.depth = existing;
-                }
-                outcome => break outcome?,
-            }
-        };
+        let wanted = Qos { durability: qos.durability, ..Qos::keep_last(depth.clamp(1, Limits::MAX_DEPTH)) };
+        let topic_type = topic_type(key);
+        let (subscription, _) = as_deep_as_allowed(wanted, |qos| {
+            self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
+        })?;
         let counters = self.counters(key, Direction::Out);
         self.outgoing.start_topic(key.clone(), subscription, counters);
         self.active.insert((key.clone(), Direction::Out));
@@ -341,22 +331,13 @@ impl Control {
     fn start_in(&mut self, key: &TopicKey, qos: InQos) -> Result<(), String> {
         // Of one that runs: what is kept is asked for again, so that the new port has it for late joiners on this host.
         self.stop_in(key);
-        let mut wanted = port_qos(qos, Limits::MAX_DEPTH);
-        let publisher = loop {
-            match self.participant.create_relay_publisher(
-                &key.topic,
-                &topic_type(key),
-                wanted,
-                Limits::default(),
-            ) {
-                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
-                    wanted.depth = existing;
-                }
-                outcome => break outcome.map_err(|error| error.to_string())?,
-            }
-        };
+        let topic_type = topic_type(key);
+        let port = as_deep_as_allowed(port_qos(qos, Limits::MAX_DEPTH), |qos| {
+            self.participant.create_relay_publisher(&key.topic, &topic_type, qos, Limits::default())
+        });
+        let (publisher, _) = port.map_err(|error| error.to_string())?;
         let gid = publisher.gid();
-        self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).insert(gid);
+        self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).insert(gid);
         let counters = self.counters(key, Direction::In);
         let schema = self.types.schema(&key.type_id);
         if schema.is_none() {
@@ -390,7 +371,7 @@ impl Control {
     }
 
     fn close_port(&self, gid: Gid) {
-        self.outgoing.own_ports().lock().unwrap_or_else(PoisonError::into_inner).remove(&gid);
+        self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).remove(&gid);
     }
 
     fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {

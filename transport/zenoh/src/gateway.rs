@@ -7,7 +7,7 @@ use crate::control::{Control, Event, tokens_to};
 use crate::descriptions::Descriptions;
 use crate::filter::Filter;
 use crate::graph::GraphLimits;
-use crate::outgoing::{Outgoing, OutgoingError, THREADS};
+use crate::outgoing::{self, THREADS};
 use crate::rules::Rule;
 use crate::seat::{Seat, SeatError};
 use crate::session::{self, SessionError, network_threads};
@@ -16,6 +16,7 @@ use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
+use tautline_relay::RelayError;
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
 use tautline_transport::{Participant, RemoteGraph, SchemaStore, TransportError};
@@ -103,11 +104,11 @@ pub enum GatewayError {
     },
 }
 
-impl From<OutgoingError> for GatewayError {
-    fn from(error: OutgoingError) -> Self {
+impl From<RelayError> for GatewayError {
+    fn from(error: RelayError) -> Self {
         match error {
-            OutgoingError::Transport(error) => GatewayError::Transport(error),
-            OutgoingError::Rt(error) => GatewayError::Threads(error),
+            RelayError::Transport(error) => GatewayError::Transport(error),
+            RelayError::Rt(error) => GatewayError::Threads(error),
         }
     }
 }
@@ -163,7 +164,7 @@ impl Gateway {
             Realtime::Off => tautline_rt::current_policy()?,
         };
         let session = session::open(config.clone(), policy, options.realtime, options.cores)?;
-        let outgoing = Outgoing::start(&participant, policy, options.realtime, options.cores)?;
+        let outgoing = outgoing::start(&participant, policy, options.realtime, options.cores)?;
 
         let (events, received) = mpsc::sync_channel(EVENTS);
         let network_domain = options.network_domain.unwrap_or(options.domain);

@@ -2,13 +2,11 @@
 //! What is known of other hosts: their nodes and endpoints, from their liveliness tokens. Bounded, however many tokens
 //! a hostile peer declares.
 
+use crate::lifespans::Lifespans;
 use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 use tautline_transport::Gid;
-
-/// The lifespans in nanoseconds of the publishers elsewhere that have one, for those who take their samples.
-pub(crate) type Lifespans = Arc<RwLock<HashMap<Gid, u64>>>;
 
 /// Limits of what is kept of other hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,7 +72,7 @@ pub struct Graph {
     tokens: HashMap<String, Token>,
     per_session: HashMap<u128, usize>,
     topics: BTreeMap<TopicKey, Topic>,
-    lifespans: Lifespans,
+    lifespans: Arc<Lifespans>,
     refused: Refused,
     /// Whether a token was refused for lack of room since the last look.
     is_incomplete: bool,
@@ -90,7 +88,7 @@ impl Graph {
             tokens: HashMap::new(),
             per_session: HashMap::new(),
             topics: BTreeMap::new(),
-            lifespans: Lifespans::default(),
+            lifespans: Arc::default(),
             refused: Refused::default(),
             is_incomplete: false,
         }
@@ -156,16 +154,14 @@ impl Graph {
         if end.endpoint.kind != EndpointKind::Publisher {
             return;
         }
-        let Some(lifespan) = end.endpoint.qos.lifespan.to_duration() else { return };
-        let mut lifespans = self.lifespans.write().unwrap_or_else(PoisonError::into_inner);
-        match is_there {
-            true => lifespans.insert(end.gid, u64::try_from(lifespan.as_nanos()).unwrap_or(u64::MAX)),
-            false => lifespans.remove(&end.gid),
-        };
+        if let Some(lifespan) = end.endpoint.qos.lifespan.to_duration() {
+            let lifespan_ns = u64::try_from(lifespan.as_nanos()).unwrap_or(u64::MAX);
+            self.lifespans.set(end.gid, is_there.then_some(lifespan_ns));
+        }
     }
 
     /// The lifespans of publishers on other hosts, kept up to date.
-    pub(crate) fn lifespans(&self) -> &Lifespans {
+    pub(crate) fn lifespans(&self) -> &Arc<Lifespans> {
         &self.lifespans
     }
 

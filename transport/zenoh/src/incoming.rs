@@ -5,7 +5,7 @@
 //! It is done in Zenoh's own thread, as soon as the sample is there. Nothing in it waits: a subscription that is slow
 //! loses its oldest samples.
 
-use crate::graph::Lifespans;
+use crate::lifespans::Lifespans;
 use crate::mirror::InQos;
 use crate::stats::{Counters, unix_ns};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
@@ -88,7 +88,7 @@ impl Incoming {
 /// What a sample has to pass.
 pub(crate) struct Checks {
     pub(crate) own: OwnGids,
-    pub(crate) lifespans: Lifespans,
+    pub(crate) lifespans: Arc<Lifespans>,
     pub(crate) max_bytes: usize,
     /// Of a type that this host has a definition of.
     pub(crate) schema: Option<Arc<Schema>>,
@@ -158,8 +158,7 @@ impl Inlet {
     /// How long a sample is still to be delivered, if its publisher has a lifespan: by the clocks of both hosts. One that is ahead
     /// of this host's clock is new.
     fn left(&self, publisher: Gid, source_timestamp_ns: i64) -> Result<Option<Duration>, Dropped> {
-        let lifespans = self.checks.lifespans.read().unwrap_or_else(PoisonError::into_inner);
-        let Some(lifespan_ns) = lifespans.get(&publisher) else { return Ok(None) };
+        let Some(lifespan_ns) = self.checks.lifespans.get(&publisher) else { return Ok(None) };
         let age_ns = unix_ns().saturating_sub(source_timestamp_ns).max(0).unsigned_abs();
         match lifespan_ns.saturating_sub(age_ns) {
             0 => Err(Dropped::Expired),
@@ -243,7 +242,7 @@ mod tests {
         let subscription = participant.create_raw_subscription("/x", &topic_type, qos, limits).unwrap();
         let port = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
         let schema = Some(Arc::new(schema));
-        let lifespans = Lifespans::default();
+        let lifespans = Arc::<Lifespans>::default();
         let checks = Checks { own: OwnGids::default(), lifespans: lifespans.clone(), max_bytes: 100, schema };
         let inlet = Inlet::new(port, Arc::new(Counters::new()), checks);
         let attachment = Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
@@ -261,7 +260,7 @@ mod tests {
 
         // An hour is over, or not, by the stamp of the other host.
         const HOUR_NS: i64 = 3_600_000_000_000;
-        lifespans.write().unwrap().insert(Gid([3; 16]), HOUR_NS as u64);
+        lifespans.set(Gid([3; 16]), Some(HOUR_NS as u64));
         for (age_ns, expected) in
             [(HOUR_NS + 1, Err(Dropped::Expired)), (HOUR_NS / 2, Ok(())), (-HOUR_NS / 2, Ok(()))]
         {
@@ -272,7 +271,7 @@ mod tests {
         }
         assert_eq!(std::iter::from_fn(|| subscription.try_take().unwrap()).count(), 2);
         // One that is queued longer than it has left is passed over when it is to be taken.
-        lifespans.write().unwrap().insert(Gid([3; 16]), 3_000_000);
+        lifespans.set(Gid([3; 16]), Some(3_000_000));
         let expired = || subscription.counters().expired();
         while expired() == 0 {
             let attachment =

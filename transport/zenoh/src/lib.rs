@@ -10,6 +10,7 @@ mod filter;
 mod gateway;
 mod graph;
 mod incoming;
+mod lifespans;
 mod locals;
 mod mirror;
 mod outgoing;

@@ -1,29 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! From shared memory to the network: one thread takes the samples of all topics and puts them on Zenoh.
 //!
-//! It waits on the doorbell as a sampler does. What it takes never waits for the network for long: on a link that is
-//! busy a sample is dropped, and its number missed at the other end. Two kinds of samples may wait longer, and have a
-//! thread each to do so: large ones, whose fragments fill the link's queue, and those of publishers that keep samples for
-//! late joiners or are reliable and keep all. When too many of these wait, they are dropped too, and counted. A local
-//! publisher never notices any of it.
+//! What it takes never waits for the network for long: on a link that is busy a sample is dropped, and its number missed at
+//! the other end. Two kinds of samples may wait longer, and have a thread each to do so: large ones, whose fragments fill the
+//! link's queue, and those of publishers that keep samples for late joiners or are reliable and keep all. When too many of
+//! these wait, they are dropped too, and counted. A local publisher never notices any of it.
 
 use crate::mirror::Writer;
 use crate::rules::{BULK_BYTES, Rule, Urgency, ruled};
 use crate::stats::Counters;
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey};
-use futures::task::{ArcWake, waker};
 use std::any::Any;
-use std::collections::{HashMap, HashSet, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
-use std::task::{Context, Poll};
-use std::time::{Duration, Instant};
-use tautline_rt::clock::monotonic_ns;
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
+use tautline_relay::{EarlyLimits, Outlet, Relay, RelayError, Taken};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
-use tautline_transport::{
-    Durability, Gid, History, MessageInfo, Participant, RawSample, RawSubscription, Reliability, SamplerSeat,
-    Slot,
-};
+use tautline_transport::{Durability, History, MessageInfo, Participant, RawSample, Reliability};
 use zenoh::bytes::ZBytes;
 use zenoh::internal::buffers::{ZBuf, ZSlice, ZSliceBuffer};
 use zenoh::pubsub::Publisher;
@@ -32,18 +24,12 @@ use zenoh::sample::Locality;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
-/// Samples taken of one topic before the next topic has its turn.
-const TURN: usize = 16;
 /// Bodies from this on go to Zenoh as they lie in shared memory; smaller ones are copied behind their header.
 const IN_PLACE_BYTES: usize = 4096;
 /// Samples that wait for a link, of publishers that keep samples for late joiners or are reliable and keep all.
 const WAITING_SAMPLES: usize = 256;
 /// Large samples that wait for their turn.
 const WAITING_BULK: usize = 8;
-/// Samples of publishers that have just appeared, per topic, until the control thread has seen them.
-const EARLY_SAMPLES: usize = 64;
-const EARLY_BYTES: usize = 4 << 20;
-const EARLY_TIME: Duration = Duration::from_secs(2);
 /// As rmw_zenoh's.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
@@ -51,102 +37,80 @@ const HEARTBEAT: Duration = Duration::from_millis(500);
 /// them busy; so the budget is for all of them.
 pub(crate) const THREADS: [&str; 5] = ["gw-out", "gw-wait", "gw-bulk", "gw-control", "gw-watch"];
 
-/// What the control thread tells the one that sends.
-#[expect(clippy::large_enum_variant, reason = "few, and only when something is set up")]
-enum Command {
-    /// Also of a topic that is being taken: by this subscription from now on.
-    Start(TopicKey, RawSubscription, Arc<Counters>),
-    Open(TopicKey, Gid, Sender),
-    Close(TopicKey, Gid),
-    Stop(TopicKey),
-}
-
 /// The threads that send; dropping it ends them.
-pub(crate) struct Outgoing {
-    commands: Option<mpsc::Sender<Command>>,
-    stop: Arc<AtomicBool>,
-    waker: Arc<Waker>,
-    own_ports: Arc<Mutex<HashSet<Gid>>>,
-    threads: Vec<JoinHandle<()>>,
+pub(crate) type Outgoing = Relay<Network>;
+
+pub(crate) fn start(
+    participant: &Participant,
+    policy: Policy,
+    realtime: Realtime,
+    cores: Option<CoreSet>,
+) -> Result<Outgoing, RelayError> {
+    let thread = |name| ThreadBuilder { cores, ..ThreadBuilder::new(name) }.policy(policy).realtime(realtime);
+    let patient = Queue::start(thread(THREADS[1]), WAITING_SAMPLES)?;
+    let bulk = Queue::start(thread(THREADS[2]), WAITING_BULK)?;
+    Relay::start(participant, thread(THREADS[0]), Network { patient, bulk })
 }
 
-impl Outgoing {
-    pub(crate) fn start(
-        participant: &Participant,
-        policy: Policy,
-        realtime: Realtime,
-        cores: Option<CoreSet>,
-    ) -> Result<Self, OutgoingError> {
-        let seat = participant.doorbell().claim_sampler()?;
-        let bell = participant.claim_slot()?;
-        let waker = Arc::new(Waker { bell, is_draining: AtomicBool::new(false) });
-        let (commands, received) = mpsc::channel();
-        let (stop, own_ports) = (Arc::new(AtomicBool::new(false)), Arc::default());
-        let thread =
-            |name| ThreadBuilder { cores, ..ThreadBuilder::new(name) }.policy(policy).realtime(realtime);
-        let (patient, patient_samples) = mpsc::sync_channel(WAITING_SAMPLES);
-        let (bulk, bulk_samples) = mpsc::sync_channel(WAITING_BULK);
-        let waiting = Queues { patient, bulk };
-        let wait = thread(THREADS[1]).spawn(move || move || send_waiting(&patient_samples))?;
-        let large = thread(THREADS[2]).spawn(move || move || send_waiting(&bulk_samples))?;
-        let sending = {
-            let (stop, own_ports, waker) = (stop.clone(), Arc::clone(&own_ports), waker.clone());
-            let routes = HashMap::new();
-            thread(THREADS[0]).spawn(move || {
-                move || Loop { seat, commands: received, stop, waker, own_ports, waiting, routes }.run()
-            })?
+/// What becomes of samples that were taken.
+pub(crate) struct Network {
+    patient: Queue,
+    bulk: Queue,
+}
+
+impl Outlet for Network {
+    type Key = TopicKey;
+    type Topic = Arc<Counters>;
+    type Sender = Sender;
+
+    // Until the control thread has seen the publisher.
+    const EARLY: EarlyLimits = EarlyLimits { samples: 64, bytes: 4 << 20, time: Duration::from_secs(2) };
+
+    fn pass(&mut self, counters: &mut Arc<Counters>, sender: &mut Sender, sample: Taken) {
+        let (number, info, len_bytes) = (sample.number(), sample.info(), sample.body().len());
+        if number <= sender.last {
+            return;
+        }
+        sender.last = number;
+        sender.settle(len_bytes);
+        let payload = match sample {
+            // What may outlive the put is copied: a subscription can lend few samples.
+            Taken::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => in_place(sample),
+            sample => copied(sample.body()),
         };
-        Ok(Outgoing { commands: Some(commands), stop, waker, own_ports, threads: vec![sending, wait, large] })
+        self.put(sender, payload, &info, len_bytes, counters);
     }
 
-    /// Takes this topic's samples from now on.
-    pub(crate) fn start_topic(&self, key: TopicKey, subscription: RawSubscription, counters: Arc<Counters>) {
-        self.tell(Command::Start(key, subscription, counters));
+    fn dropped(counters: &Arc<Counters>) {
+        counters.dropped("publisher not announced yet");
     }
 
-    pub(crate) fn open(&self, key: TopicKey, local: Gid, sender: Sender) {
-        self.tell(Command::Open(key, local, sender));
-    }
-
-    pub(crate) fn close(&self, key: TopicKey, local: Gid) {
-        self.tell(Command::Close(key, local));
-    }
-
-    pub(crate) fn stop_topic(&self, key: TopicKey) {
-        self.tell(Command::Stop(key));
-    }
-
-    /// Ports of this gateway: what comes through them came from the network and does not go back.
-    pub(crate) fn own_ports(&self) -> &Arc<Mutex<HashSet<Gid>>> {
-        &self.own_ports
-    }
-
-    fn tell(&self, command: Command) {
-        if let Some(commands) = &self.commands {
-            let _ = commands.send(command);
-            self.waker.bell.ring();
-        }
+    fn lost(counters: &Arc<Counters>, samples: u64) {
+        counters.lost(samples);
     }
 }
 
-impl Drop for Outgoing {
-    fn drop(&mut self) {
-        self.commands = None;
-        self.stop.store(true, Ordering::Release);
-        self.waker.bell.ring();
-        for thread in self.threads.drain(..) {
-            let _ = thread.join();
-        }
+impl Network {
+    fn put(
+        &self,
+        sender: &Sender,
+        payload: ZBytes,
+        info: &MessageInfo,
+        len_bytes: usize,
+        counters: &Arc<Counters>,
+    ) {
+        let attachment = sender.attachment(info);
+        let publisher = &sender.publisher;
+        let queue = match (sender.may_wait(), sender.is_bulk) {
+            (true, _) => &self.patient,
+            (false, true) => &self.bulk,
+            (false, false) => {
+                return sent(counters, publisher.put(payload, &attachment), len_bytes, &attachment);
+            }
+        };
+        let (publisher, counters) = (publisher.clone(), counters.clone());
+        queue.push(Waiting { publisher, payload, attachment, len_bytes, counters });
     }
-}
-
-/// Why the threads did not start.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum OutgoingError {
-    #[error(transparent)]
-    Transport(#[from] tautline_transport::TransportError),
-    #[error(transparent)]
-    Rt(#[from] RtError),
 }
 
 /// A local publisher's counterpart on the network.
@@ -270,10 +234,37 @@ impl AnyPublisher {
     }
 }
 
-/// To the threads that may wait.
-struct Queues {
-    patient: mpsc::SyncSender<Waiting>,
-    bulk: mpsc::SyncSender<Waiting>,
+/// Samples that may wait, and the thread that does.
+struct Queue {
+    samples: Option<mpsc::SyncSender<Waiting>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Queue {
+    fn start(thread: ThreadBuilder, len: usize) -> Result<Self, RtError> {
+        let (samples, waiting) = mpsc::sync_channel(len);
+        let thread = thread.spawn(move || move || send_waiting(&waiting))?;
+        Ok(Queue { samples: Some(samples), thread: Some(thread) })
+    }
+
+    fn push(&self, sample: Waiting) {
+        let refused = self.samples.as_ref().map(|samples| samples.try_send(sample));
+        if let Some(Err(mpsc::TrySendError::Full(sample) | mpsc::TrySendError::Disconnected(sample))) =
+            refused
+        {
+            sample.counters.dropped("too many samples wait for the link");
+        }
+    }
+}
+
+impl Drop for Queue {
+    /// What waits is sent.
+    fn drop(&mut self) {
+        self.samples = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
 }
 
 /// A sample that may wait for its link.
@@ -295,238 +286,6 @@ fn sent(counters: &Counters, outcome: zenoh::Result<()>, len_bytes: usize, attac
     match outcome {
         Ok(()) => counters.passed(len_bytes, attachment.source_timestamp_ns),
         Err(_) => counters.dropped("refused by Zenoh"),
-    }
-}
-
-/// A topic whose samples are taken.
-struct Route {
-    subscription: RawSubscription,
-    counters: Arc<Counters>,
-    senders: HashMap<Gid, Sender>,
-    early: VecDeque<Early>,
-    early_bytes: usize,
-    /// Samples that the subscription has said are lost.
-    lost: u64,
-    flag: Arc<Flag>,
-}
-
-/// A sample whose publisher is not known yet.
-struct Early {
-    port: Gid,
-    number: u64,
-    info: MessageInfo,
-    body: Vec<u8>,
-    since: Instant,
-}
-
-/// Set when a topic's subscription was rung, or may take again since a sample was given back.
-struct Flag {
-    is_set: AtomicBool,
-    waker: Arc<Waker>,
-}
-
-/// What ends the sleep of the thread that sends.
-struct Waker {
-    bell: Slot,
-    /// Whether that thread takes rings just now, and will look at the flags after that: it need not be rung.
-    is_draining: AtomicBool,
-}
-
-impl ArcWake for Flag {
-    fn wake_by_ref(flag: &Arc<Self>) {
-        // In one total order with the thread's own two steps in `Loop::run`: either it sees the flag, or it is rung.
-        flag.is_set.store(true, Ordering::SeqCst);
-        if !flag.waker.is_draining.load(Ordering::SeqCst) {
-            flag.waker.bell.ring();
-        }
-    }
-}
-
-struct Loop {
-    seat: SamplerSeat,
-    commands: mpsc::Receiver<Command>,
-    stop: Arc<AtomicBool>,
-    waker: Arc<Waker>,
-    own_ports: Arc<Mutex<HashSet<Gid>>>,
-    waiting: Queues,
-    routes: HashMap<TopicKey, Route>,
-}
-
-impl Loop {
-    fn run(mut self) {
-        // For samples of publishers that never became known, and for what a subscription counts by itself.
-        const LOOK: Duration = Duration::from_millis(500);
-        let mut next_look = Instant::now() + LOOK;
-        while !self.stop.load(Ordering::Acquire) {
-            self.waker.is_draining.store(true, Ordering::SeqCst);
-            self.seat.drain(|_| {});
-            self.waker.is_draining.store(false, Ordering::SeqCst);
-            while let Ok(command) = self.commands.try_recv() {
-                self.obey(command);
-            }
-            let own_ports = &self.own_ports;
-            let mut is_busy = false;
-            for route in self.routes.values_mut() {
-                if route.flag.is_set.swap(false, Ordering::SeqCst) {
-                    is_busy |= route.serve(&self.waiting, own_ports);
-                }
-            }
-            if Instant::now() >= next_look {
-                next_look = Instant::now() + LOOK;
-                self.routes.values_mut().for_each(Route::look);
-            }
-            if !is_busy {
-                self.seat.sleep(Some(monotonic_ns() + LOOK.as_nanos() as u64));
-            }
-        }
-    }
-
-    fn obey(&mut self, command: Command) {
-        match command {
-            Command::Start(key, subscription, counters) => {
-                if let Some(route) = self.routes.get_mut(&key) {
-                    // The new one has been there for a while: first what came before, then what came to both once.
-                    route.serve_all(&self.waiting, &self.own_ports);
-                    route.look();
-                    (route.subscription, route.lost) = (subscription, 0);
-                    return route.flag.is_set.store(true, Ordering::SeqCst);
-                }
-                let flag = Arc::new(Flag { is_set: AtomicBool::new(true), waker: self.waker.clone() });
-                let (senders, early) = (HashMap::new(), VecDeque::new());
-                let route = Route { subscription, counters, senders, early, early_bytes: 0, lost: 0, flag };
-                self.routes.insert(key, route);
-            }
-            Command::Open(key, local, sender) => {
-                if let Some(route) = self.routes.get_mut(&key) {
-                    route.open(local, sender, &self.waiting);
-                }
-            }
-            Command::Close(key, local) => {
-                if let Some(route) = self.routes.get_mut(&key) {
-                    // What it published before it went.
-                    route.serve_all(&self.waiting, &self.own_ports);
-                    route.senders.remove(&local);
-                }
-            }
-            Command::Stop(key) => {
-                if let Some(mut route) = self.routes.remove(&key) {
-                    route.serve_all(&self.waiting, &self.own_ports);
-                }
-            }
-        }
-    }
-}
-
-impl Route {
-    /// Takes and sends what is there, at most a turn of it. Says whether there may be more.
-    fn serve(&mut self, waiting: &Queues, own_ports: &Mutex<HashSet<Gid>>) -> bool {
-        let waker = waker(self.flag.clone());
-        let mut context = Context::from_waker(&waker);
-        for _ in 0..TURN {
-            match self.subscription.poll_take(&mut context) {
-                Poll::Ready(sample) => self.send(sample, waiting, own_ports),
-                Poll::Pending => return false,
-            }
-        }
-        self.flag.is_set.store(true, Ordering::SeqCst);
-        true
-    }
-
-    /// Bounded, for a publisher could be faster than this.
-    fn serve_all(&mut self, waiting: &Queues, own_ports: &Mutex<HashSet<Gid>>) {
-        for _ in 0..64 {
-            if !self.serve(waiting, own_ports) {
-                break;
-            }
-        }
-    }
-
-    fn send(&mut self, sample: RawSample, waiting: &Queues, own_ports: &Mutex<HashSet<Gid>>) {
-        let port = sample.port_gid();
-        let number = sample.port_sequence_number();
-        let Some(sender) = self.senders.get_mut(&port) else {
-            if !own_ports.lock().unwrap_or_else(PoisonError::into_inner).contains(&port) {
-                self.keep_early(port, &sample);
-            }
-            return;
-        };
-        if number <= sender.last {
-            return;
-        }
-        sender.last = number;
-        let (info, len_bytes) = (sample.info(), sample.body().len());
-        sender.settle(len_bytes);
-        // What may outlive the put is copied: a subscription can lend few samples.
-        let may_stay = sender.may_wait();
-        let payload =
-            if may_stay || len_bytes < IN_PLACE_BYTES { copied(sample.body()) } else { in_place(sample) };
-        put(sender, payload, &info, len_bytes, waiting, &self.counters);
-    }
-
-    fn keep_early(&mut self, port: Gid, sample: &RawSample) {
-        let (body, number) = (sample.body(), sample.port_sequence_number());
-        if self.early.iter().any(|early| early.port == port && early.number >= number) {
-            return;
-        }
-        if self.early.len() >= EARLY_SAMPLES || self.early_bytes + body.len() > EARLY_BYTES {
-            return self.counters.dropped("publisher not announced yet");
-        }
-        self.early_bytes += body.len();
-        let (info, body) = (sample.info(), body.to_vec());
-        self.early.push_back(Early { port, number, info, body, since: Instant::now() });
-    }
-
-    /// A publisher is known: what it sent before goes first.
-    fn open(&mut self, local: Gid, mut sender: Sender, waiting: &Queues) {
-        for early in std::mem::take(&mut self.early) {
-            if early.port == local {
-                self.early_bytes -= early.body.len();
-                sender.settle(early.body.len());
-                sender.last = early.number;
-                let payload = copied(&early.body);
-                put(&sender, payload, &early.info, early.body.len(), waiting, &self.counters);
-            } else {
-                self.early.push_back(early);
-            }
-        }
-        self.senders.insert(local, sender);
-    }
-
-    fn look(&mut self) {
-        let (counters, bytes) = (&self.counters, &mut self.early_bytes);
-        self.early.retain(|early| {
-            let stays = early.since.elapsed() < EARLY_TIME;
-            if !stays {
-                *bytes -= early.body.len();
-                counters.dropped("publisher not announced yet");
-            }
-            stays
-        });
-        let lost = self.subscription.counters().lost();
-        self.counters.lost(lost - self.lost);
-        self.lost = lost;
-    }
-}
-
-fn put(
-    sender: &Sender,
-    payload: ZBytes,
-    info: &MessageInfo,
-    len_bytes: usize,
-    waiting: &Queues,
-    counters: &Arc<Counters>,
-) {
-    let attachment = sender.attachment(info);
-    let publisher = &sender.publisher;
-    let queue = match (sender.may_wait(), sender.is_bulk) {
-        (true, _) => &waiting.patient,
-        (false, true) => &waiting.bulk,
-        (false, false) => return sent(counters, publisher.put(payload, &attachment), len_bytes, &attachment),
-    };
-    let (publisher, counters) = (publisher.clone(), counters.clone());
-    if let Err(refused) = queue.try_send(Waiting { publisher, payload, attachment, len_bytes, counters }) {
-        let (mpsc::TrySendError::Full(sample) | mpsc::TrySendError::Disconnected(sample)) = refused;
-        sample.counters.dropped("too many samples wait for the link");
     }
 }
 

@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What programs have in common that pass on the samples of topics, such as the gateway and the bridge to ROS 2.
+//!
+//! A [`Relay`] is the thread that takes the samples of all topics, waiting on the doorbell as a sampler does, and gives each to
+//! an [`Outlet`]. What a publisher sent before its counterpart elsewhere was known waits for it. A local publisher notices
+//! nothing of it. [`show_until`] is what such a program does meanwhile.
+
+mod program;
+mod relay;
+mod route;
+mod waker;
+
+pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
+pub use relay::{Ports, Relay, RelayError, as_deep_as_allowed};
+pub use route::{EarlyLimits, Outlet, Taken};

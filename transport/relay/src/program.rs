@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The program around a relay: it shows numbers until a signal ends it.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Becomes true with the first SIGINT or SIGTERM. One that comes later than [`ONE_STOP`] after it ends the program at once, with 128
+/// and the signal's number.
+///
+/// # Errors
+/// If the signals cannot be handled.
+pub fn stop_on_signals() -> io::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut signals = Signals::new([SIGINT, SIGTERM])?;
+    let asked = stop.clone();
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        let mut first = None;
+        for signal in signals.forever() {
+            asked.store(true, Ordering::Relaxed);
+            if first.get_or_insert_with(Instant::now).elapsed() > ONE_STOP {
+                signal_hook::low_level::exit(128 + signal);
+            }
+        }
+    })?;
+    Ok(stop)
+}
+
+/// Who stops a program may signal it twice, as a process and in its group: both are one stop.
+const ONE_STOP: Duration = Duration::from_millis(200);
+
+/// Reads `stats` with every `interval` until `stop`, and shows them: as `line` puts them, on a terminal and renewing itself, or
+/// each as a line of JSON. Ends, too, when whoever read the output has gone.
+pub fn show_until<S: Serialize>(
+    stop: &AtomicBool,
+    interval: Duration,
+    is_json: bool,
+    stats: impl Fn() -> S,
+    line: impl Fn(&S) -> String,
+) {
+    let bar = Bar::new(is_json);
+    let mut next = Instant::now() + interval;
+    while !stop.load(Ordering::Relaxed) {
+        let patience = next.saturating_duration_since(Instant::now()).min(Duration::from_millis(50));
+        std::thread::sleep(patience);
+        if Instant::now() >= next {
+            next += interval;
+            if is_json {
+                if print(&stats()).is_err() {
+                    return;
+                }
+            } else {
+                bar.0.set_message(line(&stats()));
+                bar.0.tick();
+            }
+        }
+    }
+}
+
+fn print(stats: &impl Serialize) -> io::Result<()> {
+    let text = serde_json::to_string(stats).map_err(io::Error::other)?;
+    let mut out = io::stdout().lock();
+    writeln!(out, "{text}")?;
+    out.flush()
+}
+
+/// Draws on a terminal only.
+struct Bar(ProgressBar);
+
+impl Bar {
+    fn new(is_hidden: bool) -> Self {
+        let bar = if is_hidden { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
+        // A template without placeholders that could fail.
+        let style = ProgressStyle::with_template("{wide_msg}");
+        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+        Bar(bar)
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
+/// Seconds between two looks at the numbers, as an argument.
+///
+/// # Errors
+/// For what is no such number.
+pub fn parse_interval(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.1..=3600.0).contains(seconds));
+    seconds.ok_or_else(|| "from 0.1 to 3600 seconds".into())
+}
+
+/// `1 topic`, `2 topics`.
+pub fn counted(count: usize, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
+/// `80.0 kB/s`.
+pub fn rate(bytes_per_s: f64) -> String {
+    match bytes_per_s {
+        b if b >= 1e6 => format!("{:.1} MB/s", b / 1e6),
+        b if b >= 1e3 => format!("{:.1} kB/s", b / 1e3),
+        b => format!("{b:.0} B/s"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!([0.0, 999.0, 80e3, 1.25e6].map(rate), ["0 B/s", "999 B/s", "80.0 kB/s", "1.2 MB/s"]);
+        assert_eq!([1, 0, 2].map(|n| counted(n, "link", "links")), ["1 link", "0 links", "2 links"]);
+    }
+
+    #[test]
+    fn an_interval_is_in_bounds() {
+        assert_eq!(parse_interval("0.5"), Ok(0.5));
+        assert!(["0", "NaN", "3601", "x"].iter().all(|text| parse_interval(text).is_err()));
+    }
+}

@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The thread that takes the samples of all topics.
+
+use crate::route::{Outlet, Route};
+use crate::waker::Bell;
+use std::collections::{HashMap, HashSet};
+use std::sync::{Arc, Mutex, mpsc};
+use std::time::{Duration, Instant};
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
+use tautline_transport::{Gid, Participant, Qos, RawSubscription, SamplerSeat, TransportError};
+
+/// Ports of relays: what comes through them came from elsewhere and does not go on.
+pub type Ports = Arc<Mutex<HashSet<Gid>>>;
+
+/// The thread that takes samples and gives them to an [`Outlet`]; dropping it ends it, and with it the outlet.
+pub struct Relay<O: Outlet> {
+    commands: Option<mpsc::Sender<Command<O>>>,
+    bell: Arc<Bell>,
+    ports: Ports,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What the thread is told.
+enum Command<O: Outlet> {
+    Start(O::Key, Box<RawSubscription>, O::Topic),
+    Open(O::Key, Gid, O::Sender),
+    Close(O::Key, Gid),
+    Stop(O::Key),
+}
+
+/// Why the thread did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum RelayError {
+    /// The doorbell.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// The thread.
+    #[error(transparent)]
+    Rt(#[from] RtError),
+}
+
+impl<O: Outlet> Relay<O> {
+    /// Starts the thread, in the place of the participant's sampler.
+    ///
+    /// # Errors
+    /// [`RelayError`].
+    pub fn start(participant: &Participant, thread: ThreadBuilder, outlet: O) -> Result<Self, RelayError> {
+        let seat = participant.doorbell().claim_sampler()?;
+        let bell = Bell::new(participant.claim_slot()?);
+        let (commands, received) = mpsc::channel();
+        let ports = Ports::default();
+        let thread = {
+            let (bell, ports, routes) = (bell.clone(), ports.clone(), HashMap::new());
+            thread
+                .spawn(move || move || Loop { seat, commands: received, bell, ports, routes, outlet }.run())?
+        };
+        Ok(Relay { commands: Some(commands), bell, ports, thread: Some(thread) })
+    }
+
+    /// The thread, as it was read back.
+    pub fn info(&self) -> Option<&ThreadInfo> {
+        self.thread.as_ref().map(JoinHandle::info)
+    }
+
+    /// Takes this topic's samples from now on; of one that is being taken, by this subscription.
+    pub fn start_topic(&self, key: O::Key, subscription: RawSubscription, topic: O::Topic) {
+        self.tell(Command::Start(key, Box::new(subscription), topic));
+    }
+
+    /// What the publisher `gid` sends goes through `sender`.
+    pub fn open(&self, key: O::Key, gid: Gid, sender: O::Sender) {
+        self.tell(Command::Open(key, gid, sender));
+    }
+
+    /// The publisher `gid` has gone.
+    pub fn close(&self, key: O::Key, gid: Gid) {
+        self.tell(Command::Close(key, gid));
+    }
+
+    /// Takes what there is of this topic, and nothing after that.
+    pub fn stop_topic(&self, key: O::Key) {
+        self.tell(Command::Stop(key));
+    }
+
+    /// Ports whose samples are not passed on.
+    pub fn ports(&self) -> &Ports {
+        &self.ports
+    }
+
+    fn tell(&self, command: Command<O>) {
+        if let Some(commands) = &self.commands {
+            let _ = commands.send(command);
+            self.bell.ring();
+        }
+    }
+}
+
+impl<O: Outlet> Drop for Relay<O> {
+    fn drop(&mut self) {
+        self.commands = None;
+        self.bell.ring();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Makes an end of a topic as deep as `wanted`, or as the ends that are there allow. Returns what it got as well.
+///
+/// # Errors
+/// What `make` says, but for that limit.
+pub fn as_deep_as_allowed<T>(
+    mut wanted: Qos,
+    make: impl Fn(Qos) -> Result<T, TransportError>,
+) -> Result<(T, Qos), TransportError> {
+    loop {
+        match make(wanted) {
+            Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
+                wanted.depth = existing;
+            }
+            outcome => return outcome.map(|end| (end, wanted)),
+        }
+    }
+}
+
+struct Loop<O: Outlet> {
+    seat: SamplerSeat,
+    commands: mpsc::Receiver<Command<O>>,
+    bell: Arc<Bell>,
+    ports: Ports,
+    routes: HashMap<O::Key, Route<O>>,
+    outlet: O,
+}
+
+impl<O: Outlet> Loop<O> {
+    fn run(mut self) {
+        const LOOK: Duration = Duration::from_millis(500);
+        let mut next_look = Instant::now() + LOOK;
+        loop {
+            self.bell.drain(&self.seat);
+            loop {
+                match self.commands.try_recv() {
+                    Ok(command) => self.obey(command),
+                    Err(mpsc::TryRecvError::Empty) => break,
+                    Err(mpsc::TryRecvError::Disconnected) => return,
+                }
+            }
+            let mut is_busy = false;
+            for route in self.routes.values_mut() {
+                is_busy |= route.serve_if_rung(&self.ports, &mut self.outlet);
+            }
+            if Instant::now() >= next_look {
+                next_look = Instant::now() + LOOK;
+                self.routes.values_mut().for_each(|route| route.look(&self.ports));
+            }
+            if !is_busy {
+                self.seat.sleep(Some(monotonic_ns() + LOOK.as_nanos() as u64));
+            }
+        }
+    }
+
+    fn obey(&mut self, command: Command<O>) {
+        let (ports, outlet) = (&self.ports, &mut self.outlet);
+        match command {
+            Command::Start(key, subscription, topic) => match self.routes.get_mut(&key) {
+                Some(route) => route.change(subscription, topic, ports, outlet),
+                None => {
+                    let route = Route::new(subscription, topic, self.bell.clone());
+                    self.routes.insert(key, route);
+                }
+            },
+            Command::Open(key, gid, sender) => {
+                if let Some(route) = self.routes.get_mut(&key) {
+                    route.open(gid, sender, outlet);
+                }
+            }
+            Command::Close(key, gid) => {
+                if let Some(route) = self.routes.get_mut(&key) {
+                    route.close(gid, ports, outlet);
+                }
+            }
+            Command::Stop(key) => {
+                if let Some(route) = self.routes.remove(&key) {
+                    route.end(ports, outlet);
+                }
+            }
+        }
+    }
+}

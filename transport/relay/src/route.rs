@@ -1,0 +1,240 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! One topic's way: from its subscription, and from what waited, to the counterparts of its publishers.
+
+use crate::relay::Ports;
+use crate::waker::{Bell, Flag};
+use std::collections::{HashMap, VecDeque};
+use std::hash::Hash;
+use std::sync::{Arc, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
+
+/// Where samples go. It is the relay's thread that calls it.
+pub trait Outlet: Send + 'static {
+    /// Names a topic.
+    type Key: Eq + Hash + Send;
+    /// What is kept for a topic: its counters.
+    type Topic: Send;
+    /// A local publisher's counterpart.
+    type Sender: Send;
+
+    /// How much waits for a counterpart.
+    const EARLY: EarlyLimits;
+
+    /// Passes a sample on. When another subscription takes over, samples come a second time: their numbers tell.
+    fn pass(&mut self, topic: &mut Self::Topic, sender: &mut Self::Sender, sample: Taken);
+
+    /// A sample's publisher did not get a counterpart in time, or too many samples wait.
+    fn dropped(topic: &Self::Topic);
+
+    /// So many samples more were overwritten before they were taken.
+    fn lost(topic: &Self::Topic, samples: u64);
+}
+
+/// Samples of publishers whose counterpart is not known yet: so many wait per topic.
+#[derive(Clone, Copy, Debug)]
+pub struct EarlyLimits {
+    /// Their number.
+    pub samples: usize,
+    /// Their bodies together.
+    pub bytes: usize,
+    /// Each of them so long.
+    pub time: Duration,
+}
+
+/// A sample that was taken.
+pub enum Taken {
+    /// As it lies in shared memory.
+    Now(RawSample),
+    /// It waited for its publisher's counterpart.
+    Early(Early),
+}
+
+/// A copy of a sample that waits.
+pub struct Early {
+    port: Gid,
+    number: u64,
+    info: MessageInfo,
+    body: Vec<u8>,
+    since: Instant,
+}
+
+impl Taken {
+    /// Its number at its port, from 1.
+    pub fn number(&self) -> u64 {
+        match self {
+            Taken::Now(sample) => sample.port_sequence_number(),
+            Taken::Early(early) => early.number,
+        }
+    }
+
+    /// What its header says.
+    pub fn info(&self) -> MessageInfo {
+        match self {
+            Taken::Now(sample) => sample.info(),
+            Taken::Early(early) => early.info,
+        }
+    }
+
+    /// The message, without encapsulation.
+    pub fn body(&self) -> &[u8] {
+        match self {
+            Taken::Now(sample) => sample.body(),
+            Taken::Early(early) => &early.body,
+        }
+    }
+}
+
+/// Samples taken of one topic before the next topic has its turn.
+const TURN: usize = 16;
+
+pub(crate) struct Route<O: Outlet> {
+    subscription: Box<RawSubscription>,
+    topic: O::Topic,
+    senders: HashMap<Gid, O::Sender>,
+    early: VecDeque<Early>,
+    early_bytes: usize,
+    /// Samples that the subscription has said are lost.
+    lost: u64,
+    flag: Arc<Flag>,
+}
+
+impl<O: Outlet> Route<O> {
+    pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, bell: Arc<Bell>) -> Self {
+        let (senders, early) = (HashMap::new(), VecDeque::new());
+        Route { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(bell) }
+    }
+
+    /// Takes by another subscription from now on.
+    pub(crate) fn change(
+        &mut self,
+        subscription: Box<RawSubscription>,
+        topic: O::Topic,
+        ports: &Ports,
+        outlet: &mut O,
+    ) {
+        // The new one has been there for a while: first what came before, then what came to both once.
+        self.serve_all(ports, outlet);
+        self.look(ports);
+        (self.subscription, self.topic, self.lost) = (subscription, topic, 0);
+        self.flag.set();
+    }
+
+    /// Passes on what is there if there may be something, at most a turn of it. Says whether there may be more.
+    pub(crate) fn serve_if_rung(&mut self, ports: &Ports, outlet: &mut O) -> bool {
+        self.flag.take() && self.serve(ports, outlet)
+    }
+
+    fn serve(&mut self, ports: &Ports, outlet: &mut O) -> bool {
+        let waker = self.flag.waker();
+        let mut context = Context::from_waker(&waker);
+        for _ in 0..TURN {
+            match self.subscription.poll_take(&mut context) {
+                Poll::Ready(sample) => self.pass(sample, ports, outlet),
+                Poll::Pending => return false,
+            }
+        }
+        self.flag.set();
+        true
+    }
+
+    /// All that was there: bounded by what fits in, for a publisher could be faster than this.
+    fn serve_all(&mut self, ports: &Ports, outlet: &mut O) {
+        // And one publisher that has gone.
+        let publishers = self.subscription.publisher_count() + 1;
+        for _ in 0..turns(self.subscription.qos().depth, publishers) {
+            // After a turn of samples that were passed over it is woken at once for what is behind them.
+            if !self.serve(ports, outlet) && !self.flag.take() {
+                break;
+            }
+        }
+    }
+
+    fn pass(&mut self, sample: RawSample, ports: &Ports, outlet: &mut O) {
+        let port = sample.port_gid();
+        match self.senders.get_mut(&port) {
+            Some(sender) => outlet.pass(&mut self.topic, sender, Taken::Now(sample)),
+            None if ports.lock().unwrap_or_else(PoisonError::into_inner).contains(&port) => {}
+            None => self.keep_early(port, &sample),
+        }
+    }
+
+    fn keep_early(&mut self, port: Gid, sample: &RawSample) {
+        let (body, number) = (sample.body(), sample.port_sequence_number());
+        if self.early.iter().rev().any(|early| early.port == port && early.number >= number) {
+            return;
+        }
+        if self.early.len() >= O::EARLY.samples || self.early_bytes + body.len() > O::EARLY.bytes {
+            return O::dropped(&self.topic);
+        }
+        self.early_bytes += body.len();
+        let (info, body) = (sample.info(), body.to_vec());
+        self.early.push_back(Early { port, number, info, body, since: Instant::now() });
+    }
+
+    /// A publisher has its counterpart: what it sent before goes first.
+    pub(crate) fn open(&mut self, gid: Gid, mut sender: O::Sender, outlet: &mut O) {
+        for early in std::mem::take(&mut self.early) {
+            if early.port == gid {
+                self.early_bytes -= early.body.len();
+                outlet.pass(&mut self.topic, &mut sender, Taken::Early(early));
+            } else {
+                self.early.push_back(early);
+            }
+        }
+        self.senders.insert(gid, sender);
+    }
+
+    /// A publisher has gone: what it published before goes first.
+    pub(crate) fn close(&mut self, gid: Gid, ports: &Ports, outlet: &mut O) {
+        self.serve_all(ports, outlet);
+        self.senders.remove(&gid);
+    }
+
+    /// The last that is done.
+    pub(crate) fn end(mut self, ports: &Ports, outlet: &mut O) {
+        self.serve_all(ports, outlet);
+        self.look(ports);
+        self.early.iter().for_each(|_| O::dropped(&self.topic));
+    }
+
+    /// For samples of publishers that never became known, and for what a subscription counts by itself.
+    pub(crate) fn look(&mut self, ports: &Ports) {
+        let (topic, bytes) = (&self.topic, &mut self.early_bytes);
+        if !self.early.is_empty() {
+            let ports = ports.lock().unwrap_or_else(PoisonError::into_inner);
+            self.early.retain(|early| {
+                let is_own = ports.contains(&early.port);
+                let is_late = early.since.elapsed() >= O::EARLY.time;
+                if is_late && !is_own {
+                    O::dropped(topic);
+                }
+                if is_late || is_own {
+                    *bytes -= early.body.len();
+                }
+                !is_late && !is_own
+            });
+        }
+        let lost = self.subscription.counters().lost();
+        O::lost(&self.topic, lost - self.lost);
+        self.lost = lost;
+    }
+}
+
+/// Turns that empty a queue as deep as this for each of so many publishers.
+fn turns(depth: usize, publishers: usize) -> usize {
+    depth.saturating_mul(publishers).div_ceil(TURN) + 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_queue_is_emptied_however_deep() {
+        for (depth, publishers) in [(1, 1), (100, 1), (1000, 3), (65_536, 8)] {
+            assert!(turns(depth, publishers) * TURN >= depth * publishers);
+        }
+    }
+}

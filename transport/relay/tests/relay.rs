@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The order in which samples are passed on, and which are not.
+
+use std::sync::mpsc;
+use std::time::Duration;
+use tautline_relay::{EarlyLimits, Outlet, Relay, Taken, as_deep_as_allowed};
+use tautline_rt::ThreadBuilder;
+use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
+
+/// Tells what it is given.
+struct Log;
+
+impl Outlet for Log {
+    type Key = &'static str;
+    type Topic = mpsc::Sender<String>;
+    type Sender = &'static str;
+
+    const EARLY: EarlyLimits = EarlyLimits { samples: 3, bytes: 1000, time: Duration::from_secs(3600) };
+
+    fn pass(&mut self, log: &mut Self::Topic, sender: &mut Self::Sender, sample: Taken) {
+        let when = if matches!(sample, Taken::Early(_)) { "early" } else { "now" };
+        assert_eq!(sample.body(), [7; 10]);
+        let _ = log.send(format!("{sender} {} {when}", sample.number()));
+    }
+
+    fn dropped(log: &Self::Topic) {
+        let _ = log.send("dropped".into());
+    }
+
+    fn lost(log: &Self::Topic, samples: u64) {
+        if samples > 0 {
+            let _ = log.send(format!("lost {samples}"));
+        }
+    }
+}
+
+fn publish(publisher: &RawPublisher) {
+    let mut loan = publisher.loan(10).unwrap();
+    loan.fill(7);
+    assert!(loan.publish().is_ok());
+}
+
+#[test]
+fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
+    let participant = Participant::new(93).unwrap();
+    let (topic_type, qos) = (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(10));
+    let publisher = || participant.create_raw_publisher("/x", &topic_type, qos, Limits::default()).unwrap();
+    let [known, early, own, unknown] = std::array::from_fn(|_| publisher());
+    // Deeper than the publishers allow.
+    let (subscription, got) = as_deep_as_allowed(Qos::keep_last(1000), |qos| {
+        participant.create_relay_subscription("/x", &topic_type, qos, Limits::default())
+    })
+    .unwrap();
+    assert!(got.depth >= 10);
+
+    let relay = Relay::start(&participant, ThreadBuilder::new("relay"), Log).unwrap();
+    let (log, told) = mpsc::channel();
+    let next = || told.recv_timeout(Duration::from_secs(30)).expect("waited in vain");
+    relay.ports().lock().unwrap().insert(own.gid());
+    relay.open("/x", known.gid(), "a topic that is not taken yet");
+    relay.start_topic("/x", subscription, log);
+    relay.open("/x", known.gid(), "known");
+
+    for _ in 0..4 {
+        publish(&early);
+    }
+    publish(&own);
+    // Once it was passed on, what is there with it has been taken before the next command.
+    publish(&known);
+    let mut both = [next(), next()];
+    both.sort_unstable();
+    assert_eq!(both, ["dropped", "known 1 now"], "the fourth is too much");
+    relay.open("/x", early.gid(), "early");
+    for n in 1..=3 {
+        assert_eq!(next(), format!("early {n} early"));
+    }
+    publish(&early);
+    assert_eq!(next(), "early 5 now");
+
+    publish(&early);
+    relay.close("/x", early.gid());
+    assert_eq!(next(), "early 6 now", "what it published before it went");
+    publish(&unknown);
+    relay.stop_topic("/x");
+    assert_eq!(next(), "dropped");
+    publish(&known);
+    drop(relay);
+    assert_eq!(told.try_recv(), Err(mpsc::TryRecvError::Disconnected), "nothing more");
+}
