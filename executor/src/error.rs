@@ -25,6 +25,14 @@ pub enum ExecutorError {
         /// What was refused.
         source: std::io::Error,
     },
+    /// Nothing that publishers could wake.
+    #[error("callback `{name}` cannot start with direct wake-ups: {source}")]
+    DirectWake {
+        /// The callback.
+        name: String,
+        /// What was refused.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// A handler that nothing would ever call.
     #[error(
         "callback `{name}` has a handler for overruns, but its execution times are not measured: drop \

@@ -16,19 +16,30 @@ use tautline_rt::{
 };
 
 use crate::callback::{Callback, End, Presence, Thread};
-use crate::group::CallbackGroup;
-use crate::hot::{self, CallbackThread, Control, Controlled, GroupFuture, Measured, Stopwatch};
+use crate::group::{CallbackGroup, MemberInfo};
+use crate::hot::{
+    self, CallbackThread, Control, Controlled, GroupFuture, Measured, Parker, Stopwatch, Waiting,
+};
 use crate::registry::{Registry, Seat};
 use crate::{
     CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, StatisticsFile, ThreadRegistration,
 };
 
+/// The longest spin before a thread sleeps: the registry, which keeps threads from starving, knows only of busy pollers.
+const MAX_SPIN: Duration = Duration::from_millis(1);
+
+/// Makes what a callback thread sleeps on.
+type MakeParker = Box<dyn Fn() -> Result<Arc<dyn Parker>, Refusal> + Send + Sync>;
+
+/// Why there is none.
+type Refusal = Box<dyn std::error::Error + Send + Sync>;
+
 /// Owns the callback threads of a process; dropping it ends them.
-#[derive(Debug)]
 pub struct Executor {
     realtime: Realtime,
     registry: Registry,
     statistics: Option<StatisticsFile>,
+    parkers: Option<MakeParker>,
     spawned: AtomicUsize,
     callbacks: Mutex<Vec<Arc<Callback>>>,
 }
@@ -37,7 +48,18 @@ impl Executor {
     /// An executor without threads. With [`Realtime::Off`] policies are not applied, everything else is.
     pub fn new(realtime: Realtime) -> Executor {
         let (registry, spawned, callbacks) = Default::default();
-        Executor { realtime, registry, statistics: None, spawned, callbacks }
+        Executor { realtime, registry, statistics: None, parkers: None, spawned, callbacks }
+    }
+
+    /// What callback threads sleep on that publishers wake themselves: `make` is called for each callback with
+    /// [`CallbackOptions::direct_wake`].
+    #[must_use]
+    pub fn with_parkers(
+        mut self,
+        make: impl Fn() -> Result<Arc<dyn Parker>, Refusal> + Send + Sync + 'static,
+    ) -> Executor {
+        self.parkers = Some(Box::new(make));
+        self
     }
 
     /// Keeps the statistics of all callbacks where other processes can read them.
@@ -136,11 +158,11 @@ impl Executor {
         }
     }
 
-    /// `members`: those of a group, with their periods.
+    /// `members`: those of a group.
     fn start<M>(
         &self,
         mut options: CallbackOptions,
-        members: Vec<(Arc<CallbackStats>, Option<Duration>)>,
+        members: Vec<MemberInfo>,
         make: M,
     ) -> Result<CallbackHandle, ExecutorError>
     where
@@ -150,9 +172,8 @@ impl Executor {
         if options.name.is_empty() {
             options.name = format!("#{number}");
         }
-        if options.watch.on_overrun.is_some() && !options.execution_time {
-            return Err(ExecutorError::UnmeasuredBudget { name: options.name });
-        }
+        check_handlers(&options, &members)?;
+        let parker = self.parker(&options)?;
         let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
         let (seat, online) = self.seat(&options).map_err(refused)?;
         let registration = self.registry.claim(seat, online)?;
@@ -162,14 +183,14 @@ impl Executor {
         stats.set_budget(options.budget);
         let no_statistics = |source| ExecutorError::Statistics { name: options.name.clone(), source };
         stats.place(self.statistics.as_ref(), !members.is_empty()).map_err(no_statistics)?;
-        for (member, _) in &members {
-            member.place(self.statistics.as_ref(), false).map_err(no_statistics)?;
+        for member in &members {
+            member.stats.place(self.statistics.as_ref(), false).map_err(no_statistics)?;
         }
         let (control, end) = (Arc::<Control>::default(), Arc::<End>::default());
-        let all_stats = members.iter().map(|(member, _)| member).chain([&stats]).cloned().collect();
+        let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();
         let presence = Presence { end: Arc::clone(&end), stats: all_stats, _registration: registration };
-        let (busy, execution_time, thread_control) =
-            (options.busy_poll, options.execution_time, Arc::clone(&control));
+        let (busy, spin, execution_time, thread_control) =
+            (options.busy_poll, options.spin.min(MAX_SPIN), options.execution_time, Arc::clone(&control));
         let (thread_stats, watch) = (Arc::clone(&stats), options.watch.clone());
         let mut builder =
             ThreadBuilder::new(format!("cb:{}", options.thread_name.as_ref().unwrap_or(&options.name)))
@@ -183,9 +204,17 @@ impl Executor {
             let stopwatch = execution_time.then(|| Stopwatch::new(busy));
             let (measured, future) = make(Measured { stats: thread_stats, watch, stopwatch });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
-            hot::enter(CallbackThread { measured, control, busy, queue, trace, announced: Cell::default() });
+            let announced = Cell::default();
+            let thread =
+                CallbackThread { measured, control, busy, parker: parker.clone(), queue, trace, announced };
+            hot::enter(thread);
             let mut pool = LocalPool::new();
-            let future = Controlled { future, control: Arc::clone(&thread_control), busy };
+            let waiting = match parker {
+                _ if busy => Waiting::Busy,
+                Some(parker) => Waiting::On(Arc::clone(&parker), hot::waker_of(&parker), spin),
+                None => Waiting::InPool,
+            };
+            let future = Controlled { future, control: Arc::clone(&thread_control), waiting };
             let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
             debug_assert!(spawned.is_ok(), "the pool lives");
             // A first poll, which does not reach the callback: it makes the pool claim its memory.
@@ -201,11 +230,21 @@ impl Executor {
 
         let info = thread.info().clone();
         stats.describe(&info, options.period, execution_time);
-        members.iter().for_each(|(member, period)| member.describe(&info, *period, execution_time));
+        members.iter().for_each(|member| member.stats.describe(&info, member.period, execution_time));
         let thread = Mutex::new(Thread { running: Some(thread), panic: None });
         let callback = Arc::new(Callback { stats, control, end, info, thread });
         self.keep(Arc::clone(&callback));
         Ok(CallbackHandle::new(callback))
+    }
+
+    /// What the thread will sleep on, if not as the pool does.
+    fn parker(&self, options: &CallbackOptions) -> Result<Option<Arc<dyn Parker>>, ExecutorError> {
+        if !options.direct_wake || options.busy_poll {
+            return Ok(None);
+        }
+        let refused = |source| ExecutorError::DirectWake { name: options.name.clone(), source };
+        let make = self.parkers.as_ref().ok_or_else(|| refused("see Executor::with_parkers".into()))?;
+        make().map(Some).map_err(refused)
     }
 
     /// The place the thread will have, as far as it is known before it runs.
@@ -230,6 +269,26 @@ impl Executor {
         let mut callbacks = self.callbacks.lock().unwrap_or_else(PoisonError::into_inner);
         callbacks.retain(|old| !(old.end.has_come() && matches!(old.join(), Ok(None))));
         callbacks.push(callback);
+    }
+}
+
+/// Refuses handlers for overruns that nothing would ever call: whether execution times are measured is the thread's.
+fn check_handlers(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(), ExecutorError> {
+    if options.execution_time {
+        return Ok(());
+    }
+    let own = options.watch.on_overrun.as_ref().map(|_| options.name.as_str());
+    let of_member =
+        || members.iter().find(|member| member.handles_overruns).map(|member| member.stats.name());
+    match own.or_else(of_member) {
+        Some(name) => Err(ExecutorError::UnmeasuredBudget { name: name.to_owned() }),
+        None => Ok(()),
+    }
+}
+
+impl std::fmt::Debug for Executor {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Executor").field("callbacks", &self.callbacks).finish_non_exhaustive()
     }
 }
 

@@ -57,7 +57,15 @@ use crate::{CallbackOptions, CallbackStats};
 pub struct CallbackGroup {
     /// Members are made in their thread, since a callback's future need not be `Send`.
     recipes: Vec<Box<dyn FnOnce() -> Box<dyn Member> + Send>>,
-    members: Vec<(Arc<CallbackStats>, Option<Duration>)>,
+    members: Vec<MemberInfo>,
+}
+
+/// What the executor has to know of a member.
+pub(crate) struct MemberInfo {
+    pub stats: Arc<CallbackStats>,
+    pub period: Option<Duration>,
+    /// Whether it wants to hear of overruns.
+    pub handles_overruns: bool,
 }
 
 impl CallbackGroup {
@@ -90,7 +98,8 @@ impl CallbackGroup {
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
         let (member_stats, watch) = (Arc::clone(&stats), options.watch);
-        self.members.push((Arc::clone(&stats), options.period));
+        let handles_overruns = watch.on_overrun.is_some();
+        self.members.push(MemberInfo { stats: Arc::clone(&stats), period: options.period, handles_overruns });
         self.recipes.push(Box::new(move || {
             let trace = tautline_trace::callback_init(member_stats.name());
             Box::new(StreamMember {
@@ -110,8 +119,7 @@ impl CallbackGroup {
         stats
     }
 
-    /// The members' statistics and periods.
-    pub(crate) fn take_members(&mut self) -> Vec<(Arc<CallbackStats>, Option<Duration>)> {
+    pub(crate) fn take_members(&mut self) -> Vec<MemberInfo> {
         std::mem::take(&mut self.members)
     }
 

@@ -3,12 +3,14 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
+use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll, Wake, Waker, ready};
+use std::time::Duration;
 
 use futures::Stream;
 use futures::task::AtomicWaker;
@@ -28,6 +30,7 @@ pub(crate) struct CallbackThread {
     pub measured: Option<Measured>,
     pub control: Arc<Control>,
     pub busy: bool,
+    pub parker: Option<Arc<dyn Parker>>,
     /// What a group's member found in its queue, until the group notes it.
     pub queue: Cell<QueueState>,
     pub trace: Object,
@@ -163,36 +166,112 @@ impl Control {
     }
 }
 
+/// How a callback thread sleeps that others than the executor's wakers can wake, too: see
+/// [`CallbackOptions::direct_wake`](crate::CallbackOptions::direct_wake).
+pub trait Parker: Any + Send + Sync {
+    /// Sleeps until somebody has unparked it since the last return, after it has looked for that without sleeping for `spin`.
+    /// Called by the one thread whose it is.
+    fn park(&self, spin: Duration);
+
+    /// Wakes the thread if it sleeps; else it will not fall asleep before it has looked again.
+    fn unpark(&self);
+}
+
+struct ParkerWaker(Arc<dyn Parker>);
+
+impl Wake for ParkerWaker {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+
+    fn wake_by_ref(self: &Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+/// A waker that unparks.
+#[allow(clippy::disallowed_methods, reason = "set-up")]
+pub(crate) fn waker_of(parker: &Arc<dyn Parker>) -> Waker {
+    Waker::from(Arc::new(ParkerWaker(Arc::clone(parker))))
+}
+
+/// What the current thread sleeps on, if it was given something: what unparks that wakes the callback.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall.
+pub fn parker() -> Option<Arc<dyn Parker>> {
+    current(|thread| thread.parker.clone()).flatten()
+}
+
+/// Whether [`parker`] would give the same.
+///
+/// # Real-time
+/// Wait-free; no allocation; no syscall.
+pub fn parks_on(known: Option<&Arc<dyn Parker>>) -> bool {
+    let same = |here: Option<&Arc<dyn Parker>>| match (here, known) {
+        (Some(here), Some(known)) => Arc::ptr_eq(here, known),
+        (None, None) => true,
+        _ => false,
+    };
+    current(|thread| same(thread.parker.as_ref())).unwrap_or(known.is_none())
+}
+
+/// How a callback thread waits for its future.
+pub(crate) enum Waiting {
+    /// As the pool does, which parks the thread.
+    InPool,
+    /// On something of its own, after a spin.
+    On(Arc<dyn Parker>, Waker, Duration),
+    /// Not at all.
+    Busy,
+}
+
 /// A callback's future: held back until started, ended when stopped, polled again and again when busy.
 pub(crate) struct Controlled {
     pub future: Pin<Box<dyn Future<Output = ()>>>,
     pub control: Arc<Control>,
-    pub busy: bool,
+    pub waiting: Waiting,
+}
+
+impl Drop for Controlled {
+    /// What wakes the thread goes with it, though handles stay.
+    fn drop(&mut self) {
+        drop(self.control.waker.take());
+    }
 }
 
 impl Future for Controlled {
     type Output = ();
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        let Controlled { future, control, waiting } = &mut *self;
         // Before the flags are read, so that a change after reading them wakes.
-        self.control.waker.register(cx.waker());
+        control.waker.register(cx.waker());
         // Acquire: each pairs with the Release in `Control`.
-        if self.control.stopped.load(Ordering::Acquire) {
+        if control.stopped.load(Ordering::Acquire) {
             return Poll::Ready(());
         }
-        if !self.control.started.load(Ordering::Acquire) {
+        if !control.started.load(Ordering::Acquire) {
             return Poll::Pending;
         }
-        if !self.busy {
-            return self.future.as_mut().poll(cx);
-        }
-        // The loop that a busy poller is. It stays here: a turn through the pool would cost more than the poll.
-        loop {
-            if let Poll::Ready(()) = self.future.as_mut().poll(cx) {
-                return Poll::Ready(());
-            }
-            if self.control.stopped.load(Ordering::Acquire) {
-                return Poll::Ready(());
+        // The loops of those that do not park stay here: a turn through the pool would cost more than the poll, and nobody else
+        // is in this pool.
+        match waiting {
+            Waiting::InPool => future.as_mut().poll(cx),
+            Waiting::Busy => loop {
+                if future.as_mut().poll(cx).is_ready() || control.stopped.load(Ordering::Acquire) {
+                    return Poll::Ready(());
+                }
+            },
+            Waiting::On(parker, waker, spin) => {
+                control.waker.register(waker);
+                let mut cx = Context::from_waker(waker);
+                loop {
+                    if control.stopped.load(Ordering::Acquire) || future.as_mut().poll(&mut cx).is_ready() {
+                        return Poll::Ready(());
+                    }
+                    parker.park(*spin);
+                }
             }
         }
     }

@@ -5,6 +5,7 @@
 //!   so that the kernel's scheduler decides between callbacks and response-time analysis applies to them. The thread
 //!   runs a [`futures::executor::LocalPool`], which parks when nothing is ready.
 //! - A [`CallbackGroup`] is several callbacks on one thread that never overlap, served in order of release.
+//! - [`CallbackOptions::direct_wake`] lets publishers wake the thread, through a [`Parker`] of the transport's;
 //! - [`CallbackOptions::busy_poll`] trades a core for the wake-up: the thread polls and never parks.
 //! - Each callback has [`CallbackStats`]: releases, completions, overruns, missed deadlines, execution and response times.
 //!   Streams record into them through [`job`], without any code in the callback. With a [`StatisticsFile`] other
@@ -45,7 +46,7 @@ pub use callback::CallbackHandle;
 pub use error::{ExecutorError, Panic};
 pub use executor::Executor;
 pub use group::{CallbackGroup, MemberOptions};
-pub use hot::{busy_polling, stop_requested};
+pub use hot::{Parker, busy_polling, parker, parks_on, stop_requested};
 pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, Watch};
 pub use registry::ThreadRegistration;
 pub use stats::{

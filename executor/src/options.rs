@@ -39,6 +39,10 @@ pub struct CallbackOptions {
     pub watch: Watch,
     /// Poll all the time instead of parking: see [`CallbackOptions::busy_poll`].
     pub busy_poll: bool,
+    /// Let publishers wake the thread: see [`CallbackOptions::direct_wake`].
+    pub direct_wake: bool,
+    /// How long such a thread looks for a message before it sleeps: see [`CallbackOptions::spin`].
+    pub spin: Duration,
     /// Measure execution times, at one syscall per job (none if the thread polls busily). On by default.
     pub execution_time: bool,
 }
@@ -67,6 +71,8 @@ impl CallbackOptions {
             budget: None,
             watch: Watch { on_overrun: None, on_deadline_miss: None },
             busy_poll: false,
+            direct_wake: false,
+            spin: Duration::ZERO,
             execution_time: true,
         }
     }
@@ -154,6 +160,30 @@ impl CallbackOptions {
     /// get there is what `sched_rt_runtime_us` leaves them.
     pub const fn busy_poll(mut self) -> CallbackOptions {
         self.busy_poll = true;
+        self
+    }
+
+    /// Lets publishers wake the thread themselves, without the sampler between: a message reaches its callback one change of
+    /// threads earlier, and costs less CPU time.
+    ///
+    /// What it costs: a publisher makes one futex wake for each such thread that sleeps, where one wakes the sampler for all
+    /// others of the process. Bounds that were computed with a sampler still hold, for it delays nobody by what it no longer
+    /// does. Messages of subscriptions and requests come so; timers, responses and everything else still wake the thread through the
+    /// sampler. A thread that polls busily sleeps nowhere: there this changes nothing. A callback that blocks in an executor of its
+    /// own (`block_on`) would not be woken there.
+    pub const fn direct_wake(mut self) -> CallbackOptions {
+        self.direct_wake = true;
+        self
+    }
+
+    /// Lets a thread with [`direct_wake`](Self::direct_wake) look for so long whether more comes before it sleeps; others sleep at
+    /// once. Zero by default, at most 1 ms: whoever wants to look for longer polls [busily](Self::busy_poll).
+    ///
+    /// Falling asleep and being woken cost some µs, and an interrupt across cores if the message comes meanwhile: where answers
+    /// come that fast, looking for as long is cheaper. What it costs: each wake-up uses so much more of its core, at the thread's
+    /// priority, which delays those below; response-time analysis wants it added to the wcet.
+    pub const fn spin(mut self, spin: Duration) -> CallbackOptions {
+        self.spin = spin;
         self
     }
 

@@ -138,6 +138,12 @@ fn a_handler_that_could_never_be_called_is_refused() {
     let error = Executor::new(Realtime::Off).spawn_callback(options, async {}).unwrap_err();
     assert!(matches!(error, ExecutorError::UnmeasuredBudget { .. }), "{error}");
     assert!(error.to_string().starts_with("callback `x` has a handler for overruns"), "{error}");
+    // Its thread is the group's, and so is whether its execution times are measured.
+    let mut group = CallbackGroup::new();
+    group.add(watching(&Log::default(), "y"), stream::empty::<u64>(), |release| *release, |_| async {});
+    let options = CallbackOptions::other().execution_time(false);
+    let error = Executor::new(Realtime::Off).spawn_group(options, group).unwrap_err();
+    assert!(error.to_string().starts_with("callback `y` has a handler for overruns"), "{error}");
 }
 
 #[test]

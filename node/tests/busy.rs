@@ -5,7 +5,7 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Gate, Log, Number, context, cores, realtime, spin};
+use common::{Gate, Log, Number, context, cores, leave_a_thread, realtime, spin};
 use futures::{FutureExt, StreamExt};
 use tautline::rt::{clock, current_affinity, current_policy, set_affinity};
 use tautline::{
@@ -109,27 +109,7 @@ fn publishers_do_not_ring_it() {
 
 #[test]
 fn a_subscription_that_leaves_a_busy_thread_is_rung_again() {
-    static LOG: Log<u64> = Log::new();
-    let context = context(222);
-    let mut node = Node::create(context.clone(), "mover", "").unwrap();
-    let publisher = node.create_publisher::<Number>("/moved", QosProfile::default()).unwrap();
-    let mut numbers = node.subscribe_loaned::<Number>("/moved", QosProfile::default()).unwrap();
-    let (leave, left) = std::sync::mpsc::channel();
-    let once = async move {
-        LOG.add(numbers.next().await.unwrap().value);
-        leave.send(numbers).unwrap();
-    };
-    node.spawn_callback(CallbackOptions::other().core(last_core()).busy_poll(), once).unwrap();
-    publish(&publisher, [1]);
-    let numbers = left.recv().unwrap();
-    let callback = numbers.for_each(|sample| async move { LOG.add(sample.value) });
-    node.spawn_callback(CallbackOptions::other(), callback).unwrap();
-    let _spinning = spin(&context);
-    for value in 2..=50 {
-        publish(&publisher, [value]);
-        LOG.wait_for(value as usize);
-    }
-    assert_eq!(LOG.events(), (1..=50).collect::<Vec<_>>());
+    leave_a_thread(222, CallbackOptions::other().core(last_core()).busy_poll());
 }
 
 #[test]

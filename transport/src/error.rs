@@ -36,6 +36,14 @@ pub enum TransportError {
         /// The limit.
         limit: usize,
     },
+    /// All bells of callback threads are in use.
+    #[error(
+        "this context already has {limit} callback threads that publishers wake directly, its limit; let others be woken by the sampler, or make a second Context for more"
+    )]
+    ThreadBells {
+        /// The limit.
+        limit: usize,
+    },
     /// iceoryx2 refused to make its node.
     #[error(
         "no iceoryx2 node in domain {domain}: {reason}; check that /tmp/tautline_<uid> and /dev/shm are writable; files that another version left there (/dev/shm/taut_{domain}_*) may be removed when no node runs"

@@ -164,7 +164,7 @@ fn run(shared: &Shared) {
 
 fn look_around(shared: &Shared) {
     let arena = shared.doorbell.arena();
-    arena.bell().rescue();
+    arena.rescue();
     let mut charges = shared.charges();
     for (_, keeper) in &mut charges.keepers {
         keeper.serve();

@@ -61,7 +61,7 @@ mod topics;
 mod typed;
 
 pub use compatibility::QosPolicyKind;
-pub use doorbell::{Doorbell, Pulse, PulseOf, SLOTS, SamplerSeat, Slot};
+pub use doorbell::{Doorbell, Pulse, PulseOf, SLOTS, SamplerSeat, Slot, ThreadBell};
 pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
 pub use header::{Gid, MessageInfo};
 pub use memory::{TopicMemory, topic_memory};

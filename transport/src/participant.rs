@@ -55,29 +55,11 @@ impl Participant {
     /// # Errors
     /// [`TransportError`]: shared memory cannot be made or belongs to another user.
     pub fn new(domain: u32) -> Result<Self, TransportError> {
-        set_log_level(LogLevel::Fatal);
-        let refuse = |reason: String| TransportError::Node { domain, reason };
         if domain > MAX_DOMAIN {
             return Err(TransportError::DomainRange { domain, max: MAX_DOMAIN });
         }
-        let mut config = Config::default();
-        config.global.prefix =
-            FileName::new(file_prefix(domain).as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
-        let root = Path::new(root_directory().as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
-        config.global.set_root_path(&root);
-        // Publishers that ended with samples still queued, per subscription: of more, the samples are lost and counted.
-        // iceoryx2's 128 cost each subscription 460 KiB of heap.
-        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4;
-        // Done here and by the janitor, which tell the others.
-        config.global.node.cleanup_dead_nodes_on_creation = false;
-        config.global.node.cleanup_dead_nodes_on_destruction = false;
         let tracing = tautline_trace::join(domain)?;
-        let node = NodeBuilder::new()
-            .config(&config)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>()
-            .map_err(|error| refuse(format!("{error:?}")))?;
-        let node = Arc::new(node);
+        let node = Arc::new(open_node(domain)?);
         let doorbell = Doorbell::create(domain)?;
         let graph = Graph::open(domain)?;
         dead_nodes::remove(&node, &graph);
@@ -221,6 +203,28 @@ impl Participant {
     ) -> Result<RawSubscription, TransportError> {
         RawSubscription::create(self, topic, topic_type, qos, limits, true)
     }
+}
+
+/// An iceoryx2 node in the domain.
+pub(crate) fn open_node(domain: u32) -> Result<IoxNode, TransportError> {
+    set_log_level(LogLevel::Fatal);
+    let refuse = |reason: String| TransportError::Node { domain, reason };
+    let mut config = Config::default();
+    config.global.prefix =
+        FileName::new(file_prefix(domain).as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
+    let root = Path::new(root_directory().as_bytes()).map_err(|error| refuse(format!("{error:?}")))?;
+    config.global.set_root_path(&root);
+    // Publishers that ended with samples still queued, per subscription: of more, the samples are lost and counted.
+    // iceoryx2's 128 cost each subscription 460 KiB of heap.
+    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4;
+    // Done by the participant and by the janitor, which tell the others.
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    NodeBuilder::new()
+        .config(&config)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>()
+        .map_err(|error| refuse(format!("{error:?}")))
 }
 
 /// Starts the names of a domain's files in `/dev/shm`. They are private to their user, so each user has names of their own.

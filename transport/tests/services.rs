@@ -6,7 +6,8 @@ mod support;
 use futures::FutureExt;
 use support::{domain, wait_for};
 use tautline_transport::{
-    Limits, Participant, RawClient, RawPending, RawSample, RawServer, RequestId, ServiceError, ServiceType,
+    Limits, Participant, Qos, RawClient, RawPending, RawSample, RawServer, RequestId, ServiceError,
+    ServiceType,
 };
 
 fn server(participant: &Participant, name: &str) -> RawServer {
@@ -58,6 +59,37 @@ fn an_answer_outlives_its_server_though_nobody_has_looked_for_it() {
     assert_eq!(pending.now_or_never().unwrap().unwrap().body(), b"answer");
     let unsent = client.send(client.loan(0).unwrap()).unwrap_err();
     assert!(matches!(unsent.error, ServiceError::NoServer { .. }), "{unsent}");
+}
+
+#[test]
+fn a_client_that_waits_and_cannot_be_reached_is_not_taken_for_gone() {
+    let participant = Participant::new(domain(63)).unwrap();
+    let client = client(&participant, "/crowded");
+    // All that its answers' topic has room for.
+    let topic = format!("response:{:?}", client.gid());
+    let response_type = ServiceType::new("test_srvs/srv/Bytes", None).response;
+    let publisher = || {
+        participant.create_raw_publisher(&topic, &response_type, Qos::keep_all(1), Limits::SERVICE).unwrap()
+    };
+    let crowd: Vec<_> = (0..Limits::SERVICE.subscribers).map(|_| publisher()).collect();
+    let mut server = server(&participant, "/crowded");
+    let first = ask(&client, b"first");
+    let first_request = take(&mut server);
+    let error = server.responders().loan(RequestId::of(first_request.info()), 0).unwrap_err();
+    assert!(matches!(error, ServiceError::ClientUnreachable { .. }), "{error}");
+    assert!(!server.responders().contains(client.gid()));
+    // Its next request tries again; what it asked before can be answered then.
+    drop(crowd);
+    let second = ask(&client, b"second");
+    let second_request = take(&mut server);
+    assert!(server.responders().contains(client.gid()));
+    for (pending, request) in [(first, first_request), (second, second_request)] {
+        respond(&server, &request, b"answer");
+        assert_eq!(pending.now_or_never().unwrap().unwrap().body(), b"answer");
+    }
+    let id = RequestId { client: publisher().gid(), sequence_number: 1 };
+    let error = server.responders().loan(id, 0).unwrap_err();
+    assert!(matches!(error, ServiceError::ClientGone { .. }), "{error}");
 }
 
 #[test]

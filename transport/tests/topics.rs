@@ -502,3 +502,69 @@ fn keep_all_gives_the_loan_back() {
     drop(subscription);
     publisher.publish(&Count { n: 9 }).expect("who has gone does not count");
 }
+
+#[test]
+fn another_participants_thread_is_not_woken_directly() {
+    // Their slots have the same numbers.
+    let [here, there] = [(); 2].map(|()| Participant::new(domain(58)).unwrap());
+    let seats = [&here, &there].map(|participant| participant.doorbell().claim_sampler().unwrap());
+    let subscribe = |participant: &Participant| {
+        participant.create_subscription::<Count>("/two", Qos::keep_last(4), DEFAULT).unwrap()
+    };
+    let subscriptions = [subscribe(&here), subscribe(&there)];
+    let publisher = here.create_publisher::<Count>("/two", Qos::keep_last(4), DEFAULT).unwrap();
+    let rung = || [&seats[0], &seats[1]].map(|seat| seat.drain(|_| {}));
+    let bell = there.doorbell().claim_thread_bell().unwrap();
+    subscriptions[0].raw().wake_thread(Some(&bell));
+    rung();
+    publisher.publish(&Count { n: 1 }).unwrap();
+    assert_eq!(rung(), [1, 1], "both samplers");
+    subscriptions[1].raw().wake_thread(Some(&bell));
+    publisher.publish(&Count { n: 2 }).unwrap();
+    assert_eq!(rung(), [1, 0], "one sampler, and the thread that is its participant's");
+    bell.wait(std::time::Duration::ZERO);
+    drop((publisher, subscriptions, bell, seats, here, there));
+    clean(58);
+}
+
+#[test]
+fn a_backlog_is_taken_without_further_rings() {
+    let participant = Participant::new(domain(229)).unwrap();
+    let seat = participant.doorbell().claim_sampler().unwrap();
+    let subscription =
+        participant.create_subscription::<Count>("/backlog", Qos::keep_last(8), DEFAULT).unwrap();
+    let publisher = participant.create_publisher::<Count>("/backlog", Qos::keep_last(8), DEFAULT).unwrap();
+    let publish = |n| publisher.publish(&Count { n }).unwrap();
+    let mut context = std::task::Context::from_waker(std::task::Waker::noop());
+    let mut take = || match subscription.poll_take(&mut context) {
+        std::task::Poll::Ready(sample) => Some(sample.n),
+        std::task::Poll::Pending => None,
+    };
+    assert_eq!(take(), None);
+    seat.drain(|_| {});
+
+    publish(1);
+    assert_eq!(seat.drain(|_| {}), 1, "rung for the first");
+    publish(2);
+    assert_eq!(take(), Some(1));
+    publish(3);
+    assert_eq!(seat.drain(|_| {}), 1, "and while nothing shows that there is more than one");
+    assert_eq!(take(), Some(2));
+    publish(4);
+    assert_eq!(seat.drain(|_| {}), 0, "not while what waits is taken");
+    assert_eq!([take(), take(), take()], [Some(3), Some(4), None]);
+    publish(5);
+    assert_eq!(seat.drain(|_| {}), 1, "and again once all was taken");
+    assert_eq!([take(), take()], [Some(5), None]);
+
+    // Who goes on without polling comes to the end, too.
+    (6..=8).for_each(publish);
+    assert_eq!([take(), take()], [Some(6), Some(7)]);
+    seat.drain(|_| {});
+    assert_eq!(subscription.try_take().unwrap().unwrap().n, 8);
+    assert!(subscription.try_take().unwrap().is_none());
+    publish(9);
+    assert_eq!(seat.drain(|_| {}), 1);
+    drop((publisher, subscription, seat, participant));
+    clean(229);
+}

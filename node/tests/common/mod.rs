@@ -7,8 +7,9 @@ use std::sync::{Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use futures::StreamExt;
 use tautline::rt::permission::realtime_permitted;
-use tautline::{Context, CoreSet, Message, Realtime};
+use tautline::{CallbackOptions, Context, CoreSet, Message, Node, QosProfile, Realtime};
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
@@ -123,4 +124,29 @@ pub fn run_again(name: &str, variables: &[(&str, &str)]) -> Option<Output> {
         child.env_remove(variable);
     }
     Some(child.envs(variables.iter().copied()).output().unwrap())
+}
+
+/// A subscription is polled on a thread of these options, then on an ordinary one: there the sampler wakes it.
+pub fn leave_a_thread(domain: u32, options: CallbackOptions) {
+    let log: &'static Log<u64> = Box::leak(Box::new(Log::new()));
+    let context = context(domain);
+    let mut node = Node::create(context.clone(), "mover", "").unwrap();
+    let publisher = node.create_publisher::<Number>("/moved", QosProfile::default()).unwrap();
+    let mut numbers = node.subscribe_loaned::<Number>("/moved", QosProfile::default()).unwrap();
+    let (leave, left) = std::sync::mpsc::channel();
+    let once = async move {
+        log.add(numbers.next().await.unwrap().value);
+        leave.send(numbers).unwrap();
+    };
+    node.spawn_callback(options, once).unwrap();
+    publisher.publish(&Number { value: 1 }).unwrap();
+    let numbers = left.recv().unwrap();
+    let callback = numbers.for_each(move |sample| async move { log.add(sample.value) });
+    node.spawn_callback(CallbackOptions::other(), callback).unwrap();
+    let _spinning = spin(&context);
+    for value in 2..=50 {
+        publisher.publish(&Number { value }).unwrap();
+        log.wait_for(value as usize);
+    }
+    assert_eq!(log.events(), (1..=50).collect::<Vec<_>>());
 }

@@ -2,7 +2,7 @@
 //! The file behind a doorbell: creating, mapping, locking and removing it; typed access to its words.
 
 use super::SLOTS;
-use super::hot::Bell;
+use super::hot::{Bell, Flags, Route, Spot};
 use crate::error::TransportError;
 use crate::header::Gid;
 use crate::sync::{AtomicU32, AtomicU64, FutexWord, Ordering, fence};
@@ -16,19 +16,7 @@ use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, ShmError};
 /// Publishers that one subscription can tell apart: the most publishers of a topic.
 pub(crate) const LINKS: usize = 64;
 const MAGIC: u64 = u64::from_le_bytes(*b"tautline");
-const VERSION: u32 = 2;
-
-/// Meaning of a slot's flag word.
-pub(crate) mod slot_flags {
-    /// The subscription polls by itself: publishers need not ring.
-    pub const QUIET: u32 = 1;
-    /// The subscription keeps all: a publisher that keeps all must not overwrite in its queue.
-    pub const KEEP_ALL: u32 = 2;
-    /// The publisher keeps samples for late joiners.
-    pub const TRANSIENT_LOCAL: u32 = 4;
-    /// The subscription has a deadline: publishers note when they send.
-    pub const DEADLINE: u32 = 8;
-}
+const VERSION: u32 = 3;
 
 /// Owner word of a link nobody uses.
 const FREE: u64 = 0;
@@ -53,21 +41,27 @@ struct Layout {
     version: AtomicU32,
     janitor: FutexWord,
     bell: Bell,
+    threads: [Bell<1>; THREADS],
     slots: [SlotWords; SLOTS],
     links: [[Link; LINKS]; SLOTS],
 }
 
 #[repr(C)]
 struct SlotWords {
-    flags: AtomicU32,
+    flags: Flags,
     epoch: AtomicU32,
     /// The slot that is rung besides when the epoch advances, and 1: that of the events of what is here. 0: there is none.
     events: AtomicU32,
+    /// Which bell publishers ring for what is here.
+    route: Route,
     /// See [`Pulse`].
     pulses: [AtomicU64; PULSES],
 }
 
 const PULSES: usize = 2;
+
+/// Callback threads of a context that publishers can wake themselves.
+pub(crate) const THREADS: usize = 128;
 
 /// Where the time of what happened last is kept: which slot's, and of what. What it says is in `CLOCK_MONOTONIC` nanoseconds;
 /// 0 is never.
@@ -303,12 +297,50 @@ impl Arena {
         self.janitor().wake();
     }
 
-    pub(crate) fn flags(&self, slot: usize) -> u32 {
-        self.layout().slots.get(slot).map_or(0, |words| words.flags.load(Ordering::Relaxed))
+    /// The bell of a callback thread; none if a peer's claim is no thread.
+    pub(crate) fn thread_bell(&self, thread: usize) -> Option<&Bell<1>> {
+        self.layout().threads.get(thread)
     }
 
-    pub(crate) fn set_flags(&self, slot: usize, flags: u32) {
-        self.layout().slots[slot].flags.store(flags, Ordering::Relaxed);
+    /// Finishes the rings of processes that were killed within them.
+    ///
+    /// # Real-time
+    /// For a low-priority thread, now and then.
+    pub(crate) fn rescue(&self) {
+        self.bell().rescue();
+        self.layout().threads.iter().for_each(Bell::rescue);
+    }
+
+    /// Rings for the sample that was just queued at the subscription behind `slot`, if it wants that.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; at most one futex wake.
+    pub(crate) fn announce_sample(&self, slot: usize) {
+        let Some(words) = self.layout().slots.get(slot) else { return };
+        if !words.flags.wants_ring() {
+            return;
+        }
+        match words.route.get() {
+            None => self.bell().ring(slot),
+            Some(Spot { thread, bit }) => {
+                if let Some(bell) = self.thread_bell(thread) {
+                    bell.ring(bit);
+                }
+            }
+        }
+    }
+
+    /// Which bell publishers ring for what is behind `slot`.
+    ///
+    /// # Panics
+    /// If `slot` is not below [`SLOTS`].
+    pub(crate) fn route(&self, slot: usize) -> &Route {
+        &self.layout().slots[slot].route
+    }
+
+    /// A slot's flags; none if a peer's claim is no slot.
+    pub(crate) fn flags(&self, slot: usize) -> Option<&Flags> {
+        self.layout().slots.get(slot).map(|words| &words.flags)
     }
 
     /// # Panics
@@ -384,8 +416,9 @@ impl Arena {
 
     /// Makes a slot look never used.
     fn reset(&self, slot: usize) {
-        self.set_flags(slot, 0);
         let words = &self.layout().slots[slot];
+        words.flags.set(0);
+        words.route.set(None);
         words.events.store(0, Ordering::Relaxed);
         words.pulses.iter().for_each(|pulse| pulse.store(0, Ordering::Relaxed));
         for link in self.links(slot).iter().filter(|link| link.out.owner.load(Ordering::Relaxed) != FREE) {
@@ -477,6 +510,6 @@ mod tests {
         arena.bell().ring(SLOTS);
         arena.advance_epoch(SLOTS);
         assert!(!arena.bell().is_pending());
-        assert_eq!((arena.flags(SLOTS), arena.links(usize::MAX).len()), (0, 0));
+        assert!(arena.flags(SLOTS).is_none() && arena.links(usize::MAX).is_empty());
     }
 }

@@ -17,24 +17,26 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use super::SLOTS;
-use crate::sync::{AtomicU64, FutexWord, Ordering, fence};
+use crate::sync::{AtomicU32, AtomicU64, FutexWord, Ordering, fence};
 
-const WORDS: usize = SLOTS / 64;
+/// The words of a sampler's bell.
+const SAMPLED: usize = SLOTS / 64;
 /// The state's lowest bit; above it, the rings that found it set are counted (wrapping).
 const SLEEPING: u32 = 1;
 const ONE_RING: u32 = 2;
 
-/// One bell per sampler. All-zero memory is a bell with nothing pending and nobody asleep.
+/// One bell per sampler, and small ones of `WORDS` 1 for callback threads that are woken directly: below, whoever sleeps on a
+/// bell is its sampler. All-zero memory is a bell with nothing pending and nobody asleep.
 #[repr(C, align(64))]
-pub(crate) struct Bell {
+pub(crate) struct Bell<const WORDS: usize = SAMPLED> {
     state: FutexWord,
-    pending: Pending,
+    pending: Pending<WORDS>,
 }
 
 #[repr(C, align(64))]
-struct Pending([AtomicU64; WORDS]);
+struct Pending<const WORDS: usize>([AtomicU64; WORDS]);
 
-impl Bell {
+impl<const WORDS: usize> Bell<WORDS> {
     /// Marks `slot` pending and wakes the sampler if it sleeps.
     ///
     /// # Real-time
@@ -80,6 +82,16 @@ impl Bell {
         count
     }
 
+    /// Takes one slot back, if it is pending. What was written before its ring is seen after this.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn take(&self, slot: usize) {
+        if let Some(word) = self.pending.0.get(slot / 64) {
+            word.fetch_and(!(1 << (slot % 64)), Ordering::Acquire);
+        }
+    }
+
     /// Whether a slot is pending.
     ///
     /// # Real-time
@@ -114,9 +126,127 @@ impl Bell {
     }
 }
 
+/// What others must know of a slot. Written by its owner alone; zero says nothing special.
+///
+/// A subscription that finds sample after sample need not be rung for each: it is *draining*. Before it sleeps it says that
+/// it is no longer, and looks once more:
+///
+/// ```text
+///  publisher                                  subscription
+///  1 queue the sample                         1 flags &= !DRAINING
+///  2 fence                                    2 fence
+///  3 flags have no DRAINING? ring             3 nothing queued? sleep until rung
+/// ```
+///
+/// As with the bell, either the publisher sees that it must ring, or the subscription sees the sample.
+#[repr(transparent)]
+pub(crate) struct Flags(AtomicU32);
+
+impl Flags {
+    /// The subscription polls by itself: publishers need not ring.
+    pub(crate) const QUIET: u32 = 1;
+    /// The subscription keeps all: a publisher that keeps all must not overwrite in its queue.
+    pub(crate) const KEEP_ALL: u32 = 2;
+    /// The publisher keeps samples for late joiners.
+    pub(crate) const TRANSIENT_LOCAL: u32 = 4;
+    /// The subscription has a deadline: publishers note when they send.
+    pub(crate) const DEADLINE: u32 = 8;
+    /// The subscription takes what waits, and looks again before it sleeps.
+    const DRAINING: u32 = 16;
+
+    pub(crate) fn has(&self, flag: u32) -> bool {
+        self.0.load(Ordering::Relaxed) & flag != 0
+    }
+
+    /// Replaces all of them. For the slot's owner.
+    pub(crate) fn set(&self, flags: u32) {
+        self.0.store(flags, Ordering::Relaxed);
+    }
+
+    /// Sets one or takes it away. For the slot's owner.
+    pub(crate) fn put(&self, flag: u32, is_set: bool) {
+        let flags = self.0.load(Ordering::Relaxed);
+        self.0.store(if is_set { flags | flag } else { flags & !flag }, Ordering::Relaxed);
+    }
+
+    /// Whether a publisher rings. Its sample is queued before this, with a sequentially consistent fence between.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn wants_ring(&self) -> bool {
+        !self.has(Self::QUIET | Self::DRAINING)
+    }
+
+    /// Publishers need not ring until [`stop_draining`](Self::stop_draining). For the slot's owner.
+    ///
+    /// # Real-time
+    /// Wait-free: a load and a store.
+    pub(crate) fn start_draining(&self) {
+        self.put(Self::DRAINING, true);
+    }
+
+    /// Publishers ring again. The owner looks into its queue after this, before it sleeps.
+    ///
+    /// # Real-time
+    /// Wait-free: a load, a store and a fence.
+    pub(crate) fn stop_draining(&self) {
+        self.put(Self::DRAINING, false);
+        fence(Ordering::SeqCst);
+    }
+}
+
+/// Which bell is rung for a slot: its arena's, or that of a callback thread, which then sleeps on no other. Written by the
+/// slot's owner alone; zero is the arena's.
+///
+/// The owner changes it as it stops [draining](Flags): it looks into its queue after that. Whoever still rings the bell of
+/// before had queued its sample by then.
+#[repr(transparent)]
+pub(crate) struct Route(AtomicU32);
+
+/// A place at a callback thread's bell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Spot {
+    pub(crate) thread: usize,
+    /// Below 64.
+    pub(crate) bit: usize,
+}
+
+impl Route {
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn get(&self) -> Option<Spot> {
+        let place = self.0.load(Ordering::Relaxed).checked_sub(1)? as usize;
+        Some(Spot { thread: place / 64, bit: place % 64 })
+    }
+
+    /// For the slot's owner, who looks into its queue after this.
+    ///
+    /// # Real-time
+    /// Wait-free: a store and a fence.
+    pub(crate) fn set(&self, spot: Option<Spot>) {
+        let place = spot.map_or(0, |spot| (spot.thread * 64 + spot.bit) as u32 + 1);
+        self.0.store(place, Ordering::Relaxed);
+        fence(Ordering::SeqCst);
+    }
+}
+
+#[cfg(taut_loom)]
+impl Flags {
+    pub(crate) fn new() -> Self {
+        Flags(AtomicU32::new(0))
+    }
+}
+
+#[cfg(taut_loom)]
+impl Route {
+    pub(crate) fn new() -> Self {
+        Route(AtomicU32::new(0))
+    }
+}
+
 #[cfg(taut_loom)]
 #[allow(clippy::indexing_slicing)]
-impl Bell {
+impl<const WORDS: usize> Bell<WORDS> {
     pub(crate) fn new() -> Self {
         Bell { state: FutexWord::new(0), pending: Pending(core::array::from_fn(|_| AtomicU64::new(0))) }
     }

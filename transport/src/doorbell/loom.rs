@@ -2,13 +2,13 @@
 //! Every interleaving of ringers and a sampler: no ring is lost, whatever else the memory model allows.
 //! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-transport --release loom`).
 
-use super::hot::Bell;
+use super::hot::{Bell, Flags, Route, Spot};
 use loom::sync::Arc;
-use loom::sync::atomic::{AtomicU32, Ordering};
+use loom::sync::atomic::{AtomicU32, Ordering, fence};
 use loom::thread;
 
 /// The sampler sleeps until it has seen `wanted` slots. A lost wake-up would be a deadlock, which loom reports.
-fn sample_until(bell: &Bell, wanted: u64) {
+fn sample_until<const WORDS: usize>(bell: &Bell<WORDS>, wanted: u64) {
     let mut seen = 0u64;
     while seen != wanted {
         if bell.drain(|slot| seen |= 1 << slot) == 0 {
@@ -26,7 +26,7 @@ fn model(f: impl Fn() + Sync + Send + 'static) {
 #[test]
 fn loom_one_ring_is_never_lost() {
     model(|| {
-        let bell = Arc::new(Bell::new());
+        let bell = Arc::new(Bell::<1>::new());
         let ringer = {
             let bell = bell.clone();
             thread::spawn(move || bell.ring(1))
@@ -39,7 +39,7 @@ fn loom_one_ring_is_never_lost() {
 #[test]
 fn loom_two_ringers_of_different_slots() {
     model(|| {
-        let bell = Arc::new(Bell::new());
+        let bell = Arc::new(Bell::<1>::new());
         let ringers = [0usize, 1].map(|slot| {
             let bell = bell.clone();
             thread::spawn(move || bell.ring(slot))
@@ -55,7 +55,7 @@ fn loom_two_ringers_of_different_slots() {
 fn loom_the_second_ring_of_a_slot_shows_the_second_message() {
     // What is written before a ring is visible after the drain that took the bit, also when bits coalesce.
     model(|| {
-        let bell = Arc::new(Bell::new());
+        let bell = Arc::new(Bell::<1>::new());
         let written = Arc::new(AtomicU32::new(0));
         let ringer = {
             let (bell, written) = (bell.clone(), written.clone());
@@ -76,12 +76,96 @@ fn loom_the_second_ring_of_a_slot_shows_the_second_message() {
 }
 
 #[test]
+fn loom_a_sample_that_nobody_rang_for_is_seen_before_its_reader_sleeps() {
+    // Two samples, for the first may come while the reader still drains and the second when it does no longer.
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let flags = Arc::new(Flags::new());
+        let queued = Arc::new(AtomicU32::new(0));
+        flags.start_draining();
+        let publisher = {
+            let (bell, flags, queued) = (bell.clone(), flags.clone(), queued.clone());
+            thread::spawn(move || {
+                for sample in 1..=2 {
+                    queued.store(sample, Ordering::Release);
+                    fence(Ordering::SeqCst);
+                    if flags.wants_ring() {
+                        bell.ring(0);
+                    }
+                }
+            })
+        };
+        let all = || queued.load(Ordering::Acquire) == 2;
+        if !all() {
+            flags.stop_draining();
+            while !all() {
+                if bell.drain(|_| {}) == 0 {
+                    bell.sleep(None);
+                }
+            }
+        }
+        publisher.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_sample_is_seen_by_a_reader_that_changes_its_bell() {
+    // As a subscription that a directly woken thread begins to poll.
+    model(|| {
+        let (own, sampler) = (Arc::new(Bell::<1>::new()), Arc::new(Bell::<1>::new()));
+        let route = Arc::new(Route::new());
+        let queued = Arc::new(AtomicU32::new(0));
+        let publisher = {
+            let (own, sampler, route, queued) = (own.clone(), sampler.clone(), route.clone(), queued.clone());
+            thread::spawn(move || {
+                queued.store(1, Ordering::Release);
+                fence(Ordering::SeqCst);
+                match route.get() {
+                    None => sampler.ring(0),
+                    Some(Spot { bit, .. }) => own.ring(bit),
+                }
+            })
+        };
+        route.set(Some(Spot { thread: 0, bit: 5 }));
+        while queued.load(Ordering::Acquire) != 1 {
+            if own.drain(|_| {}) == 0 {
+                own.sleep(None);
+            }
+        }
+        publisher.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_wake_during_a_turn_is_not_lost_with_those_before_it() {
+    // What `ThreadBell::wait` does: the rings that its own turn caused are taken back, and what they tell of is looked at after.
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let written = Arc::new(AtomicU32::new(0));
+        let others = [1, 2].map(|bit| {
+            let (bell, written) = (bell.clone(), written.clone());
+            thread::spawn(move || {
+                written.fetch_or(bit, Ordering::Relaxed);
+                bell.ring(63);
+            })
+        });
+        while written.load(Ordering::Relaxed) != 3 {
+            while bell.drain(|_| {}) == 0 {
+                bell.sleep(None);
+            }
+            bell.take(63);
+        }
+        others.into_iter().for_each(|other| other.join().unwrap());
+    });
+}
+
+#[test]
 fn loom_a_killed_ringer_is_rescued() {
     // A process killed anywhere between setting the bit and waking: the rescue of a low-priority thread completes its
     // ring. Nobody else rings, or that would wake the sampler instead.
     for before_wake in [false, true] {
         model(move || {
-            let bell = Arc::new(Bell::new());
+            let bell = Arc::new(Bell::<1>::new());
             let rescuer = {
                 let bell = bell.clone();
                 thread::spawn(move || {
@@ -98,7 +182,7 @@ fn loom_a_killed_ringer_is_rescued() {
 #[test]
 fn loom_a_ringer_that_is_stuck_before_its_wake_holds_up_nobody_else() {
     model(|| {
-        let bell = Arc::new(Bell::new());
+        let bell = Arc::new(Bell::<1>::new());
         let stuck = {
             let bell = bell.clone();
             thread::spawn(move || bell.ring_and_die(0, true))

@@ -4,7 +4,8 @@
 //! Each sampler owns one *arena*, a file in `/dev/shm` that any process of the domain may map:
 //!
 //! - the [`Bell`](hot::Bell): a bitmap of pending slots and an eventcount on which the sampler sleeps;
-//! - per slot two words: flags, and an epoch that others advance when a topic's participants change;
+//! - small bells for callback threads that publishers wake themselves: see [`ThreadBell`];
+//! - per slot some words: flags, which bell is rung for it, an epoch that others advance when a topic's participants change;
 //! - per slot a page of links: what one publisher and one subscription tell each other (sent, taken, waiting).
 //!
 //! A subscription, a publisher, a timer and a guard condition each own a slot. Only the owner of an arena creates or
@@ -16,11 +17,13 @@ pub(crate) mod hot;
 mod loom;
 #[cfg(all(test, not(taut_loom)))]
 mod stress;
+mod thread_bell;
 
-pub(crate) use arena::{
-    Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, remove_stale_arenas, slot_flags,
-};
+pub(crate) use arena::{Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, remove_stale_arenas};
 pub use arena::{Pulse, PulseOf};
+pub(crate) use hot::Flags;
+pub(crate) use thread_bell::Joined;
+pub use thread_bell::ThreadBell;
 
 use crate::error::TransportError;
 use crate::sync::Ordering;
@@ -39,7 +42,8 @@ pub const SLOTS: usize = 64;
 pub struct Doorbell {
     arena: Arena,
     wakers: Box<[AtomicWaker]>,
-    free: Mutex<FreeSlots>,
+    free: Mutex<FreePlaces>,
+    free_threads: Mutex<FreePlaces>,
     sampled: AtomicBool,
 }
 
@@ -52,13 +56,26 @@ impl Doorbell {
         Ok(Arc::new(Doorbell {
             arena: Arena::create(domain)?,
             wakers: (0..SLOTS).map(|_| AtomicWaker::new()).collect(),
-            free: Mutex::new(FreeSlots::new()),
+            free: Mutex::new(FreePlaces::new(SLOTS)),
+            free_threads: Mutex::new(FreePlaces::new(arena::THREADS)),
             sampled: AtomicBool::new(false),
         }))
     }
 
     pub(crate) fn arena(&self) -> &Arena {
         &self.arena
+    }
+
+    fn threads(&self) -> std::sync::MutexGuard<'_, FreePlaces> {
+        self.free_threads.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Claims a bell for a callback thread that publishers wake themselves.
+    ///
+    /// # Errors
+    /// [`TransportError::ThreadBells`] if all are taken.
+    pub fn claim_thread_bell(self: &Arc<Self>) -> Result<Arc<ThreadBell>, TransportError> {
+        ThreadBell::claim(self)
     }
 
     /// Claims a slot, clean of its previous owner's state. It is free again when the returned guard is dropped.
@@ -198,12 +215,8 @@ impl Slot {
         &self.doorbell
     }
 
-    pub(crate) fn flags(&self) -> u32 {
-        self.doorbell.arena.flags(self.index)
-    }
-
-    pub(crate) fn set_flags(&self, flags: u32) {
-        self.doorbell.arena.set_flags(self.index, flags);
+    pub(crate) fn flags(&self) -> &Flags {
+        self.doorbell.arena.flags(self.index).expect("a claimed slot is one of its arena's")
     }
 
     /// The epoch that others advance when the topic's participants change. Acquire: pairs with `advance_epoch`.
@@ -219,15 +232,15 @@ impl Drop for Slot {
     }
 }
 
-/// First in, first out: a slot rests as long as possible before it is used again, so that a publisher that has not
+/// Slots, or the bells of threads. First in, first out: each rests as long as possible before it is used again, so that a publisher that has not
 /// yet noticed the end of a subscription does not ring its successor (harmless, but a spurious wake-up).
-struct FreeSlots {
+struct FreePlaces {
     queue: std::collections::VecDeque<usize>,
 }
 
-impl FreeSlots {
-    fn new() -> Self {
-        FreeSlots { queue: (0..SLOTS).collect() }
+impl FreePlaces {
+    fn new(places: usize) -> Self {
+        FreePlaces { queue: (0..places).collect() }
     }
 
     fn take(&mut self) -> Option<usize> {

@@ -73,6 +73,15 @@ impl<L> From<Unpublished<L>> for PublishError {
     }
 }
 
+/// What is left behind where there is no room.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum WhenFull {
+    /// Nothing: the caller tries again when it likes.
+    Leave,
+    /// A request to be rung at the next take.
+    Ask,
+}
+
 /// What a sample's header says of its origin.
 enum Stamp {
     /// Published and released now.
@@ -134,6 +143,7 @@ impl RawPublisher {
         &'p self,
         mut loan: RawLoan<'p>,
         stamp: Stamp,
+        when_full: WhenFull,
     ) -> Result<(), Unpublished<RawLoan<'p>>> {
         if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
             self.counters.silenced.fetch_add(1, Ordering::Relaxed);
@@ -141,7 +151,7 @@ impl RawPublisher {
         }
         let mut peers = self.peers.borrow_mut();
         peers.refresh_if_changed(&self.topic, &self.slot, self.gid);
-        if self.keep_all && !has_room(&peers) {
+        if self.keep_all && !has_room(&peers, when_full) {
             return Err(Unpublished::Full(loan));
         }
         let sequence_number = peers.sequence_number + 1;
@@ -224,12 +234,15 @@ fn loan_error(error: iceoryx2::port::LoanError) -> LoanError {
 }
 
 /// Whether each keep-all subscription can queue one more. Only this publisher fills its queues, so room stays room.
-fn has_room(peers: &Peers) -> bool {
+fn has_room(peers: &Peers, when_full: WhenFull) -> bool {
     let next = peers.sequence_number + 1;
     for matched in peers.matched.iter().filter(|matched| matched.keeps_all()) {
         let Some(link) = matched.link() else { continue };
         let full = || next.saturating_sub(link.taken.0.load(Ordering::Acquire)) > matched.depth;
         if full() {
+            if when_full == WhenFull::Leave {
+                return false;
+            }
             // Ask to be rung, then look again: either the subscription sees the request or its take is seen here.
             link.out.waiting.store(1, Ordering::Relaxed);
             fence(Ordering::SeqCst);
@@ -263,7 +276,7 @@ impl<'p> RawLoan<'p> {
     /// # Errors
     /// [`Unpublished`], with the loan if nothing was sent.
     pub fn publish(self) -> Result<(), Unpublished<RawLoan<'p>>> {
-        self.publisher.publish_loan(self, Stamp::Now)
+        self.publisher.publish_loan(self, Stamp::Now, WhenFull::Leave)
     }
 
     /// Publishes with a release time of the caller's: what response times are measured from, such as the instant at
@@ -275,7 +288,7 @@ impl<'p> RawLoan<'p> {
     /// # Errors
     /// As [`publish`](Self::publish).
     pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<RawLoan<'p>>> {
-        self.publisher.publish_loan(self, Stamp::ReleasedAt(released_ns))
+        self.publisher.publish_loan(self, Stamp::ReleasedAt(released_ns), WhenFull::Leave)
     }
 
     /// Publishes a message that came from another host: subscriptions read its number, time stamp and publisher in their
@@ -288,7 +301,12 @@ impl<'p> RawLoan<'p> {
     /// # Errors
     /// As [`publish`](Self::publish).
     pub fn publish_as(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
-        self.publisher.publish_loan(self, Stamp::As(source, NEVER))
+        self.publisher.publish_loan(self, Stamp::As(source, NEVER), WhenFull::Leave)
+    }
+
+    /// As [`publish_as`](Self::publish_as); where there is no room, this publisher's slot is rung when a subscription has taken.
+    pub(crate) fn publish_as_or_ask(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publisher.publish_loan(self, Stamp::As(source, NEVER), WhenFull::Ask)
     }
 
     /// As [`publish_as`](Self::publish_as), for a message that is still to be delivered for `left`: what its publisher's lifespan
@@ -305,7 +323,7 @@ impl<'p> RawLoan<'p> {
         left: core::time::Duration,
     ) -> Result<(), Unpublished<RawLoan<'p>>> {
         let left_ns = u64::try_from(left.as_nanos()).unwrap_or(NEVER);
-        self.publisher.publish_loan(self, Stamp::As(source, left_ns))
+        self.publisher.publish_loan(self, Stamp::As(source, left_ns), WhenFull::Leave)
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
@@ -321,7 +339,7 @@ impl<'p> RawLoan<'p> {
         poll_fn(|context| {
             let Some(loan) = waiting.take() else { return Poll::Ready(Ok(())) };
             loan.publisher.slot.waker().register(context.waker());
-            match loan.publish() {
+            match loan.publisher.publish_loan(loan, Stamp::Now, WhenFull::Ask) {
                 Ok(()) => Poll::Ready(Ok(())),
                 Err(Unpublished::Full(loan)) => {
                     waiting = Some(loan);

@@ -9,7 +9,7 @@ pub use gate::Gate;
 pub use hot::{RawLoan, Unpublished};
 
 use crate::address::{Address, Role};
-use crate::doorbell::{PulseOf, Slot, slot_flags};
+use crate::doorbell::{Flags, PulseOf, Slot};
 use crate::error::TransportError;
 use crate::graph::Presence;
 use crate::header::{Gid, NEVER};
@@ -108,7 +108,7 @@ impl RawPublisher {
         let slot = Arc::new(shared.doorbell.claim()?);
         let role = if transient { Role::TransientPublisher } else { Role::Publisher };
         if transient {
-            slot.set_flags(slot_flags::TRANSIENT_LOCAL);
+            slot.flags().set(Flags::TRANSIENT_LOCAL);
         }
         let address =
             Address { role, arena: shared.doorbell.arena().id(), slot: slot.index(), qos, is_relay };

@@ -2,7 +2,7 @@
 //! The subscriptions that a publisher rings, brought up to date when the topic's epoch changes.
 
 use crate::address::Address;
-use crate::doorbell::{Link, NONE_FOR_IT, Owner, Pulse, PulseOf, Slot, slot_flags};
+use crate::doorbell::{Flags, Link, NONE_FOR_IT, Owner, Pulse, PulseOf, Slot};
 use crate::header::Gid;
 use crate::ports::{self, Reached};
 use crate::topic::Topic;
@@ -34,12 +34,12 @@ impl Matched {
         self.reached.arena().links(self.slot).get(self.link?)
     }
 
-    pub(crate) fn flags(&self) -> u32 {
+    fn flags(&self) -> Option<&Flags> {
         self.reached.arena().flags(self.slot)
     }
 
     pub(crate) fn keeps_all(&self) -> bool {
-        self.flags() & slot_flags::KEEP_ALL != 0
+        self.flags().is_some_and(|flags| flags.has(Flags::KEEP_ALL))
     }
 
     /// Tells a subscription that has a deadline that a sample comes now.
@@ -47,7 +47,7 @@ impl Matched {
     /// # Real-time
     /// Wait-free; no syscall.
     pub(crate) fn note_sample(&self, now_ns: u64) {
-        if self.flags() & slot_flags::DEADLINE != 0 {
+        if self.flags().is_some_and(|flags| flags.has(Flags::DEADLINE)) {
             self.reached.arena().set_pulse(Pulse { slot: self.slot, of: PulseOf::Sample }, now_ns);
         }
     }
@@ -118,15 +118,14 @@ impl Peers {
         self.matched.iter().chain(&self.apart)
     }
 
-    /// Rings every subscription that does not poll by itself.
+    /// Rings every subscription, but for those that poll by themselves and those that are still taking what they were rung for.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps.
+    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
+    /// sleeps and is woken directly.
     pub(crate) fn ring(&self) {
         for matched in &self.matched {
-            if matched.flags() & slot_flags::QUIET == 0 {
-                matched.reached.arena().bell().ring(matched.slot);
-            }
+            matched.reached.arena().announce_sample(matched.slot);
         }
     }
 

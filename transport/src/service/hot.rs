@@ -61,7 +61,8 @@ impl RawClient {
         let sequence_number = self.sequence_number.get() + 1;
         self.sequence_number.set(sequence_number);
         shared.table.arm(place, sequence_number);
-        match request.publish_as(stamped(sequence_number, self.gid())) {
+        // Whoever waits with more requests is woken when there is room: `collect` has registered.
+        match request.publish_as_or_ask(stamped(sequence_number, self.gid())) {
             Ok(()) => {}
             Err(Unpublished::Full(loan)) => {
                 shared.table.release(place);
@@ -212,9 +213,11 @@ impl Responders {
     /// Wait-free, O(clients); no allocation; no syscall.
     pub(super) fn publisher(&self, client: crate::header::Gid) -> Result<&RawPublisher, ServiceError> {
         let responder = self.list.iter().find(|responder| responder.client == client);
-        let responder =
-            responder.ok_or_else(|| ServiceError::ClientGone { service: self.service.clone() })?;
-        Ok(&responder.publisher)
+        let missing = || match self.unreachable.contains(&client) {
+            true => ServiceError::ClientUnreachable { service: self.service.clone() },
+            false => ServiceError::ClientGone { service: self.service.clone() },
+        };
+        Ok(&responder.ok_or_else(missing)?.publisher)
     }
 
     /// Loans memory for a response of `len_bytes` to the request `id`.
@@ -223,7 +226,7 @@ impl Responders {
     /// As [`RawPublisher::loan`], and O(clients).
     ///
     /// # Errors
-    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
+    /// [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`], [`ServiceError::Loan`].
     pub fn loan(&self, id: RequestId, len_bytes: usize) -> Result<RawResponse<'_>, ServiceError> {
         let loan = self.publisher(id.client)?.loan(len_bytes);
         let loan = loan.map_err(|source| ServiceError::Loan { service: self.service.clone(), source })?;
@@ -237,7 +240,8 @@ impl Responders {
     /// As [`loan`](Self::loan) and [`RawResponse::send`].
     ///
     /// # Errors
-    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`], [`ServiceError::ResponsesFull`].
+    /// [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`], [`ServiceError::Loan`],
+    /// [`ServiceError::ResponsesFull`].
     pub fn refuse(&self, id: RequestId) -> Result<(), ServiceError> {
         let loan = self.loan(id, 0)?.loan;
         Ok(self.publish(loan, no_answer(id.sequence_number, id.client))?)

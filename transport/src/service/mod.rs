@@ -203,9 +203,17 @@ pub enum ServiceError {
         /// The service.
         service: Arc<str>,
     },
-    /// The client has gone, or its responses cannot be reached.
+    /// The client has gone.
     #[error("service '{service}': the client that asked has gone")]
     ClientGone {
+        /// The service.
+        service: Arc<str>,
+    },
+    /// The client is there and waits, and its responses cannot be reached: the server's log says why.
+    #[error(
+        "service '{service}': the client that asked cannot be reached, and waits; is the process at its limit of open files (ulimit -n), or are there more servers than `Limits::subscribers`?"
+    )]
+    ClientUnreachable {
         /// The service.
         service: Arc<str>,
     },

@@ -58,6 +58,8 @@ pub struct Responders {
     response_type: TopicType,
     limits: Limits,
     pub(super) list: Vec<Responder>,
+    /// Clients that are there, and whose publisher could not be made when that was last tried.
+    pub(super) unreachable: Vec<Gid>,
     /// Publishers that are being made, and where they come from.
     opening: Vec<Opening>,
     made: (Sender<Made>, Receiver<Made>),
@@ -152,6 +154,7 @@ impl Responders {
             response_type: service_type.response.clone(),
             limits: response_limits(limits),
             list: Vec::with_capacity(limits.publishers),
+            unreachable: Vec::new(),
             opening: Vec::new(),
             made: channel(),
             slot: requests.place().1.clone(),
@@ -192,6 +195,7 @@ impl Responders {
     #[cold]
     fn meet(&mut self, clients: &[Gid]) {
         self.list.retain(|responder| clients.contains(&responder.client));
+        self.unreachable.retain(|client| clients.contains(client));
         self.list.iter_mut().for_each(Responder::greet);
         for opening in &mut self.opening {
             opening.is_wanted = clients.contains(&opening.client);
@@ -223,7 +227,7 @@ impl Responders {
         let builder = std::thread::Builder::new().name("responder".into()).stack_size(OPENING_STACK_BYTES);
         match builder.spawn(create) {
             Ok(thread) => self.opening.push(Opening { client, is_wanted: true, thread: Some(thread) }),
-            Err(error) => self.warn(&error),
+            Err(error) => self.miss(client, &error),
         }
     }
 
@@ -232,8 +236,10 @@ impl Responders {
     fn welcome(&mut self, client: Option<Gid>) {
         let awaited = self.opening.iter_mut().find(|opening| Some(opening.client) == client);
         if let Some(Err(_)) = awaited.and_then(|opening| opening.thread.take()).map(JoinHandle::join) {
-            self.warn(&"making its publisher panicked");
             self.opening.retain(|opening| Some(opening.client) != client);
+            if let Some(client) = client {
+                self.miss(client, &"making its publisher panicked");
+            }
         }
         while let Ok((client, publisher)) = self.made.1.try_recv() {
             let opening = self.opening.iter().position(|opening| opening.client == client);
@@ -242,17 +248,26 @@ impl Responders {
                 Ok(publisher) if opening.is_some_and(|opening| opening.is_wanted) => {
                     let mut responder = Responder { client, publisher, is_greeted: false };
                     responder.greet();
+                    self.unreachable.retain(|missed| *missed != client);
                     self.list.push(responder);
                 }
                 Ok(_) => {}
-                Err(error) => self.warn(&error),
+                Err(error) => self.miss(client, &error),
             }
         }
     }
 
-    /// Answering it is an error, too, unless it can be reached by then.
-    fn warn(&self, error: &dyn fmt::Display) {
+    /// Answering it is an error, too, unless it can be reached by then: its next request tries again.
+    fn miss(&mut self, client: Gid, error: &dyn fmt::Display) {
+        if !self.unreachable.contains(&client) {
+            self.unreachable.push(client);
+        }
         tracing::warn!("service '{}': a client cannot be answered: {error}", self.service);
+    }
+
+    /// Whether `client` was there when clients last appeared or went, and can be answered.
+    pub fn contains(&self, client: Gid) -> bool {
+        self.list.iter().any(|responder| responder.client == client)
     }
 
     /// Number of clients that this server could answer.

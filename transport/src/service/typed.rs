@@ -285,7 +285,7 @@ impl<S: Service> Server<S> {
     /// As [`Publisher::loan`](crate::Publisher::loan), and O(clients).
     ///
     /// # Errors
-    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
+    /// [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`], [`ServiceError::Loan`].
     pub fn loan(&self, id: RequestId) -> Result<Response<'_, S>, ServiceError>
     where
         S::Response: Plain,
@@ -300,7 +300,7 @@ impl<S: Service> Server<S> {
     /// As [`Publisher::loan_with`](crate::Publisher::loan_with), and O(clients).
     ///
     /// # Errors
-    /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
+    /// [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`], [`ServiceError::Loan`].
     pub fn loan_with<'z>(
         &self,
         id: RequestId,

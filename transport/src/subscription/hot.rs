@@ -3,7 +3,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::{Counters, RawSubscription, State};
+use super::{Counters, RawSubscription, Run, State};
 use crate::doorbell::{ArenaId, Doorbell, Link};
 use crate::error::TakeError;
 use crate::header::{END_OF_HISTORY, Gid, MessageInfo, NEVER, SampleHeader};
@@ -156,7 +156,8 @@ impl RawSubscription {
             return Ok(Some(sample));
         }
         if state.catch.is_some() {
-            // What is live comes after the history.
+            // What is live comes after the history, whose end rings whatever the flags say.
+            self.stop_draining();
             return Ok(None);
         }
         let slot = &self.departure.slot;
@@ -168,6 +169,10 @@ impl RawSubscription {
                 state.tracker.note_ended(links);
             }
             let Some(sample) = receive(&self.port, &self.shelf)? else {
+                if self.stop_draining() {
+                    // What was queued before its publisher could see that it must ring again.
+                    continue;
+                }
                 match state.tracker.settle(links) {
                     0 => {}
                     lost => self.note_lost(lost),
@@ -324,10 +329,14 @@ impl RawSubscription {
         self.departure.slot.waker().register(context.waker());
         while !patience.is_over() {
             match self.take(patience) {
-                Ok(Some(sample)) => return Poll::Ready(sample),
+                Ok(Some(sample)) => {
+                    self.note_taken();
+                    return Poll::Ready(sample);
+                }
                 Ok(None) if patience.is_over() => break,
                 Ok(None) => return Poll::Pending,
                 Err(TakeError::Invalid(_)) => {}
+                // Not rung for, so that it may drain on: the shelf wakes.
                 Err(TakeError::TooManyHeld) => {
                     add(&self.counters.refused, 1);
                     patience.spend();
@@ -340,12 +349,35 @@ impl RawSubscription {
                 }
                 Err(TakeError::Connection) => {
                     add(&self.counters.refused, 1);
-                    return Poll::Pending;
+                    if !self.stop_draining() {
+                        return Poll::Pending;
+                    }
                 }
             }
         }
         context.waker().wake_by_ref();
         Poll::Pending
+    }
+
+    /// The first of a row may be the last, too. From the second on it is a backlog, and while that lasts rings are for nothing.
+    fn note_taken(&self) {
+        match self.run.get() {
+            Run::Waiting => self.run.set(Run::Took),
+            Run::Took => {
+                self.departure.slot.flags().start_draining();
+                self.run.set(Run::Draining);
+            }
+            Run::Draining => {}
+        }
+    }
+
+    /// Publishers ring again. Whether they did not: look into the queue once more.
+    fn stop_draining(&self) -> bool {
+        let was_draining = self.run.replace(Run::Waiting) == Run::Draining;
+        if was_draining {
+            self.departure.slot.flags().stop_draining();
+        }
+        was_draining
     }
 }
 
