@@ -108,6 +108,10 @@ pub enum ComponentError {
         "{container} does not answer: {source}; `taut component run` starts a container, `taut node list` prints which nodes there are"
     )]
     Container { container: String, source: Box<tautline::Error> },
+    #[error(
+        "{container} has not answered within {PATIENCE:?}: it may still be at work, and then goes on; `taut component list` tells later what came of it"
+    )]
+    Busy { container: String },
     #[error("{0}")]
     Refused(String),
     #[error("the result cannot be printed: {0}")]
@@ -187,15 +191,24 @@ fn ask<T: Service>(
     let _ = sampler.join();
     answer.map_err(|source| {
         let container = target.container.clone();
-        ComponentError::Container { container, source: source.into() }
+        match source {
+            tautline::Error::ServiceTimeout { .. } => ComponentError::Busy { container },
+            source => ComponentError::Container { container, source: source.into() },
+        }
     })
 }
 
 fn print(target: &Target, rows: &[(u64, String)]) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    if target.json {
+    let printed = if target.json {
         let rows = rows.iter().map(|(id, node)| json!({ "id": id, "node": node }));
-        return writeln!(out, "{}", serde_json::Value::from_iter(rows));
+        writeln!(out, "{}", serde_json::Value::from_iter(rows))
+    } else {
+        rows.iter().try_for_each(|(id, node)| writeln!(out, "{id} {node}"))
+    };
+    match printed {
+        // Whoever reads has seen enough.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        printed => printed,
     }
-    rows.iter().try_for_each(|(id, node)| writeln!(out, "{id} {node}"))
 }

@@ -8,6 +8,7 @@ use crate::parameters::EventTopic;
 use crate::qos::QosProfile;
 use crate::remap::RemapRules;
 use crate::statistics::statistics_prefix;
+use crate::subscription::thread_parkers;
 use crate::system::LoadedSystem;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -209,7 +210,7 @@ impl ContextBuilder {
         }
         let participant = Participant::new(domain)?;
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
-        let mut executor = Executor::new(realtime);
+        let mut executor = Executor::new(realtime).with_parkers(thread_parkers(&participant));
         if let Some(system) = system.as_ref().filter(|_| self.share_statistics) {
             let about = system.process_info(realtime, sampler_priority);
             let file =

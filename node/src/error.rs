@@ -58,6 +58,14 @@ pub enum Error {
     /// A timer that would be due without end.
     #[error("a timer cannot have a period of zero: give it the time between two releases")]
     ZeroPeriod,
+    /// A timer whose releases would leave the sampler no time for anything else.
+    #[error("a timer cannot have a period of {period:?}: the shortest is {min:?}")]
+    ShortPeriod {
+        /// The period.
+        period: Duration,
+        /// The shortest.
+        min: Duration,
+    },
     /// A clock that shows no ROS time was used as if it did.
     #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
     ClockTypeNotRosTime,
@@ -201,6 +209,30 @@ pub enum Error {
     GoalRejected {
         /// The action.
         action: String,
+    },
+    /// A client waits for as many goals as it can. Nothing was sent.
+    #[cfg(feature = "action_msgs")]
+    #[error(
+        "action '{action}': this client waits for {max} goals already: await or drop the result and the feedback of one, or make a second client"
+    )]
+    TooManyGoals {
+        /// The action.
+        action: String,
+        /// Most there can be.
+        max: usize,
+    },
+    /// A goal was accepted, and its result cannot be asked for.
+    #[cfg(feature = "action_msgs")]
+    #[error(
+        "action '{action}': the goal was accepted, but its result cannot be asked for ({source}); {fate}"
+    )]
+    GoalUnheard {
+        /// The action.
+        action: String,
+        /// What becomes of the goal.
+        fate: String,
+        /// Why not.
+        source: Box<Error>,
     },
     /// A goal is in a state in which this cannot happen to it.
     #[cfg(feature = "action_msgs")]

@@ -333,6 +333,12 @@ impl Node {
         Ok((topic, limits))
     }
 
+    /// Whether any were set for `topic`, a fully qualified name.
+    #[cfg(feature = "action_msgs")]
+    pub(crate) fn has_limits_of(&self, topic: &str) -> bool {
+        self.limits.contains_key(topic)
+    }
+
     /// Those that were set for `topic`, a fully qualified name.
     pub(crate) fn limits_of(&self, topic: &str) -> Limits {
         self.limits.get(topic).copied().unwrap_or_default()
@@ -341,7 +347,7 @@ impl Node {
     /// Creates a timer on the monotonic clock whose first release is one period from now.
     ///
     /// # Errors
-    /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left.
+    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if the context has no slot left.
     pub fn create_wall_timer(&mut self, period: Duration) -> Result<Timer> {
         check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
@@ -351,7 +357,7 @@ impl Node {
     /// Creates a timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`.
     ///
     /// # Errors
-    /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left.
+    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if the context has no slot left.
     pub fn create_wall_timer_at(&mut self, first_release_ns: u64, period: Duration) -> Result<Timer> {
         check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
@@ -428,8 +434,15 @@ impl Node {
     }
 }
 
-fn check_period(period: Duration) -> Result<()> {
-    if period.is_zero() { Err(Error::ZeroPeriod) } else { Ok(()) }
+/// A release costs the sampler about as much.
+const SHORTEST_PERIOD: Duration = Duration::from_micros(1);
+
+pub(crate) fn check_period(period: Duration) -> Result<()> {
+    match period {
+        Duration::ZERO => Err(Error::ZeroPeriod),
+        _ if period < SHORTEST_PERIOD => Err(Error::ShortPeriod { period, min: SHORTEST_PERIOD }),
+        _ => Ok(()),
+    }
 }
 
 impl std::fmt::Debug for Node {

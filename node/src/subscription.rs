@@ -2,14 +2,16 @@
 //! A subscription as a stream that measures its callback and knows how its thread waits.
 
 use futures::Stream;
+use std::any::Any;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
+use std::time::Duration;
 use tautline_executor::job::QueueState;
-use tautline_executor::{busy_polling, job, stop_requested};
+use tautline_executor::{Parker, busy_polling, job, parker, parks_on, stop_requested};
 use tautline_msgs::Message;
-use tautline_transport::{Counters, RawSubscription, Sample, TakeError};
+use tautline_transport::{Counters, Participant, RawSubscription, Sample, TakeError, ThreadBell};
 
 /// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written.
 ///
@@ -125,12 +127,35 @@ impl Source for RawSubscription {
     }
 }
 
+/// A callback thread that sleeps where publishers ring.
+struct ThreadParker(Arc<ThreadBell>);
+
+impl Parker for ThreadParker {
+    fn park(&self, spin: Duration) {
+        self.0.wait(spin);
+    }
+
+    fn unpark(&self) {
+        self.0.wake();
+    }
+}
+
+/// Makes what callback threads of this participant sleep on.
+pub(crate) fn thread_parkers(
+    participant: &Participant,
+) -> impl Fn() -> std::result::Result<Arc<dyn Parker>, Box<dyn std::error::Error + Send + Sync>> + use<> {
+    let doorbell = participant.doorbell().clone();
+    move || Ok(Arc::new(ThreadParker(doorbell.claim_thread_bell()?)))
+}
+
 /// The samples of a source, each a job.
 pub(crate) struct Samples<S> {
     source: S,
     job: Option<job::Job>,
     trace: tautline_trace::Object,
     quiet: bool,
+    /// What the thread sleeps on that polled last, if publishers can wake it.
+    parker: Option<Arc<dyn Parker>>,
     counters: Arc<Counters>,
     /// How many lost messages the callback's statistics know of.
     noted_lost: u64,
@@ -141,7 +166,7 @@ impl<S: Source> Samples<S> {
         let raw = source.raw();
         let counters = raw.counters();
         let trace = tautline_trace::subscription_callback_init(raw.trace_id(), raw.topic());
-        Samples { source, job: None, trace, quiet: false, counters, noted_lost: 0 }
+        Samples { source, job: None, trace, quiet: false, parker: None, counters, noted_lost: 0 }
     }
 
     pub(crate) fn source(&self) -> &S {
@@ -163,6 +188,9 @@ impl<S: Source> Samples<S> {
         }
         let busy = busy_polling();
         self.set_quiet(busy);
+        if !parks_on(self.parker.as_ref()) {
+            self.move_in();
+        }
         let poll = if busy { self.poll_busily(context) } else { self.source.poll_take(context) };
         if poll.is_ready() || self.counters.lost() != self.noted_lost {
             self.note_queue();
@@ -192,6 +220,16 @@ impl<S: Source> Samples<S> {
             depth: self.source.raw().qos().depth as u64,
         });
         self.noted_lost = lost;
+    }
+
+    /// From here on publishers wake the current thread, or the sampler if that is not how it sleeps.
+    #[cold]
+    fn move_in(&mut self) {
+        self.parker = parker();
+        let any = self.parker.as_deref().map(|parker| parker as &dyn Any);
+        let thread = any.and_then(|parker| parker.downcast_ref::<ThreadParker>());
+        // The look into the queue follows.
+        self.source.raw().wake_thread(thread.map(|ThreadParker(bell)| bell));
     }
 
     /// Publishers need not ring as long as a busy-polling thread polls, and no longer.

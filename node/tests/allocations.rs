@@ -102,12 +102,19 @@ fn round(publisher: &Publisher<Number>, values: &mut impl Iterator<Item = u64>) 
 
 #[test]
 fn ten_thousand_messages_allocate_only_their_loans() {
+    allocate_only_their_loans(CallbackOptions::other());
+    // And where publishers wake the thread.
+    RECEIVED.store(0, Ordering::Release);
+    allocate_only_their_loans(CallbackOptions::other().direct_wake());
+}
+
+fn allocate_only_their_loans(options: CallbackOptions) {
     let context =
         Context::builder().domain(227).realtime(Realtime::Off).trace(TraceMode::On).build().unwrap();
     let mut node = Node::create(context.clone(), "frugal", "").unwrap();
     let publisher = node.create_publisher::<Number>("/frugal", QosProfile::default()).unwrap();
     let numbers = node.subscribe_loaned::<Number>("/frugal", QosProfile::default()).unwrap();
-    let callback = node.spawn_callback(CallbackOptions::other(), numbers.for_each(answer)).unwrap();
+    let callback = node.spawn_callback(options, numbers.for_each(answer)).unwrap();
     let sampler = std::thread::spawn({
         let context = context.clone();
         move || {

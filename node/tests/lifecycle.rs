@@ -4,7 +4,8 @@
 
 mod common;
 
-use common::{Log, Number, context, spin};
+use common::{Gate, Log, Number, context, spin};
+use futures::FutureExt;
 use futures::executor::block_on;
 use std::sync::{Arc, Mutex};
 use tautline::lifecycle::{
@@ -209,6 +210,78 @@ fn a_panic_is_an_error_and_a_transition_in_a_transition_is_refused() {
     assert!(seen[0].starts_with("configuring: the node is in state 'configuring'"), "{}", seen[0]);
     assert_eq!(seen[1], "error of configuring");
     own.lock().unwrap().take();
+}
+
+/// Is configured when the gate is opened.
+struct Slow;
+
+static CONFIGURE: Gate = Gate::new();
+
+impl LifecycleCallbacks for Slow {
+    fn on_configure(&mut self, _: &mut ManagedNode) -> CallbackReturn {
+        CONFIGURE.pass();
+        CallbackReturn::Success
+    }
+}
+
+#[test]
+fn its_state_is_told_while_a_callback_runs() {
+    let context = context(55);
+    let _sampler = spin(&context);
+    let node = LifecycleNode::create(context.clone(), "slow", "", Slow).unwrap();
+    let (changes, states) = (node.serve_changes().unwrap(), node.serve_states().unwrap());
+    let spawn = |future| {
+        let options = CallbackOptions::other().stack_bytes(8 << 20);
+        node.with_node(|node| node.spawn_callback(options, future)).unwrap().unwrap()
+    };
+    let callbacks = [spawn(changes.boxed()), spawn(states.boxed())];
+    let mut other = Node::create(context, "manager", "").unwrap();
+    let qos = QosProfile::services_default();
+    let change = other.create_client::<ChangeState::Service>("/slow/change_state", qos).unwrap();
+    let state = other.create_client::<GetState::Service>("/slow/get_state", qos).unwrap();
+    for available in
+        [Node::is_available(&change).unwrap().boxed(), Node::is_available(&state).unwrap().boxed()]
+    {
+        block_on(available).unwrap();
+    }
+    let mut request = ChangeState::Request::default();
+    request.transition.id = 1;
+    let configured = change.request(&request).unwrap();
+    let now = || block_on(state.request(&GetState::Request::default()).unwrap()).unwrap().current_state.label;
+    let mut seen = now();
+    while seen == "unconfigured" {
+        seen = now();
+    }
+    assert_eq!(seen, "configuring");
+    CONFIGURE.open();
+    assert!(block_on(configured).unwrap().success);
+    assert_eq!(now(), "inactive");
+    for callback in callbacks {
+        callback.stop();
+        callback.join().unwrap();
+    }
+}
+
+#[cfg(all(feature = "untyped", feature = "std_msgs"))]
+#[test]
+fn untyped_publishers_are_silent_while_it_is_not_active() {
+    let node = LifecycleNode::create(context(55), "untyped", "", Script::default()).unwrap();
+    let create = |node: &mut ManagedNode| {
+        node.create_publisher_untyped("~/text", "std_msgs/msg/String", QosProfile::default())
+    };
+    let publisher = node.with_node(create).unwrap().unwrap();
+    let say = || publisher.publish(serde_json::json!({ "data": "here" })).unwrap();
+    let silenced = || publisher.counters().silenced();
+    say();
+    node.configure().unwrap();
+    say();
+    assert_eq!(silenced(), 2);
+    node.activate().unwrap();
+    say();
+    assert_eq!(silenced(), 2, "it speaks");
+    node.deactivate().unwrap();
+    say();
+    assert_eq!(silenced(), 3);
 }
 
 #[test]

@@ -181,13 +181,17 @@ fn time_outs_and_requests_that_are_dropped() {
     let ctx = context(39);
     let mut node = node(&ctx, "slow");
     let client = node.create_client::<AddTwoInts::Service>("slow", QOS()).unwrap();
-    let requests = node.create_service::<AddTwoInts::Service>("slow", QOS().keep_last(100)).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>("slow", QOS().keep_last(100)).unwrap();
+    // No time at all needs no sampler to pass.
+    let error =
+        client.request_timeout(&question(1, 1), Duration::ZERO).unwrap().now_or_never().unwrap().unwrap_err();
+    assert!(matches!(error, Error::ServiceTimeout { .. }), "{error}");
+    drop(requests.next().now_or_never().unwrap());
     let _spinning = spin(&ctx);
     let error =
         block_on(client.request_timeout(&question(1, 1), Duration::from_millis(1)).unwrap()).unwrap_err();
     assert!(error.to_string().contains("'/slow'") && error.to_string().contains("1ms"), "{error}");
     // Far more than can wait at once: each is dropped.
-    let mut requests = requests;
     for _ in 0..200 {
         drop(client.request(&question(1, 1)).unwrap());
         block_on(requests.next()).unwrap().respond(AddTwoInts::Response { sum: -1 }).unwrap();

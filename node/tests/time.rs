@@ -211,4 +211,9 @@ fn a_node_has_a_limited_number_of_timers_on_its_ros_clock() {
     drop(timers);
     assert!(node.create_timer(ms(1000)).is_ok());
     assert!(matches!(node.create_timer(Duration::ZERO), Err(Error::ZeroPeriod)));
+    let short = Duration::from_nanos(999);
+    assert!(matches!(node.create_timer(short), Err(Error::ShortPeriod { .. })));
+    let error = node.create_wall_timer(short).map(drop).unwrap_err().to_string();
+    assert_eq!(error, "a timer cannot have a period of 999ns: the shortest is 1µs");
+    assert!(node.create_wall_timer(Duration::from_micros(1)).is_ok());
 }

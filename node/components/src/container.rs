@@ -9,7 +9,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 use tautline::{
-    CallbackHandle, Context, LogSeverity, Node, NodeCallbacks, NodeOptions, ParameterValue, RemapRules,
+    CallbackHandle, Context, LogSeverity, Logger, Node, NodeCallbacks, NodeOptions, ParameterValue,
+    RemapRules,
 };
 
 /// Loads components into this process. They share its context, and with it one sampler; what they publish to each other is read
@@ -32,6 +33,8 @@ struct Loaded {
     /// Those that the component handed over; they may be of several nodes.
     handed: Vec<CallbackHandle>,
     of_node: NodeCallbacks,
+    /// That of its node, if it was given a level.
+    logger: Option<(Logger, LogSeverity)>,
 }
 
 /// What is to be loaded.
@@ -83,9 +86,12 @@ impl Container {
         let node = Node::create_with_options(self.context.clone(), &name, &load.namespace, options);
         let node = node.map_err(not_made)?;
         let full_name = node.fully_qualified_name().map_err(not_made)?;
-        if let Some(level) = load.log_level {
-            node.logger().set_level(level);
-        }
+        let logger = load.log_level.map(|level| {
+            let logger = node.logger().clone();
+            let before = logger.level();
+            logger.set_level(level);
+            (logger, before)
+        });
         let of_node = node.callbacks().clone();
         let made = catch_unwind(AssertUnwindSafe(|| (plugin.create)(node)))
             .map_err(|_| ComponentError::Panicked { component: component() })
@@ -93,9 +99,10 @@ impl Container {
         let handed = made.inspect_err(|_| {
             // What it had started before it failed. That one of them panicked, too, says nothing more.
             let _ = of_node.end();
+            restore_level(logger.as_ref());
         })?;
         self.last_id += 1;
-        self.loaded.insert(self.last_id, Loaded { full_name, handed, of_node });
+        self.loaded.insert(self.last_id, Loaded { full_name, handed, of_node, logger });
         Ok(self.last_id)
     }
 
@@ -119,13 +126,14 @@ impl Container {
     /// # Errors
     /// [`ComponentError::NoSuchId`]; [`ComponentError::Callback`] if one had panicked.
     pub fn unload(&mut self, id: u64) -> Result<(), ComponentError> {
-        let Loaded { handed, of_node, .. } =
+        let Loaded { handed, of_node, logger, .. } =
             self.loaded.remove(&id).ok_or(ComponentError::NoSuchId { id })?;
         handed.iter().for_each(CallbackHandle::stop);
         let mut ended = of_node.end().map_err(|error| error.to_string());
         for callback in handed {
             ended = callback.join().map_err(|error| error.to_string()).and(ended);
         }
+        restore_level(logger.as_ref());
         ended.map_err(|reason| ComponentError::Callback { id, reason })
     }
 
@@ -146,6 +154,13 @@ impl Drop for Container {
         for id in ids {
             let _ = self.unload(id);
         }
+    }
+}
+
+/// The next node of this name has the level that it would have had.
+fn restore_level(logger: Option<&(Logger, LogSeverity)>) {
+    if let Some((logger, before)) = logger {
+        logger.set_level(*before);
     }
 }
 

@@ -8,7 +8,10 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum ComponentError {
     /// The file cannot be read.
-    #[error("{} cannot be read: {source}", path.display())]
+    #[error(
+        "{} cannot be read: {source}; a library (package_name in a request to load) is the path of a file here, absolute or from the folder in which the container was started: no other place is searched",
+        path.display()
+    )]
     Read {
         /// The file.
         path: PathBuf,

@@ -4,10 +4,14 @@
 
 use crate::error::ComponentError;
 use object::{Object, ObjectSegment, ObjectSymbol};
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
 /// The name of the symbol that a library of components exports.
 pub(crate) const SYMBOL: &str = "TAUTLINE_COMPONENTS";
+/// The longest file that is looked into.
+const MAX_BYTES: u64 = 1 << 30;
 /// Length of the stamp in bytes.
 pub const STAMP_BYTES: usize = 256;
 
@@ -38,8 +42,28 @@ const fn padded(text: &[u8]) -> [u8; STAMP_BYTES] {
 
 /// Reads the stamp of the library in the file `path` and compares it with this process's. Nothing in the library runs.
 pub(crate) fn check(path: &Path) -> Result<(), ComponentError> {
-    let bytes = std::fs::read(path).map_err(|source| ComponentError::Read { path: path.into(), source })?;
-    check_bytes(path, &bytes)
+    let unreadable = |source| ComponentError::Read { path: path.into(), source };
+    let refuse = |reason: &str| ComponentError::NoLibrary { path: path.into(), reason: reason.into() };
+    // Before it is opened: a FIFO would wait for a writer, a device may have no end.
+    if !path.metadata().map_err(unreadable)?.is_file() {
+        return Err(refuse("it is not a regular file"));
+    }
+    match read(path).map_err(unreadable)? {
+        Some(bytes) => check_bytes(path, &bytes),
+        None => Err(refuse("it is longer than 1 GiB, the most that is read")),
+    }
+}
+
+/// `None` if it is longer than a library may be.
+fn read(path: &Path) -> io::Result<Option<Vec<u8>>> {
+    let file = File::open(path)?;
+    if file.metadata()?.len() > MAX_BYTES {
+        return Ok(None);
+    }
+    let mut bytes = Vec::new();
+    // It may grow meanwhile.
+    file.take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
+    Ok((bytes.len() as u64 <= MAX_BYTES).then_some(bytes))
 }
 
 fn check_bytes(path: &Path, bytes: &[u8]) -> Result<(), ComponentError> {
@@ -78,6 +102,23 @@ mod tests {
         assert!(text.starts_with("rustc ") && text.contains("Tautline 0."), "{text}");
         assert_eq!(describe(&[0; STAMP_BYTES]), "something that is no stamp of this version");
         assert_eq!(describe(&[255; 3]), "something that is no stamp of this version");
+    }
+
+    #[test]
+    fn what_has_no_end_is_not_read() {
+        let folder = std::env::temp_dir();
+        let long = folder.join(format!("tautline_long_library_{}", std::process::id()));
+        let fifo = folder.join(format!("tautline_fifo_{}", std::process::id()));
+        // Without a block on the disk.
+        File::create(&long).unwrap().set_len(MAX_BYTES + 1).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+        let errors =
+            [&long, &fifo, Path::new("/dev/zero"), &folder].map(|path| check(path).unwrap_err().to_string());
+        for path in [&long, &fifo] {
+            std::fs::remove_file(path).unwrap();
+        }
+        assert!(errors[0].contains("longer than 1 GiB"), "{}", errors[0]);
+        assert!(errors[1..].iter().all(|error| error.contains("not a regular file")), "{errors:?}");
     }
 
     #[test]

@@ -2,27 +2,24 @@
 //! Action clients: what is common to all, and those of a type.
 
 use super::goals::cancel_code;
-use super::state::GoalStatus;
-use super::{Names, qos, status_qos};
+use super::state::{GoalStatus, SharedStatus};
+use super::{FEEDBACK_DEPTH, Names, qos, status_qos, subscribe_feedback};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Client, IsAvailablePollable};
 use futures::channel::{mpsc, oneshot};
-use futures::future::BoxFuture;
+use futures::future::{AbortHandle, Abortable, BoxFuture};
 use futures::stream::{BoxStream, FuturesUnordered};
 use futures::{FutureExt, Stream, StreamExt};
-use std::future::Future;
+use std::future::{Future, poll_fn};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 use tautline_executor::CallbackOptions;
 use tautline_msgs::{Action, GoalId};
 use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
-use tautline_transport::{Availability, ServiceError};
+use tautline_transport::{Availability, Counters, MAX_PENDING_REQUESTS, ServiceError};
 use uuid::Uuid;
-
-/// Feedback of a goal that waits for its reader.
-const FEEDBACK_DEPTH: usize = 1000;
 
 /// How goals, results and feedback of an action travel: as Rust types, or as JSON.
 pub(super) trait Protocol: Send + Sync + 'static {
@@ -38,8 +35,13 @@ pub(super) trait Protocol: Send + Sync + 'static {
 
 pub(super) type Outcome<P> = (GoalStatus, <P as Protocol>::Result);
 pub(super) type ResultFuture<P> = BoxFuture<'static, Result<Outcome<P>>>;
-/// Whose it is, and what.
-pub(super) type FeedbackStream<P> = BoxStream<'static, (GoalId, <P as Protocol>::Feedback)>;
+
+/// All that the server publishes.
+pub(super) struct Feedback<P: Protocol> {
+    /// Whose it is, and what.
+    pub(super) messages: BoxStream<'static, (GoalId, P::Feedback)>,
+    pub(super) counters: Arc<Counters>,
+}
 
 /// What an action client's handles share.
 pub(super) struct Shared<P: Protocol> {
@@ -48,17 +50,23 @@ pub(super) struct Shared<P: Protocol> {
     cancel_goal: Client<CancelGoal::Service>,
     goals: Mutex<Vec<Goal<P>>>,
     /// Results to wait for; when it is closed, the thread that listens ends.
-    results: mpsc::UnboundedSender<BoxFuture<'static, GoalId>>,
+    results: mpsc::UnboundedSender<ResultToCome>,
 }
+
+/// Ends with the goal, or because nobody waits for its result or feedback any more.
+type ResultToCome = BoxFuture<'static, Option<GoalId>>;
 
 /// A goal that was sent and that somebody still asks about.
 struct Goal<P: Protocol> {
     id: GoalId,
-    status: GoalStatus,
+    status: SharedStatus,
     /// Until the goal has ended.
     feedback: Option<mpsc::Sender<P::Feedback>>,
     /// Whether it was said that feedback is lost because nobody reads it.
     is_warned: bool,
+    /// Whether it needs one of the places for requests of results: from before it is sent until its result is there, or nobody
+    /// waits for that or the feedback any more.
+    has_place: bool,
     /// Its request, handles, result and feedback.
     held: usize,
 }
@@ -69,7 +77,7 @@ impl<P: Protocol> Shared<P> {
         node: &mut Node,
         action: &str,
         protocol: P,
-        feedback: FeedbackStream<P>,
+        feedback: Feedback<P>,
     ) -> Result<Arc<Self>> {
         let names = Names::of(action);
         let cancel_goal = node.create_client::<CancelGoal::Service>(&names.cancel_goal, qos())?;
@@ -81,13 +89,16 @@ impl<P: Protocol> Shared<P> {
         let listening = Listening(weak.clone());
         let listen = async move {
             let _listening = listening;
-            let (mut feedback, mut status, mut requests) = (feedback.fuse(), status.fuse(), requests.fuse());
+            let Feedback { messages, counters } = feedback;
+            let (mut feedback, mut status, mut requests) = (messages.fuse(), status.fuse(), requests.fuse());
             let mut results = FuturesUnordered::new();
+            let mut lost = Lost { counters, said: 0 };
             loop {
-                futures::select_biased! {
-                    // First: what was published before the end of a goal comes before it.
+                // None of them first: a flood of one keeps nobody from the others.
+                futures::select! {
                     (id, feedback) = feedback.select_next_some() => {
                         let Some(shared) = weak.upgrade() else { return };
+                        lost.look(&shared.name);
                         shared.pass_on(id, feedback);
                     }
                     message = status.select_next_some() => {
@@ -98,12 +109,15 @@ impl<P: Protocol> Shared<P> {
                         Some(result) => results.push(result),
                         None => return,
                     },
-                    id = results.select_next_some() => {
+                    ended = results.select_next_some() => {
                         let Some(shared) = weak.upgrade() else { return };
-                        // The feedback that was there by now is taken before.
-                        while let Some(Some((id, feedback))) = feedback.next().now_or_never() {
+                        let Some(id) = ended else { continue };
+                        // What was published before the end of a goal comes before it: that is in the queue by now.
+                        for _ in 0..FEEDBACK_DEPTH {
+                            let Some(Some((id, feedback))) = feedback.next().now_or_never() else { break };
                             shared.pass_on(id, feedback);
                         }
+                        lost.look(&shared.name);
                         shared.end(id);
                     }
                 }
@@ -138,8 +152,8 @@ impl<P: Protocol> Shared<P> {
         for StatusOf { id, status } in message.status_list.iter().map(StatusOf::from) {
             // An old message must not wake the dead.
             let goal = goals.iter_mut().find(|goal| goal.id == id);
-            if let Some(goal) = goal.filter(|goal| !goal.status.is_terminal()) {
-                goal.status = status;
+            if let Some(goal) = goal.filter(|goal| !goal.status.get().is_terminal()) {
+                goal.status.set(status);
             }
         }
     }
@@ -149,10 +163,6 @@ impl<P: Protocol> Shared<P> {
         if let Some(goal) = self.goals().iter_mut().find(|goal| goal.id == id) {
             goal.feedback = None;
         }
-    }
-
-    pub(super) fn status(&self, id: GoalId) -> GoalStatus {
-        self.goals().iter().find(|goal| goal.id == id).map_or(GoalStatus::Unknown, |goal| goal.status)
     }
 
     pub(super) fn availability(&self) -> Result<Vec<Availability>> {
@@ -171,35 +181,25 @@ impl<P: Protocol> Shared<P> {
     {
         let id = Uuid::new_v4().into_bytes();
         let (feedback, received) = mpsc::channel(FEEDBACK_DEPTH);
-        // Before the goal is sent: the first feedback may be as fast as the response.
-        let (status, feedback) = (GoalStatus::Unknown, Some(feedback));
-        self.goals().push(Goal { id, status, feedback, is_warned: false, held: 1 });
-        let held = Held { id, shared: self.clone() };
+        // Before the goal is sent: the first feedback may be as fast as the response, and the result must be asked for.
+        let (status, feedback) = (SharedStatus::default(), Some(feedback));
+        let goal_sent =
+            Goal { id, status: status.clone(), feedback, is_warned: false, has_place: true, held: 1 };
+        {
+            let mut goals = self.goals();
+            if goals.iter().filter(|goal| goal.has_place).count() >= MAX_PENDING_REQUESTS {
+                return Err(Error::TooManyGoals { action: self.name.clone(), max: MAX_PENDING_REQUESTS });
+            }
+            goals.push(goal_sent);
+        }
+        let held = Held { id, status, shared: self.clone() };
         let accepted = self.protocol.send_goal(id, goal)?;
         Ok(async move {
             if !accepted.await? {
                 return Err(Error::GoalRejected { action: held.shared.name.clone() });
             }
-            let (sender, result) = oneshot::channel();
-            let response = held.shared.protocol.get_result(id)?;
-            // Whoever has the result to come, or the feedback, keeps what listens for them.
-            let weak = Arc::downgrade(&held.shared);
-            let deliver = response.map(move |result| {
-                if let (Some(shared), Ok((status, _))) = (weak.upgrade(), &result)
-                    && let Some(goal) = shared.goals().iter_mut().find(|goal| goal.id == id)
-                {
-                    goal.status = *status;
-                }
-                // Ignored: nobody waits for it.
-                let _ = sender.send(result);
-                id
-            });
-            if held.shared.results.unbounded_send(deliver.boxed()).is_err() {
-                // The context has ended, and with it whoever listened.
-                held.shared.end(id);
-            }
-            let feedback = GoalFeedback { received, _held: held.clone() };
-            Ok((held.clone(), GoalResult { result, held }, feedback))
+            let response = held.shared.protocol.get_result(id).map_err(|error| held.give_up(error))?;
+            Ok(held.listen(response, received))
         })
     }
 
@@ -217,6 +217,27 @@ impl<P: Protocol> Shared<P> {
             cancel_code::GOAL_TERMINATED => Err(Error::GoalCancelAlreadyTerminated),
             _ => Err(Error::GoalCancelRejected),
         }))
+    }
+}
+
+/// Tells when feedback was lost before it came to the client.
+struct Lost {
+    counters: Arc<Counters>,
+    /// As many were lost when that was last said.
+    said: u64,
+}
+
+impl Lost {
+    /// Not each time: when they are twice as many.
+    fn look(&mut self, action: &str) {
+        let lost = self.counters.lost();
+        if lost > self.said.saturating_mul(2) {
+            self.said = lost;
+            tracing::warn!(
+                "action '{action}': {lost} feedback messages were lost so far: they came faster than the thread that listens \
+                 for them could take them; publish less of it"
+            );
+        }
     }
 }
 
@@ -248,7 +269,62 @@ pub(super) type Sent<P> = (Held<P>, GoalResult<P>, GoalFeedback<P>);
 /// Keeps what is known of a goal, and what listens for it.
 pub(super) struct Held<P: Protocol> {
     pub(super) id: GoalId,
+    pub(super) status: SharedStatus,
     pub(super) shared: Arc<Shared<P>>,
+}
+
+impl<P: Protocol> Held<P> {
+    /// Listens for the result and the feedback of a goal that was accepted.
+    fn listen(self, response: ResultFuture<P>, received: mpsc::Receiver<P::Feedback>) -> Sent<P> {
+        let (id, shared) = (self.id, self.shared.clone());
+        let (sender, result) = oneshot::channel();
+        let response = Arc::new(Mutex::new(Some(response)));
+        let (abort, registration) = AbortHandle::new_pair();
+        // Whoever has the result to come, or the feedback, keeps what listens for them.
+        let weak = Arc::downgrade(&shared);
+        let awaited = response.clone();
+        let deliver = async move {
+            let result = poll_fn(|context| {
+                let mut awaited = awaited.lock().unwrap_or_else(PoisonError::into_inner);
+                // Without one it is about to be aborted.
+                let Some(response) = &mut *awaited else { return Poll::Pending };
+                let result = ready!(response.poll_unpin(context));
+                *awaited = None;
+                Poll::Ready(result)
+            });
+            let result = result.await;
+            if let Some(shared) = weak.upgrade()
+                && let Some(goal) = shared.goals().iter_mut().find(|goal| goal.id == id)
+            {
+                goal.has_place = false;
+                if let Ok((status, _)) = &result {
+                    goal.status.set(*status);
+                }
+            }
+            // Ignored: nobody waits for it.
+            let _ = sender.send(result);
+            id
+        };
+        let deliver = Abortable::new(deliver, registration).map(std::result::Result::ok);
+        if shared.results.unbounded_send(deliver.boxed()).is_err() {
+            // The context has ended, and with it whoever listened.
+            shared.end(id);
+        }
+        let wanted = Arc::new(Wanted { response, abort, held: self.clone() });
+        let feedback = GoalFeedback { received, _wanted: wanted.clone() };
+        (self, GoalResult { result, wanted }, feedback)
+    }
+
+    /// What is said of a goal that was accepted, and whose result cannot be asked for. Nobody would hear of it: it is cancelled.
+    fn give_up(&self, error: Error) -> Error {
+        // The answer to that is not waited for: it comes when whoever pursues the goal has decided.
+        let asked = self.shared.cancel(self.id).map(drop);
+        let fate = match asked {
+            Ok(()) => "its server was asked to cancel it".into(),
+            Err(error) => format!("it goes on, for it cannot be cancelled either: {error}"),
+        };
+        Error::GoalUnheard { action: self.shared.name.clone(), fate, source: error.into() }
+    }
 }
 
 impl<P: Protocol> Clone for Held<P> {
@@ -256,7 +332,7 @@ impl<P: Protocol> Clone for Held<P> {
         if let Some(goal) = self.shared.goals().iter_mut().find(|goal| goal.id == self.id) {
             goal.held += 1;
         }
-        Held { id: self.id, shared: self.shared.clone() }
+        Held { id: self.id, status: self.status.clone(), shared: self.shared.clone() }
     }
 }
 
@@ -272,10 +348,31 @@ impl<P: Protocol> Drop for Held<P> {
     }
 }
 
+/// As long as somebody waits for a goal's result or feedback: then the place of the request for the result is given back.
+struct Wanted<P: Protocol> {
+    /// Until the result is there.
+    response: Arc<Mutex<Option<ResultFuture<P>>>>,
+    /// Ends what listens for it.
+    abort: AbortHandle,
+    held: Held<P>,
+}
+
+impl<P: Protocol> Drop for Wanted<P> {
+    fn drop(&mut self) {
+        // First, so that whoever finds a place by the count finds one for the request.
+        let response = self.response.lock().unwrap_or_else(PoisonError::into_inner).take();
+        drop(response);
+        self.abort.abort();
+        if let Some(goal) = self.held.shared.goals().iter_mut().find(|goal| goal.id == self.held.id) {
+            goal.has_place = false;
+        }
+    }
+}
+
 /// The result of a goal, once it is there.
 pub(super) struct GoalResult<P: Protocol> {
     result: oneshot::Receiver<Result<Outcome<P>>>,
-    held: Held<P>,
+    wanted: Arc<Wanted<P>>,
 }
 
 impl<P: Protocol> Future for GoalResult<P> {
@@ -284,7 +381,8 @@ impl<P: Protocol> Future for GoalResult<P> {
     fn poll(mut self: std::pin::Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         self.result.poll_unpin(context).map(|result| {
             // Whoever listened has ended with the context.
-            let gone = || ServiceError::ServerGone { service: self.held.shared.name.as_str().into() }.into();
+            let gone =
+                || ServiceError::ServerGone { service: self.wanted.held.shared.name.as_str().into() }.into();
             result.unwrap_or_else(|_| Err(gone()))
         })
     }
@@ -293,7 +391,7 @@ impl<P: Protocol> Future for GoalResult<P> {
 /// The feedback of a goal, until that has ended.
 pub(super) struct GoalFeedback<P: Protocol> {
     received: mpsc::Receiver<P::Feedback>,
-    _held: Held<P>,
+    _wanted: Arc<Wanted<P>>,
 }
 
 impl<P: Protocol> Stream for GoalFeedback<P> {
@@ -346,17 +444,25 @@ impl<T: Action> ActionClient<T> {
         let names = Names::of(action);
         let send_goal = node.create_client::<T::SendGoal>(&names.send_goal, qos())?;
         let get_result = node.create_client::<T::GetResult>(&names.get_result, qos())?;
-        let feedback = node.subscribe::<T::FeedbackMessage>(&names.feedback, qos())?;
-        let feedback = feedback.map(T::destructure_feedback_msg).boxed();
+        let messages =
+            subscribe_feedback(|qos| node.subscribe_loaned::<T::FeedbackMessage>(&names.feedback, qos))?;
+        let counters = messages.counters();
+        let messages = messages.map(|sample| T::destructure_feedback_msg(sample.to_owned())).boxed();
+        let feedback = Feedback { messages, counters };
         let shared = Shared::create(node, action, Typed { send_goal, get_result }, feedback)?;
         Ok(ActionClient { shared })
     }
 
     /// Sends a goal. If the server accepts it, the future ends with the goal's handle, a future of its result, and a stream of
-    /// its feedback, which ends with the goal. 1000 messages of it wait to be read; what comes then is lost, with a warning.
+    /// its feedback, which ends with the goal. 1000 messages of it wait to be read, and 1000 of the whole server for the client's thread that listens; what comes
+    /// then is lost, with a warning.
+    ///
+    /// A client has 64 goals at once whose result or feedback somebody waits for ([`MAX_PENDING_REQUESTS`]); dropping both gives a
+    /// goal's place back, as its end does.
     ///
     /// # Errors
-    /// [`Error::Service`]: there is no server. The future's: [`Error::GoalRejected`]; [`Error::Service`] if the server goes.
+    /// [`Error::TooManyGoals`], and nothing was sent; [`Error::Service`]: there is no server. The future's:
+    /// [`Error::GoalRejected`]; [`Error::Service`] if the server goes; [`Error::GoalUnheard`] if the result cannot be asked for.
     #[allow(clippy::type_complexity, reason = "it is r2r's")]
     pub fn send_goal_request(
         &self,
@@ -389,13 +495,19 @@ pub struct ActionClientGoal<T: Action> {
 impl<T: Action> ActionClientGoal<T> {
     /// What was last heard of the goal.
     ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
     /// # Errors
     /// None; the result is r2r's.
     pub fn get_status(&self) -> Result<GoalStatus> {
-        Ok(self.held.shared.status(self.held.id))
+        Ok(self.held.status.get())
     }
 
     /// Asks the server to cancel the goal. The future ends when the server has decided.
+    ///
+    /// # Real-time
+    /// As [`Client::request`](crate::Client::request): the lock is taken only by those who cancel goals of the same action client.
     ///
     /// # Errors
     /// [`Error::Service`]: there is no server. The future's: [`Error::GoalCancelRejected`],

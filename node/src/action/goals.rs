@@ -1,12 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A server's goals: their states, who may be cancelled, who waits for a result, what has expired. No input or output.
 
-use super::state::{GoalEvent, GoalStatus};
+use super::state::{GoalEvent, GoalStatus, SharedStatus};
 use std::time::Duration;
 use tautline_msgs::GoalId;
+use tautline_transport::MAX_PENDING_REQUESTS;
 
 /// Means every goal in a request to cancel.
 const ANY: GoalId = [0; 16];
+
+/// Requests for one goal's result that wait for it: all that 32 clients, the most that a service has unless told otherwise, can
+/// wait for at once.
+pub(crate) const MAX_WAITING: usize = 32 * MAX_PENDING_REQUESTS;
 
 /// Answers of a request to cancel, from `action_msgs/srv/CancelGoal`.
 pub(crate) mod cancel_code {
@@ -28,7 +33,7 @@ pub(crate) struct Goals<W> {
 
 struct Goal<W> {
     id: GoalId,
-    status: GoalStatus,
+    status: SharedStatus,
     accepted: Stamp,
     /// The body of the response, and when it came, on the monotonic clock.
     result: Option<(Vec<u8>, u64)>,
@@ -41,6 +46,7 @@ pub(crate) enum ResultOf<W> {
     Known(W, Vec<u8>),
     Unknown(W),
     Later,
+    TooMany(W),
 }
 
 impl<W> Goals<W> {
@@ -48,18 +54,22 @@ impl<W> Goals<W> {
         Goals { list: Vec::new(), result_timeout }
     }
 
-    /// False if there is a goal of this id already.
-    pub(crate) fn accept(&mut self, id: GoalId, accepted: Stamp) -> bool {
-        if self.get(id).is_some() {
-            return false;
+    /// Returns its status, now and whatever it will be.
+    ///
+    /// # Errors
+    /// There is a goal of this id already: its status.
+    pub(crate) fn accept(&mut self, id: GoalId, accepted: Stamp) -> Result<SharedStatus, GoalStatus> {
+        if let Some(goal) = self.get(id) {
+            return Err(goal.status.get());
         }
-        let status = GoalStatus::Accepted;
-        self.list.push(Goal { id, status, accepted, result: None, waiting: Vec::new() });
-        true
+        let status = SharedStatus::default();
+        status.set(GoalStatus::Accepted);
+        self.list.push(Goal { id, status: status.clone(), accepted, result: None, waiting: Vec::new() });
+        Ok(status)
     }
 
     pub(crate) fn status(&self, id: GoalId) -> GoalStatus {
-        self.list.iter().find(|goal| goal.id == id).map_or(GoalStatus::Unknown, |goal| goal.status)
+        self.list.iter().find(|goal| goal.id == id).map_or(GoalStatus::Unknown, |goal| goal.status.get())
     }
 
     /// The status after the event.
@@ -68,8 +78,10 @@ impl<W> Goals<W> {
     /// The status in which that cannot happen.
     pub(crate) fn happen(&mut self, id: GoalId, event: GoalEvent) -> Result<GoalStatus, GoalStatus> {
         let Some(goal) = self.get(id) else { return Err(GoalStatus::Unknown) };
-        goal.status = goal.status.after(event).ok_or(goal.status)?;
-        Ok(goal.status)
+        let before = goal.status.get();
+        let status = before.after(event).ok_or(before)?;
+        goal.status.set(status);
+        Ok(status)
     }
 
     /// A terminal goal has this result: returns who waits for it.
@@ -79,12 +91,19 @@ impl<W> Goals<W> {
         std::mem::take(&mut goal.waiting)
     }
 
-    /// Somebody asks for a result.
-    pub(crate) fn ask(&mut self, id: GoalId, who: W) -> ResultOf<W> {
+    /// Somebody asks for a result. If as many wait for it as can, those who are not `there` any more do no longer; if that is not
+    /// enough, who asks is told that nothing is known.
+    pub(crate) fn ask(&mut self, id: GoalId, who: W, there: impl FnMut(&W) -> bool) -> ResultOf<W> {
         match self.get(id) {
             None => ResultOf::Unknown(who),
             Some(Goal { result: Some((body, _)), .. }) => ResultOf::Known(who, body.clone()),
             Some(goal) => {
+                if goal.waiting.len() >= MAX_WAITING {
+                    goal.waiting.retain(there);
+                }
+                if goal.waiting.len() >= MAX_WAITING {
+                    return ResultOf::TooMany(who);
+                }
                 goal.waiting.push(who);
                 ResultOf::Later
             }
@@ -98,7 +117,7 @@ impl<W> Goals<W> {
         let meant = |goal: &Goal<W>| {
             all || (id != ANY && goal.id == id) || (until != (0, 0) && goal.accepted <= until)
         };
-        let can = |goal: &Goal<W>| goal.status.after(GoalEvent::CancelGoal).is_some();
+        let can = |goal: &Goal<W>| goal.status.get().after(GoalEvent::CancelGoal).is_some();
         let goals: Vec<_> =
             self.list.iter().filter(|goal| meant(goal) && can(goal)).map(|goal| goal.id).collect();
         let code = match self.status(id) {
@@ -121,7 +140,7 @@ impl<W> Goals<W> {
 
     /// All goals, with time of acceptance and status.
     pub(crate) fn all(&self) -> impl Iterator<Item = (GoalId, Stamp, GoalStatus)> {
-        self.list.iter().map(|goal| (goal.id, goal.accepted, goal.status))
+        self.list.iter().map(|goal| (goal.id, goal.accepted, goal.status.get()))
     }
 
     pub(crate) fn accepted(&self, id: GoalId) -> Stamp {
@@ -145,7 +164,7 @@ mod tests {
     fn goals() -> Goals<u32> {
         let mut goals = Goals::new(Duration::from_nanos(100));
         for (id, sec) in [(A, 1), (B, 2), (C, 3)] {
-            assert!(goals.accept(id, (sec, 0)));
+            goals.accept(id, (sec, 0)).unwrap();
             goals.happen(id, GoalEvent::Execute).unwrap();
         }
         goals
@@ -171,17 +190,31 @@ mod tests {
     }
 
     #[test]
+    fn those_who_wait_for_a_result_are_not_more_than_can_be() {
+        let mut goals = goals();
+        let max = MAX_WAITING as u32;
+        for who in 0..max {
+            assert!(matches!(goals.ask(A, who, |_| unreachable!()), ResultOf::Later));
+        }
+        assert!(matches!(goals.ask(A, max, |_| true), ResultOf::TooMany(who) if who == max));
+        assert!(matches!(goals.ask(A, max, |who| who % 2 == 0), ResultOf::Later), "others have gone");
+        assert!(matches!(goals.ask(B, 0, |_| unreachable!()), ResultOf::Later), "each goal has its own");
+        goals.happen(A, GoalEvent::Succeed).unwrap();
+        assert_eq!(goals.finish(A, vec![], 0).len(), MAX_WAITING / 2 + 1);
+    }
+
+    #[test]
     fn results_are_given_to_those_who_wait_and_to_those_who_come_later_until_they_expire() {
         let mut goals = goals();
-        assert!(!goals.accept(A, (9, 9)), "one goal of an id");
-        assert!(matches!(goals.ask(A, 1), ResultOf::Later));
+        assert_eq!(goals.accept(A, (9, 9)).err(), Some(GoalStatus::Executing), "one goal of an id");
+        assert!(matches!(goals.ask(A, 1, |_| true), ResultOf::Later));
         assert_eq!(goals.happen(A, GoalEvent::Canceled), Err(GoalStatus::Executing));
         goals.happen(A, GoalEvent::Succeed).unwrap();
         assert_eq!(goals.finish(A, vec![7], 1000), [1]);
-        assert!(matches!(goals.ask(A, 2), ResultOf::Known(2, body) if body == [7]));
+        assert!(matches!(goals.ask(A, 2, |_| true), ResultOf::Known(2, body) if body == [7]));
         assert!(!goals.expire(1099));
         assert!(goals.expire(1100));
-        assert!(matches!(goals.ask(A, 3), ResultOf::Unknown(3)));
+        assert!(matches!(goals.ask(A, 3, |_| true), ResultOf::Unknown(3)));
         assert_eq!((goals.status(A), goals.status(B)), (GoalStatus::Unknown, GoalStatus::Executing));
         assert!(!goals.expire(u64::MAX), "what is pursued does not expire");
         assert_eq!(goals.all().count(), 2);

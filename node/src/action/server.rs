@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Action servers.
 
-use super::goals::{Goals, ResultOf, Stamp, cancel_code};
-use super::state::{GoalEvent, GoalStatus};
-use super::{Names, qos, status_qos};
+use super::goals::{Goals, MAX_WAITING, ResultOf, Stamp, cancel_code};
+use super::state::{GoalEvent, GoalStatus, SharedStatus};
+use super::{Names, make_room_for_feedback, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};
@@ -41,6 +41,8 @@ impl Default for ActionServerOptions {
 
 /// Goals that wait to be decided on; more are rejected.
 const GOALS_WAITING: usize = 1000;
+/// Requests to cancel that wait for a decision; more are rejected.
+const CANCELS_WAITING: usize = 1000;
 
 type ResultResponse<T> = <<T as Action>::GetResult as Service>::Response;
 type ResultReply<T> = Reply<<T as Action>::GetResult>;
@@ -50,7 +52,12 @@ struct Server<T: Action> {
     name: String,
     /// What goals are stamped by, and requests to cancel those of a time mean.
     now: Box<dyn Fn() -> Stamp + Send + Sync>,
+    /// Never held while something is published.
     state: Mutex<State<T>>,
+    /// Taken by those who pursue goals, never by the thread that answers.
+    feedback: Mutex<Publisher<T::FeedbackMessage>>,
+    /// Held while the status of all goals is gathered and published, so that the newest comes last. Taken before `state`.
+    status_of_all: Mutex<Publisher<GoalStatusArray>>,
 }
 
 /// What the stream of goals and the goals hold: without them, the thread that answers ends.
@@ -69,29 +76,33 @@ struct State<T: Action> {
     goals: Goals<ResultReply<T>>,
     /// Of the goals that have not ended.
     cancels: Vec<Cancels>,
-    feedback: Publisher<T::FeedbackMessage>,
-    status: Publisher<GoalStatusArray>,
 }
 
 /// Where requests to cancel a goal go.
 struct Cancels {
     goal: GoalId,
-    requests: mpsc::UnboundedSender<ActionServerCancelRequest>,
+    requests: mpsc::Sender<ActionServerCancelRequest>,
+    /// On the one request that was last given to whoever pursues the goal: all who ask before it is decided on share it.
+    decision: Option<Shared<oneshot::Receiver<bool>>>,
     /// Ends with this: who has not decided by then has rejected.
     _end: oneshot::Sender<()>,
     ended: Shared<oneshot::Receiver<()>>,
 }
 
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl<T: Action> Server<T> {
     fn state(&self) -> MutexGuard<'_, State<T>> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     /// Makes an event happen to a goal and says so to everybody.
     fn happen(&self, id: GoalId, event: GoalEvent) -> Result<GoalStatus> {
-        let mut state = self.state();
-        let status = state.goals.happen(id, event).map_err(|status| self.goal_error(id, status))?;
-        state.publish_status();
+        let happened = self.state().goals.happen(id, event);
+        let status = happened.map_err(|status| self.goal_error(id, status))?;
+        self.publish_status();
         Ok(status)
     }
 
@@ -101,17 +112,19 @@ impl<T: Action> Server<T> {
 
     /// Ends a goal with a result.
     fn finish(&self, id: GoalId, event: GoalEvent, result: T::Result) -> Result<()> {
-        let mut state = self.state();
-        let before = state.goals.status(id);
+        let before = self.state().goals.status(id);
+        // Whatever happens meanwhile, the event ends it in this status, or cannot happen.
         let status = before.after(event).ok_or_else(|| self.goal_error(id, before))?;
         let response = T::make_result_response_msg(status.to_rcl(), result);
         let mut body = vec![0; response.cdr_len()];
         response.encode(&mut body).map_err(|error| Error::Publish(error.into()))?;
-        state.goals.happen(id, event).map_err(|status| self.goal_error(id, status))?;
-        state.cancels.retain(|cancels| cancels.goal != id);
-        let waiting = state.goals.finish(id, body.clone(), monotonic_ns());
-        state.publish_status();
-        drop(state);
+        let waiting = {
+            let mut state = self.state();
+            state.goals.happen(id, event).map_err(|status| self.goal_error(id, status))?;
+            state.cancels.retain(|cancels| cancels.goal != id);
+            state.goals.finish(id, body.clone(), monotonic_ns())
+        };
+        self.publish_status();
         waiting.into_iter().for_each(|reply| respond::<T>(reply, &body));
         Ok(())
     }
@@ -122,30 +135,40 @@ impl<T: Action> Server<T> {
     fn answer(&self, request: ServiceRequest<T::GetResult>) {
         let (message, reply) = request.into_parts();
         let id = T::destructure_result_request_msg(message);
-        let asked = self.state().goals.ask(id, reply);
+        let asked = self.state().goals.ask(id, reply, Reply::is_awaited);
         match asked {
             ResultOf::Later => {}
             ResultOf::Known(reply, body) => respond::<T>(reply, &body),
-            ResultOf::Unknown(reply) => {
-                let response =
-                    T::make_result_response_msg(GoalStatus::Unknown.to_rcl(), T::Result::default());
-                if let Err(error) = reply.respond(&response) {
-                    tracing::warn!("{error}");
-                }
+            ResultOf::Unknown(reply) => self.answer_unknown(reply),
+            ResultOf::TooMany(reply) => {
+                tracing::warn!(
+                    "action '{}': {MAX_WAITING} requests wait for the result of one goal: another one is told that it is unknown",
+                    self.name
+                );
+                self.answer_unknown(reply);
             }
+        }
+    }
+
+    fn answer_unknown(&self, reply: ResultReply<T>) {
+        let response = T::make_result_response_msg(GoalStatus::Unknown.to_rcl(), T::Result::default());
+        if let Err(error) = reply.respond(&response) {
+            tracing::warn!("{error}");
         }
     }
 }
 
-impl<T: Action> State<T> {
+impl<T: Action> Server<T> {
+    /// Tells everybody the status of all goals. Not under the lock of the state, which goals' handles take.
     fn publish_status(&self) {
+        let publisher = lock(&self.status_of_all);
         let status = |(id, accepted, status): (GoalId, Stamp, GoalStatus)| StatusMsg {
             goal_info: goal_info(id, accepted),
             status: status.to_rcl(),
         };
-        let message = GoalStatusArray { status_list: self.goals.all().map(status).collect() };
-        if let Err(error) = self.status.publish(&message) {
-            tracing::warn!("{}: {error}", self.status.topic());
+        let message = GoalStatusArray { status_list: self.state().goals.all().map(status).collect() };
+        if let Err(error) = publisher.publish(&message) {
+            tracing::warn!("{}: {error}", publisher.topic());
         }
     }
 }
@@ -190,6 +213,7 @@ pub(super) fn create<T: Action>(
     options: ActionServerOptions,
 ) -> Result<impl Stream<Item = ActionServerGoalRequest<T>> + Unpin + Send + use<T>> {
     let names = Names::of(action);
+    make_room_for_feedback(node, &names)?;
     let feedback = node.create_publisher(&names.feedback, qos())?;
     let status = node.create_publisher(&names.status, status_qos())?;
     let mut send_goal = node.create_service::<T::SendGoal>(&names.send_goal, qos())?.fuse();
@@ -202,8 +226,14 @@ pub(super) fn create<T: Action>(
         let mut end = end.clone();
         futures::stream::poll_fn(move |context| end.poll_triggered(context).map(Some)).fuse()
     };
-    let state = State { goals: Goals::new(options.result_timeout), cancels: Vec::new(), feedback, status };
-    let server = Arc::new(Server { name: action.to_owned(), now: clock(node), state: Mutex::new(state) });
+    let state = State { goals: Goals::new(options.result_timeout), cancels: Vec::new() };
+    let server = Arc::new(Server {
+        name: action.to_owned(),
+        now: clock(node),
+        state: Mutex::new(state),
+        feedback: Mutex::new(feedback),
+        status_of_all: Mutex::new(status),
+    });
     let user = Arc::new(User { server: server.clone(), end });
     let (mut goals, requests) = mpsc::channel(GOALS_WAITING);
     let users = Arc::downgrade(&user);
@@ -215,19 +245,22 @@ pub(super) fn create<T: Action>(
                     Some(user) => offer(&user, &mut goals, request),
                     None => break,
                 },
-                request = cancel_goal.select_next_some() => cancels.push(ask_to_cancel(&server, request)),
+                request = cancel_goal.select_next_some() => match cancels.len() {
+                    ..CANCELS_WAITING => cancels.push(ask_to_cancel(&server, request)),
+                    _ => answer_cancel(request, cancel_code::REJECTED, Vec::new()),
+                },
                 () = cancels.select_next_some() => {}
                 request = get_result.select_next_some() => server.answer(request),
                 _ = expiry.select_next_some() => {
-                    let mut state = server.state();
-                    if state.goals.expire(monotonic_ns()) {
-                        state.publish_status();
+                    let any = server.state().goals.expire(monotonic_ns());
+                    if any {
+                        server.publish_status();
                     }
                 }
                 () = ends.select_next_some() => if users.strong_count() == 0 { break },
             }
         }
-        // Whoever has asked by now is still answered.
+        // Whoever has asked by now is still answered: no goal is left.
         while let Some(Some(request)) = cancel_goal.next().now_or_never() {
             cancels.push(ask_to_cancel(&server, request));
         }
@@ -271,41 +304,54 @@ fn offer<T: Action>(
     let _ = goals.try_send(request);
 }
 
-/// Asks those who pursue the goals, and answers when all have decided.
+/// Asks those who pursue the goals, unless they have been asked and have not decided, and answers when all have.
 fn ask_to_cancel<T: Action>(
     server: &Arc<Server<T>>,
     request: ServiceRequest<CancelGoal::Service>,
 ) -> impl Future<Output = ()> + use<T> {
     let info = &request.message.goal_info;
-    let state = server.state();
+    let mut state = server.state();
+    let state = &mut *state;
     let (goals, code) = state.goals.to_cancel(info.goal_id.uuid, (info.stamp.sec, info.stamp.nanosec));
     let asked = goals.iter().filter_map(|&id| {
         // There is one for each goal that can be cancelled.
-        let cancels = state.cancels.iter().find(|cancels| cancels.goal == id)?;
-        let (sender, decision) = oneshot::channel();
-        let weak = Arc::downgrade(server);
-        let request = ActionServerCancelRequest {
-            uuid: Uuid::from_bytes(id),
-            accept: Box::new(move || accept_cancel(&weak, id)),
-            decision: sender,
-        };
-        // What comes back is dropped, and with it rejected.
-        let _ = cancels.requests.unbounded_send(request);
+        let cancels = state.cancels.iter_mut().find(|cancels| cancels.goal == id)?;
+        let undecided = cancels.decision.take().filter(|decision| decision.peek().is_none());
+        let decision = undecided.unwrap_or_else(|| {
+            let (sender, decision) = oneshot::channel();
+            let weak = Arc::downgrade(server);
+            let request = ActionServerCancelRequest {
+                uuid: Uuid::from_bytes(id),
+                accept: Box::new(move || accept_cancel(&weak, id)),
+                decision: sender,
+            };
+            // What comes back is dropped, and with it rejected.
+            let _ = cancels.requests.try_send(request);
+            decision.shared()
+        });
+        cancels.decision = Some(decision.clone());
         let info = goal_info(id, state.goals.accepted(id));
         let decided = select(decision, cancels.ended.clone());
         Some(decided.map(move |first| (info, matches!(first, Either::Left((Ok(true), _))))))
     });
     let asked = futures::future::join_all(asked.collect::<Vec<_>>());
-    drop(state);
     asked.map(move |decisions| {
         let any = !decisions.is_empty();
         let canceling = decisions.into_iter().filter(|(_, accepted)| *accepted);
         let goals_canceling: Vec<_> = canceling.map(|(info, _)| info).collect();
         let return_code = if any && goals_canceling.is_empty() { cancel_code::REJECTED } else { code };
-        if let Err(error) = request.respond(CancelGoal::Response { return_code, goals_canceling }) {
-            tracing::warn!("{error}");
-        }
+        answer_cancel(request, return_code, goals_canceling);
     })
+}
+
+fn answer_cancel(
+    request: ServiceRequest<CancelGoal::Service>,
+    return_code: i8,
+    goals_canceling: Vec<GoalInfo>,
+) {
+    if let Err(error) = request.respond(CancelGoal::Response { return_code, goals_canceling }) {
+        tracing::warn!("{error}");
+    }
 }
 
 fn accept_cancel<T: Action>(server: &Weak<Server<T>>, id: GoalId) -> bool {
@@ -367,7 +413,10 @@ pub struct ActionServerGoalRequest<T: Action> {
 
 impl<T: Action> ActionServerGoalRequest<T> {
     /// Accepts the goal: it is pursued from now on. Returns a handle to it and a stream of requests to cancel it, which ends with
-    /// the goal.
+    /// the goal. Until one is decided on there is no other: all who ask meanwhile get the same answer.
+    ///
+    /// # Real-time
+    /// Allocates, and waits while other threads, that which answers among them, change goals or publish their status.
     ///
     /// # Errors
     /// [`Error::Goal`] if there is a goal of this id already; [`Error::Service`] if the client cannot be told.
@@ -377,16 +426,14 @@ impl<T: Action> ActionServerGoalRequest<T> {
     {
         let server = &self.user.server;
         let (id, stamp) = (self.uuid.into_bytes(), (server.now)());
-        let (requests, cancel_requests) = mpsc::unbounded();
+        // One that is not decided on, and one that was decided on meanwhile.
+        let (requests, cancel_requests) = mpsc::channel(1);
         let (end, ended) = oneshot::channel();
         let mut state = server.state();
-        if !state.goals.accept(id, stamp) {
-            let status = state.goals.status(id);
-            return Err(server.goal_error(id, status));
-        }
-        state.cancels.push(Cancels { goal: id, requests, _end: end, ended: ended.shared() });
+        let status = state.goals.accept(id, stamp).map_err(|status| server.goal_error(id, status))?;
+        state.cancels.push(Cancels { goal: id, requests, decision: None, _end: end, ended: ended.shared() });
         drop(state);
-        let pursued = Arc::new(Pursued { id, user: self.user.clone() });
+        let pursued = Arc::new(Pursued { id, status, user: self.user.clone() });
         self.user.server.happen(id, GoalEvent::Execute)?;
         self.decision.tell(true, stamp)?;
         Ok((ActionServerGoal { uuid: self.uuid, goal: self.goal, pursued }, cancel_requests))
@@ -414,13 +461,13 @@ pub struct ActionServerGoal<T: Action> {
 /// As long as somebody pursues it.
 struct Pursued<T: Action> {
     id: GoalId,
+    status: SharedStatus,
     user: Arc<User<T>>,
 }
 
 impl<T: Action> Drop for Pursued<T> {
     fn drop(&mut self) {
-        let status = self.user.server.state().goals.status(self.id);
-        let event = match status {
+        let event = match self.status.get() {
             GoalStatus::Canceling => GoalEvent::Canceled,
             GoalStatus::Executing => GoalEvent::Abort,
             _ => return,
@@ -430,26 +477,35 @@ impl<T: Action> Drop for Pursued<T> {
     }
 }
 
+/// Ending a goal allocates, and waits while other threads, that which answers among them, change goals or publish their status: for
+/// ordinary priorities, or at the end of real-time work.
 impl<T: Action> ActionServerGoal<T> {
     /// Whether a request to cancel this goal was accepted.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
     ///
     /// # Errors
     /// None; the result is r2r's.
     pub fn is_cancelling(&self) -> Result<bool> {
-        Ok(self.pursued.user.server.state().goals.status(self.pursued.id) == GoalStatus::Canceling)
+        Ok(self.pursued.status.get() == GoalStatus::Canceling)
     }
 
     /// Publishes feedback to all clients; that of this goal passes it on.
     ///
+    /// # Real-time
+    /// Takes a lock that only other threads hold which publish feedback of this action: threads of one priority should, or one
+    /// thread. The message's strings and sequences are copied, and freed.
+    ///
     /// # Errors
     /// [`Error::Goal`] if the goal has ended; [`Error::Publish`].
     pub fn publish_feedback(&self, msg: T::Feedback) -> Result<()> {
-        let Pursued { id, user } = &*self.pursued;
+        let Pursued { id, status, user } = &*self.pursued;
         let server = &user.server;
-        let state = server.state();
-        match state.goals.status(*id) {
+        match status.get() {
             GoalStatus::Executing | GoalStatus::Canceling => {
-                Ok(state.feedback.publish(&T::make_feedback_msg(*id, msg))?)
+                let message = T::make_feedback_msg(*id, msg);
+                Ok(lock(&server.feedback).publish(&message)?)
             }
             status => Err(server.goal_error(*id, status)),
         }

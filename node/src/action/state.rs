@@ -13,6 +13,8 @@
 //! ```
 
 use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI8, Ordering};
 
 /// The status of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -31,6 +33,24 @@ pub enum GoalStatus {
     Canceled,
     /// It was given up.
     Aborted,
+}
+
+/// The status of one goal, which its handles read without a lock. A clone is the same.
+#[derive(Clone, Default)]
+pub(crate) struct SharedStatus(Arc<AtomicI8>);
+
+impl SharedStatus {
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub(crate) fn get(&self) -> GoalStatus {
+        // Acquire: pairs with the Release in `set`.
+        GoalStatus::from_rcl(self.0.load(Ordering::Acquire))
+    }
+
+    /// Under the lock of the goal's owner: what is set depends on what it was.
+    pub(crate) fn set(&self, status: GoalStatus) {
+        self.0.store(status.to_rcl(), Ordering::Release);
+    }
 }
 
 /// What happens to a goal.

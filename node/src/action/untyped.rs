@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clients of actions whose type is known by name: goals, results and feedback as JSON.
 
-use super::client::{Held, Protocol, ResultFuture, Shared};
+use super::client::{Feedback, Held, Protocol, ResultFuture, Shared};
 use super::state::GoalStatus;
-use super::{Names, qos};
+use super::{Names, qos, subscribe_feedback};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{ClientUntyped, IsAvailablePollable};
@@ -32,9 +32,13 @@ impl Node {
         let part = |part: &str| format!("{action_type}_{part}");
         let send_goal = self.create_client_untyped(&names.send_goal, &part("SendGoal"), qos())?;
         let get_result = self.create_client_untyped(&names.get_result, &part("GetResult"), qos())?;
-        let feedback = self.subscribe_untyped(&names.feedback, &part("FeedbackMessage"), qos())?;
-        let feedback = feedback.filter_map(|message| future::ready(message.ok().and_then(take_apart)));
-        let shared = Shared::create(self, &action, Json { send_goal, get_result }, feedback.boxed())?;
+        let feedback_type = part("FeedbackMessage");
+        let messages =
+            subscribe_feedback(|qos| self.subscribe_untyped(&names.feedback, &feedback_type, qos))?;
+        let counters = messages.counters();
+        let messages = messages.filter_map(|message| future::ready(message.ok().and_then(take_apart)));
+        let feedback = Feedback { messages: messages.boxed(), counters };
+        let shared = Shared::create(self, &action, Json { send_goal, get_result }, feedback)?;
         Ok(ActionClientUntyped { shared })
     }
 }
@@ -135,7 +139,7 @@ impl ActionClientGoalUntyped {
     /// # Errors
     /// None; the result is r2r's.
     pub fn get_status(&self) -> Result<GoalStatus> {
-        Ok(self.held.shared.status(self.held.id))
+        Ok(self.held.status.get())
     }
 
     /// As [`ActionClientGoal::cancel`](crate::ActionClientGoal::cancel).

@@ -74,6 +74,21 @@ impl ManagedNode {
     ) -> Result<Publisher<T>> {
         Ok(self.node.create_publisher(topic, qos_profile)?.with_gate(self.gate.clone()))
     }
+
+    /// As [`create_publisher`](Self::create_publisher), for a type that is known by name.
+    ///
+    /// # Errors
+    /// As [`Node::create_publisher_untyped`].
+    #[cfg(feature = "untyped")]
+    pub fn create_publisher_untyped(
+        &mut self,
+        topic: &str,
+        topic_type: &str,
+        qos_profile: QosProfile,
+    ) -> Result<crate::PublisherUntyped> {
+        let publisher = self.node.create_publisher_untyped(topic, topic_type, qos_profile)?;
+        Ok(publisher.with_gate(self.gate.clone()))
+    }
 }
 
 impl Deref for ManagedNode {

@@ -6,7 +6,7 @@ use super::node::{LifecycleError, LifecycleNode, Transitioned, described};
 use crate::error;
 use crate::qos::QosProfile;
 use crate::service::ServiceRequest;
-use futures::StreamExt;
+use futures::{FutureExt, StreamExt};
 use std::future::{Future, Ready, ready};
 use tautline_msgs::Service;
 use tautline_ros_msgs::lifecycle_msgs::{msg, srv};
@@ -16,15 +16,43 @@ impl LifecycleNode {
     /// `~/get_available_transitions` and `~/get_transition_graph`. They answer as long as the future is polled, which never ends:
     /// give it a callback of its own. Callbacks of transitions run there when they are asked for by service: if they make
     /// topics, it needs a stack as large as a program's own
-    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)).
+    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)). While one of them runs, the other services are
+    /// silent: [`serve_changes`](Self::serve_changes) and [`serve_states`](Self::serve_states) on two callbacks are not.
     ///
     /// # Errors
     /// [`LifecycleError::Busy`]; [`Error::Transport`](crate::Error::Transport) if a service cannot be had.
     pub fn serve(&self) -> error::Result<impl Future<Output = ()> + Send + use<>> {
+        let (changes, states) = (self.serve_changes()?, self.serve_states()?);
+        Ok(futures::future::join(changes, states).map(drop))
+    }
+
+    /// The part of [`serve`](Self::serve) in which callbacks of transitions run: `~/change_state`.
+    ///
+    /// # Errors
+    /// As [`serve`](Self::serve).
+    pub fn serve_changes(&self) -> error::Result<impl Future<Output = ()> + Send + use<>> {
+        let qos = QosProfile::services_default();
+        let changes =
+            self.with_node(|node| node.create_service::<srv::ChangeState::Service>("~/change_state", qos))??;
+        let node = self.clone();
+        Ok(changes.for_each(move |request| {
+            let done = change_state(&node, &request.message);
+            if let Err(error) = &done {
+                tracing::warn!("{error}");
+            }
+            respond(request, changed(&done))
+        }))
+    }
+
+    /// The part of [`serve`](Self::serve) that tells where the node is and may go: all but `~/change_state`. On a callback of its own
+    /// it answers during transitions, too.
+    ///
+    /// # Errors
+    /// As [`serve`](Self::serve).
+    pub fn serve_states(&self) -> error::Result<impl Future<Output = ()> + Send + use<>> {
         let qos = QosProfile::services_default();
         let services = self.with_node(|node| -> error::Result<_> {
             Ok((
-                node.create_service::<srv::ChangeState::Service>("~/change_state", qos)?,
                 node.create_service::<srv::GetState::Service>("~/get_state", qos)?,
                 node.create_service::<srv::GetAvailableStates::Service>("~/get_available_states", qos)?,
                 node.create_service::<srv::GetAvailableTransitions::Service>(
@@ -36,20 +64,13 @@ impl LifecycleNode {
         })??;
         let node = self.clone();
         Ok(async move {
-            let (changes, states, all_states, available, graphs) = services;
-            let changes = changes.for_each(|request| {
-                let done = change_state(&node, &request.message);
-                if let Err(error) = &done {
-                    tracing::warn!("{error}");
-                }
-                respond(request, changed(&done))
-            });
+            let (states, all_states, available, graphs) = services;
             let states = states.for_each(|request| respond(request, state(node.state())));
             let all_states = all_states.for_each(|request| respond(request, available_states()));
             let available =
                 available.for_each(|request| respond(request, transitions(node.available_transitions())));
             let graphs = graphs.for_each(|request| respond(request, transitions(Transition::ALL)));
-            futures::join!(changes, states, all_states, available, graphs);
+            futures::join!(states, all_states, available, graphs);
         })
     }
 }

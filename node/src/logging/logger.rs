@@ -5,9 +5,10 @@ use super::line::Line;
 use super::severity::LEVELS;
 use super::{LogSeverity, output};
 use std::fmt;
+use std::hash::{Hash, Hasher};
 use std::ops::Deref;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 
@@ -31,6 +32,23 @@ use tautline_rt::clock::{monotonic_ns, wall_ns};
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Logger {
     name: Arc<str>,
+    life: Life,
+}
+
+/// What a node's loggers share: as long as one is there, what they log goes to the node's topic. It tells no two of them apart.
+#[derive(Clone, Debug, Default)]
+struct Life(Arc<()>);
+
+impl PartialEq for Life {
+    fn eq(&self, _: &Life) -> bool {
+        true
+    }
+}
+
+impl Eq for Life {}
+
+impl Hash for Life {
+    fn hash<H: Hasher>(&self, _: &mut H) {}
 }
 
 impl Logger {
@@ -40,11 +58,17 @@ impl Logger {
     /// Setup only: allocates, starts the thread that writes what real-time threads log.
     pub fn new(name: impl Into<Arc<str>>) -> Logger {
         output::start();
-        Logger { name: name.into() }
+        Logger { name: name.into(), life: Life::default() }
     }
 
     pub(crate) fn of_node(fully_qualified_name: &str) -> Logger {
-        Logger { name: fully_qualified_name.trim_start_matches('/').replace('/', ".").into() }
+        let name = fully_qualified_name.trim_start_matches('/').replace('/', ".").into();
+        Logger { name, life: Life::default() }
+    }
+
+    /// Gone with the last clone and child of this logger.
+    pub(super) fn life(&self) -> Weak<()> {
+        Arc::downgrade(&self.life.0)
     }
 
     /// Its name.
@@ -54,7 +78,7 @@ impl Logger {
 
     /// The logger `name` below this one.
     pub fn child(&self, name: &str) -> Logger {
-        Logger { name: format!("{}.{name}", self.name).into() }
+        Logger { name: format!("{}.{name}", self.name).into(), life: self.life.clone() }
     }
 
     /// Sets the least severe lines that are wanted of this logger and those below it; [`LogSeverity::Unset`]: of as those
@@ -64,6 +88,11 @@ impl Logger {
     /// Allocates the first time.
     pub fn set_level(&self, level: LogSeverity) {
         LEVELS.set(&self.name, level);
+    }
+
+    /// The level that was set for this logger itself; [`LogSeverity::Unset`]: that of those above it counts.
+    pub fn level(&self) -> LogSeverity {
+        LEVELS.own(&self.name)
     }
 
     /// Whether a line of this severity would be written.

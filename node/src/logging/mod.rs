@@ -8,7 +8,7 @@
 //!   into a ring of 64 lines; a low-priority thread, `log`, writes it within 20 ms. Lines that find the ring full are
 //!   counted, and a line says how many were lost. Other threads write their lines themselves.
 //! - What the nodes' loggers, and loggers below them, log is published on `/rosout`; the topic is there with the first
-//!   line. Other names are only printed.
+//!   line, and a node's logger counts as long as somebody has it, a clone, or one below it. Other names are only printed.
 //! - `TracingLayer` (feature `tracing-layer`) brings what `tracing` macros say the same way: Tautline's own warnings, and
 //!   those of other crates.
 

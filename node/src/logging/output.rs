@@ -5,7 +5,7 @@ use super::line::{FixedLine, Line};
 use super::rings::{self, Drain, LINES, Lost};
 use super::rosout::Rosout;
 use super::severity::is_below;
-use super::{LogSeverity, console};
+use super::{LogSeverity, Logger, console};
 use std::cell::Cell;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -22,8 +22,20 @@ const RECLAIM_PERIOD: Duration = Duration::from_secs(1);
 
 struct Sink {
     drain: Drain,
-    /// By logger: those of nodes.
-    topics: Vec<(String, Weak<Rosout>)>,
+    topics: Vec<OfNode>,
+}
+
+/// Where a node's loggers log to.
+struct OfNode {
+    logger: String,
+    topic: Weak<Rosout>,
+    life: Weak<()>,
+}
+
+impl OfNode {
+    fn is_used(&self) -> bool {
+        self.topic.strong_count() != 0 && self.life.strong_count() != 0
+    }
 }
 
 static SINK: Mutex<Sink> = Mutex::new(Sink { drain: Drain::new(), topics: Vec::new() });
@@ -72,7 +84,8 @@ fn write_for_ever() {
         if reclaimed.elapsed() >= RECLAIM_PERIOD {
             reclaimed = Instant::now();
             writing.sink.drain.reclaim();
-            writing.sink.topics.retain(|(_, topic)| topic.strong_count() != 0);
+            // After what was logged was written.
+            writing.sink.topics.retain(OfNode::is_used);
         }
         writing.sink.drain.prepare();
         drop(writing);
@@ -80,13 +93,13 @@ fn write_for_ever() {
     }
 }
 
-/// What the logger of a node logs goes to this topic.
-pub(crate) fn add_topic(logger: &str, topic: Weak<Rosout>) {
-    let mut sink = lock();
-    // Nodes come and go, and come again under their former names.
-    if !sink.topics.iter().any(|(other, of)| other == logger && of.ptr_eq(&topic)) {
-        sink.topics.push((logger.to_owned(), topic));
-    }
+/// What the logger of a node logs goes to this topic, as long as somebody has the logger or one below it.
+pub(crate) fn add_topic(logger: &Logger, topic: Weak<Rosout>) {
+    let mut writing = Writing::begin();
+    // Nodes come and go. What those that went had logged is written before they are forgotten.
+    writing.drain();
+    writing.sink.topics.retain(OfNode::is_used);
+    writing.sink.topics.push(OfNode { logger: logger.name().to_owned(), topic, life: logger.life() });
 }
 
 pub(super) fn log(line: Line<'_>, text: fmt::Arguments<'_>) {
@@ -153,14 +166,14 @@ impl Drop for Writing {
     }
 }
 
-fn deliver(topics: &[(String, Weak<Rosout>)], line: &Line<'_>) {
+fn deliver(topics: &[OfNode], line: &Line<'_>) {
     if TO_CONSOLE.load(Ordering::Relaxed) {
         console::write(line);
     }
     // Of the node that is nearest above the logger, in each context.
-    let above = topics.iter().filter(|(logger, _)| is_below(line.logger, logger));
+    let above = topics.iter().filter(|of| is_below(line.logger, &of.logger));
     let mut published: Vec<Weak<Rosout>> = Vec::new();
-    for (_, topic) in above {
+    for OfNode { topic, .. } in above {
         if !published.iter().any(|other| other.ptr_eq(topic)) {
             published.push(topic.clone());
             if let Some(topic) = topic.upgrade() {
@@ -182,13 +195,24 @@ impl Drop for FlushOnDrop {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Arc;
+    use tautline_transport::Participant;
 
     #[test]
-    fn a_node_that_comes_again_is_listed_once() {
-        for name in ["robot", "arm", "robot"] {
-            add_topic(name, Weak::new());
-        }
-        let names: Vec<_> = lock().topics.iter().map(|(name, _)| name.clone()).collect();
-        assert_eq!(names, ["robot", "arm"]);
+    fn nodes_whose_loggers_have_gone_are_forgotten() {
+        let rosout = Arc::new(Rosout::new(Participant::new(56).unwrap()));
+        let names = || lock().topics.iter().map(|of| of.logger.clone()).collect::<Vec<_>>();
+        let add = |name: &str| {
+            let logger = Logger::of_node(name);
+            add_topic(&logger, Arc::downgrade(&rosout));
+            logger
+        };
+        let robot = add("/robot");
+        drop(add("/arm"));
+        let driver = add("/robot/hand").child("driver");
+        assert_eq!(names(), ["robot", "robot.hand"], "a child is enough");
+        drop((robot, driver));
+        let _again = add("/robot");
+        assert_eq!(names(), ["robot"]);
     }
 }

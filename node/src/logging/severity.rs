@@ -20,6 +20,20 @@ pub enum LogSeverity {
 }
 
 impl LogSeverity {
+    const ALL: [LogSeverity; 6] = [
+        LogSeverity::Unset,
+        LogSeverity::Debug,
+        LogSeverity::Info,
+        LogSeverity::Warn,
+        LogSeverity::Error,
+        LogSeverity::Fatal,
+    ];
+
+    /// That of this number.
+    fn of_level(level: u8) -> LogSeverity {
+        Self::ALL.into_iter().find(|severity| *severity as u8 == level).unwrap_or(LogSeverity::Unset)
+    }
+
     /// As in a line: `INFO`.
     pub const fn name(self) -> &'static str {
         match self {
@@ -38,9 +52,7 @@ impl FromStr for LogSeverity {
     type Err = ();
 
     fn from_str(text: &str) -> Result<LogSeverity, ()> {
-        use LogSeverity::*;
-        let all = [Unset, Debug, Info, Warn, Error, Fatal];
-        all.into_iter().find(|severity| severity.name().eq_ignore_ascii_case(text)).ok_or(())
+        LogSeverity::ALL.into_iter().find(|severity| severity.name().eq_ignore_ascii_case(text)).ok_or(())
     }
 }
 
@@ -80,6 +92,18 @@ impl Levels {
             }
             place = &named.next;
         }
+    }
+
+    /// The level that this logger has of its own; [`LogSeverity::Unset`]: none.
+    pub(super) fn own(&self, logger: &str) -> LogSeverity {
+        let mut place = self.first.get();
+        while let Some(named) = place {
+            if named.logger == logger {
+                return LogSeverity::of_level(named.level.load(Ordering::Relaxed));
+            }
+            place = named.next.get();
+        }
+        LogSeverity::Unset
     }
 
     /// Whether a line of this severity is wanted of the logger.

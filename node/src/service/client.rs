@@ -8,7 +8,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_msgs::Service;
-use tautline_sampler::{Events, Timer};
+use tautline_rt::clock::monotonic_ns;
+use tautline_sampler::{Alarm, Events};
 use tautline_transport::{Availability, PendingResponse, RawClient};
 
 /// Asks a service with owned messages. May be used in several threads.
@@ -40,7 +41,8 @@ impl<T: Service> Client<T> {
         Ok(ResponseFuture { response: self.client().request(msg)?, limit: None })
     }
 
-    /// [`request`](Self::request), whose future ends with an error if the response does not come in time.
+    /// [`request`](Self::request), whose future ends with an error if the response does not come in time; with a limit of zero, unless
+    /// it is there when the future is first polled.
     ///
     /// # Real-time
     /// As [`request`](Self::request), and claims a timer.
@@ -49,9 +51,8 @@ impl<T: Service> Client<T> {
     /// As [`request`](Self::request); [`Error::Transport`] if the context has no slot left for a timer. The future's:
     /// [`Error::ServiceTimeout`].
     pub fn request_timeout(&self, msg: &T::Request, timeout: Duration) -> Result<ResponseFuture<T>> {
-        let timer = self.events.timer(timeout)?;
         let client = self.client();
-        let limit = Limit { timer, timeout, service: client.service().to_owned() };
+        let limit = Limit::new(&self.events, timeout, client.service())?;
         Ok(ResponseFuture { response: client.request(msg)?, limit: Some(limit) })
     }
 
@@ -75,18 +76,25 @@ pub struct ResponseFuture<T: Service> {
 
 /// Until when a response is waited for.
 pub(super) struct Limit {
-    pub(super) timer: Timer,
-    pub(super) timeout: Duration,
-    pub(super) service: String,
+    /// Rings once: a timer would go on for as long as nobody polls.
+    alarm: Alarm,
+    timeout: Duration,
+    service: String,
 }
 
 impl Limit {
+    pub(super) fn new(events: &Events, timeout: Duration, service: &str) -> Result<Self> {
+        let mut alarm = events.alarm()?;
+        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
+        alarm.set(Some(monotonic_ns().saturating_add(timeout_ns)));
+        Ok(Limit { alarm, timeout, service: service.to_owned() })
+    }
+
     /// Ready when it is too late.
     pub(super) fn poll(&mut self, context: &mut Context<'_>) -> Poll<Error> {
-        let Limit { timer, timeout, service } = self;
-        timer
-            .poll_tick(context)
-            .map(|_| Error::ServiceTimeout { service: service.clone(), timeout: *timeout })
+        let Limit { alarm, timeout, service } = self;
+        let late = alarm.poll(context);
+        late.map(|()| Error::ServiceTimeout { service: service.clone(), timeout: *timeout })
     }
 }
 

@@ -188,11 +188,12 @@ impl<T: Service> ServiceRequest<T> {
     /// Answers the request. If its client has gone meanwhile, nothing happens, as in ROS 2.
     ///
     /// # Real-time
-    /// Takes a lock that only other threads which answer requests of this service, or take them, hold:
+    /// Takes a lock that other threads which answer requests of this service, or take them, hold; one that takes a request of a client
+    /// that has only just appeared holds it while a publisher for that is made, which takes milliseconds.
     /// [`create_service_loaned`](crate::Node::create_service_loaned) takes none.
     ///
     /// # Errors
-    /// [`Error::Service`](crate::Error::Service): the client's queue is full, the response cannot be written.
+    /// [`Error::Service`](crate::Error::Service): the client's queue is full or cannot be reached, the response cannot be written.
     pub fn respond(self, msg: T::Response) -> Result<()> {
         self.reply.respond(&msg)
     }
@@ -227,6 +228,13 @@ pub(crate) struct Reply<T: Service> {
 }
 
 impl<T: Service> Reply<T> {
+    /// Whether the client that asked is still there.
+    #[cfg(feature = "action_msgs")]
+    pub(crate) fn is_awaited(&self) -> bool {
+        let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
+        service.server().responders().contains(self.id.client)
+    }
+
     pub(crate) fn respond(self, msg: &T::Response) -> Result<()> {
         let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
         match service.server().respond(self.id, msg) {

@@ -129,7 +129,7 @@ impl ClientUntyped {
         msg: serde_json::Value,
         timeout: Duration,
     ) -> Result<impl Future<Output = Result<Result<serde_json::Value>>> + Unpin + Send + use<>> {
-        let limit = Limit { timer: self.events.timer(timeout)?, timeout, service: self.service_name() };
+        let limit = Limit::new(&self.events, timeout, &self.service_name())?;
         let schema = self.definitions.response.clone();
         Ok(ResponseUntyped { response: self.send(msg)?, schema, limit: Some(limit) })
     }

@@ -2,8 +2,10 @@
 //! A node's clock, and timers on it.
 
 use super::{Clock, RosTimer, TimeSource};
-use crate::error::{Error, Result};
-use crate::node::Node;
+#[allow(unused_imports, reason = "for the documentation")]
+use crate::error::Error;
+use crate::error::Result;
+use crate::node::{Node, check_period};
 use crate::timer::Timer;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -30,11 +32,9 @@ impl Node {
     /// [`create_wall_timer`](Self::create_wall_timer): setting the system's time does not disturb them.
     ///
     /// # Errors
-    /// [`Error::ZeroPeriod`]; [`Error::Transport`] if the context has no slot left; [`Error::ClockUsers`].
+    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if the context has no slot left; [`Error::ClockUsers`].
     pub fn create_timer(&mut self, period: Duration) -> Result<Timer> {
-        if period.is_zero() {
-            return Err(Error::ZeroPeriod);
-        }
+        check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
         // Simulated time has 63 bits.
         let period_ns = i64::try_from(period.as_nanos()).unwrap_or(i64::MAX).unsigned_abs();

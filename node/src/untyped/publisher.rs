@@ -23,6 +23,12 @@ impl PublisherUntyped {
         PublisherUntyped { raw, schema }
     }
 
+    /// Sends while `gate` is open.
+    #[cfg(feature = "lifecycle_msgs")]
+    pub(crate) fn with_gate(self, gate: tautline_transport::Gate) -> Self {
+        PublisherUntyped { raw: self.raw.with_gate(gate), ..self }
+    }
+
     /// Publishes a message: an object of its fields, those left out having their defaults.
     ///
     /// # Real-time

@@ -9,6 +9,7 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 use tautline::{CallbackOptions, Context, Node, Realtime};
 use tautline_components::{Container, Load};
 use tautline_dylib as _;
@@ -17,7 +18,8 @@ use tautline_dylib as _;
 ///
 /// A component shares the process's context; what components publish to each other is read where it was written. A library that
 /// was built by another compiler or with another version of Tautline is refused before any of it runs. Behind --ros-args stand ROS 2's
-/// arguments, for the container's own node and the components that are loaded here.
+/// arguments, for the container's own node and the components that are loaded here, up to `--`; more libraries may follow. A
+/// first SIGINT or SIGTERM ends the container once the callbacks that run have returned, a second one at once.
 #[derive(Parser, Debug)]
 #[command(
     version,
@@ -61,7 +63,15 @@ fn run(args: &Args, ros_args: impl Iterator<Item = String>) -> Result<(), Box<dy
     let context = settings.build()?;
     let mut node = Node::create(context.clone(), &args.name, "")?;
     let mut container = Container::new(context.clone());
-    for load in &args.load {
+    // Those behind `--` stand behind ROS 2's arguments.
+    let behind = context.non_ros_args();
+    if let Some(option) = behind.iter().find(|arg| arg.starts_with('-')) {
+        return Err(format!(
+            "{option} stands behind --ros-args, where only libraries can: put options before"
+        )
+        .into());
+    }
+    for load in args.load.iter().chain(behind) {
         // The component's name has colons, too.
         let (library, component) = load.split_once(':').unwrap_or((load, ""));
         let (library, component) = (PathBuf::from(library), component.to_owned());
@@ -75,11 +85,19 @@ fn run(args: &Args, ros_args: impl Iterator<Item = String>) -> Result<(), Box<dy
     // Below every callback: making a component is no real-time work. It may take as much stack as a program's start.
     let options = CallbackOptions::other().name("container").stack_bytes(8 << 20);
     let services = node.spawn_callback(options, serve)?;
+    // The first signal asks for the end, which waits for callbacks that run; one that comes later does not wait. Who stops a
+    // program may signal it twice, as a process and in its group: both are one stop.
+    const ONE_STOP: Duration = Duration::from_millis(200);
     let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
     let events = context.events().clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {
-        signals.forever().next();
-        events.stop();
+        let mut first = None;
+        for signal in signals.forever() {
+            events.stop();
+            if first.get_or_insert_with(Instant::now).elapsed() > ONE_STOP {
+                signal_hook::low_level::exit(128 + signal);
+            }
+        }
     })?;
     context.spin()?;
     services.stop();

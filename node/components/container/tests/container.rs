@@ -66,8 +66,10 @@ fn components_of_one_process_work_together_until_it_ends() {
     let library = demo();
     let loads =
         ["demo::Counter", "demo::Doubler"].map(|component| format!("{}:{component}", library.display()));
-    let mut command = container(59, &loads);
-    command.args(["--namespace", "/robot", "--ros-args", "-p", "counter:step:=4"]).stdout(Stdio::piped());
+    // One of them behind ROS 2's arguments.
+    let mut command = container(59, &loads[..1]);
+    command.args(["--namespace", "/robot", "--ros-args", "-p", "counter:step:=4", "--", &loads[1]]);
+    command.stdout(Stdio::piped());
     let mut running = Running(command.spawn().unwrap());
     let lines = BufReader::new(running.0.stdout.take().unwrap()).lines().take(2).map(Result::unwrap);
     assert_eq!(lines.collect::<Vec<_>>(), ["1 /robot/counter", "2 /robot/doubler"]);
@@ -111,6 +113,13 @@ fn what_has_no_entry_point_or_is_no_library_is_refused() {
     assert!(text.contains("is not a shared library"), "{text}");
     let text = refused(&["/nowhere/libx.so".to_owned()]);
     assert!(text.contains("/nowhere/libx.so cannot be read"), "{text}");
+    // What a ROS 2 user types.
+    let text = refused(&["demo_nodes_cpp:demo_nodes_cpp::Talker".to_owned()]);
+    assert!(text.contains("is the path of a file here"), "{text}");
+    let text = refused(&["/dev/zero".to_owned()]);
+    assert!(text.contains("not a regular file"), "{text}");
+    let text = refused(&["--ros-args", "--", "--name", "x"].map(str::to_owned));
+    assert!(text.contains("--name stands behind --ros-args"), "{text}");
 }
 
 #[test]
