@@ -20,8 +20,11 @@ use std::time::{Duration, Instant};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, RawSubscription, TopicType};
 
-/// Messages that a queue holds.
-const DEPTH: usize = 100;
+/// Messages that a queue holds: five seconds of the default rate. What found no room in Fast DDS's shared memory is sent again after its
+/// heartbeat of 3 s, if it is kept until then.
+const DEPTH: usize = 5000;
+/// Of a topic, that can be told apart.
+pub const MAX_MESSAGES: u32 = 1 << 20;
 const TYPE: &str = "std_msgs/msg/UInt64";
 /// How long what is under way may take to arrive.
 const LAST: Duration = Duration::from_secs(10);
@@ -47,6 +50,8 @@ pub struct Job {
     /// Of each topic.
     pub messages: u32,
     pub domain: u32,
+    /// When the run began.
+    pub epoch_ns: u64,
 }
 
 impl Job {
@@ -69,24 +74,67 @@ pub fn run(job: &str) -> Result<()> {
     }
 }
 
-/// Latencies, from the time in each message.
+/// A message: its number within its topic, and when it was published, since the run began.
+struct Stamp {
+    number: u32,
+    published_ns: u64,
+}
+
+impl Stamp {
+    const NUMBER_BITS: u32 = MAX_MESSAGES.trailing_zeros();
+
+    fn now(number: u32, epoch_ns: u64) -> Self {
+        Stamp { number, published_ns: monotonic_ns() - epoch_ns }
+    }
+
+    fn to_u64(&self) -> u64 {
+        self.published_ns << Self::NUMBER_BITS | u64::from(self.number)
+    }
+
+    fn from_u64(stamp: u64) -> Self {
+        let number = (stamp & u64::from(MAX_MESSAGES - 1)) as u32;
+        Stamp { number, published_ns: stamp >> Self::NUMBER_BITS }
+    }
+}
+
+/// What has arrived, from the stamp in each message.
 struct Log {
+    epoch_ns: u64,
+    expected: u64,
     latency_ns: Histogram<u64>,
+    /// Of each topic, the number after the highest that has arrived.
+    next: Vec<u32>,
+    disordered: u64,
 }
 
 impl Log {
-    fn new() -> Result<Self> {
-        Ok(Log { latency_ns: Histogram::new_with_bounds(1, 60_000_000_000, 3)? })
+    fn new(job: &Job) -> Result<Self> {
+        let latency_ns = Histogram::new_with_bounds(1, 60_000_000_000, 3)?;
+        let next = vec![0; job.topics];
+        Ok(Log { epoch_ns: job.epoch_ns, expected: job.expected(), latency_ns, next, disordered: 0 })
     }
 
-    fn note(&mut self, published_ns: u64) {
-        self.latency_ns.saturating_record(monotonic_ns().saturating_sub(published_ns).max(1));
+    /// A message counts if it comes after all before it: one that comes twice is none more.
+    fn note(&mut self, topic: usize, stamp: u64) {
+        let stamp = Stamp::from_u64(stamp);
+        let latency_ns = (monotonic_ns() - self.epoch_ns).saturating_sub(stamp.published_ns);
+        if stamp.number < self.next[topic] {
+            self.disordered += 1;
+            return;
+        }
+        self.next[topic] = stamp.number + 1;
+        self.latency_ns.saturating_record(latency_ns.max(1));
+    }
+
+    fn is_complete(&self) -> bool {
+        self.latency_ns.len() >= self.expected
     }
 
     fn say(&self) -> Result<()> {
         let at = |quantile| self.latency_ns.value_at_quantile(quantile) as f64 / 1000.0;
         let received = Received {
             messages: self.latency_ns.len(),
+            disordered: self.disordered,
             p50_us: at(0.5),
             p99_us: at(0.99),
             p999_us: at(0.999),
@@ -129,18 +177,18 @@ impl Patience {
 fn subscribe_in_ros(job: &Job) -> Result<()> {
     let mut node = Node::create(Context::create()?, "bench_subscriber", "")?;
     let mut pool = LocalPool::new();
-    let log = Rc::new(RefCell::new(Log::new()?));
-    for name in job.names() {
+    let log = Rc::new(RefCell::new(Log::new(job)?));
+    for (topic, name) in job.names().enumerate() {
         let messages = node.subscribe::<UInt64>(&name, QosProfile::default().keep_last(DEPTH))?;
         let log = log.clone();
         pool.spawner().spawn_local(messages.for_each(move |message| {
-            log.borrow_mut().note(message.data);
+            log.borrow_mut().note(topic, message.data);
             std::future::ready(())
         }))?;
     }
     println!("ready");
     let mut patience = Patience::new();
-    while !patience.is_over(log.borrow().latency_ns.len() >= job.expected()) {
+    while !patience.is_over(log.borrow().is_complete()) {
         node.spin_once(Duration::from_millis(10));
         pool.run_until_stalled();
     }
@@ -162,14 +210,13 @@ fn publish_in_ros(job: &Job) -> Result<()> {
         }
     }
     println!("matched");
-    publish(job, |topic| Ok(publishers[topic].publish(&UInt64 { data: monotonic_ns() })?))
+    publish(job, |topic, stamp| Ok(publishers[topic].publish(&UInt64 { data: stamp.to_u64() })?))
 }
 
 fn publish_in_tautline(job: &Job) -> Result<()> {
     let participant = Participant::new(job.domain)?;
     let publish_one = |name: String| {
-        let limits = Limits { message_bytes: 64, ..Limits::default() };
-        participant.create_raw_publisher(&name, &TopicType::new(TYPE), Qos::keep_last(DEPTH), limits)
+        participant.create_raw_publisher(&name, &TopicType::new(TYPE), Qos::keep_last(DEPTH), limits())
     };
     let publishers: Vec<RawPublisher> =
         job.names().map(publish_one).collect::<std::result::Result<_, _>>()?;
@@ -181,18 +228,22 @@ fn publish_in_tautline(job: &Job) -> Result<()> {
         }
     }
     println!("matched");
-    publish(job, |topic| Ok(publishers[topic].publish(&monotonic_ns().to_le_bytes())?))
+    publish(job, |topic, stamp| Ok(publishers[topic].publish(&stamp.to_u64().to_le_bytes())?))
+}
+
+fn limits() -> Limits {
+    Limits { depth: DEPTH, message_bytes: 64, ..Limits::default() }
 }
 
 /// The topics take turns, evenly.
-fn publish(job: &Job, mut publish_one: impl FnMut(usize) -> Result<()>) -> Result<()> {
+fn publish(job: &Job, mut publish_one: impl FnMut(usize, Stamp) -> Result<()>) -> Result<()> {
     let _ = std::io::stdin().lock().lines().next();
     let interval_ns = 1_000_000_000 / (u64::from(job.rate) * job.topics as u64);
     let mut next_ns = monotonic_ns();
-    for _ in 0..job.messages {
+    for number in 0..job.messages {
         for topic in 0..job.topics {
             sleep_until_monotonic(next_ns);
-            publish_one(topic)?;
+            publish_one(topic, Stamp::now(number, job.epoch_ns))?;
             next_ns += interval_ns;
         }
     }
@@ -214,25 +265,24 @@ fn subscribe_in_tautline(job: &Job) -> Result<()> {
     let participant = Participant::new(job.domain)?;
     let seat = participant.doorbell().claim_sampler()?;
     let subscribe = |name: String| {
-        let limits = Limits { message_bytes: 64, ..Limits::default() };
-        participant.create_raw_subscription(&name, &TopicType::new(TYPE), Qos::keep_last(DEPTH), limits)
+        participant.create_raw_subscription(&name, &TopicType::new(TYPE), Qos::keep_last(DEPTH), limits())
     };
     let all: Vec<RawSubscription> = job.names().map(subscribe).collect::<std::result::Result<_, _>>()?;
     let flags: Vec<_> = all.iter().map(|_| Arc::new(Flag(AtomicBool::new(true)))).collect();
-    let mut log = Log::new()?;
+    let mut log = Log::new(job)?;
     println!("ready");
     let mut patience = Patience::new();
-    while !patience.is_over(log.latency_ns.len() >= job.expected()) {
+    while !patience.is_over(log.is_complete()) {
         seat.drain(|_| {});
-        for (subscription, flag) in all.iter().zip(&flags) {
+        for (topic, (subscription, flag)) in all.iter().zip(&flags).enumerate() {
             if !flag.0.swap(false, Ordering::AcqRel) {
                 continue;
             }
             let waker = waker(flag.clone());
             let mut context = std::task::Context::from_waker(&waker);
             while let Poll::Ready(sample) = subscription.poll_take(&mut context) {
-                let time = sample.body().get(..8).and_then(|time| time.try_into().ok());
-                log.note(u64::from_le_bytes(time.ok_or("a message without a time")?));
+                let stamp = sample.body().get(..8).and_then(|stamp| stamp.try_into().ok());
+                log.note(topic, u64::from_le_bytes(stamp.ok_or("a message without a stamp")?));
             }
         }
         seat.sleep(Some(monotonic_ns() + 10_000_000));

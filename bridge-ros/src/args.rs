@@ -69,7 +69,7 @@ pub struct Args {
     #[arg(long)]
     pub json: bool,
     /// Seconds between two looks at the numbers
-    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = parse_interval)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = tautline_relay::parse_interval)]
     pub interval: f64,
 }
 
@@ -117,11 +117,6 @@ fn variable(variable: &'static str) -> Result<Option<u32>, ArgsError> {
     }
     let domain = value.parse().ok().filter(|&domain| domain <= MAX_DOMAIN);
     domain.map(Some).ok_or(ArgsError::Domain { variable, value })
-}
-
-fn parse_interval(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|seconds| (0.1..=3600.0).contains(seconds));
-    seconds.ok_or_else(|| "from 0.1 to 3600 seconds".into())
 }
 
 #[cfg(test)]

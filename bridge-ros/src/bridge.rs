@@ -3,7 +3,7 @@
 
 use crate::control::{Control, Event};
 use crate::incoming::{Incoming, IncomingError};
-use crate::outgoing::{Outgoing, OutgoingError};
+use crate::outgoing::{Outgoing, Ros};
 use crate::rcl::{
     Context, GraphGuard, GuardCondition, Node, RclError, WaitSet, Waitable, rmw_implementation,
 };
@@ -15,6 +15,7 @@ use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
+use tautline_relay::RelayError;
 use tautline_rt::{JoinHandle, Realtime, RtError, Seat, SeatError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
 
@@ -99,12 +100,11 @@ fn holder(pid: Option<u32>) -> String {
     pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
 }
 
-impl From<OutgoingError> for BridgeError {
-    fn from(error: OutgoingError) -> Self {
+impl From<RelayError> for BridgeError {
+    fn from(error: RelayError) -> Self {
         match error {
-            OutgoingError::Transport(error) => error.into(),
-            OutgoingError::Rt(error) => error.into(),
-            OutgoingError::Rcl(error) => error.into(),
+            RelayError::Transport(error) => error.into(),
+            RelayError::Rt(error) => error.into(),
         }
     }
 }
@@ -173,7 +173,7 @@ impl Bridge {
         let priorities = threads::Priorities::new(options.priority, options.realtime)?;
         priorities.set(&threads::started_since(&before)?)?;
 
-        let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"))?;
+        let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"), Ros::new()?)?;
         let incoming = Incoming::start(&context, priorities.carrying("ros-in"))?;
         let services = Services::start(&participant, &node, priorities.carrying("ros-services"))?;
         let infos = [outgoing.info(), incoming.info(), services.info()];

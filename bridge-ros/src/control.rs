@@ -1,24 +1,32 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Does what the mirror decides: one thread, told when either graph changes, that makes and ends everything.
 
+mod counterparts;
+mod failed;
+mod shown;
+
 use crate::bridge::{Options, Shared};
 use crate::incoming::{Incoming, Inlet, Port, Senders};
 use crate::mirror::{Action, InKey, Inward, Mirror, Outward, TopicKey};
-use crate::outgoing::{Last, Outgoing, Writer};
+use crate::outgoing::{Outbound, Outgoing};
 use crate::rate::Limiter;
-use crate::rcl::{Node, RosNode, RosPublisher, RosSubscription};
+use crate::rcl::{Node, RosPublisher, RosSubscription};
 use crate::ros_graph::{self, RosGraph};
 use crate::rules::{Direction, Rules};
 use crate::services::{Routes, Services};
-use crate::stats::{Book, IncompatibleQos};
+use crate::stats::Book;
 use crate::types::{BridgedType, Types};
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use counterparts::{Counterparts, MATCH_TIME};
+use failed::Failed;
+use shown::ShownNodes;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError, Weak, mpsc};
+use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
+use tautline_relay::as_deep_as_allowed;
 use tautline_transport::{
-    Durability, Gid, GraphSnapshot, Limits, NodeName, Participant, Qos, RawPublisher, RawSubscription,
-    ServiceEndpoint, ServiceKind, TransportError,
+    Durability, Gid, GraphSnapshot, Limits, Participant, Qos, RawPublisher, RawSubscription, ServiceEndpoint,
+    ServiceKind, TransportError,
 };
 
 /// What the control thread is told.
@@ -35,8 +43,7 @@ pub(crate) enum Event {
 const TICK: Duration = Duration::from_secs(1);
 /// Between two looks at what exists, for each millisecond that the first one took.
 const PAUSE: Duration = Duration::from_millis(4);
-/// How long it is looked often whether a publisher in ROS has found its subscriptions; afterwards, with each tick.
-const MATCH_TIME: Duration = Duration::from_secs(3);
+/// Between two looks whether a publisher in ROS has found its subscriptions.
 const MATCH_LOOK: Duration = Duration::from_millis(2);
 
 pub(crate) struct Control {
@@ -53,35 +60,14 @@ pub(crate) struct Control {
     /// Whether the last look at what exists failed.
     is_stale: bool,
     book: Book,
-    writers: HashMap<(TopicKey, Gid), Counterpart>,
+    counterparts: Counterparts,
     out: BTreeMap<TopicKey, Outward>,
     /// Topics whose samples are not taken before their publishers in ROS have found somebody.
     waiting: BTreeMap<TopicKey, (Outward, Instant)>,
     inward: BTreeMap<InKey, Taken>,
-    /// Tautline's nodes, for ROS to see.
-    nodes: BTreeMap<NodeName, Option<Arc<Node>>>,
-    /// Those of nodes that have gone, as long as a service holds them.
-    gone: Vec<(NodeName, Weak<Node>)>,
-    /// What could not be done, and why: it is tried again.
-    failed: Vec<(Action, String)>,
+    shown: ShownNodes,
+    failed: Failed,
     started: Instant,
-}
-
-/// A publisher in ROS that stands for one here.
-struct Counterpart {
-    writer: Writer,
-    opened: Instant,
-    /// Whether samples go through it.
-    is_open: bool,
-    incompatible: Option<Incompatible>,
-}
-
-/// Ends in ROS that do not fit a publisher's QoS.
-#[derive(Clone, Copy)]
-struct Incompatible {
-    count: u64,
-    last_policy: &'static str,
-    since: Instant,
 }
 
 /// A class that is being taken from ROS.
@@ -130,13 +116,12 @@ impl Control {
             graph: RosGraph::default(),
             is_stale: false,
             book: Book::default(),
-            writers: HashMap::new(),
+            counterparts: Counterparts::default(),
             out: BTreeMap::new(),
             waiting: BTreeMap::new(),
             inward: BTreeMap::new(),
-            nodes: BTreeMap::new(),
-            gone: Vec::new(),
-            failed: Vec::new(),
+            shown: ShownNodes::default(),
+            failed: Failed::default(),
             started: Instant::now(),
         }
     }
@@ -168,8 +153,8 @@ impl Control {
                 last_tick += elapsed;
                 is_changed |= self.is_stale || self.graph.has_unknown();
                 self.try_again();
-                self.services.try_again(|| shown(&self.nodes));
-                self.look_for_incompatible();
+                self.services.try_again(|| self.shown.by_name());
+                self.counterparts.look_for_incompatible();
                 self.read_numbers(elapsed);
             }
             if is_changed && Instant::now() >= next_update {
@@ -198,13 +183,14 @@ impl Control {
             Err(error) => return tracing::warn!("what exists is not known: {error}"),
         };
         let relays = here.relays.iter().copied().collect();
-        *self.outgoing.relays().lock().unwrap_or_else(PoisonError::into_inner) = relays;
+        *self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner) = relays;
         let ends: Vec<_> = here.endpoints.iter().filter(|end| !end.is_remote).cloned().collect();
         for action in self.mirror.update(&ends, &self.graph.endpoints) {
             self.act(action);
         }
         self.renew_senders();
-        self.show_nodes(&here);
+        self.shown
+            .update(&self.node, here.nodes.iter().filter(|node| !node.is_remote).map(|node| &node.name));
         // After the topics: an action's feedback has its way before goals have.
         let services = self.read_services();
         self.route_services(&here, &services);
@@ -213,10 +199,7 @@ impl Control {
 
     /// Those of ROS, but for bridges' and for what stands there for Tautline's.
     fn read_services(&self) -> Vec<ServiceEndpoint> {
-        let gone = self.still_shown();
-        let is_shown =
-            |node: &RosNode| self.nodes.contains_key(&ros_graph::node_name(node)) || gone.contains(node);
-        ros_graph::services(&self.node, self.graph.nodes.iter().filter(|node| !is_shown(node)))
+        ros_graph::services(&self.node, self.graph.nodes.iter().filter(|node| !self.shown.has(node)))
     }
 
     fn route_services(&mut self, here: &GraphSnapshot, there: &[ServiceEndpoint]) {
@@ -231,7 +214,7 @@ impl Control {
             }
         }
         let routes = Routes::of(&self.service_rules, &ends, &there, self.services.routes());
-        self.services.set_routes(routes, shown(&self.nodes));
+        self.services.set_routes(routes, self.shown.by_name());
     }
 
     /// Publishers in ROS come and go that a subscription matches though they are not of its class.
@@ -249,35 +232,29 @@ impl Control {
 
     fn act(&mut self, action: Action) {
         if let Err(reason) = self.try_to(&action) {
-            let topic = &topic_of(&action).topic;
-            tracing::warn!("topic '{topic}' is not bridged: {reason}");
-            self.failed.push((action, reason));
+            self.failed.note(action, reason, None);
         }
     }
 
     /// What failed may be possible now: a limit, memory, a package that was installed.
     fn try_again(&mut self) {
-        for (action, before) in std::mem::take(&mut self.failed) {
+        for (action, before) in self.failed.take() {
             if let Err(reason) = self.try_to(&action) {
-                if reason != before {
-                    tracing::warn!("topic '{}' is not bridged: {reason}", topic_of(&action).topic);
-                }
-                self.failed.push((action, reason));
+                self.failed.note(action, reason, Some(&before));
             }
         }
     }
 
     fn try_to(&mut self, action: &Action) -> Result<(), String> {
-        // What is not wanted any more is not tried again.
-        self.failed.retain(|(failed, _)| !action.replaces(failed));
+        self.failed.forget_replaced(action);
         match action {
             Action::OpenWriter(key, gid, qos, hash) => self.open_writer(key, *gid, qos, hash.as_deref())?,
             Action::CloseWriter(key, gid) => {
                 self.outgoing.close(key.clone(), *gid);
-                self.writers.remove(&(key.clone(), *gid));
+                self.counterparts.remove(key, *gid);
             }
             Action::StartOut(key, outward)
-                if key.is_of_action() || self.out.contains_key(key) || self.is_matched(key) =>
+                if key.is_of_action() || self.out.contains_key(key) || self.counterparts.is_matched(key) =>
             {
                 self.start_out(key, outward)?;
             }
@@ -287,8 +264,7 @@ impl Control {
             Action::StopOut(key) => {
                 self.waiting.remove(key);
                 self.out.remove(key);
-                let of_topic = self.writers.iter_mut().filter(|((topic, _), _)| topic == key);
-                of_topic.for_each(|(_, writer)| writer.is_open = false);
+                self.counterparts.close(key);
                 self.outgoing.stop_topic(key.clone());
             }
             Action::StartIn(key, inward) => self.start_in(key, inward)?,
@@ -302,13 +278,8 @@ impl Control {
     }
 
     fn change_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
-        for (failed, _) in &mut self.failed {
-            if let Action::StartIn(other, wanted) = failed
-                && other == key
-            {
-                *wanted = inward.clone();
-                return Ok(());
-            }
+        if self.failed.change_start(key, inward) {
+            return Ok(());
         }
         let before = self.inward.get(key).and_then(|taken| taken.port);
         let port = if before.is_none() {
@@ -328,10 +299,7 @@ impl Control {
     fn open_writer(&mut self, key: &TopicKey, gid: Gid, qos: &Qos, hash: Option<&str>) -> Result<(), String> {
         let found = self.find_type(key, hash)?;
         let publisher = RosPublisher::new(&self.node, &key.ros_topic, &found.support, qos);
-        let publisher = Arc::new(publisher.map_err(|error| error.to_string())?);
-        let writer = Writer { publisher, last: Last::default() };
-        let counterpart = Counterpart { writer, opened: Instant::now(), is_open: false, incompatible: None };
-        self.writers.insert((key.clone(), gid), counterpart);
+        self.counterparts.insert(key, gid, publisher.map_err(|error| error.to_string())?);
         Ok(())
     }
 
@@ -342,43 +310,30 @@ impl Control {
     /// Whether subscriptions in ROS are about to be found.
     fn is_matching(&self) -> bool {
         let now = Instant::now();
-        let is_new = |since: Instant| now < since + MATCH_TIME;
-        self.waiting.values().any(|(_, since)| is_new(*since))
-            || self.writers.iter().any(|((key, _), writer)| !writer.is_open && self.out.contains_key(key))
+        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME)
+            || self.counterparts.is_opening(|key| self.out.contains_key(key))
     }
 
-    /// Samples are taken once a publisher in ROS has somebody to send them to: what it sent before would be lost. One that finds
-    /// nobody, while others do, does not keep its samples waiting for ever.
+    /// Samples are taken once a publisher in ROS has somebody to send them to.
     fn look_for_matches(&mut self) {
-        let now = Instant::now();
         for (key, (outward, since)) in std::mem::take(&mut self.waiting) {
-            if !self.is_matched(&key) {
+            if !self.counterparts.is_matched(&key) {
                 self.waiting.insert(key, (outward, since));
             } else if let Err(reason) = self.start_out(&key, &outward) {
-                self.failed.push((Action::StartOut(key, outward), reason));
+                self.failed.note(Action::StartOut(key, outward), reason, None);
             }
         }
-        for ((key, gid), counterpart) in &mut self.writers {
-            let is_matched = || counterpart.writer.publisher.subscription_count() > 0;
-            let is_ready = || is_matched() || now >= counterpart.opened + MATCH_TIME;
-            if !counterpart.is_open && self.out.contains_key(key) && is_ready() {
-                counterpart.is_open = true;
-                self.outgoing.open(key.clone(), *gid, counterpart.writer.clone());
-            }
-        }
-    }
-
-    /// Whether a publisher in ROS has somebody to send to.
-    fn is_matched(&self, key: &TopicKey) -> bool {
-        let mut writers = self.writers.iter().filter(|((topic, _), _)| topic == key);
-        writers.any(|(_, counterpart)| counterpart.writer.publisher.subscription_count() > 0)
+        self.counterparts.open_matched(
+            |key| self.out.contains_key(key),
+            |key, gid, writer| self.outgoing.open(key.clone(), gid, writer),
+        );
     }
 
     fn start_out(&mut self, key: &TopicKey, outward: &Outward) -> Result<(), String> {
         let subscription = self.subscribe(key, outward).map_err(|error| error.to_string())?;
         let counters = self.counters(key, Direction::ToRos);
         let limiter = Limiter::new(outward.min_period);
-        self.outgoing.start_topic(key.clone(), subscription, counters, limiter);
+        self.outgoing.start_topic(key.clone(), subscription, Outbound { counters, limiter });
         self.out.insert(key.clone(), outward.clone());
         Ok(())
     }
@@ -387,17 +342,11 @@ impl Control {
         let stated = self.participant.topic_type(&key.topic);
         let topic_type = stated.unwrap_or_else(|| tautline_transport::TopicType::new(key.type_name.clone()));
         let durability = if outward.is_kept { Durability::TransientLocal } else { Durability::Volatile };
-        let mut wanted = Qos { durability, ..Qos::keep_last(outward.depth.min(Limits::MAX_DEPTH)) };
-        loop {
-            let limits = Limits::default();
-            match self.participant.create_relay_subscription(&key.topic, &topic_type, wanted, limits) {
-                // A queue as long as the topic allows.
-                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
-                    wanted.depth = existing;
-                }
-                outcome => return outcome,
-            }
-        }
+        let wanted = Qos { durability, ..Qos::keep_last(outward.depth.min(Limits::MAX_DEPTH)) };
+        let (subscription, _) = as_deep_as_allowed(wanted, |qos| {
+            self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
+        })?;
+        Ok(subscription)
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
@@ -444,17 +393,12 @@ impl Control {
             return Ok(None);
         }
         let depth = inward.offered.depth.clamp(1, Limits::MAX_DEPTH);
-        let mut qos = Qos { depth, ..inward.offered };
-        let port = loop {
-            let limits = Limits::default();
-            match self.participant.create_raw_publisher(&key.topic, &found.topic_type(), qos, limits) {
-                Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < qos.depth => {
-                    qos.depth = existing;
-                }
-                outcome => break outcome.map_err(|error| error.to_string())?,
-            }
-        };
-        self.outgoing.relays().lock().unwrap_or_else(PoisonError::into_inner).insert(port.gid());
+        let topic_type = found.topic_type();
+        let port = as_deep_as_allowed(Qos { depth, ..inward.offered }, |qos| {
+            self.participant.create_raw_publisher(&key.topic, &topic_type, qos, Limits::default())
+        });
+        let (port, qos) = port.map_err(|error| error.to_string())?;
+        self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).insert(port.gid());
         let most_depth = port.limits().depth;
         Ok(Some((port, Offer { qos, most_depth })))
     }
@@ -464,44 +408,9 @@ impl Control {
         self.book.counters(key, direction, |key, direction| is_active(out, inward, key, direction))
     }
 
-    /// ROS's tools list Tautline's nodes.
-    fn show_nodes(&mut self, here: &GraphSnapshot) {
-        let wanted: BTreeSet<&NodeName> =
-            here.nodes.iter().filter(|node| !node.is_remote).map(|node| &node.name).collect();
-        self.gone.retain(|(_, node)| node.strong_count() > 0);
-        self.nodes.retain(|name, node| {
-            let stays = wanted.contains(name);
-            if let (false, Some(node)) = (stays, node) {
-                self.gone.push((name.clone(), Arc::downgrade(node)));
-            }
-            stays
-        });
-        for name in wanted {
-            if !self.nodes.contains_key(name) {
-                let node = Node::new(self.node.context(), &name.name, &name.namespace);
-                let node =
-                    node.inspect_err(|error| tracing::warn!("node {name} is not shown in ROS: {error}"));
-                self.nodes.insert(name.clone(), node.ok());
-            }
-        }
-    }
-
-    /// Nodes that have gone here and stand in ROS until their services have ended.
-    fn still_shown(&self) -> Vec<RosNode> {
-        let gone = self.gone.iter().filter(|(_, node)| node.strong_count() > 0);
-        gone.map(|(name, _)| RosNode { name: name.name.clone(), namespace: name.namespace.clone() }).collect()
-    }
-
     /// Tautline's tools list what is in ROS.
     fn show_ros(&self, services: Vec<ServiceEndpoint>) {
-        let own: Vec<RosNode> = self
-            .nodes
-            .values()
-            .flatten()
-            .map(|node| RosNode { name: node.name().into(), namespace: node.namespace().into() })
-            .chain(self.still_shown())
-            .collect();
-        let mut remote = ros_graph::as_remote(&self.graph, &own, self.mirror.rules());
+        let mut remote = ros_graph::as_remote(&self.graph, &self.shown.in_ros(), self.mirror.rules());
         remote.services = services;
         remote.services.retain_mut(|end| {
             let name = self.service_rules.tautline_name(&end.name);
@@ -512,74 +421,26 @@ impl Control {
         }
     }
 
-    /// As ROS does: an event for each end that does not fit, which is counted and said.
-    fn look_for_incompatible(&mut self) {
-        for ((key, _), counterpart) in &mut self.writers {
-            let Some((count, policy)) = counterpart.writer.publisher.incompatible() else { continue };
-            tracing::warn!(
-                "topic '{}': an end in ROS does not fit the QoS of one here (last policy: {policy}): no messages go between them; \
-                 change one of them, or set qos.{policy} of the topic in the configuration",
-                key.ros_topic
-            );
-            let since = Instant::now();
-            counterpart.incompatible = Some(Incompatible { count, last_policy: policy, since });
-        }
-    }
-
     fn read_numbers(&mut self, elapsed: Duration) {
         let mut stats = self.shared.stats();
         stats.uptime_s = self.started.elapsed().as_secs_f64();
         stats.ros_nodes = self.graph.nodes.len();
         stats.ros_endpoints = self.graph.endpoints.len();
         stats.not_bridged = self.mirror.problems().clone();
-        let failed =
-            self.failed.iter().map(|(action, reason)| (topic_of(action).topic.clone(), reason.clone()));
-        stats.not_bridged.extend(failed);
+        stats.not_bridged.extend(self.failed.reasons());
         stats.services_not_bridged = self.services.problems();
         stats.services = self.services.stats();
-        let ends = self.writers.iter();
-        let ends = ends.filter_map(|((key, _), end)| Some((&*key.topic, end.incompatible?)));
-        stats.incompatible_qos = incompatible_by_topic(ends);
+        stats.incompatible_qos = self.counterparts.incompatible();
         let (out, inward) = (&self.out, &self.inward);
         stats.topics =
             self.book.read(&stats.topics, elapsed, |key, direction| is_active(out, inward, key, direction));
     }
 }
 
-/// Those of all publishers of a topic that are there now.
-fn incompatible_by_topic<'t>(
-    ends: impl Iterator<Item = (&'t str, Incompatible)>,
-) -> BTreeMap<String, IncompatibleQos> {
-    let mut topics: BTreeMap<&str, Incompatible> = BTreeMap::new();
-    for (topic, end) in ends {
-        let all = topics.entry(topic).or_insert(Incompatible { count: 0, ..end });
-        let count = all.count + end.count;
-        let last = if end.since > all.since { end } else { *all };
-        *all = Incompatible { count, ..last };
-    }
-    let told = |(topic, all): (&str, Incompatible)| {
-        (topic.to_owned(), IncompatibleQos { count: all.count, last_policy: all.last_policy.to_owned() })
-    };
-    topics.into_iter().map(told).collect()
-}
-
 /// Of the publishers in ROS that are known.
 fn senders(graph: &RosGraph, key: &InKey, publishers: &BTreeSet<Gid>, has_port: bool) -> Senders {
     let none = BTreeSet::new();
     Senders::of(graph.publishers.get(&key.topic.ros_topic).unwrap_or(&none), publishers, has_port)
-}
-
-/// Those that stand in ROS for Tautline's.
-fn shown(nodes: &BTreeMap<NodeName, Option<Arc<Node>>>) -> BTreeMap<NodeName, Arc<Node>> {
-    nodes.iter().filter_map(|(name, node)| Some((name.clone(), node.clone()?))).collect()
-}
-
-fn topic_of(action: &Action) -> &TopicKey {
-    match action {
-        Action::OpenWriter(key, ..) | Action::CloseWriter(key, _) => key,
-        Action::StartOut(key, _) | Action::StopOut(key) => key,
-        Action::StartIn(key, _) | Action::ChangeIn(key, _) | Action::StopIn(key) => &key.topic,
-    }
 }
 
 fn is_active(
@@ -591,25 +452,5 @@ fn is_active(
     match direction {
         Direction::ToRos => out.contains_key(key),
         Direction::FromRos => inward.keys().any(|other| other.topic == *key),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ends_that_do_not_fit_are_those_of_all_publishers_of_a_topic() {
-        let start = Instant::now();
-        let end = |count, last_policy, after_s| Incompatible {
-            count,
-            last_policy,
-            since: start + Duration::from_secs(after_s),
-        };
-        let ends =
-            [("/x", end(2, "reliability", 5)), ("/x", end(3, "deadline", 1)), ("/y", end(1, "deadline", 2))];
-        let told = incompatible_by_topic(ends.into_iter());
-        let of = |topic: &str| (told[topic].count, &*told[topic].last_policy);
-        assert_eq!((of("/x"), of("/y")), ((5, "reliability"), (1, "deadline")));
     }
 }

@@ -8,14 +8,11 @@ mod status;
 
 use args::Args;
 use clap::Parser;
-use signal_hook::consts::{SIGINT, SIGTERM};
-use status::Status;
 use std::io::IsTerminal;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tautline_bridge_ros::{Bridge, Options};
+use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
 
 fn main() -> ExitCode {
@@ -52,28 +49,11 @@ enum Failure {
 
 fn run(args: &Args) -> Result<(), Failure> {
     let options = args.options()?;
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register(signal, stop.clone()).map_err(Failure::Signals)?;
-    }
+    let stop = stop_on_signals().map_err(Failure::Signals)?;
     let bridge = Bridge::spawn(options.clone())?;
     introduce(&bridge, &options);
-    let status = Status::new(args.json);
-    let period = Duration::from_secs_f64(args.interval);
-    let mut next = Instant::now() + period;
-    while !stop.load(Ordering::Relaxed) {
-        let patience = next.saturating_duration_since(Instant::now()).min(Duration::from_millis(50));
-        std::thread::sleep(patience);
-        if Instant::now() >= next {
-            next += period;
-            if status.show(&bridge.stats()).is_err() {
-                // Whoever read it has gone.
-                break;
-            }
-        }
-    }
-    drop(status);
-    drop(bridge);
+    let interval = Duration::from_secs_f64(args.interval);
+    show_until(&stop, interval, args.json, || bridge.stats(), status::line);
     Ok(())
 }
 

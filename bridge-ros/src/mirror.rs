@@ -145,6 +145,14 @@ impl Action {
             _ => false,
         }
     }
+
+    pub(crate) fn topic(&self) -> &TopicKey {
+        match self {
+            Action::OpenWriter(key, ..) | Action::CloseWriter(key, _) => key,
+            Action::StartOut(key, _) | Action::StopOut(key) => key,
+            Action::StartIn(key, _) | Action::ChangeIn(key, _) | Action::StopIn(key) => &key.topic,
+        }
+    }
 }
 
 /// Depth of a queue between the two sides at least: it is emptied at once, and costs nothing when it is empty.

@@ -1,47 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is shown while it runs: a line on the terminal that renews itself, or JSON.
+//! The line that is shown while it runs.
 
-use indicatif::{ProgressBar, ProgressStyle};
-use std::io::{self, Write};
 use tautline_bridge_ros::{Direction, Stats};
-
-pub struct Status {
-    is_json: bool,
-    /// Draws on a terminal only.
-    line: ProgressBar,
-}
-
-impl Status {
-    pub fn new(is_json: bool) -> Self {
-        let line = if is_json { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
-        // A template without placeholders that could fail.
-        line.set_style(
-            ProgressStyle::with_template("{wide_msg}").unwrap_or_else(|_| ProgressStyle::default_spinner()),
-        );
-        Status { is_json, line }
-    }
-
-    pub fn show(&self, stats: &Stats) -> io::Result<()> {
-        if self.is_json {
-            let text = serde_json::to_string(stats).map_err(io::Error::other)?;
-            let mut out = io::stdout().lock();
-            writeln!(out, "{text}")?;
-            return out.flush();
-        }
-        self.line.set_message(line(stats));
-        self.line.tick();
-        Ok(())
-    }
-}
-
-impl Drop for Status {
-    fn drop(&mut self) {
-        self.line.finish_and_clear();
-    }
-}
+use tautline_relay::{counted, rate};
 
 /// `3 nodes in ROS | to ROS 4 topics 1.2 MB/s 100/s | from ROS 1 topic 80 kB/s 10/s | lost 0, dropped 0`
-fn line(stats: &Stats) -> String {
+pub fn line(stats: &Stats) -> String {
     let way = |direction, name| {
         let of = || stats.topics.iter().filter(move |topic| topic.active && topic.direction == direction);
         // Not `sum`, which begins with -0.
@@ -70,18 +34,6 @@ fn line(stats: &Stats) -> String {
         text += &format!(" | {} not bridged: {name}: {reason}", not_bridged().count());
     }
     text
-}
-
-fn counted(count: usize, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
-}
-
-fn rate(bytes_per_s: f64) -> String {
-    match bytes_per_s {
-        b if b >= 1e6 => format!("{:.1} MB/s", b / 1e6),
-        b if b >= 1e3 => format!("{:.1} kB/s", b / 1e3),
-        b => format!("{b:.0} B/s"),
-    }
 }
 
 #[cfg(test)]

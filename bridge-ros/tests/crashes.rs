@@ -6,18 +6,10 @@ mod support;
 use serde_json::json;
 use std::time::{Duration, Instant};
 use support::{
-    BridgeProcess, Peer, STRING, matched, publisher, ros, subscription, take, take_texts, text_body,
+    BridgeProcess, Peer, STRING, check_recovery, matched, publisher, ros, subscription, take, take_texts,
+    text_body,
 };
 use tautline_transport::{Participant, Qos};
-
-/// After this a restarted bridge or node is expected to be heard. Looked at where CI is set: elsewhere the machine may be busy.
-const RECOVERY: Duration = Duration::from_secs(5);
-
-fn check(what: &str, since: Instant) {
-    let elapsed = since.elapsed();
-    println!("{what}: {elapsed:?}");
-    assert!(std::env::var_os("CI").is_none() || elapsed < RECOVERY, "{what}: {elapsed:?}");
-}
 
 #[test]
 fn a_killed_bridge_and_a_killed_node_are_replaced() {
@@ -52,7 +44,7 @@ fn a_killed_bridge_and_a_killed_node_are_replaced() {
         peer.publish_text(theirs, &["after"]);
         std::thread::sleep(Duration::from_millis(10));
     }
-    check("a bridge that was killed and restarted", since);
+    check_recovery("a bridge that was killed and restarted", since);
 
     peer.kill();
     let since = Instant::now();
@@ -68,7 +60,7 @@ fn a_killed_bridge_and_a_killed_node_are_replaced() {
     peer.matched(there, 1);
     here.publish(&text_body("again")).unwrap();
     assert_eq!(peer.take_texts(there, 1).last().map(String::as_str), Some("again"));
-    check("a node that was killed and restarted", since);
+    check_recovery("a node that was killed and restarted", since);
     drop(bridge);
 }
 
@@ -85,16 +77,21 @@ fn bursts_as_long_as_the_queue_arrive_whole_and_in_order() {
     let here = publisher(&participant, "/to_ros", STRING, Qos::keep_last(BURST));
     let there = peer.subscription("/to_ros", STRING, json!({ "depth": BURST }));
     matched(&here, 1);
+    // Printed, not judged: what Fast DDS's shared memory has no room for comes with its heartbeat of 3 s.
+    let since = Instant::now();
     for text in &texts {
         here.publish(&text_body(text)).unwrap();
     }
     assert_eq!(peer.take_texts(there, BURST), texts);
+    println!("to ROS: {:?}", since.elapsed());
 
     let here = subscription(&participant, "/from_ros", STRING, Qos::keep_last(BURST));
     let there = peer.publisher("/from_ros", STRING, json!({ "depth": BURST }));
     peer.matched(there, 1);
+    let since = Instant::now();
     peer.publish_text(there, &texts);
     assert_eq!(take_texts(&here, BURST), texts);
+    println!("from ROS: {:?}", since.elapsed());
     assert_eq!(here.counters().lost(), 0);
 }
 

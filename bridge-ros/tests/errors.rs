@@ -3,12 +3,21 @@
 
 mod support;
 
+use rustix::fs::OFlags;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 use std::fs;
-use std::path::Path;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::process::Command;
-use support::{BridgeProcess, Peer, STRING, failure_of, matched, publisher, ros, text_body, wait_until};
+use support::{
+    BridgeProcess, Peer, STRING, failure, failure_of, matched, publisher, ros, text_body, wait_until,
+};
 use tautline_transport::{Limits, Participant, Qos, TopicType};
+
+const BRIDGE: &str = env!("CARGO_BIN_EXE_taut-bridge-ros");
+/// As in `/proc/PID/syscall`.
+const SYS_WRITE: &str = if cfg!(target_arch = "x86_64") { "1" } else { "64" };
 
 /// A prefix with a package of which only the definitions are installed, before those of ROS 2.
 fn with_half_a_package(folder: &Path) -> String {
@@ -68,13 +77,6 @@ fn what_cannot_run_says_what_to_do() {
     if ros().is_none() {
         return;
     }
-    // ROS ends the process before it begins; `taut bridge-ros` says the fix.
-    let options = ["--domain", "5", "--ros-domain", "5", "--no-rt"];
-    let said = failure_of(&options, |command| {
-        command.env("RMW_IMPLEMENTATION", "rmw_nowhere_cpp");
-    });
-    assert!(said.contains("rmw_nowhere_cpp") && said.contains("rmw_fastrtps_cpp"), "{said}");
-
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("bridge.toml");
     fs::write(&file, "colour = 1\n[[topic]]\ntopic = 'x'\n").unwrap();
@@ -90,6 +92,119 @@ fn what_cannot_run_says_what_to_do() {
         command.env("TAUT_DOMAIN", "x");
     });
     assert!(said.contains("TAUT_DOMAIN=x"), "{said}");
+}
+
+/// `taut` as `cargo xtask bridge` has built it, which is where the bridge is.
+fn taut() -> Option<PathBuf> {
+    let taut = Path::new(BRIDGE).with_file_name("taut");
+    if !taut.is_file() {
+        assert!(std::env::var_os("CI").is_none(), "CI needs {}: cargo build -p taut", taut.display());
+        eprintln!("skipped: no {}: run `cargo xtask bridge`, or `cargo build -p taut`", taut.display());
+        return None;
+    }
+    Some(taut)
+}
+
+/// What `taut bridge-ros` says of a bridge that cannot run.
+fn taut_says(taut: &Path, change: impl FnOnce(&mut Command)) -> String {
+    let mut command = Command::new(taut);
+    command.args(["bridge-ros", "--domain", "5", "--ros-domain", "5", "--no-rt"]).env_remove("RUST_LOG");
+    change(&mut command);
+    failure(command)
+}
+
+#[test]
+fn another_rmw_is_told_by_taut_with_the_fix() {
+    let (Some(_), Some(taut)) = (ros(), taut()) else { return };
+    let said = taut_says(&taut, |command| {
+        command.env("RMW_IMPLEMENTATION", "rmw_nowhere_cpp");
+    });
+    for part in [
+        "ROS 2 does not start with RMW_IMPLEMENTATION=rmw_nowhere_cpp",
+        "unset it, or install that one (apt install ros-$ROS_DISTRO-rmw-nowhere-cpp) and source ROS 2 again",
+    ] {
+        assert!(said.contains(part), "{said}");
+    }
+}
+
+/// The program without the path at which it finds ROS 2: it is overwritten where the linker put it, with one as long that leads
+/// nowhere.
+fn without_rpath(program: Vec<u8>) -> Vec<u8> {
+    let Some(rpath) = option_env!("TAUT_ROS_RPATH") else { return program };
+    let nowhere: Vec<u8> = b"/nowhere".iter().copied().cycle().take(rpath.len()).collect();
+    let mut program = program;
+    let mut at = 0;
+    while let Some(found) = program[at..].windows(rpath.len()).position(|part| part == rpath.as_bytes()) {
+        program[at + found..][..rpath.len()].copy_from_slice(&nowhere);
+        at += found + rpath.len();
+    }
+    assert!(at > 0, "no {rpath} in the program");
+    program
+}
+
+#[test]
+fn missing_libraries_are_told_by_taut_with_the_fix() {
+    let (Some(_), Some(taut)) = (ros(), taut()) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let [beside, bridge] = ["taut", "taut-bridge-ros"].map(|name| folder.path().join(name));
+    fs::copy(taut, &beside).unwrap();
+    // For its mode.
+    fs::copy(BRIDGE, &bridge).unwrap();
+    fs::write(&bridge, without_rpath(fs::read(BRIDGE).unwrap())).unwrap();
+    let said = taut_says(&beside, |command| {
+        command.env_remove("LD_LIBRARY_PATH");
+    });
+    for part in [
+        "taut-bridge-ros does not find the libraries of ROS 2",
+        "error while loading shared libraries",
+        "source the ROS 2 that it was built with (source /opt/ros/jazzy/setup.bash), and run it again",
+    ] {
+        assert!(said.contains(part), "{said}");
+    }
+}
+
+#[test]
+fn a_second_signal_does_not_wait_for_the_end() {
+    if ros().is_none() {
+        return;
+    }
+    // Whoever should read its numbers does not, and nothing more fits: it cannot end in order.
+    let (output, mut input) = std::io::pipe().unwrap();
+    rustix::fs::fcntl_setfl(&input, OFlags::NONBLOCK).unwrap();
+    while input.write(&[b'\n'; 512]).is_ok() {}
+    while input.write(b"\n").is_ok() {}
+    rustix::fs::fcntl_setfl(&input, OFlags::empty()).unwrap();
+    let mut command = Command::new(BRIDGE);
+    command.args(["--domain", "7", "--ros-domain", "9", "--no-rt", "--json", "--interval", "0.1"]);
+    let mut bridge = command.stdout(input).spawn().unwrap();
+    // The builder has the other end of the pipe.
+    drop(command);
+    let pid = Pid::from_child(&bridge);
+    let is_writing = || {
+        let call = fs::read_to_string(format!("/proc/{}/syscall", bridge.id())).unwrap();
+        // Its number and the first argument, which is the descriptor of standard output.
+        call.split_whitespace().take(2).eq([SYS_WRITE, "0x1"])
+    };
+    wait_until("it waits for the reader", is_writing);
+    kill_process(pid, Signal::INT).unwrap();
+    let has_come = || {
+        let status = fs::read_to_string(format!("/proc/{}/status", bridge.id())).unwrap();
+        status
+            .lines()
+            .any(|line| line.starts_with("ShdPnd:") && line.trim_end().ends_with("\t0000000000000000"))
+    };
+    wait_until("the first signal has come", has_come);
+    wait_until("it still waits for the reader", is_writing);
+    assert_eq!(bridge.try_wait().unwrap(), None);
+    // Those that come at once with the first are the same stop.
+    let mut status = None;
+    wait_until("its end", || {
+        kill_process(pid, Signal::TERM).unwrap();
+        status = bridge.try_wait().unwrap();
+        status.is_some()
+    });
+    assert_eq!(status.unwrap().code(), Some(128 + 15));
+    drop(output);
 }
 
 #[test]

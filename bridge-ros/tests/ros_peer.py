@@ -4,6 +4,7 @@
 It waits for what it is told to wait for, and for nothing else: whoever started it decides how long that may take.
 """
 
+import array
 import hashlib
 import json
 import os
@@ -42,7 +43,8 @@ class Peer:
         self.changed = threading.Condition()
         executor = self.executor()
         executor.add_node(self.node)
-        threading.Thread(target=executor.spin, daemon=True).start()
+        self.spinner = threading.Thread(target=executor.spin, daemon=True)
+        self.spinner.start()
 
     def note_incompatible(self, index):
         def note(event):
@@ -92,18 +94,14 @@ class Peer:
                 self.changed.wait(0.005)
         return True
 
-    def random(self, type, count, seed):
+    def random(self, type, count, seed, data_bytes=0):
         """Random messages, not published: their bytes and values."""
-        rng = random.Random(f"{seed} {type}")
-        cls = ros_values.find(type)
-        messages = [ros_values.random_message(rng, cls) for _ in range(count)]
+        messages = random_messages(type, count, seed, data_bytes)
         return [[serialize_message(message).hex(), json.dumps(ros_values.plain_message(message))] for message in messages]
 
-    def prepare_random(self, type, count, seed):
+    def prepare_random(self, type, count, seed, data_bytes=0):
         """Makes random messages for `publish_prepared`; their values."""
-        rng = random.Random(f"{seed} {type}")
-        cls = ros_values.find(type)
-        self.prepared = [ros_values.random_message(rng, cls) for _ in range(count)]
+        self.prepared = random_messages(type, count, seed, data_bytes)
         return [ros_values.plain_message(message) for message in self.prepared]
 
     def publish_prepared(self, end, count):
@@ -160,6 +158,17 @@ class Peer:
         return [told(node.get_publishers_info_by_topic(topic)), told(node.get_subscriptions_info_by_topic(topic))]
 
 
+def random_messages(type, count, seed, data_bytes=0):
+    """Their field `data` has up to so many bytes, if it is to have some: few have nearly as many."""
+    rng = random.Random(f"{seed} {type}")
+    cls = ros_values.find(type)
+    messages = [ros_values.random_message(rng, cls) for _ in range(count)]
+    if data_bytes:
+        for message in messages:
+            message.data = array.array("B", rng.randbytes(round(data_bytes * rng.random() ** 4)))
+    return messages
+
+
 def digest_of(message):
     """Of a message with a header and much data."""
     data = hashlib.sha256(bytes(message.data)).hexdigest()
@@ -176,6 +185,10 @@ def main(Peer=Peer):
         except Exception as error:  # told to the one who asked
             answer = {"error": repr(error)}
         print(json.dumps(answer), flush=True)
+    # Fast DDS removes its files from shared memory as the node ends; what may hang thereafter is left out.
+    rclpy.shutdown()
+    peer.spinner.join(5)
+    peer.node.destroy_node()
     os._exit(0)
 
 

@@ -5,7 +5,7 @@ import threading
 import time
 
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
@@ -109,10 +109,11 @@ class Peer(ros_peer.Peer):
             cancel_callback=lambda goal: CancelResponse.ACCEPT))
 
     def action_client(self, name):
-        return self.add(ActionClient(self.node, Fibonacci, name, callback_group=self.group))
+        # In a group of its own: several threads would run the callbacks of feedback in any order.
+        return self.add(ActionClient(self.node, Fibonacci, name, callback_group=MutuallyExclusiveCallbackGroup()))
 
-    def goal(self, end, order, cancel_after=None):
-        """Sends a goal; cancels it after so much feedback. What became of it."""
+    def goal(self, end, order, cancel_after=None, told=0):
+        """Sends a goal; cancels it after so much feedback, or waits for as much as is told. What became of it."""
         client, feedback = self.ends[end], []
         self.wait(client.server_is_ready)
 
@@ -131,6 +132,8 @@ class Peer(ros_peer.Peer):
         else:
             cancelling = 0
         result = self.done(result)
+        # Of a result and feedback that wait together, rclpy hands over the result first.
+        self.wait(lambda: len(feedback) >= told)
         return {"accepted": True, "status": result.status, "sequence": list(result.result.sequence),
                 "feedback": feedback, "cancelling": cancelling}
 
@@ -174,7 +177,8 @@ class Peer(ros_peer.Peer):
 
 def fill(message, values):
     for field, value in values.items():
-        setattr(message, field, value)
+        is_octet = isinstance(getattr(message, field), bytes)
+        setattr(message, field, bytes([value]) if is_octet else value)
     return message
 
 

@@ -36,7 +36,7 @@ fn the_rmws_threads_are_below_those_that_carry_and_above_the_others() {
         let found = threads(bridge.pid()).into_iter().filter(move |(thread, _)| thread.starts_with(name));
         found.map(|(_, priority)| priority).collect::<Vec<_>>()
     };
-    for name in ["ros-in", "ros-out"] {
+    for name in ["ros-in", "ros-out", "ros-services"] {
         assert_eq!(of(name), [Some(42)], "{name}");
     }
     for name in ["ros-control", "ros-here", "ros-there"] {

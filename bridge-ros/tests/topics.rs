@@ -12,7 +12,7 @@ use tautline_transport::{Participant, Qos};
 #[test]
 fn texts_go_both_ways_and_topics_come_and_go() {
     let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 1;
+    const DOMAIN: u32 = 27;
     let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let participant = Participant::new(DOMAIN).unwrap();
     let mut peer = Peer::start(&venv, DOMAIN, "both_ways");

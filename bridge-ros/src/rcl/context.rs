@@ -81,8 +81,6 @@ pub fn rmw_implementation() -> String {
 /// A node of the ROS graph.
 pub struct Node {
     raw: *mut rcl_node_t,
-    name: String,
-    namespace: String,
     /// Held while something of the node is made or destroyed, which rcl does not do twice at once.
     making: Mutex<()>,
     context: Arc<Context>,
@@ -116,19 +114,8 @@ impl Node {
                 drop(Box::from_raw(raw));
                 return Err(error);
             }
-            let (name, namespace) = (name.to_owned(), namespace.to_owned());
-            Ok(Arc::new(Node { raw, name, namespace, making: Mutex::new(()), context: context.clone() }))
+            Ok(Arc::new(Node { raw, making: Mutex::new(()), context: context.clone() }))
         }
-    }
-
-    /// Without its namespace.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// The namespace.
-    pub fn namespace(&self) -> &str {
-        &self.namespace
     }
 
     /// Its context.

@@ -4,6 +4,7 @@
 
 pub mod node;
 
+use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
@@ -24,6 +25,16 @@ pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     }
 }
 
+/// After this a restarted bridge or node is expected to be heard.
+const RECOVERY: Duration = Duration::from_secs(5);
+
+/// Looks at the time where CI is set: elsewhere the machine may be busy.
+pub fn check_recovery(what: &str, since: Instant) {
+    let elapsed = since.elapsed();
+    println!("{what}: {elapsed:?}");
+    assert!(std::env::var_os("CI").is_none() || elapsed < RECOVERY, "{what}: {elapsed:?}");
+}
+
 /// The Python environment with ROS 2 that `cargo xtask ros` makes; prints why a test is skipped without it.
 pub fn ros() -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -40,7 +51,8 @@ pub fn ros() -> Option<PathBuf> {
 /// A node of rclpy.
 pub struct Peer {
     child: Child,
-    input: ChildStdin,
+    /// `None` once it is told to end.
+    input: Option<ChildStdin>,
     answers: mpsc::Receiver<Value>,
 }
 
@@ -68,25 +80,34 @@ impl Peer {
                 let _ = sender.send(serde_json::from_str(&line).unwrap_or(Value::String(line)));
             }
         });
-        let mut peer = Peer { child, input, answers };
+        let mut peer = Peer { child, input: Some(input), answers };
         assert_eq!(peer.answer(), "ready");
         peer
     }
 
     fn answer(&mut self) -> Value {
+        self.answer_or_error().unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    fn answer_or_error(&mut self) -> Result<Value, Value> {
         let answer = self.answers.recv_timeout(PATIENCE);
         let mut answer = answer.expect("the Python process answers; else see its output above");
-        assert!(answer.get("ok").is_some(), "{answer}");
-        answer["ok"].take()
+        if answer.get("ok").is_some() { Ok(answer["ok"].take()) } else { Err(answer) }
     }
 
     /// Tells it to begin something; [`end`](Self::end) waits for it.
     pub fn begin(&mut self, command: Value) {
-        writeln!(self.input, "{command}").unwrap();
+        writeln!(self.input.as_mut().unwrap(), "{command}").unwrap();
     }
 
     pub fn end(&mut self) -> Value {
         self.answer()
+    }
+
+    /// Tells it to do something that may fail as long as ROS does not know of all, and waits for it.
+    pub fn ask(&mut self, command: Value) -> Result<Value, Value> {
+        self.begin(command);
+        self.answer_or_error()
     }
 
     /// Tells it to do something, and waits for it.
@@ -135,9 +156,21 @@ impl Peer {
 
 impl Drop for Peer {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        // The end of its input.
+        drop(self.input.take());
+        end(&mut self.child);
     }
+}
+
+/// Waits for a process that was told to end: one that is killed leaves Fast DDS's files in shared memory, over which later ones
+/// stumble.
+fn end(child: &mut Child) {
+    let since = Instant::now();
+    while matches!(child.try_wait(), Ok(None)) && since.elapsed() < Duration::from_secs(10) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let _ = child.kill();
+    let _ = child.wait();
 }
 
 /// `taut-bridge-ros` in a process of its own.
@@ -233,8 +266,8 @@ impl BridgeProcess {
 
 impl Drop for BridgeProcess {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        let _ = rustix::process::kill_process(rustix::process::Pid::from_child(&self.child), Signal::TERM);
+        end(&mut self.child);
     }
 }
 
@@ -243,6 +276,11 @@ pub fn failure_of(arguments: &[&str], change: impl FnOnce(&mut Command)) -> Stri
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros"));
     command.args(arguments).env_remove("RUST_LOG").env_remove("ROS_DOMAIN_ID");
     change(&mut command);
+    failure(command)
+}
+
+/// What a program says that fails.
+pub fn failure(mut command: Command) -> String {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let mut said = String::new();
     let end = Instant::now() + PATIENCE;
