@@ -17,12 +17,18 @@
 
 pub mod canvas;
 mod distribution;
+mod gateways;
 mod machine;
 pub mod page;
 mod process;
 mod scratch;
+mod stage;
+mod turns;
 
 pub use distribution::Distribution;
+pub use gateways::{Gateways, Host};
 pub use machine::{Disturbance, machine, version_of};
 pub use process::Process;
 pub use scratch::Scratch;
+pub use stage::Stage;
+pub use turns::{Turns, print_no_verdict, print_verdict};

@@ -2,12 +2,12 @@
 //! A process that measures, and what it says.
 
 use std::error::Error;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -25,7 +25,10 @@ const GLANCE: Duration = Duration::from_millis(100);
 pub struct Process<'a, L> {
     name: String,
     child: Child,
-    lines: Receiver<L>,
+    /// What it says, or a line that should have been one and is none.
+    lines: Receiver<std::result::Result<L, String>>,
+    /// Reads what it writes to standard error, all the time: a full pipe would hold it up.
+    errors: Option<JoinHandle<Vec<u8>>>,
     interrupted: &'a AtomicBool,
 }
 
@@ -51,11 +54,19 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         let (sender, lines) = channel();
         thread::spawn(move || {
             for text in BufReader::new(output).lines().map_while(std::io::Result::ok) {
-                // Ignored: not ours, or nobody listens after an error.
-                let _ = serde_json::from_str(&text).map(|line| sender.send(line));
+                let line = match serde_json::from_str(&text) {
+                    Ok(line) => Ok(line),
+                    Err(error) if text.starts_with('{') => Err(format!("{error} in its line {text:.200}")),
+                    // Not ours: a library's.
+                    Err(_) => continue,
+                };
+                // Ignored: nobody listens after an error.
+                let _ = sender.send(line);
             }
         });
-        Ok(Process { name: name.into(), child, lines, interrupted })
+        let error = child.stderr.take().ok_or("the errors of the child are a pipe")?;
+        let errors = Some(thread::spawn(move || last_bytes(error)));
+        Ok(Process { name: name.into(), child, lines, errors, interrupted })
     }
 
     /// Waits for the line that `pick` wants.
@@ -63,17 +74,32 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     /// # Errors
     /// It ended, it was interrupted, or `patience` was not enough.
     pub fn expect<T>(&mut self, patience: Duration, pick: impl Fn(L) -> Option<T>) -> Result<T> {
+        if let Some(wanted) = self.wait_for(patience, pick)? {
+            return Ok(wanted);
+        }
+        let words = self.last_words();
+        Err(format!("no answer from the {} in {} s: {words}", self.name, patience.as_secs()).into())
+    }
+
+    /// As [`expect`](Self::expect), but it may stay silent.
+    ///
+    /// # Errors
+    /// It ended, or it was interrupted.
+    pub fn wait_for<T>(&mut self, patience: Duration, pick: impl Fn(L) -> Option<T>) -> Result<Option<T>> {
         let since = Instant::now();
-        while since.elapsed() < patience {
+        loop {
             if self.interrupted.load(Ordering::Relaxed) {
                 return Err("interrupted".into());
             }
-            match self.lines.recv_timeout(GLANCE) {
-                Ok(line) => {
+            let left = patience.saturating_sub(since.elapsed());
+            match self.lines.recv_timeout(left.min(GLANCE)) {
+                Ok(Ok(line)) => {
                     if let Some(wanted) = pick(line) {
-                        return Ok(wanted);
+                        return Ok(Some(wanted));
                     }
                 }
+                Ok(Err(error)) => return Err(format!("the {} is not understood: {error}", self.name).into()),
+                Err(RecvTimeoutError::Timeout) if left.is_zero() => return Ok(None),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     let words = self.last_words();
@@ -81,13 +107,11 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
                 }
             }
         }
-        let words = self.last_words();
-        Err(format!("no answer from the {} in {} s: {words}", self.name, patience.as_secs()).into())
     }
 
     /// The last line that it has said so far.
     pub fn latest(&mut self) -> Option<L> {
-        self.lines.try_iter().last()
+        self.lines.try_iter().filter_map(std::result::Result::ok).last()
     }
 
     /// Writes a line to its standard input, and closes it.
@@ -96,7 +120,11 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     /// It has closed its end.
     pub fn tell(&mut self, line: &str) -> Result<()> {
         let mut input = self.child.stdin.take().ok_or("the input of the child is a pipe")?;
-        Ok(writeln!(input, "{line}")?)
+        if writeln!(input, "{line}").is_err() {
+            let words = self.last_words();
+            return Err(format!("the {} ended early: {words}", self.name).into());
+        }
+        Ok(())
     }
 
     /// Closes its standard input and waits for the end, which must be a success.
@@ -141,13 +169,33 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         self.child.id()
     }
 
-    /// Ends the process and returns what it wrote to standard error.
+    /// Ends the process and returns what it wrote to standard error in the end.
     fn last_words(&mut self) -> String {
         end(&mut self.child);
-        let mut words = String::new();
-        // Ignored: then there are none.
-        let _ = self.child.stderr.take().map(|mut error| error.read_to_string(&mut words));
-        if words.trim().is_empty() { "no error stated".to_owned() } else { words.trim().to_owned() }
+        let words = self.errors.take().and_then(|errors| errors.join().ok()).unwrap_or_default();
+        match String::from_utf8_lossy(&words).trim() {
+            "" => "no error stated".to_owned(),
+            words => format!("stderr: {words}"),
+        }
+    }
+}
+
+/// What is kept of standard error.
+const WORDS: usize = 4096;
+
+/// Reads to the end and returns the last [`WORDS`] bytes.
+fn last_bytes(mut input: impl Read) -> Vec<u8> {
+    let (mut last, mut buffer) = (Vec::new(), [0; WORDS]);
+    loop {
+        match input.read(&mut buffer) {
+            Ok(0) => return last,
+            Ok(bytes) => {
+                last.extend_from_slice(&buffer[..bytes]);
+                last.drain(..last.len().saturating_sub(WORDS));
+            }
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(_) => return last,
+        }
     }
 }
 
@@ -160,5 +208,36 @@ fn end(child: &mut Child) {
 impl<L> Drop for Process<'_, L> {
     fn drop(&mut self) {
         end(&mut self.child);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PATIENCE: Duration = Duration::from_secs(20);
+
+    fn shell(script: &str) -> Process<'static, u32> {
+        static NEVER: AtomicBool = AtomicBool::new(false);
+        Process::start(Command::new("sh").args(["-c", script]), "shell", &NEVER).unwrap()
+    }
+
+    #[test]
+    fn a_process_that_complains_at_length_goes_on_and_its_last_words_are_kept() {
+        // More than a pipe has room for.
+        let mut shell =
+            shell("head -c 200000 /dev/zero | tr '\\0' x >&2; echo the end >&2; echo 7; read line; exit 3");
+        assert_eq!(shell.expect(PATIENCE, Some).unwrap(), 7);
+        let error = shell.finish().unwrap_err().to_string();
+        assert!(error.contains("stderr: xxx") && error.ends_with("the end"), "{error}");
+        assert!(error.len() < WORDS + 100);
+    }
+
+    #[test]
+    fn what_is_no_json_is_passed_over_unless_it_looks_like_it() {
+        let mut shell = shell("echo hello; echo 7; echo '{broken'; read line");
+        assert_eq!(shell.expect(PATIENCE, Some).unwrap(), 7);
+        let error = shell.expect(PATIENCE, Some).unwrap_err().to_string();
+        assert!(error.contains("{broken"), "{error}");
     }
 }

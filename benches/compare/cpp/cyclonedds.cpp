@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Cyclone DDS through its C interface: an array of octets, listeners, two configurations.
+// Cyclone DDS through its C interface: an array of octets, listeners, three configurations.
 //   default  as it comes: UDP over the loopback
 //   tuned    as its manual advises for large messages: packets of up to 64 KiB, larger socket buffers, on the loopback alone
+//   shared-memory  through iceoryx, with loans on both sides; needs its daemon RouDi
 #include "exchange.hpp"
 
 #include <dds/dds.h>
+#include <dds/ddsc/dds_loan_api.h>
 #include <dds/version.h>
 
 #include <functional>
@@ -19,6 +21,8 @@ dds_entity_t made(dds_entity_t entity, const char* what) {
     return entity;
 }
 
+bool is_shared(const Job& job) { return job.mode == "shared-memory"; }
+
 class Participant {
   public:
     explicit Participant(const Job& job) : job_(job) {
@@ -28,6 +32,8 @@ class Participant {
               "<Internal><SocketReceiveBufferSize min=\"default\" max=\"16MB\"/></Internal>"
               "<Tracing><Verbosity>none</Verbosity></Tracing>"
             : "<Tracing><Verbosity>none</Verbosity></Tracing>";
+        if (is_shared(job)) config = "<SharedMemory><Enable>true</Enable><LogLevel>fatal</LogLevel></SharedMemory>"
+                                     "<Tracing><Verbosity>none</Verbosity></Tracing>";
         made(dds_create_domain(job.domain, config), "domain");
         participant_ = made(dds_create_participant(job.domain, nullptr, nullptr), "participant");
         ops_ = {DDS_OP_ADR | DDS_OP_TYPE_ARR | DDS_OP_SUBTYPE_1BY, 0, uint32_t(job.payload_bytes), DDS_OP_RTS};
@@ -46,12 +52,12 @@ class Participant {
     std::unique_ptr<dds_qos_t, void (*)(dds_qos_t*)> qos() {
         std::unique_ptr<dds_qos_t, void (*)(dds_qos_t*)> qos(dds_create_qos(), dds_delete_qos);
         dds_qset_reliability(qos.get(), DDS_RELIABILITY_RELIABLE, DDS_SECS(1));
-        if (job_.is_stream()) {
+        // Through iceoryx it has no more than keep last.
+        if (job_.is_stream() && !is_shared(job_)) {
             dds_qset_history(qos.get(), DDS_HISTORY_KEEP_ALL, 0);
-            int32_t depth = job_.payload_bytes > (64u << 10) ? 10 : 100;
-            dds_qset_resource_limits(qos.get(), depth, 1, depth);
+            dds_qset_resource_limits(qos.get(), job_.depth(), 1, job_.depth());
         } else {
-            dds_qset_history(qos.get(), DDS_HISTORY_KEEP_LAST, job_.is_round_trips() ? 1 : 10);
+            dds_qset_history(qos.get(), DDS_HISTORY_KEEP_LAST, job_.depth());
         }
         return qos;
     }
@@ -74,11 +80,13 @@ class Participant {
 class Outlet {
   public:
     Outlet(Participant& participant, const Job& job, const std::string& topic)
-        : job_(job), writer_(participant.writer(topic)), sample_(job.payload_bytes) {}
-    void send(Stamp stamp) {
-        stamp.write(sample_.data(), job_.payload_bytes, job_.whole);
-        // Refused after a second without room: counted by the receiver.
-        dds_write(writer_, sample_.data());
+        : job_(job), writer_(participant.writer(topic)), sample_(is_shared(job) ? 0 : job.payload_bytes) {}
+    // Refused after a second without room.
+    bool send(Stamp stamp) {
+        void* sample = sample_.data();
+        if (is_shared(job_)) made(dds_loan_sample(writer_, &sample), "loan");
+        stamp.write(sample, job_.payload_bytes, job_.whole);
+        return dds_write(writer_, sample) == DDS_RETCODE_OK;
     }
 
   private:
@@ -142,7 +150,8 @@ void send_flow(Participant& participant, const Job& job) {
     exchange::Source source(job);
     size_t topic;
     Stamp stamp;
-    while (source.next(topic, stamp)) outlets[topic]->send(stamp);
+    while (source.next(topic, stamp))
+        if (!outlets[topic]->send(stamp)) source.refuse();
     source.measured().say();
     // What is under way is repeated from its history.
     exchange::sleep_until(exchange::monotonic_ns() + 100000000);

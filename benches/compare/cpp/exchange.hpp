@@ -3,8 +3,10 @@
 // tautline-exchange. A process is told its job as words `key=value`; it says lines of JSON.
 #pragma once
 
+#include <malloc.h>
 #include <pthread.h>
 #include <sched.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <time.h>
 #include <unistd.h>
@@ -45,6 +47,9 @@ constexpr uint64_t WARM_UP_SHARE = 8;
 constexpr uint64_t PATIENCE_NS = 500000000;
 constexpr uint64_t CONNECTING_NS = 50000000;
 constexpr uint64_t SAMPLED = 16;
+// Of a stream, between two messages of number 0, and for each of their bytes.
+constexpr uint64_t GREETING_NS = 1000000;
+constexpr uint64_t GREETING_NS_PER_BYTE = 20;
 constexpr size_t ROOM = 1 << 16;
 
 struct Job {
@@ -53,6 +58,7 @@ struct Job {
     std::string mode, topic;
     double rate = 0;
     size_t payload_bytes = 64, topics = 1, subscribers = 1;
+    bool at_once = false;
     uint64_t budget_ns = 0;
     int core = -1;
     bool realtime = false, whole = false;
@@ -67,19 +73,29 @@ struct Job {
             if (at == std::string::npos) throw std::runtime_error("not key=value: " + word);
             words[word.substr(0, at)] = word.substr(at + 1);
         }
-        near = words["role"] == "near";
-        kind = words["kind"];
-        mode = words["mode"];
-        topic = words["topic"];
-        rate = atof(words["rate"].c_str());
-        payload_bytes = strtoul(words["payload_bytes"].c_str(), nullptr, 10);
-        topics = strtoul(words["topics"].c_str(), nullptr, 10);
-        subscribers = strtoul(words["subscribers"].c_str(), nullptr, 10);
-        budget_ns = strtoull(words["budget_ns"].c_str(), nullptr, 10);
-        core = words["core"].empty() ? -1 : atoi(words["core"].c_str());
-        realtime = words["realtime"] == "1";
-        whole = words["whole"] == "1";
-        domain = uint32_t(atoi(words["domain"].c_str()));
+        auto take = [&words](const char* key) {
+            auto word = words.find(key);
+            if (word == words.end()) throw std::runtime_error(std::string("the job has no ") + key);
+            std::string value = word->second;
+            words.erase(word);
+            return value;
+        };
+        near = take("role") == "near";
+        kind = take("kind");
+        mode = take("mode");
+        topic = take("topic");
+        rate = atof(take("rate").c_str());
+        payload_bytes = strtoul(take("payload_bytes").c_str(), nullptr, 10);
+        topics = strtoul(take("topics").c_str(), nullptr, 10);
+        subscribers = strtoul(take("subscribers").c_str(), nullptr, 10);
+        at_once = take("at_once") == "1";
+        budget_ns = strtoull(take("budget_ns").c_str(), nullptr, 10);
+        std::string on_core = take("core");
+        core = on_core.empty() ? -1 : atoi(on_core.c_str());
+        realtime = take("realtime") == "1";
+        whole = take("whole") == "1";
+        domain = uint32_t(atoi(take("domain").c_str()));
+        if (!words.empty()) throw std::runtime_error("the job has an unknown " + words.begin()->first);
         if (kind.empty() || topic.empty() || payload_bytes < 16) throw std::runtime_error("the job is incomplete");
         prctl(PR_SET_PDEATHSIG, SIGKILL);
         if (core >= 0) {
@@ -92,7 +108,14 @@ struct Job {
         priority.sched_priority = 50;
         if (realtime && sched_setscheduler(0, SCHED_FIFO, &priority) != 0)
             throw std::runtime_error("SCHED_FIFO 50 is refused");
+        // As Tautline's context does: what was used once faults no page again.
+        mallopt(M_TRIM_THRESHOLD, -1);
+        mallopt(M_MMAP_MAX, 0);
+        if (mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0 && realtime)
+            throw std::runtime_error("locked memory is refused");
     }
+    // Messages that a queue has room for, whatever the system.
+    int32_t depth() const { return is_stream() && payload_bytes <= (64u << 10) ? 100 : 10; }
     bool is_round_trips() const { return kind == "round-trips"; }
     bool is_stream() const { return kind == "stream"; }
     std::string there() const { return topic + (near ? "/there" : "/back"); }
@@ -154,21 +177,41 @@ struct Stamp {
     }
 };
 
-// This process's share of resident memory: what several have mapped counts in part for each.
-inline uint64_t memory_kib() {
-    unsigned long kib = 0;
-    if (FILE* file = fopen("/proc/self/smaps_rollup", "r")) {
-        char line[256];
-        while (fgets(line, sizeof line, file) != nullptr && sscanf(line, "Pss: %lu", &kib) != 1) {
+// Resident memory: what several processes have mapped counts in part for each.
+struct Memory {
+    uint64_t kib = 0, shared_kib = 0;
+
+    void add(const std::string& process) {
+        if (FILE* file = fopen(("/proc/" + process + "/smaps_rollup").c_str(), "r")) {
+            char line[256];
+            while (fgets(line, sizeof line, file) != nullptr) {
+                unsigned long number;
+                if (sscanf(line, "Pss: %lu", &number) == 1) kib += number;
+                if (sscanf(line, "Pss_Shmem: %lu", &number) == 1) shared_kib += number;
+            }
+            fclose(file);
         }
-        fclose(file);
     }
-    return kib;
-}
+    // Of this process and of the other ones of the exchange, now: later, when one has gone, what they shared would count for
+    // the others.
+    static Memory of_exchange() {
+        Memory memory;
+        memory.add("self");
+        const char* peers = getenv("TAUTLINE_EXCHANGE_PEERS");
+        std::string rest = peers == nullptr ? "" : peers;
+        while (!rest.empty()) {
+            size_t end = rest.find(',');
+            memory.add(rest.substr(0, end));
+            rest = end == std::string::npos ? "" : rest.substr(end + 1);
+        }
+        return memory;
+    }
+};
 
 struct Measured {
     std::vector<uint64_t> times_ns, numbers;
-    uint64_t lost = 0, cpu_ns = 0, memory_kib = 0, messages = 0;
+    uint64_t lost = 0, cpu_ns = 0, messages = 0, late = 0, refused = 0;
+    Memory memory;
     double seconds = 0;
 
     void say() const {
@@ -180,7 +223,10 @@ struct Measured {
         };
         exchange::say("{\"Measured\":{\"times_ns\":" + list(times_ns) + ",\"numbers\":" + list(numbers) +
                       ",\"lost\":" + std::to_string(lost) + ",\"cpu_ns\":" + std::to_string(cpu_ns) +
-                      ",\"memory_kib\":" + std::to_string(memory_kib) + ",\"messages\":" + std::to_string(messages) + ",\"seconds\":" + std::to_string(seconds) + "}}");
+                      ",\"memory\":{\"kib\":" + std::to_string(memory.kib) +
+                      ",\"shared_kib\":" + std::to_string(memory.shared_kib) + "},\"messages\":" + std::to_string(messages) +
+                      ",\"late\":" + std::to_string(late) + ",\"refused\":" + std::to_string(refused) +
+                      ",\"seconds\":" + std::to_string(seconds) + "}}");
     }
 };
 
@@ -226,7 +272,7 @@ class RoundTrips {
     }
     Measured& measured() {
         measured_.cpu_ns = process_cpu_ns() - cpu_ns_;
-        measured_.memory_kib = memory_kib();
+        measured_.memory = Memory::of_exchange();
         measured_.messages = measured_.times_ns.size();
         measured_.seconds = double(monotonic_ns() - since_ns_) / 1e9;
         return measured_;
@@ -293,32 +339,43 @@ struct Numbers {
 class Source {
   public:
     explicit Source(const Job& job) : numbers_(job), topics_(job.topics), is_stream_(job.is_stream()),
-                                      budget_ns_(job.budget_ns) {}
+                                      at_once_(job.at_once),
+                                      budget_ns_(job.budget_ns),
+                                      greeting_ns_(job.is_stream()
+                                          ? std::max(GREETING_NS, GREETING_NS_PER_BYTE * uint64_t(job.payload_bytes))
+                                          : numbers_.period_ns * job.topics) {}
     bool next(size_t& topic, Stamp& stamp) {
         topic = size_t(sent_ % topics_);
         if (started_ns_ == 0) {
             if (topic == 0) {
-                uint64_t pause_ns = 1000000u * ((topics_ + 9) / 10);
                 if (stop_flag()) {
                     sent_ = 0;
-                    started_ns_ = monotonic_ns() + pause_ns;
+                    started_ns_ = monotonic_ns() + greeting_ns_;
                 }
-                sleep_until(monotonic_ns() + pause_ns);
+                sleep_until(monotonic_ns() + greeting_ns_);
             }
             if (started_ns_ == 0) sent_++;
             stamp = Stamp{0, monotonic_ns()};
             return true;
         }
-        uint64_t number = sent_ / topics_ + 1, now;
-        bool is_warm;
+        uint64_t number = sent_ / topics_ + 1, now = monotonic_ns(), sent_ns = 0;
+        bool is_warm, is_late = false;
         if (is_stream_) {
-            now = monotonic_ns();
             if (now > started_ns_ && now - started_ns_ >= budget_ns_ / WARM_UP_SHARE + budget_ns_) return false;
             is_warm = now > started_ns_ && now - started_ns_ >= budget_ns_ / WARM_UP_SHARE;
         } else {
-            sleep_until(started_ns_ + sent_ * numbers_.period_ns);
+            // What was due while the message before was still being sent is stamped with the time at which it was due.
+            // Of those that are sent at once, the first is waited for.
+            bool follows = at_once_ && topic != 0;
+            uint64_t due = started_ns_ + (at_once_ ? sent_ - topic : sent_) * numbers_.period_ns;
+            is_late = !follows && now > due;
+            if (is_late) {
+                sent_ns = due;
+            } else if (!follows) {
+                sleep_until(due);
+                now = monotonic_ns();
+            }
             if (number > numbers_.last) return false;
-            now = monotonic_ns();
             is_warm = number > numbers_.warm;
         }
         if (is_warm && since_ns_ == 0) {
@@ -326,24 +383,29 @@ class Source {
             cpu_ns_ = process_cpu_ns();
             before_ = sent_;
         }
+        if (is_late && is_warm) late_++;
         sent_++;
-        stamp = Stamp{number, now};
+        stamp = Stamp{number, is_late ? sent_ns : now};
         return true;
     }
     Measured measured() const {
         Measured measured;
         measured.cpu_ns = process_cpu_ns() - cpu_ns_;
         measured.seconds = double(monotonic_ns() - since_ns_) / 1e9;
-        measured.memory_kib = memory_kib();
+        measured.memory = Memory::of_exchange();
         measured.messages = sent_ - before_;
+        measured.late = late_;
+        measured.refused = refused_;
         return measured;
     }
+    // The system did not take a message.
+    void refuse() { refused_++; }
 
   private:
     Numbers numbers_;
-    uint64_t topics_, sent_ = 0, started_ns_ = 0, since_ns_ = 0, cpu_ns_ = 0, before_ = 0;
-    bool is_stream_;
-    uint64_t budget_ns_;
+    uint64_t topics_, sent_ = 0, started_ns_ = 0, since_ns_ = 0, cpu_ns_ = 0, before_ = 0, late_ = 0, refused_ = 0;
+    bool is_stream_, at_once_;
+    uint64_t budget_ns_, greeting_ns_;
 };
 
 // The far end of a flow: what arrives at all subscriptions of the process.
@@ -381,6 +443,7 @@ class Sink {
                 last_number_ = stamp.number;
             }
             last_ns_ = now;
+            if (!sink_.is_stream_ && stamp.number == sink_.numbers_.last) sink_.complete(now);
         }
 
       private:
@@ -388,7 +451,7 @@ class Sink {
         void begin(uint64_t now) {
             if (since_ns_ == 0) since_ns_ = now;
             uint64_t none = 0;
-            if (sink_.cpu_ns_ == 0) sink_.cpu_ns_.compare_exchange_strong(none, process_cpu_ns());
+            if (sink_.cpu_ns_ == 0 && sink_.cpu_ns_.compare_exchange_strong(none, process_cpu_ns())) say("\"Warm\"");
         }
         Sink& sink_;
         std::mutex mutex_;
@@ -407,7 +470,7 @@ class Sink {
 
     Measured measured() {
         Measured measured;
-        measured.cpu_ns = process_cpu_ns() - cpu_ns_;
+        measured.cpu_ns = (end_cpu_ns_ == 0 ? process_cpu_ns() : end_cpu_ns_.load()) - cpu_ns_;
         std::vector<std::pair<uint64_t, uint64_t>> arrivals;
         for (auto& inlet : inlets) {
             std::lock_guard<std::mutex> lock(inlet->mutex_);
@@ -417,6 +480,9 @@ class Sink {
             else if (expected > inlet->received_) measured.lost += expected - inlet->received_;
             if (inlet->since_ns_ != 0)
                 measured.seconds = std::max(measured.seconds, double(inlet->last_ns_ - inlet->since_ns_) / 1e9);
+            // So few of a stream that none was sampled.
+            if (is_stream_ && inlet->times_.empty() && inlet->received_ > 0)
+                arrivals.emplace_back(inlet->last_number_, (inlet->last_ns_ - inlet->since_ns_) / inlet->received_);
             arrivals.insert(arrivals.end(), inlet->times_.begin(), inlet->times_.end());
         }
         size_t subscribers = inlets.size() / topics_;
@@ -446,12 +512,18 @@ class Sink {
             say("{\"Connected\":{\"first_ns\":" + std::to_string(first_ns_) + ",\"all_ns\":" + std::to_string(now) + "}}");
     }
 
+    void complete(uint64_t now) {
+        if (++complete_ < inlets.size()) return;
+        end_cpu_ns_ = process_cpu_ns();
+        say("{\"Complete\":{\"last_ns\":" + std::to_string(now) + "}}");
+    }
+
     Numbers numbers_;
     size_t topics_;
     bool is_stream_;
     uint64_t budget_ns_;
-    std::atomic<size_t> connected_{0};
-    std::atomic<uint64_t> first_ns_{0}, cpu_ns_{0};
+    std::atomic<size_t> connected_{0}, complete_{0};
+    std::atomic<uint64_t> first_ns_{0}, cpu_ns_{0}, end_cpu_ns_{0};
 };
 
 }  // namespace exchange

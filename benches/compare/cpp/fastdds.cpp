@@ -118,8 +118,7 @@ class Participant {
 
   private:
     void set_history(fdds::HistoryQosPolicy& history, fdds::ResourceLimitsQosPolicy& limits) {
-        int32_t depth = job_.is_round_trips() ? 1 : job_.is_stream() ? 100 : 10;
-        if (job_.is_stream() && job_.payload_bytes > (64u << 10)) depth = 10;
+        int32_t depth = job_.depth();
         history.kind = job_.is_stream() ? fdds::KEEP_ALL_HISTORY_QOS : fdds::KEEP_LAST_HISTORY_QOS;
         history.depth = depth;
         limits.max_samples = depth;
@@ -141,7 +140,7 @@ class Participant {
     fdds::Subscriber* subscriber_ = nullptr;
 };
 
-// Writes messages: into a loan, or into a sample of its own that is then written.
+// Writes messages: into a loan, or into a sample of its own that is then written; says whether they were taken.
 class Outlet {
   public:
     Outlet(Participant& participant, const Job& job, const std::string& topic)
@@ -156,7 +155,9 @@ class Outlet {
             }
         }
         stamp.write(sample, job_.payload_bytes, job_.whole);
-        return writer_->write(sample);
+        if (writer_->write(sample)) return true;
+        if (job_.mode == "data-sharing") writer_->discard_loan(sample);
+        return false;
     }
 
   private:
@@ -228,7 +229,8 @@ void send_flow(Participant& participant, const Job& job) {
     exchange::Source source(job);
     size_t topic;
     Stamp stamp;
-    while (source.next(topic, stamp)) outlets[topic]->send(stamp);
+    while (source.next(topic, stamp))
+        if (!outlets[topic]->send(stamp)) source.refuse();
     source.measured().say();
     // What is under way is repeated from its history.
     exchange::sleep_until(exchange::monotonic_ns() + 100000000);

@@ -29,6 +29,7 @@ fn colour(system: &str) -> RGBColor {
         "r2r" => RGBColor(200, 40, 70),
         "zenoh" => RGBColor(150, 130, 0),
         "hiroz" => RGBColor(90, 70, 40),
+        "taktora" => RGBColor(110, 190, 60),
         _ => RGBColor(60, 160, 200),
     }
 }
@@ -115,7 +116,12 @@ pub fn distributions(rows: &[Row], experiment: &str, bytes: usize) -> Result<Opt
         return Ok(None);
     }
     // The last one in ten thousand is in the table.
-    lines.iter_mut().for_each(|line| line.points.retain(|point| point.1 < 0.9999));
+    for line in &mut lines {
+        // But at least one point: all times may be the same.
+        let kept = line.points.partition_point(|point| point.1 < 0.9999).max(1);
+        line.points.truncate(kept);
+    }
+    lines.retain(|line| !line.points.is_empty());
     let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.0));
     let x = Axis { title: "half a round trip", ..Axis::decades(times) };
     let marks = (0..=4).map(|quarter| (f64::from(quarter) * 0.25, format!("{} %", quarter * 25))).collect();
@@ -314,7 +320,9 @@ pub fn bars(title: &str, bars: &[Bar], end: Option<f64>) -> Result<Option<String
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::Details;
     use crate::verdict::tests::row;
+    use tautline_benches::Distribution;
 
     #[test]
     fn every_line_and_every_bar_has_its_label() {
@@ -333,6 +341,23 @@ mod tests {
         let svg = bars("title", &all, Some(50.0)).unwrap().unwrap();
         assert_eq!((svg.matches("<polygon").count(), svg.matches("fastdds default").count()), (3, 2));
         assert!(bars("title", &[], None).unwrap().is_none());
+    }
+
+    #[test]
+    fn times_that_are_all_the_same_are_a_line_too() {
+        let mut times = Distribution::new();
+        times.record(5000);
+        let details = Details {
+            times,
+            p50_us: (5.0, 5.0),
+            messages_per_s: 1.0,
+            cpu_share: 0.0,
+            steal_ticks: 0,
+            wakes: None,
+        };
+        let row = Row { details: Some(details), ..row("x", "tautline", "blocking", 64, 5.0) };
+        let svg = distributions(&[row], "x", 64).unwrap().unwrap();
+        assert!(svg.contains("tautline blocking"));
     }
 
     #[test]

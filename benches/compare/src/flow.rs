@@ -2,15 +2,15 @@
 //! Measurements of what goes one way, and of how it begins.
 
 use std::fs;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tautline_benches::Process;
-use tautline_exchange::{Line, Measured, memory_kib, to_the_last};
+use tautline_exchange::{Line, Measured, Memory, to_the_last};
 use tautline_rt::clock::monotonic_ns;
 
 use crate::Result;
 use crate::load::Load;
-use crate::pair::{Found, PATIENCE, Setup, measured};
+use crate::pair::{Found, PATIENCE, Setup, Wakes, measured};
 use crate::plan::{Case, Task};
 
 impl Setup<'_> {
@@ -21,26 +21,44 @@ impl Setup<'_> {
             _ => (1, false),
         };
         let (mut fars, endpoint) = self.start_fars(case, topic, processes)?;
-        let mut near = self.start_near(case, topic, endpoint)?;
+        let mut near = self.start_near(case, topic, endpoint, &fars)?;
         for far in &mut fars {
             connected(far)?;
         }
-        let load = if is_loaded { Some(Load::start()?) } else { None };
-        let before = switches(&fars[0]);
+        let load = if is_loaded { Some(Load::start(self.plan.cores)?) } else { None };
         near.tell("go")?;
+        let mut before = None;
+        if case.task != Task::Stream {
+            let is_warm = |line| matches!(line, Line::Warm).then_some(());
+            // Without one nothing arrives, which is said below.
+            let warm = fars[0].wait_for(case.budget + DRAIN, is_warm)?;
+            before = warm.and_then(|()| waits(&fars[0]));
+        }
         let sent = measured(&mut near, PATIENCE + case.budget * 3)?;
-        let switches = before.zip(switches(&fars[0]));
+        if case.task != Task::Stream {
+            let since = Instant::now();
+            for far in &mut fars {
+                let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
+                // Whether it has come: what has not is counted as lost.
+                let _ = far.wait_for(DRAIN.saturating_sub(since.elapsed()), is_last)?;
+            }
+        }
+        let after = waits(&fars[0]);
         let mut found = Found {
             cpu_ns: sent.cpu_ns,
             messages: sent.messages,
             seconds: sent.seconds,
-            memory_kib: sent.memory_kib,
-            // The warm-up is an eighth of what is measured.
-            switches: switches.map(|(from, to)| (to - from) as f64 / (sent.messages.max(1) as f64 * 1.125)),
+            memory: sent.memory,
+            late: sent.late,
+            refused: sent.refused,
+            wakes: before.zip(after).map(|(before, after)| {
+                // Since the first measured one.
+                let messages = sent.messages.saturating_sub(1).max(1) as f64;
+                let per_message = |at: usize| after[at].saturating_sub(before[at]) as f64 / messages;
+                Wakes { sampler: per_message(0), others: per_message(1) }
+            }),
             ..Found::default()
         };
-        let memory = fars.iter().map(|far| memory_kib(&far.id().to_string()));
-        found.memory_kib += memory.sum::<u64>();
         let mut arrivals = Vec::new();
         for far in &mut fars {
             let received = received(far)?;
@@ -71,7 +89,7 @@ impl Setup<'_> {
         let is_late_joiner = matches!(case.task, Task::Start { is_late_joiner: true, .. });
         let (mut fars, endpoint) = self.start_fars(case, topic, 1)?;
         let mut started_ns = monotonic_ns();
-        let mut near = self.start_near(case, topic, endpoint.clone())?;
+        let mut near = self.start_near(case, topic, endpoint.clone(), &fars)?;
         let mut arrived_ns = connected(&mut fars[0])?;
         if is_late_joiner {
             started_ns = monotonic_ns();
@@ -82,7 +100,8 @@ impl Setup<'_> {
         }
         near.tell("go")?;
         let sent = measured(&mut near, PATIENCE)?;
-        let memory = fars.iter().map(|far| memory_kib(&far.id().to_string())).sum::<u64>() + sent.memory_kib;
+        // Its peers' is in the near end's; of one that came late this is most of it.
+        let late = fars.get(1).map_or(Memory::default(), |late| Memory::of(&late.id().to_string()));
         for far in &mut fars {
             received(far)?;
         }
@@ -90,7 +109,7 @@ impl Setup<'_> {
         Ok(Found {
             times_ns: vec![arrived_ns.saturating_sub(started_ns)],
             messages: 1,
-            memory_kib: memory,
+            memory: sent.memory + late,
             ..Found::default()
         })
     }
@@ -113,6 +132,9 @@ impl Setup<'_> {
     }
 }
 
+/// How long what is under way may take to arrive.
+const DRAIN: Duration = Duration::from_millis(500);
+
 /// When a receiver had messages on all its subscriptions.
 fn connected(far: &mut Process<'_, Line>) -> Result<u64> {
     far.expect(PATIENCE, |line| match line {
@@ -129,10 +151,15 @@ fn received(far: &mut Process<'_, Line>) -> Result<Measured> {
     Ok(received)
 }
 
-/// How often the main thread of a process has waited.
-fn switches(process: &Process<'_, Line>) -> Option<u64> {
+/// How often the main thread of a process has waited, and how often all others.
+fn waits(process: &Process<'_, Line>) -> Option<[u64; 2]> {
     let id = process.id();
-    let status = fs::read_to_string(format!("/proc/{id}/task/{id}/status")).ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"))?;
-    line.trim().parse().ok()
+    let mut waits = [0; 2];
+    for task in fs::read_dir(format!("/proc/{id}/task")).ok()?.flatten() {
+        let status = fs::read_to_string(task.path().join("status")).unwrap_or_default();
+        let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
+        let is_main = task.file_name().to_str() == Some(&id.to_string());
+        waits[usize::from(!is_main)] += line.and_then(|line| line.trim().parse::<u64>().ok()).unwrap_or(0);
+    }
+    Some(waits)
 }

@@ -48,7 +48,9 @@ fn write_verdicts(out: &mut String, report: &Report) -> Result<()> {
             None => ("unknown", "–"),
         };
         let (claim, found) = (escape(&verdict.claim), escape(&verdict.found));
-        writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}</li>")?;
+        let reason =
+            verdict.reason.map_or(String::new(), |reason| format!("; why it stays: {}", escape(reason)));
+        writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}{reason}</li>")?;
     }
     out.push_str("</ul>\n");
     Ok(())
@@ -102,6 +104,7 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
     let to_p99: fn(&Row) -> Option<(f64, f64)> = |row| row.p50_us.zip(row.p99_us);
     let none: fn(&Row) -> Option<(f64, f64)> = |_| None;
     let p50: Number = |row| row.p50_us;
+    let cpu_percent: Number = |row| row.details.as_ref().map(|details| details.cpu_share * 100.0);
     let pictures = [
         (
             "64 B, idle states as shipped: p50 in µs; whiskers to p99",
@@ -119,13 +122,13 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
             Some(500.0),
         ),
         (
-            "20 topics at 100 Hz: CPU time of all processes in % of a core",
-            of(
-                "robot/20x100Hz",
-                4096,
-                |row| row.details.as_ref().map(|details| details.cpu_share * 100.0),
-                none,
-            ),
+            "20 topics at 100 Hz, each at its own time: CPU time of all processes in % of a core",
+            of("robot/20x100Hz", 4096, cpu_percent, none),
+            None,
+        ),
+        (
+            "20 topics at 100 Hz, all at once: CPU time of all processes in % of a core",
+            of("robot/20x100Hz/at-once", 4096, cpu_percent, none),
             None,
         ),
         (
@@ -259,12 +262,14 @@ fn write_settings(out: &mut String) -> Result<()> {
 
 fn method() -> Vec<String> {
     [
-        "Two processes (or more, of fan-out), pinned: the sender to one core, the receivers to the other; every thread that sends or receives has SCHED_FIFO 50, also those that a system starts by itself.",
-        "Every system runs in every round, directly after its rivals, in the order of the round before reversed.",
+        "Two processes (or more, of fan-out), pinned: the sender to one core, the receivers to the other. The threads that send or are called back have SCHED_FIFO 50, and so have those that a system starts by itself, but for Tautline's samplers (60), which wake its callback threads; a mode called ordinary has none of it. Every process locks its memory (mlockall, on fault), and malloc keeps what is freed, as Tautline's context does by itself.",
+        "Queues: 10 messages in every system, for throughput at 64 B 100.",
+        "No setting comes from the environment or from files of the user: variables such as FASTRTPS_DEFAULT_PROFILES_FILE, CYCLONEDDS_URI and RMW_IMPLEMENTATION are removed.",
+        "Each experiment has its own number of rounds; in each of them every system runs directly after its rivals, in the order of the round before reversed. What must hold is judged by the median of the ratios of the rounds, for a machine has slow and fast phases; a rival's best configuration is the one whose rounds have the least median. Not judged: what failed in a round, lost messages, ran without real-time priorities or with idle states that should have been held off, or has fewer than ten times above the quantile; quantiles of so few are left out.",
         "Latency: a message to and fro, half of it. Written and read whole: the sender writes every byte in the place that its system gives it, the receiver looks at every byte; untouched: the first 16 bytes.",
         "Idle states: as shipped, or held off for all by /dev/cpu_dma_latency, taken and released for each measurement. On a virtual machine leaving an idle state costs far more than any middleware.",
-        "One way: the sender stamps the message with CLOCK_MONOTONIC before it asks for memory; the receiver reads the clock when it has it. The sender keeps its rate whatever becomes of the messages.",
-        "CPU time: of latency that of one end, which sends and receives one message per round trip; else that of all processes, by their own clocks, after the warm-up, per message that was sent.",
+        "One way: the sender stamps the message with CLOCK_MONOTONIC before it asks for memory; the receiver reads the clock when it has it. The sender keeps its rate whatever becomes of the messages; a message that was due while the one before was still being sent is stamped with the time at which it was due. What is under way at the end has 500 ms to arrive.",
+        "CPU time: of latency that of one end, which sends and receives one message per round trip; else that of all processes, by their own clocks, from the end of the warm-up to the last message, per message that was sent; of throughput, per message that was received.",
         "Throughput: as fast as the receiver lets the sender: keep all and reliable, or what a system has of it; times are those between arrivals, means of 16.",
         "Start-up: from before the process is started to its message in the receiver; includes loading the program.",
         "A message is lost if its number never arrives at a subscription, counted after the warm-up.",

@@ -9,8 +9,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use tautline_rt::{CoreSet, current_affinity, set_affinity};
+
 /// What the load consists of, for the report.
-pub const LOAD: &str = "two threads that compute, one that copies 64 MiB to and fro, one that sends over a TCP connection of the loopback and one that receives, all SCHED_OTHER and on any core";
+pub const LOAD: &str = "a thread that computes on each of the two cores, one that copies 64 MiB to and fro, one that sends over a TCP connection of the loopback and one that receives, these on any core, all SCHED_OTHER";
 
 /// More than any cache.
 const COPIED_BYTES: usize = 64 << 20;
@@ -22,7 +24,7 @@ pub struct Load {
 }
 
 impl Load {
-    pub fn start() -> std::io::Result<Self> {
+    pub fn start(cores: [usize; 2]) -> std::io::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let out = TcpStream::connect(listener.local_addr()?)?;
         let (input, _) = listener.accept()?;
@@ -39,9 +41,16 @@ impl Load {
                 }
             })
         };
-        let threads =
-            vec![spawn(compute()), spawn(compute()), spawn(copy()), spawn(send(out)), spawn(receive(input))];
-        Ok(Load { stop, threads })
+        // A new thread runs where the one does that starts it.
+        let before = current_affinity().map_err(std::io::Error::other)?;
+        let mut load = Load { stop: stop.clone(), threads: Vec::new() };
+        for core in cores {
+            set_affinity(CoreSet::one(core)).map_err(std::io::Error::other)?;
+            load.threads.push(spawn(compute()));
+        }
+        set_affinity(before).map_err(std::io::Error::other)?;
+        load.threads.extend([spawn(copy()), spawn(send(out)), spawn(receive(input))]);
+        Ok(load)
     }
 }
 

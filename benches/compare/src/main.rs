@@ -127,6 +127,11 @@ fn measure(options: &Options) -> Result<()> {
         signal_hook::flag::register_conditional_shutdown(signal, 130, interrupted.clone())?;
         signal_hook::flag::register(signal, interrupted.clone())?;
     }
+    // Before minutes are spent on what cannot be written.
+    for path in [&options.json, &options.html, &options.svg].into_iter().flatten() {
+        let file = std::fs::File::options().create(true).append(true).open(path);
+        file.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    }
     let disturbance = Disturbance::start();
     let cells = rounds::run(&plan, &interrupted)?;
     let report = Report::new(&plan, cells, disturbance.report());

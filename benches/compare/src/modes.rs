@@ -8,14 +8,29 @@ use std::process::Command;
 use crate::Result;
 
 /// All systems, in the order of the tables.
-pub const SYSTEMS: [&str; 9] =
-    ["floor", "tautline", "iceoryx2", "fastdds", "cyclonedds", "r2r", "zenoh", "hiroz", "copper"];
+pub const SYSTEMS: [&str; 11] = [
+    "floor",
+    "tautline",
+    "iceoryx2",
+    "taktora",
+    "fastdds",
+    "cyclonedds",
+    "r2r",
+    "zenoh",
+    "hiroz",
+    "copper",
+    "dora",
+];
 
 /// How a system's processes are started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Program {
     /// This one, with `--child`.
     Own,
+    /// This one, with a gateway for each end.
+    Gateways,
+    /// As `Words`, beside a daemon: a program of the second name.
+    Daemon(&'static str, &'static str),
     /// A program of this name that takes its job as JSON.
     Json(&'static str),
     /// A program of this name that takes its job as words `key=value`.
@@ -29,12 +44,12 @@ pub enum Part {
     All,
     /// Round trips.
     RoundTrips,
-    /// Round trips of payloads that are neither written nor read.
-    Untouched,
     /// Round trips with idle states as shipped, for it decides about them itself.
     AsShipped,
     /// A floor, of payloads that are written and read whole.
     Whole,
+    /// Round trips of 64 B.
+    Small,
 }
 
 /// A way of a system.
@@ -48,6 +63,14 @@ pub struct Mode {
     pub part: Part,
     /// What was set, for the report.
     pub settings: &'static str,
+}
+
+impl Mode {
+    /// Whether a sender that is faster than its receiver is held back, rather than losing messages.
+    pub fn holds_sender_back(&self) -> bool {
+        // It has no setting of the history that does.
+        self.system != "r2r"
+    }
 }
 
 const fn own(system: &'static str, mode: &'static str, part: Part, settings: &'static str) -> Mode {
@@ -79,6 +102,18 @@ pub const MODES: &[Mode] = &[
         Part::All,
         "plain message, loaned and read in place; a callback thread at FIFO 50, the sampler at FIFO 60 on the same core; reliable, keep last 10",
     ),
+    own(
+        "tautline",
+        "direct",
+        Part::All,
+        "as blocking, but the publisher wakes the callback thread itself: CallbackOptions::direct_wake",
+    ),
+    own(
+        "tautline",
+        "direct-spin",
+        Part::RoundTrips,
+        "as direct, but each thread looks for 5 µs before it sleeps: in a round trip the answer often comes within, and then nobody sleeps; CallbackOptions::direct_wake().spin(5 µs)",
+    ),
     Mode {
         one_core: true,
         ..own(
@@ -106,17 +141,32 @@ pub const MODES: &[Mode] = &[
         Part::AsShipped,
         "as blocking, with Tautline's own default about idle states: in real-time mode it holds them off (/dev/cpu_dma_latency)",
     ),
+    Mode {
+        program: Program::Gateways,
+        ..own(
+            "tautline",
+            "gateway",
+            Part::RoundTrips,
+            "as image, in two domains with a gateway (taut gateway) each, which one TCP connection over the loopback joins; each gateway shares the core of its end, its threads at their default, FIFO 80; CPU time and memory without the gateways'",
+        )
+    },
     own(
         "iceoryx2",
         "waitset",
         Part::All,
-        "loan_slice_uninit, an event per message, a WaitSet; safe overflow; greatest event id 1, which makes collecting cheap",
+        "loan_slice_uninit, an event per message, a WaitSet, one listener for all subscribers of a process; safe overflow; greatest event id 1, which makes collecting cheap",
     ),
     own("iceoryx2", "busy-poll", Part::RoundTrips, "as waitset, but the receiver asks again and again"),
+    json(
+        "taktora",
+        "items",
+        Part::RoundTrips,
+        "taktora-executor 0.6.0 on iceoryx2 0.9: items that their subscriber triggers, run in the executor's own thread (worker_threads 0), a loan per message (Publisher::loan); its channels collect no events, so that an executor which was triggered once does not sleep again: it polls; greatest event id 255; a buffer of 10 by a file of iceoryx2's; its executor at FIFO 50 polls without end and leaves its core to nobody, so only round trips are measured",
+    ),
     words(
         "fastdds",
         "default",
-        "listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable, keep last 1 (10 where messages come one way)",
+        "listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable",
     ),
     words(
         "fastdds",
@@ -128,27 +178,37 @@ pub const MODES: &[Mode] = &[
         "data-sharing",
         "as tuned, with a plain type, data sharing and loans on both sides: loan_sample, take without a copy",
     ),
-    words(
-        "cyclonedds",
-        "default",
-        "C interface, an array of octets, listener; UDP as it comes; reliable, keep last 1 (10 where messages come one way)",
-    ),
+    words("cyclonedds", "default", "C interface, an array of octets, listener; UDP as it comes; reliable"),
     words(
         "cyclonedds",
         "tuned",
         "as default, on the loopback interface alone, with packets of up to 64 KiB and socket buffers of up to 16 MB",
     ),
+    Mode {
+        program: Program::Daemon("cyclonedds", ROUDI),
+        ..words(
+            "cyclonedds",
+            "shared-memory",
+            "as default, its payloads through iceoryx 2.0.3 with loans on both sides (dds_loan_sample, dds_take); its daemon iox-roudi runs without a priority on any core and is not counted; through iceoryx there is no keep all: throughput is with keep last 10",
+        )
+    },
     json(
         "r2r",
         "typed",
         Part::All,
-        "r2r 0.9.7 over rmw_fastrtps_cpp; std_msgs/msg/UInt8MultiArray as a Rust struct; one thread spins and runs the callbacks; the builtin transports as they come; reliable, keep last 1 (10 where messages come one way, also for throughput, where it loses what the receiver misses)",
+        "r2r 0.9.7 over rmw_fastrtps_cpp; std_msgs/msg/UInt8MultiArray as a Rust struct; one thread spins and runs the callbacks; the builtin transports as they come; reliable, keep last, also for throughput, where it loses what the receiver misses",
     ),
     json(
         "r2r",
         "native",
         Part::All,
         "as typed, with the C struct: publish_native of a message that is made once, subscribe_native",
+    ),
+    json(
+        "r2r",
+        "loaned",
+        Part::Small,
+        "as typed, with a message that rmw_fastrtps lends for each (borrow_loaned_message, ROS_DISABLE_LOANED_MESSAGES=0): geometry_msgs/msg/Inertia, 80 bytes, the first 64 of which are written and read; only types of a fixed size are lent, and those of ROS 2's packages are small",
     ),
     json("zenoh", "tcp", Part::All, ZENOH),
     json(
@@ -166,25 +226,23 @@ pub const MODES: &[Mode] = &[
     json(
         "hiroz",
         "pub-sub",
-        Part::Untouched,
-        "hiroz 0.2.1 as in its z_pingpong: a node each, std_msgs/msg/ByteMultiArray whose body is made once, two peers with one TCP link; its bytes are not written again for each message",
+        Part::RoundTrips,
+        "hiroz 0.2.1 as in its z_pingpong: a node each, std_msgs/msg/ByteMultiArray, two peers with one TCP link; a buffer for each message that is written whole, else one that is made once; Zenoh's threads at FIFO 80, as the gateway's",
     ),
 ];
 
 /// What else was asked for: system, mode, and why it is not measured.
 pub const NOT_JOINED: &[(&str, &str, &str)] = &[
     (
-        "tautline",
-        "gateway",
-        "nodes over two gateways are measured by cargo xtask bench network, beside plain Zenoh and hiroz",
+        "copper",
+        "-",
+        "cu29 1.3 runs the tasks of a process in one order and hands messages on within it; what joins two processes are bridges to iceoryx2 and Zenoh, which are measured here themselves",
     ),
     (
-        "r2r",
-        "loaned",
-        "loans are for types of a fixed size, and no package of ROS 2 has one that carries these payloads",
+        "dora",
+        "-",
+        "dora 1.1 starts its nodes itself, from a description of the data flow, through a coordinator and a daemon of its own: no program has been written that measures it so",
     ),
-    ("cyclonedds", "shared memory", "it needs a daemon of iceoryx 1 (RouDi)"),
-    ("copper", "-", "no program has been written for it yet; nor for dora, nor for taktora-executor"),
 ];
 
 /// What a rival does better, whatever the figures say.
@@ -192,6 +250,12 @@ pub fn strengths(system: &str) -> &'static str {
     match system {
         "iceoryx2" => {
             "least time where the receiver polls or needs no more than bytes; C, C++, C# and Python bindings; runs without Linux; no process takes part but the two"
+        }
+        "taktora" => {
+            "cyclic items on an absolute grid of time, budgets and fault states per item, chains and graphs of items run by a pool of threads"
+        }
+        "dora" => {
+            "data flows across languages and hosts from one description, Arrow as the format of all data"
         }
         "fastdds" => {
             "DDS on the wire: interoperates with other vendors; security, content filters, persistence, discovery servers; on networks without any further process; C++ and Python; many platforms"
@@ -213,6 +277,11 @@ pub fn strengths(system: &str) -> &'static str {
     }
 }
 
+/// Names of programs that are no system: the gateway, and iceoryx's daemon.
+pub const GATEWAY: &str = "gateway";
+/// See [`GATEWAY`].
+pub const ROUDI: &str = "roudi";
+
 /// Where the rivals' programs are, or why they are not.
 pub struct Programs {
     paths: BTreeMap<String, PathBuf>,
@@ -224,8 +293,8 @@ impl Programs {
     pub fn new(programs: &[String], without: &[String]) -> Result<Self> {
         let split = |text: &String| -> Result<(String, String)> {
             let (name, rest) = text.split_once('=').ok_or_else(|| format!("{text}: not NAME=..."))?;
-            if !SYSTEMS.contains(&name) {
-                return Err(format!("{name} is none of {}", SYSTEMS.join(", ")).into());
+            if ![GATEWAY, ROUDI].contains(&name) && !SYSTEMS.contains(&name) {
+                return Err(format!("{name} is none of {}, {GATEWAY}, {ROUDI}", SYSTEMS.join(", ")).into());
             }
             Ok((name.to_owned(), rest.to_owned()))
         };

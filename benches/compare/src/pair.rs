@@ -7,17 +7,50 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use tautline_benches::{Process, Scratch};
-use tautline_exchange::{Exchange, FutexPair, Job, Line, Measured, Role, Way, memory_kib};
+use tautline_benches::{Gateways, Host, Process, Scratch};
+use tautline_exchange::{Exchange, FutexPair, Job, Line, Measured, Memory, PEERS, Role, Way};
 
 use crate::Result;
-use crate::modes::Program;
+use crate::modes::{GATEWAY, Program};
 use crate::plan::{Case, Plan, Task};
 
 /// How long a process may take to set itself up.
 pub const PATIENCE: Duration = Duration::from_secs(30);
 /// Tautline's and the rivals' domain, where they have one. Nobody else measures there, and no test runs there.
 const DOMAIN: u32 = 89;
+/// The far end's over gateways, and the one in which they meet.
+const FAR_DOMAIN: u32 = 90;
+const NETWORK_DOMAIN: u32 = 91;
+
+/// Processes beside the ends; they end with it.
+pub struct Around<'a> {
+    _gateways: Option<Gateways<'a>>,
+    daemon: Option<Process<'a, Line>>,
+}
+
+/// Not killed: that would leave its files in shared memory behind.
+impl Drop for Around<'_> {
+    fn drop(&mut self) {
+        self.daemon.iter_mut().for_each(Process::terminate);
+    }
+}
+
+/// What in the environment would set a system otherwise than the report says.
+const INHERITED: [&str; 13] = [
+    "CYCLONEDDS_URI",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_ENVIRONMENT_FILE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "RMW_FASTRTPS_PUBLICATION_MODE",
+    "RMW_FASTRTPS_USE_QOS_FROM_XML",
+    "RMW_IMPLEMENTATION",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_STATIC_PEERS",
+    "ZENOH_CONFIG",
+];
 
 /// What every measurement needs.
 pub struct Setup<'a> {
@@ -35,9 +68,21 @@ pub struct Found {
     pub cpu_ns: u64,
     pub messages: u64,
     pub seconds: f64,
-    pub memory_kib: u64,
-    /// Of the receiver's main thread, per message.
-    pub switches: Option<f64>,
+    pub memory: Memory,
+    /// Sent later than they were due, and not taken by the system at all.
+    pub late: u64,
+    pub refused: u64,
+    /// Of a receiver.
+    pub wakes: Option<Wakes>,
+}
+
+/// How often the threads of a process stopped waiting, per message that it was sent.
+#[derive(Clone, Copy, Debug)]
+pub struct Wakes {
+    /// Its main thread, which is Tautline's sampler.
+    pub sampler: f64,
+    /// All others together.
+    pub others: f64,
 }
 
 impl Setup<'_> {
@@ -49,8 +94,13 @@ impl Setup<'_> {
                 (Exchange::Paced { rate }, true, topics, subscribers)
             }
             Task::Stream => (Exchange::Stream { window: None }, true, 1, 1),
-            Task::Start { topics, .. } => (Exchange::Paced { rate: 100.0 }, true, topics, 1),
+            // Messages until there is an answer: often enough to see when, not so often that they hold it up.
+            Task::Start { topics, .. } => {
+                let rounds_per_s = 1000.0 / topics.div_ceil(10) as f64;
+                (Exchange::Paced { rate: rounds_per_s * topics as f64 }, true, topics, 1)
+            }
         };
+        let at_once = matches!(case.task, Task::Paced { at_once: true, .. });
         let [near, far] = self.plan.cores;
         Job {
             role,
@@ -59,32 +109,46 @@ impl Setup<'_> {
             budget: case.budget,
             core: Some(if role == Role::Near && !case.mode.one_core { near } else { far }),
             realtime: self.plan.realtime,
-            domain: DOMAIN,
+            domain: match case.mode.program {
+                Program::Gateways if role == Role::Far => FAR_DOMAIN,
+                _ => DOMAIN,
+            },
             topic: topic.to_owned(),
             endpoint: None,
-            way: Way { mode: case.mode.mode.to_owned(), whole, topics, subscribers },
+            way: Way { mode: case.mode.mode.to_owned(), whole, topics, subscribers, at_once },
         }
     }
 
-    /// Starts one end.
-    pub fn start(&self, case: &Case, job: &Job) -> Result<Process<'_, Line>> {
+    /// Starts one end, which reads the memory of its `peers`, too.
+    fn start(&self, case: &Case, job: &Job, peers: &str) -> Result<Process<'_, Line>> {
         let mut command = match case.mode.program {
-            Program::Own => {
+            Program::Own | Program::Gateways => {
                 let mut command = Command::new(std::env::current_exe()?);
                 command.args(["--child", case.mode.system, &serde_json::to_string(job)?]);
                 command
             }
             Program::Json(name) => {
-                let mut command = Command::new(self.plan.programs.find(name)?);
-                command.arg(serde_json::to_string(job)?).env("ROS_DOMAIN_ID", DOMAIN.to_string());
+                let mut command = Command::new(std::path::absolute(self.plan.programs.find(name)?)?);
+                command.arg(serde_json::to_string(job)?);
+                // What r2r's loans need; it takes effect for types that can be lent alone.
+                command.env("ROS_DISABLE_LOANED_MESSAGES", "0");
                 command
             }
-            Program::Words(name) => {
-                let mut command = Command::new(self.plan.programs.find(name)?);
+            Program::Words(name) | Program::Daemon(name, _) => {
+                let mut command = Command::new(std::path::absolute(self.plan.programs.find(name)?)?);
                 command.args(words(job));
                 command
             }
         };
+        for name in INHERITED {
+            command.env_remove(name);
+        }
+        command.env("ROS_DOMAIN_ID", DOMAIN.to_string()).env(PEERS, peers);
+        if case.mode.system == "r2r" {
+            command.env("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp");
+        }
+        // Where no file of the user's sets anything.
+        command.current_dir(self.scratch.directory());
         Process::start(&mut command, format!("{:?} end", job.role), self.interrupted)
     }
 
@@ -97,15 +161,36 @@ impl Setup<'_> {
                 file.set_len(FutexPair::memory_bytes(case.payload_bytes) as u64)?;
                 Some(path.display().to_string())
             }
-            ("iceoryx2", _) => Some(self.scratch.directory().display().to_string()),
+            ("iceoryx2" | "taktora", _) => Some(self.scratch.directory().display().to_string()),
             _ => None,
         })
+    }
+
+    /// Starts what the ends of a case need beside them.
+    pub fn around(&self, case: &Case) -> Result<Around<'_>> {
+        let mut around = Around { _gateways: None, daemon: None };
+        match case.mode.program {
+            Program::Gateways => {
+                let [near, far] = self.plan.cores;
+                let host = |domain, core| Host { domain, core: Some(core), realtime: self.plan.realtime };
+                let hosts = [host(DOMAIN, near), host(FAR_DOMAIN, far)];
+                let program = self.plan.programs.find(GATEWAY)?;
+                around._gateways = Some(Gateways::start(program, hosts, NETWORK_DOMAIN, self.interrupted)?);
+            }
+            Program::Daemon(_, name) => {
+                // The ends wait for it.
+                let mut command = Command::new(self.plan.programs.find(name)?);
+                around.daemon = Some(Process::start(&mut command, name, self.interrupted)?);
+            }
+            Program::Own | Program::Json(_) | Program::Words(_) => {}
+        }
+        Ok(around)
     }
 
     /// The far end, before it is ready. One that comes late is told where the others are.
     pub fn spawn_far(&self, case: &Case, topic: &str, others: Option<String>) -> Result<Process<'_, Line>> {
         let endpoint = self.meeting_place(case)?.or(others);
-        self.start(case, &Job { endpoint, ..self.job(case, Role::Far, topic) })
+        self.start(case, &Job { endpoint, ..self.job(case, Role::Far, topic) }, "")
     }
 
     /// The far end, ready; and where the near one finds it.
@@ -124,8 +209,10 @@ impl Setup<'_> {
         case: &Case,
         topic: &str,
         endpoint: Option<String>,
+        fars: &[Process<'_, Line>],
     ) -> Result<Process<'_, Line>> {
-        self.start(case, &Job { endpoint, ..self.job(case, Role::Near, topic) })
+        let peers: Vec<String> = fars.iter().map(|far| far.id().to_string()).collect();
+        self.start(case, &Job { endpoint, ..self.job(case, Role::Near, topic) }, &peers.join(","))
     }
 
     /// Measures round trips.
@@ -138,12 +225,10 @@ impl Setup<'_> {
                 (Some(far), endpoint)
             }
         };
-        let mut near = self.start_near(case, topic, endpoint)?;
+        let mut near = self.start_near(case, topic, endpoint, far.as_slice())?;
         let measured = measured(&mut near, PATIENCE + case.budget * 3)?;
-        let mut memory = measured.memory_kib;
         near.finish()?;
         if let Some(far) = &mut far {
-            memory += memory_kib(&far.id().to_string());
             far.finish()?;
         }
         if measured.times_ns.is_empty() {
@@ -155,8 +240,8 @@ impl Setup<'_> {
             lost: measured.lost,
             cpu_ns: measured.cpu_ns,
             seconds: measured.seconds,
-            memory_kib: memory,
-            switches: None,
+            memory: measured.memory,
+            ..Found::default()
         })
     }
 }
@@ -190,5 +275,6 @@ fn words(job: &Job) -> Vec<String> {
         format!("whole={}", u8::from(job.way.whole)),
         format!("topics={}", job.way.topics),
         format!("subscribers={}", job.way.subscribers),
+        format!("at_once={}", u8::from(job.way.at_once)),
     ]
 }

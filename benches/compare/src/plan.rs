@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::ValueEnum;
 
 use crate::Options;
-use crate::modes::{MODES, Mode, Part, Program, Programs};
+use crate::modes::{GATEWAY, MODES, Mode, Part, Program, Programs};
 
 /// A question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -43,7 +43,7 @@ pub enum Task {
         whole: bool,
     },
     /// One way at a rate over all topics, with a disturbance or without.
-    Paced { rate: f64, topics: usize, processes: usize, subscribers: usize, is_loaded: bool },
+    Paced { rate: f64, topics: usize, processes: usize, subscribers: usize, is_loaded: bool, at_once: bool },
     /// One way, as fast as the receiver lets it.
     Stream,
     /// From the start of the sender, or of the receiver, to its messages on all topics.
@@ -82,7 +82,10 @@ impl Case {
                     _ => format!("fan-out/processes/{processes}"),
                 }
             }
-            Task::Paced { rate, topics, .. } => format!("robot/{topics}x{}Hz", rate / topics as f64),
+            Task::Paced { rate, topics, at_once, .. } => {
+                let how = if at_once { "/at-once" } else { "" };
+                format!("robot/{topics}x{}Hz{how}", rate / topics as f64)
+            }
             Task::Stream => "throughput".to_owned(),
             Task::Start { is_late_joiner: true, .. } => "start-up/late-joiner".to_owned(),
             Task::Start { topics: 1, .. } => "start-up/first-message".to_owned(),
@@ -130,12 +133,15 @@ impl Plan {
         let is_wanted = |mode: &&Mode| is_among(&options.systems, mode.system);
         let (mut modes, mut missing) = (Vec::new(), Vec::new());
         for mode in MODES.iter().filter(is_wanted) {
-            match mode.program {
-                Program::Own => modes.push(mode),
-                Program::Json(name) | Program::Words(name) => match programs.find(name) {
-                    Ok(_) => modes.push(mode),
-                    Err(reason) => missing.push((mode, reason)),
-                },
+            let program = match mode.program {
+                Program::Own => Ok(()),
+                Program::Gateways => programs.find(GATEWAY).map(drop),
+                Program::Json(name) | Program::Words(name) => programs.find(name).map(drop),
+                Program::Daemon(name, daemon) => programs.find(name).and(programs.find(daemon)).map(drop),
+            };
+            match program {
+                Ok(()) => modes.push(mode),
+                Err(reason) => missing.push((mode, reason)),
             }
         }
         let mut cases = Vec::new();
@@ -205,8 +211,8 @@ fn takes_part(mode: &Mode, setting: &Setting) -> bool {
     match (mode.part, setting.task) {
         (Part::All, _) => true,
         (Part::RoundTrips, Task::RoundTrips { .. }) => true,
-        (Part::Untouched, Task::RoundTrips { whole }) => !whole,
         (Part::AsShipped, Task::RoundTrips { .. }) => setting.idle == Idle::AsShipped,
+        (Part::Small, Task::RoundTrips { .. }) => setting.payload_bytes == 64,
         (Part::Whole, Task::RoundTrips { whole }) => whole && setting.idle == Idle::HeldOff,
         _ => false,
     }
@@ -216,19 +222,33 @@ fn takes_part(mode: &Mode, setting: &Setting) -> bool {
 const SIZES: [usize; 8] = [64, 512, 4 << 10, 32 << 10, 256 << 10, 1 << 20, 2 << 20, 8 << 20];
 
 fn latency(extent: Extent) -> Vec<Setting> {
-    let (whole_held, whole_shipped, untouched_held, budget_ms, rounds): (&[usize], &[usize], &[usize], _, _) =
-        match extent {
-            Extent::Smoke => (&[64, 1 << 20], &[64], &[64], 60, 1),
-            Extent::Quick => (&[64, 4 << 10, 1 << 20, 8 << 20], &[64], &[64, 8 << 20], 200, 2),
-            Extent::Full => (&SIZES, &[64, 4 << 10, 256 << 10, 8 << 20], &SIZES, 400, 3),
-        };
+    type Sizes = &'static [usize];
+    let (whole_held, whole_shipped, untouched_held): (Sizes, Sizes, Sizes) = match extent {
+        Extent::Smoke => (&[64, 1 << 20], &[64], &[64]),
+        Extent::Quick => (&[64, 1 << 20, 8 << 20], &[64, 1 << 20], &[64]),
+        Extent::Full => {
+            (&SIZES, &[64, 4 << 10, 256 << 10, 1 << 20, 8 << 20], &[64, 4 << 10, 256 << 10, 8 << 20])
+        }
+    };
+    let budget_ms = match extent {
+        Extent::Smoke => 60,
+        Extent::Quick => 100,
+        Extent::Full => 300,
+    };
+    // More where most is promised, and where a machine's phases show most.
+    let rounds = |payload_bytes| match (extent, payload_bytes) {
+        (Extent::Smoke, _) => 1,
+        (Extent::Quick, 64) => 3,
+        (Extent::Full, 64 | 0x10_0000) => 4,
+        _ => 2,
+    };
     let setting = |whole, idle, sizes: &[usize]| -> Vec<Setting> {
         let of_size = |&payload_bytes: &usize| Setting {
             task: Task::RoundTrips { whole },
             payload_bytes,
             idle,
             budget_ms,
-            rounds,
+            rounds: rounds(payload_bytes),
         };
         sizes.iter().map(of_size).collect()
     };
@@ -239,14 +259,15 @@ fn latency(extent: Extent) -> Vec<Setting> {
 }
 
 fn paced(topics: usize, rate: f64, processes: usize, subscribers: usize, is_loaded: bool) -> Task {
-    Task::Paced { rate: rate * topics as f64, topics, processes, subscribers, is_loaded }
+    Task::Paced { rate: rate * topics as f64, topics, processes, subscribers, is_loaded, at_once: false }
 }
 
 fn open_loop(extent: Extent) -> Vec<Setting> {
     let (budget_ms, rounds) = match extent {
         Extent::Smoke => (200, 1),
-        Extent::Quick => (1500, 1),
-        Extent::Full => (3000, 3),
+        Extent::Quick => (1000, 1),
+        // More than 10,000 messages in all: enough for p99.9.
+        Extent::Full => (3400, 3),
     };
     let setting = |is_loaded| Setting {
         task: paced(1, 1000.0, 1, 1, is_loaded),
@@ -261,8 +282,8 @@ fn open_loop(extent: Extent) -> Vec<Setting> {
 fn fan_out(extent: Extent) -> Vec<Setting> {
     let (counts, budget_ms, rounds): (&[usize], _, _) = match extent {
         Extent::Smoke => (&[2], 200, 1),
-        Extent::Quick => (&[1, 8], 800, 1),
-        Extent::Full => (&[1, 2, 4, 8, 16], 1000, 2),
+        Extent::Quick => (&[1, 8], 600, 1),
+        Extent::Full => (&[1, 2, 4, 8, 16], 1000, 1),
     };
     let setting = |processes, subscribers| Setting {
         task: paced(1, 50.0, processes, subscribers, false),
@@ -277,24 +298,33 @@ fn fan_out(extent: Extent) -> Vec<Setting> {
 }
 
 fn robot(extent: Extent) -> Vec<Setting> {
-    let (budget_ms, rounds) = match extent {
-        Extent::Smoke => (500, 1),
-        Extent::Quick => (3000, 1),
-        Extent::Full => (20_000, 1),
+    let (apart_ms, at_once_ms) = match extent {
+        Extent::Smoke => (500, 200),
+        Extent::Quick => (1500, 1500),
+        Extent::Full => (20_000, 10_000),
     };
-    vec![Setting {
-        task: paced(20, 100.0, 1, 1, false),
+    let task = |at_once| Task::Paced {
+        rate: 2000.0,
+        topics: 20,
+        processes: 1,
+        subscribers: 1,
+        is_loaded: false,
+        at_once,
+    };
+    let setting = |task, budget_ms| Setting {
+        task,
         payload_bytes: 4 << 10,
         idle: Idle::AsShipped,
         budget_ms,
-        rounds,
-    }]
+        rounds: 1,
+    };
+    vec![setting(task(false), apart_ms), setting(task(true), at_once_ms)]
 }
 
 fn throughput(extent: Extent) -> Vec<Setting> {
     let (budget_ms, rounds) = match extent {
         Extent::Smoke => (100, 1),
-        Extent::Quick => (500, 1),
+        Extent::Quick => (400, 1),
         Extent::Full => (1000, 3),
     };
     let setting =
@@ -305,8 +335,8 @@ fn throughput(extent: Extent) -> Vec<Setting> {
 fn start_up(extent: Extent) -> Vec<Setting> {
     let rounds = match extent {
         Extent::Smoke => 1,
-        Extent::Quick => 2,
-        Extent::Full => 5,
+        Extent::Quick => 1,
+        Extent::Full => 3,
     };
     let setting = |topics, is_late_joiner| Setting {
         task: Task::Start { topics, is_late_joiner },

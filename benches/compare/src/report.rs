@@ -10,9 +10,10 @@ use tautline_exchange::APPLICATION_PRIORITY;
 use crate::Result;
 use crate::load::LOAD;
 use crate::modes::NOT_JOINED;
+use crate::pair::Wakes;
 use crate::plan::{Experiment, Plan, Task};
 use crate::rounds::Cell;
-use crate::verdict::{Verdict, verdicts};
+use crate::verdict::{Verdict, is_enough, verdicts};
 
 /// A line of the result. Times are `None` where nothing was measured; the note says why.
 #[derive(Debug, Serialize, Deserialize)]
@@ -32,8 +33,26 @@ pub struct Row {
     /// Of all processes; what they share counts once.
     pub rss_mib: Option<f64>,
     pub note: String,
+    /// Rivals run next to each other in each: what is compared.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rounds: Vec<Round>,
+    /// Why the row must not be compared with others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unfit: Option<String>,
     #[serde(skip)]
     pub details: Option<Details>,
+}
+
+/// What a round found.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Round {
+    /// From 1.
+    pub round: u32,
+    pub n: u64,
+    pub p50_us: f64,
+    pub p99_us: f64,
+    pub p999_us: f64,
+    pub cpu_us_per_msg: Option<f64>,
 }
 
 /// What the page shows beside.
@@ -46,7 +65,7 @@ pub struct Details {
     /// CPU time of all processes per second.
     pub cpu_share: f64,
     pub steal_ticks: u64,
-    pub switches: Option<f64>,
+    pub wakes: Option<Wakes>,
 }
 
 /// The result of a run.
@@ -61,12 +80,15 @@ pub struct Report {
 
 impl Report {
     pub fn new(plan: &Plan, cells: Vec<Cell>, disturbance: String) -> Self {
-        let failed = |cell: &Cell| {
-            let failure = cell.failure.as_ref().filter(|_| cell.case.mode.system == "tautline")?;
-            Some(format!("{}: {failure}", cell.case.name()))
+        let ours = cells.iter().filter(|cell| cell.case.mode.system == "tautline");
+        let of_cell = |cell: &Cell| {
+            let name = cell.case.name();
+            cell.failures.iter().map(|failure| format!("{name}: {failure}")).collect::<Vec<_>>()
         };
-        let failures = cells.iter().filter_map(failed).collect();
-        let mut rows: Vec<Row> = cells.into_iter().map(row).collect();
+        let failures = ours.flat_map(of_cell).collect();
+        let is_held = cells.iter().all(|cell| cell.idle_refused.is_none());
+        let mut rows: Vec<Row> = cells.iter().map(|cell| row(cell, plan)).collect();
+        rows.push(Row { note: conditions(plan, is_held), ..missing("machine", "-", "") });
         for (mode, reason) in &plan.missing {
             rows.push(missing(mode.system, mode.mode, reason));
         }
@@ -99,7 +121,8 @@ impl Report {
 
     /// The rows of each experiment, under its title.
     pub fn tables(&self) -> Vec<(&'static str, Vec<&Row>)> {
-        let of = |prefix: &str| self.rows.iter().filter(|row| row.experiment.starts_with(prefix)).collect();
+        let rows = self.rows.iter().filter(|row| row.system != "machine");
+        let of = |prefix: &str| rows.clone().filter(|row| row.experiment.starts_with(prefix)).collect();
         let tables: [(&str, Vec<&Row>); 7] = [
             ("Half round trips", of("latency/")),
             ("One way, 1 kHz, quiet and under load", of("open-loop/")),
@@ -137,14 +160,17 @@ fn missing(system: &str, mode: &str, reason: &str) -> Row {
         cpu_us_per_msg: None,
         rss_mib: None,
         note: format!("not measured: {reason}"),
+        rounds: Vec::new(),
+        unfit: None,
         details: None,
     }
 }
 
-fn row(cell: Cell) -> Row {
-    let Cell { case, times, .. } = &cell;
+fn row(cell: &Cell, plan: &Plan) -> Row {
+    let Cell { case, times, .. } = cell;
     let is_there = !times.is_empty();
     let time = |quantile| is_there.then(|| round(times.quantile_us(quantile)));
+    let rare = |quantile| time(quantile).filter(|_| is_enough(times.len(), quantile));
     let per_message = |ns: u64| round(ns as f64 / 1e3 / cell.messages.max(1) as f64);
     let is_start = matches!(case.task, Task::Start { .. });
     Row {
@@ -154,35 +180,59 @@ fn row(cell: Cell) -> Row {
         payload_bytes: case.payload_bytes,
         n: times.len(),
         p50_us: time(0.5),
-        p99_us: time(0.99),
-        p999_us: time(0.999),
+        p99_us: rare(0.99),
+        p999_us: rare(0.999),
         max_us: is_there.then(|| round(times.max_us())),
         lost: cell.lost,
         cpu_us_per_msg: (is_there && !is_start && cell.cpu_ns > 0).then(|| per_message(cell.cpu_ns)),
-        rss_mib: (is_there && cell.memory_kib > 0).then(|| round(cell.memory_kib as f64 / 1024.0)),
-        note: note(&cell),
-        details: is_there.then(|| details(&cell)),
+        rss_mib: (is_there && cell.memory.kib > 0).then(|| round(cell.memory.kib as f64 / 1024.0)),
+        note: note(cell),
+        rounds: cell.rounds.iter().map(rounded).collect(),
+        unfit: unfit(cell, plan),
+        details: is_there.then(|| details(cell)),
     }
 }
 
+fn rounded(of: &Round) -> Round {
+    Round {
+        p50_us: round(of.p50_us),
+        p99_us: round(of.p99_us),
+        p999_us: round(of.p999_us),
+        cpu_us_per_msg: of.cpu_us_per_msg.map(round),
+        ..*of
+    }
+}
+
+/// Why a row must not be compared, but for lost messages.
+fn unfit(cell: &Cell, plan: &Plan) -> Option<String> {
+    if !plan.realtime {
+        return Some("was measured with --no-rt".to_owned());
+    }
+    if cell.idle_refused.is_some() {
+        return Some("was measured while idle states were not held off".to_owned());
+    }
+    let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.rounds.len());
+    (failed > 0).then(|| format!("failed in {failed} of {all} rounds"))
+}
+
 fn details(cell: &Cell) -> Details {
-    let least = cell.p50_us.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = cell.p50_us.iter().copied().fold(0.0, f64::max);
+    let p50s = cell.rounds.iter().map(|round| round.p50_us);
+    let (least, most) = (p50s.clone().fold(f64::INFINITY, f64::min), p50s.fold(0.0, f64::max));
     Details {
         times: cell.times.clone(),
         p50_us: (least, most),
         messages_per_s: cell.messages as f64 / cell.seconds.max(1e-9),
         cpu_share: cell.cpu_ns as f64 / 1e9 / cell.seconds.max(1e-9),
         steal_ticks: cell.steal_ticks,
-        switches: cell.switches,
+        wakes: cell.wakes,
     }
 }
 
 fn note(cell: &Cell) -> String {
     let mut words = Vec::new();
-    if let Some(failure) = &cell.failure {
-        let first = failure.lines().next().unwrap_or_default();
-        words.push(format!("FAILED: {first}"));
+    if let Some(failure) = cell.failures.last() {
+        let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.rounds.len());
+        words.push(format!("FAILED: {failed} of {all} rounds failed: {}", shortened(failure)));
     }
     if let Some(error) = &cell.idle_refused {
         words.push(format!("IDLE STATES WERE NOT HELD OFF: {error}"));
@@ -194,7 +244,10 @@ fn note(cell: &Cell) -> String {
     match cell.case.task {
         Task::Stream => {
             let gb_per_s = rate * cell.case.payload_bytes as f64 / 1e9;
-            let loss = if cell.lost == 0 { "the sender is held back" } else { "the sender is not held back" };
+            let loss = match cell.case.mode.holds_sender_back() {
+                true => "the sender is held back",
+                false => "the sender is not held back",
+            };
             words.push(format!("{rate:.0} messages/s, {gb_per_s:.3} GB/s, {loss}"));
         }
         Task::Paced { .. } if cell.case.experiment == Experiment::Robot => {
@@ -204,15 +257,40 @@ fn note(cell: &Cell) -> String {
         _ => {}
     }
     let is_ours = cell.case.experiment == Experiment::FanOut && cell.case.mode.system == "tautline";
-    if let Some(switches) = cell.switches.filter(|_| is_ours) {
-        words.push(format!("the receiver's sampler woke {switches:.2} times per message"));
+    if let Some(wakes) = cell.wakes.filter(|_| is_ours) {
+        let Wakes { sampler, others } = wakes;
+        words.push(format!(
+            "per message a receiver's sampler woke {sampler:.2} times, its other threads {others:.2} times in sum"
+        ));
     }
-    if cell.p50_us.len() > 1 {
-        let rounds: Vec<_> = cell.p50_us.iter().map(|p50| format!("{p50:.1}")).collect();
+    if cell.rounds.len() > 1 {
+        let rounds: Vec<_> = cell.rounds.iter().map(|round| format!("{:.1}", round.p50_us)).collect();
         words.push(format!("p50 of the rounds {}", rounds.join(", ")));
+    }
+    if cell.late > 0 {
+        words.push(format!("{} sent late: stamped with the time at which they were due", cell.late));
+    }
+    if cell.refused > 0 {
+        words.push(format!("{} not taken from the sender", cell.refused));
+    }
+    if cell.memory.shared_kib > 0 {
+        words.push(format!("{} MiB of the memory are shared", short(cell.memory.shared_kib as f64 / 1024.0)));
     }
     words.push(format!("steal {} ticks", cell.steal_ticks));
     words.join("; ")
+}
+
+/// The longest that a note repeats of a failure.
+const FAILURE: usize = 300;
+
+/// In one line.
+fn shortened(failure: &str) -> String {
+    let lines: Vec<&str> = failure.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    let line = lines.join(" | ");
+    match line.char_indices().nth(FAILURE) {
+        Some((end, _)) => format!("{}...", &line[..end]),
+        None => line,
+    }
 }
 
 /// Three digits after the point are enough.
@@ -220,10 +298,21 @@ fn round(number: f64) -> f64 {
     (number * 1e3).round() / 1e3
 }
 
+/// What whoever quotes figures must say beside them.
+fn conditions(plan: &Plan, is_held: bool) -> String {
+    let priority = if plan.realtime { "SCHED_FIFO" } else { "NO REAL-TIME PRIORITY" };
+    let idle = if is_held { "held off where the experiment says so" } else { "NOT HELD OFF" };
+    format!("{}; {priority}; idle states {idle}", machine())
+}
+
 fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
     let version = |package| version_of(package).unwrap_or("?");
     let priorities = if plan.realtime {
-        format!("SCHED_FIFO {APPLICATION_PRIORITY} for every thread that sends or receives")
+        format!(
+            "SCHED_FIFO {APPLICATION_PRIORITY} for the threads that send or are called back and for those that a library \
+             starts, {} for Tautline's samplers; memory locked (on fault) and kept by malloc in all processes",
+            APPLICATION_PRIORITY + 10
+        )
     } else {
         "NO REAL-TIME PRIORITY".to_owned()
     };
@@ -236,7 +325,8 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
         disturbance,
         versions.join(", "),
         format!(
-            "sender on core {near}, receivers on core {far}; {priorities}; {} rounds to and fro",
+            "sender on core {near}, receivers on core {far}; {priorities}; at most {} rounds to and fro; queues of all \
+             systems: 10 messages, for throughput at 64 B 100",
             plan.rounds
         ),
         format!("load: {LOAD}"),

@@ -7,12 +7,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use tautline_benches::{Distribution, Scratch};
+use tautline_exchange::Memory;
 use tautline_rt::IdleHold;
 use tautline_rt::host::steal_ticks;
 
 use crate::Result;
-use crate::pair::{Found, Setup};
+use crate::modes::Part;
+use crate::pair::{Found, Setup, Wakes};
 use crate::plan::{Case, Idle, Plan, Task};
+use crate::report::Round;
 
 /// A case and what was found.
 pub struct Cell {
@@ -23,15 +26,17 @@ pub struct Cell {
     pub messages: u64,
     pub seconds: f64,
     /// The most of a round.
-    pub memory_kib: u64,
-    pub switches: Option<f64>,
-    /// Of each round.
-    pub p50_us: Vec<f64>,
+    pub memory: Memory,
+    pub late: u64,
+    pub refused: u64,
+    pub wakes: Option<Wakes>,
+    /// Those that did not fail.
+    pub rounds: Vec<Round>,
     pub steal_ticks: u64,
     /// Why idle states were as shipped where they should not have been.
     pub idle_refused: Option<String>,
-    /// Of the last round that failed.
-    pub failure: Option<String>,
+    /// Of each round that failed.
+    pub failures: Vec<String>,
 }
 
 impl Cell {
@@ -43,26 +48,40 @@ impl Cell {
             cpu_ns: 0,
             messages: 0,
             seconds: 0.0,
-            memory_kib: 0,
-            switches: None,
-            p50_us: Vec::new(),
+            memory: Memory::default(),
+            late: 0,
+            refused: 0,
+            wakes: None,
+            rounds: Vec::new(),
             steal_ticks: 0,
             idle_refused: None,
-            failure: None,
+            failures: Vec::new(),
         }
     }
 
-    fn add(&mut self, found: &Found) {
-        let mut round = Distribution::new();
-        found.times_ns.iter().for_each(|&time_ns| round.record(time_ns));
-        self.p50_us.push(round.quantile_us(0.5));
+    fn add(&mut self, round: u32, found: &Found) {
+        let mut times = Distribution::new();
+        found.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
+        self.rounds.push(Round {
+            round,
+            n: times.len(),
+            p50_us: times.quantile_us(0.5),
+            p99_us: times.quantile_us(0.99),
+            p999_us: times.quantile_us(0.999),
+            cpu_us_per_msg: (found.cpu_ns > 0)
+                .then(|| found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64),
+        });
         found.times_ns.iter().for_each(|&time_ns| self.times.record(time_ns));
         self.lost += found.lost;
         self.cpu_ns += found.cpu_ns;
         self.messages += found.messages;
         self.seconds += found.seconds;
-        self.memory_kib = self.memory_kib.max(found.memory_kib);
-        self.switches = found.switches.or(self.switches);
+        if found.memory.kib > self.memory.kib {
+            self.memory = found.memory;
+        }
+        self.late += found.late;
+        self.refused += found.refused;
+        self.wakes = found.wakes.or(self.wakes);
     }
 }
 
@@ -82,11 +101,17 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Cell>> {
                 continue;
             }
             progress.set_message(format!("round {round}: {}", cell.case.name()));
-            measure(&setup, cell, &format!("/compare/run_{}/case_{round}_{index}", std::process::id()));
+            let failures = cell.failures.len();
+            measure(
+                &setup,
+                cell,
+                round,
+                &format!("/compare/run_{}/case_{round}_{index}", std::process::id()),
+            );
             if interrupted.load(Ordering::Relaxed) {
                 return Err("interrupted".into());
             }
-            if let Some(failure) = &cell.failure {
+            if let Some(failure) = cell.failures.get(failures) {
                 progress.suspend(|| eprintln!("{}: {failure}", cell.case.name()));
             }
             progress.inc(1);
@@ -96,38 +121,39 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Cell>> {
     Ok(cells)
 }
 
-fn measure(setup: &Setup<'_>, cell: &mut Cell, topic: &str) {
+fn measure(setup: &Setup<'_>, cell: &mut Cell, round: u32, topic: &str) {
     // Taken and released for each: rivals run side by side, and no other round is affected.
-    let hold = match cell.case.idle {
-        Idle::AsShipped => None,
-        Idle::HeldOff => match IdleHold::new() {
-            Ok(hold) => Some(hold),
-            Err(error) => {
-                cell.idle_refused = Some(error.to_string());
-                None
-            }
-        },
+    let hold = match (cell.case.idle, cell.case.mode.part) {
+        (Idle::AsShipped, Part::AsShipped) => {
+            // It holds them off by itself, if it can: only a warning says that it could not.
+            cell.idle_refused = match setup.plan.realtime {
+                true => IdleHold::new().err().map(|error| error.to_string()),
+                false => Some("only real-time mode does so".to_owned()),
+            };
+            None
+        }
+        (Idle::AsShipped, _) => None,
+        (Idle::HeldOff, _) => {
+            IdleHold::new().map_err(|error| cell.idle_refused = Some(error.to_string())).ok()
+        }
     };
     let before = segments();
     let steal = steal_ticks(None);
-    let found = match cell.case.task {
+    let found = setup.around(&cell.case).and_then(|_around| match cell.case.task {
         Task::RoundTrips { .. } => setup.round_trips(&cell.case, topic),
         Task::Paced { .. } | Task::Stream => setup.flow(&cell.case, topic),
         Task::Start { .. } => setup.start_up(&cell.case, topic),
-    };
+    });
     drop(hold);
     cell.steal_ticks += steal_ticks(None).saturating_sub(steal);
     match found {
-        Ok(found) => {
-            cell.failure = None;
-            cell.add(&found);
-        }
-        Err(error) => cell.failure = Some(error.to_string()),
+        Ok(found) => cell.add(round, &found),
+        Err(error) => cell.failures.push(error.to_string()),
     }
     sweep(&before);
 }
 
-/// Removes what killed peers of Fast DDS and Cyclone DDS left since `before`, unless somebody has it mapped.
+/// Removes what peers of Fast DDS and Zenoh left since `before`, unless somebody has it mapped.
 fn sweep(before: &BTreeSet<String>) {
     let left: Vec<String> = segments().difference(before).cloned().collect();
     if left.is_empty() {
@@ -145,12 +171,13 @@ fn sweep(before: &BTreeSet<String>) {
     }
 }
 
-/// Fast DDS's files in shared memory, its locks apart: they are mapped by nobody.
+/// Fast DDS's and Zenoh's files in shared memory, locks apart: they are mapped by nobody.
 fn segments() -> BTreeSet<String> {
     let names = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
     let names = names.filter_map(|entry| entry.file_name().into_string().ok());
     let is_segment = |name: &String| {
-        (name.starts_with("fastrtps_") || name.starts_with("fast_datasharing_")) && !name.ends_with("_el")
+        let is_fastdds = name.starts_with("fastrtps_") || name.starts_with("fast_datasharing_");
+        is_fastdds && !name.ends_with("_el") || name.ends_with(".zenoh")
     };
     names.filter(is_segment).collect()
 }

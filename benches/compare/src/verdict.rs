@@ -1,16 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The ratios that must hold within a run.
+//!
+//! A machine has slow and fast phases, so figures are compared round by round: rivals run next to each other in each. What is
+//! judged is the median of the rounds' ratios.
 
 use std::fmt;
 
-use crate::report::{Row, short};
+use crate::report::{Round, Row, payload, short};
 
-/// What must hold, and what was found. `holds` is `None` where a system was not measured.
+/// What must hold, and what was found. `holds` is `None` where that cannot be judged; `found` says why.
 #[derive(Debug)]
 pub struct Verdict {
     pub claim: String,
     pub found: String,
     pub holds: Option<bool>,
+    /// Of a claim that is missed: why it stays so.
+    pub reason: Option<&'static str>,
 }
 
 impl fmt::Display for Verdict {
@@ -18,153 +23,367 @@ impl fmt::Display for Verdict {
         let word = match self.holds {
             Some(true) => "met",
             Some(false) => "MISSED",
-            None => "not measured",
+            None => "not judged",
         };
-        write!(f, "{word:12}  {}: {}", self.claim, self.found)
+        write!(f, "{word:12}  {}: {}", self.claim, self.found)?;
+        match self.reason {
+            Some(reason) => write!(f, "; why it stays: {reason}"),
+            None => Ok(()),
+        }
     }
 }
 
-/// A number of a row.
-type Number = fn(&Row) -> Option<f64>;
+/// Claims that are missed, and why they stay missed.
+const REASONS: &[(&str, &str)] = &[
+    ("20 topics at 100 Hz, each at its own time: at most half of fastdds's CPU time", A_WAKE_EACH),
+    ("20 topics at 100 Hz, each at its own time: at most half of r2r's CPU time", A_WAKE_EACH),
+    ("20 topics at 100 Hz, all at once: at most half of fastdds's CPU time", A_THREAD_EACH),
+    ("20 topics at 100 Hz, all at once: at most half of r2r's CPU time", A_THREAD_EACH),
+];
+const A_WAKE_EACH: &str = "most of it is what every system pays here: for each message the sender sleeps, is woken by a timer and interrupts an idle core";
+const A_THREAD_EACH: &str = "each callback has a thread of its own here, so that 20 messages are 20 changes of threads; a listener of DDS has one thread for all";
 
-const P50: Number = |row| row.p50_us;
-const P99: Number = |row| row.p99_us;
-const P999: Number = |row| row.p999_us;
+/// A figure that is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Figure {
+    P50,
+    P99,
+    P999,
+    CpuTime,
+}
+
+impl Figure {
+    fn name(self) -> &'static str {
+        match self {
+            Figure::P50 => "p50",
+            Figure::P99 => "p99",
+            Figure::P999 => "p99.9",
+            Figure::CpuTime => "CPU time",
+        }
+    }
+
+    fn of(self, round: &Round) -> Option<f64> {
+        match self {
+            Figure::P50 => Some(round.p50_us),
+            Figure::P99 => Some(round.p99_us),
+            Figure::P999 => Some(round.p999_us),
+            Figure::CpuTime => round.cpu_us_per_msg,
+        }
+    }
+
+    /// The median of a row's rounds.
+    fn median(self, row: &Row) -> Option<f64> {
+        median(row.rounds.iter().filter_map(|round| self.of(round)).collect())
+    }
+
+    /// Whether so many times say something about it.
+    fn is_of_enough(self, times: u64) -> bool {
+        match self {
+            Figure::P50 => is_enough(times, 0.5),
+            Figure::P99 => is_enough(times, 0.99),
+            Figure::P999 => is_enough(times, 0.999),
+            Figure::CpuTime => times > 0,
+        }
+    }
+}
+
+/// Whether at least ten of so many times lie above a quantile.
+pub fn is_enough(times: u64, quantile: f64) -> bool {
+    // Half a time for what a quantile cannot say exactly in binary.
+    times as f64 * (1.0 - quantile) >= 10.0 - 1e-6
+}
+
+fn median(mut numbers: Vec<f64>) -> Option<f64> {
+    numbers.sort_by(f64::total_cmp);
+    let middle = numbers.len() / 2;
+    match numbers.len() {
+        0 => None,
+        len if len % 2 == 1 => Some(numbers[middle]),
+        _ => Some(f64::midpoint(numbers[middle - 1], numbers[middle])),
+    }
+}
 
 const MIB: usize = 1 << 20;
 /// Systems that are compared as a whole: their best configuration counts.
 const RIVALS: [&str; 5] = ["fastdds", "cyclonedds", "zenoh", "hiroz", "r2r"];
+/// Tautline's modes whose callback thread sleeps: woken by the sampler, or by the publisher. The best one counts.
+const BLOCKING: &[&str] = &["blocking", "direct"];
+
+const HELD: &str = "latency/whole/held-off";
+const SHIPPED: &str = "latency/whole/as-shipped";
+const UNTOUCHED: &str = "latency/untouched/held-off";
 
 /// All of them.
 pub fn verdicts(rows: &[Row]) -> Vec<Verdict> {
     let rows = Rows(rows);
-    let (held, shipped) = ("latency/whole/held-off", "latency/whole/as-shipped");
-    let small = |mode| rows.find(held, "tautline", mode, 64);
-    let mut all = Vec::new();
-    for rival in RIVALS {
-        for (name, number) in [("p50", P50), ("p99", P99)] {
-            let claim = format!("64 B, blocking, idle states held off: {name} lower than {rival}'s best");
-            all.push(at_most(claim, 1.0, small("blocking"), rows.best(held, rival, 64, number), number));
+    let mut all = small(&rows);
+    for bytes in [MIB, 8 * MIB] {
+        all.extend(large(&rows, bytes));
+    }
+    for (robot, how) in
+        [("robot/20x100Hz", "each at its own time"), ("robot/20x100Hz/at-once", "all at once")]
+    {
+        for rival in ["fastdds", "r2r"] {
+            all.push(at_most(
+                format!("20 topics at 100 Hz, {how}: at most half of {rival}'s CPU time"),
+                0.5,
+                &rows.find(robot, "tautline", BLOCKING, 4096),
+                &rows.all(robot, rival, 4096),
+                Figure::CpuTime,
+            ));
         }
     }
-    let iceoryx = |mode| rows.find(held, "iceoryx2", mode, 64);
+    all.push(under_load(&rows));
+    all.push(one_wake(&rows));
+    for verdict in all.iter_mut().filter(|verdict| verdict.holds == Some(false)) {
+        let reason = REASONS.iter().find(|(claim, _)| *claim == verdict.claim);
+        verdict.reason = reason.map(|(_, reason)| *reason);
+    }
+    all
+}
+
+/// Of 64 B.
+fn small(rows: &Rows) -> Vec<Verdict> {
+    let ours = |experiment, modes| rows.find(experiment, "tautline", modes, 64);
+    let mut all = Vec::new();
+    for rival in RIVALS {
+        // Its program does not write its body again.
+        let (experiment, how) =
+            if rival == "hiroz" { (UNTOUCHED, ", payload not written again") } else { (HELD, "") };
+        for figure in [Figure::P50, Figure::P99] {
+            let name = figure.name();
+            all.push(at_most(
+                format!("64 B, blocking, idle states held off{how}: {name} lower than {rival}'s best"),
+                1.0,
+                &ours(experiment, BLOCKING),
+                &rows.all(experiment, rival, 64),
+                figure,
+            ));
+        }
+    }
     all.push(at_most(
-        "64 B: p50 within 1.4 x of iceoryx2's WaitSet",
+        "64 B, blocking: p50 within 1.4 x of iceoryx2's WaitSet",
         1.4,
-        small("blocking"),
-        iceoryx("waitset"),
-        P50,
+        &ours(HELD, BLOCKING),
+        &rows.find(HELD, "iceoryx2", &["waitset"], 64),
+        Figure::P50,
     ));
     all.push(at_most(
         "64 B, busy-polling callback: p50 within 2 x of iceoryx2's busy poll",
         2.0,
-        small("busy-poll"),
-        iceoryx("busy-poll"),
-        P50,
+        &ours(HELD, &["busy-poll"]),
+        &rows.find(HELD, "iceoryx2", &["busy-poll"], 64),
+        Figure::P50,
     ));
     all.push(at_most(
         "64 B, as shipped, each system with its own defaults: p50 at most 0.7 x Fast DDS's best",
         0.7,
-        rows.find(shipped, "tautline", "own-default", 64),
-        rows.best(shipped, "fastdds", 64, P50),
-        P50,
+        &ours(SHIPPED, &["own-default"]),
+        &rows.all(SHIPPED, "fastdds", 64),
+        Figure::P50,
     ));
-    for bytes in [MIB, 8 * MIB] {
-        let size = crate::report::payload(bytes);
-        let ours = rows.find(held, "tautline", "blocking", bytes);
-        let fast = |mode| rows.find(held, "fastdds", mode, bytes);
-        let mut limit = |claim: &str, limit, ours, theirs| {
-            all.push(at_most(format!("{size}, written and read whole: {claim}"), limit, ours, theirs, P50));
-        };
-        limit("within 1.15 x of the floor", 1.15, ours, rows.find(held, "floor", "futex", bytes));
-        limit("no slower than Fast DDS's data sharing with loans", 1.0, ours, fast("data-sharing"));
-        limit("1.5 x faster than Fast DDS's tuned shared memory", 1.0 / 1.5, ours, fast("tuned"));
-        limit("10 x faster than Fast DDS's default", 0.1, ours, fast("default"));
-        let image = rows.find(held, "tautline", "image", bytes);
-        limit("Image 10 x faster than r2r typed", 0.1, image, rows.find(held, "r2r", "typed", bytes));
-    }
-    for rival in ["fastdds", "r2r"] {
-        let robot = "robot/20x100Hz";
-        let cpu: Number = |row| row.cpu_us_per_msg;
-        let claim = format!("20 topics at 100 Hz: at most half of {rival}'s CPU time");
-        let ours = rows.find(robot, "tautline", "blocking", 4096);
-        all.push(at_most(claim, 0.5, ours, rows.best(robot, rival, 4096, cpu), cpu));
-    }
-    all.push(under_load(&rows));
-    all.push(one_wake(&rows));
     all
 }
 
-fn at_most(
-    claim: impl Into<String>,
-    limit: f64,
-    ours: Option<&Row>,
-    theirs: Option<&Row>,
-    number: Number,
-) -> Verdict {
-    let claim = claim.into();
-    let numbers = ours.and_then(number).zip(theirs.and_then(number));
-    let (Some((us, them)), Some(theirs)) = (numbers, theirs) else {
-        return Verdict { claim, found: "no figures".to_owned(), holds: None };
+/// Of payloads that are written and read whole.
+fn large(rows: &Rows, bytes: usize) -> Vec<Verdict> {
+    let size = payload(bytes);
+    let mut all = Vec::new();
+    let mut limit = |experiment, claim: &str, limit, ours: (&str, &[&str]), theirs: (&str, &[&str])| {
+        let idle = if experiment == HELD { "held off" } else { "as shipped" };
+        let claim = format!("{size}, written and read whole, idle states {idle}: {claim}");
+        let find = |(system, modes)| rows.find(experiment, system, modes, bytes);
+        let (ours, theirs, floor) = (find(ours), find(theirs), find(("floor", &["futex"])));
+        let mut verdict = at_most(claim, limit, &ours, &theirs, Figure::P50);
+        let is_floor = theirs.first().is_some_and(|row| row.system == "floor");
+        if let (false, [floor], [theirs]) = (is_floor, &floor[..], &theirs[..])
+            && let Some(ratio) = Ratios::of(floor, theirs, Figure::P50)
+        {
+            let beyond = if ratio.median > limit { ": the limit lies below the floor" } else { "" };
+            verdict.found += &format!("; the floor itself {:.2} x{beyond}", ratio.median);
+        }
+        all.push(verdict);
     };
-    let ratio = us / them;
-    let rival = format!("{} {}", theirs.system, theirs.mode);
-    let found =
-        format!("{} µs against {} µs ({rival}): {ratio:.2} x, limit {limit:.2} x", short(us), short(them));
-    Verdict { claim, found, holds: Some(ratio <= limit) }
+    let blocking = ("tautline", BLOCKING);
+    let fast = |mode| ("fastdds", mode);
+    limit(HELD, "within 1.15 x of the floor", 1.15, blocking, ("floor", &["futex"]));
+    limit(
+        HELD,
+        "no slower than Fast DDS's data sharing with loans",
+        1.0,
+        blocking,
+        fast(&["data-sharing"] as &[&str]),
+    );
+    limit(HELD, "1.5 x faster than Fast DDS's tuned shared memory", 1.0 / 1.5, blocking, fast(&["tuned"]));
+    for (experiment, ours) in [(HELD, BLOCKING), (SHIPPED, &["own-default"] as &[&str])] {
+        limit(experiment, "10 x faster than Fast DDS's default", 0.1, ("tautline", ours), fast(&["default"]));
+        limit(
+            experiment,
+            "Image 10 x faster than r2r typed",
+            0.1,
+            ("tautline", &["image"]),
+            ("r2r", &["typed"]),
+        );
+    }
+    all
+}
+
+/// Whether the best of `ours` is at most `limit` times the best of `theirs`. What is not fit to be compared never counts for us.
+fn at_most(claim: impl Into<String>, limit: f64, ours: &[&Row], theirs: &[&Row], figure: Figure) -> Verdict {
+    let verdict = |found: String, holds| Verdict { claim: claim.into(), found, holds, reason: None };
+    let (fit_ours, unfit_ours) = sort(ours, figure);
+    let (fit_theirs, unfit_theirs) = sort(theirs, figure);
+    let (Some(us), Some(them)) = (best(&fit_ours, figure), best(&fit_theirs, figure)) else {
+        let mut missing = Vec::new();
+        for (side, fit, unfit) in [("ours", fit_ours, unfit_ours), ("theirs", fit_theirs, unfit_theirs)] {
+            if fit.is_empty() {
+                missing.push(if unfit.is_empty() {
+                    format!("{side} not measured")
+                } else {
+                    unfit.join(", ")
+                });
+            }
+        }
+        missing.dedup();
+        return verdict(missing.join("; "), None);
+    };
+    let Some(ratios) = Ratios::of(us, them, figure) else {
+        return verdict("no round in which both were measured".to_owned(), None);
+    };
+    let time = |row| figure.median(row).map_or(String::new(), short);
+    let found = format!(
+        "{ratios}, limit {limit:.2} x: {} µs ({}) against {} µs ({} {})",
+        time(us),
+        us.mode,
+        time(them),
+        them.system,
+        them.mode
+    );
+    if ratios.median > limit {
+        verdict(found, Some(false))
+    } else if unfit_theirs.is_empty() {
+        verdict(found, Some(true))
+    } else {
+        verdict(format!("{found}; but not judged: {}", unfit_theirs.join(", ")), None)
+    }
+}
+
+/// The rows that can be compared, and why the others cannot.
+fn sort<'a>(rows: &[&'a Row], figure: Figure) -> (Vec<&'a Row>, Vec<String>) {
+    let (mut fit, mut unfit) = (Vec::new(), Vec::new());
+    for row in rows {
+        match unfit_for(row, figure) {
+            None => fit.push(*row),
+            Some(reason) => unfit.push(format!("{} {} {reason}", row.system, row.mode)),
+        }
+    }
+    (fit, unfit)
+}
+
+fn unfit_for(row: &Row, figure: Figure) -> Option<String> {
+    match row {
+        Row { unfit: Some(reason), .. } => Some(reason.clone()),
+        Row { lost: 1.., .. } => Some(format!("lost {} messages", row.lost)),
+        _ if figure.median(row).is_none() => Some("has no figures".to_owned()),
+        _ if !figure.is_of_enough(row.n) => {
+            Some(format!("has {} times, too few for {}", row.n, figure.name()))
+        }
+        _ => None,
+    }
+}
+
+/// The one with the least median.
+fn best<'a>(rows: &[&'a Row], figure: Figure) -> Option<&'a Row> {
+    let median = |row: &&Row| figure.median(row).unwrap_or(f64::MAX);
+    rows.iter().copied().min_by(|a, b| median(a).total_cmp(&median(b)))
+}
+
+/// Ratios of the rounds that two rows have in common.
+struct Ratios {
+    median: f64,
+    least: f64,
+    most: f64,
+    rounds: usize,
+}
+
+impl Ratios {
+    fn of(ours: &Row, theirs: &Row, figure: Figure) -> Option<Self> {
+        let ratio = |us: &Round| {
+            let them = theirs.rounds.iter().find(|them| them.round == us.round)?;
+            Some(figure.of(us)? / figure.of(them)?)
+        };
+        let ratios: Vec<f64> = ours.rounds.iter().filter_map(ratio).collect();
+        Some(Ratios {
+            least: ratios.iter().copied().fold(f64::INFINITY, f64::min),
+            most: ratios.iter().copied().fold(0.0, f64::max),
+            rounds: ratios.len(),
+            median: median(ratios)?,
+        })
+    }
+}
+
+impl fmt::Display for Ratios {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.rounds {
+            1 => write!(f, "{:.2} x in one round", self.median),
+            rounds => {
+                let Ratios { median, least, most, .. } = self;
+                write!(f, "{median:.2} x, the median of {rounds} rounds ({least:.2} to {most:.2})")
+            }
+        }
+    }
 }
 
 /// Its own figures, and what the hypervisor took meanwhile, which explains some of it.
 fn under_load(rows: &Rows) -> Verdict {
-    let row = |load| rows.find(&format!("open-loop/{load}/held-off"), "tautline", "blocking", 1024);
-    let mut verdict = at_most(
-        "1 kHz under load: p99.9 at most 3 x that of a quiet machine",
-        3.0,
-        row("load"),
-        row("quiet"),
-        P999,
-    );
-    let steal = row("load").and_then(|row| row.details.as_ref()).map_or(0, |details| details.steal_ticks);
-    verdict.found += &format!("; steal of the run under load: {steal} ticks of 10 ms");
+    let row = |load| rows.find(&format!("open-loop/{load}/held-off"), "tautline", &["blocking"], 1024);
+    let (load, quiet) = (row("load"), row("quiet"));
+    let claim = "1 kHz under load: p99.9 at most 3 x that of a quiet machine";
+    let mut verdict = at_most(claim, 3.0, &load, &quiet, Figure::P999);
+    if let Some(details) = load.first().and_then(|row| row.details.as_ref()) {
+        let steal = details.steal_ticks;
+        verdict.found += &format!("; steal of the run under load: {steal} ticks of 10 ms");
+    }
     verdict
 }
 
-/// The receiver's main thread is its sampler.
+/// Of the receiving process, whose main thread is its sampler.
 fn one_wake(rows: &Rows) -> Verdict {
-    let claim =
-        "fan-out within a process: the sampler wakes once per message, not per subscription".to_owned();
+    let claim = "fan-out within a process: its sampler wakes once per message, not once per subscription";
+    let verdict = |found: String, holds| Verdict { claim: claim.to_owned(), found, holds, reason: None };
     let of_count = |count: usize| {
-        let row = rows.find(&format!("fan-out/one-process/{count}"), "tautline", "blocking", MIB)?;
-        Some((count, row.details.as_ref()?.switches?))
+        let rows = rows.find(&format!("fan-out/one-process/{count}"), "tautline", &["blocking"], MIB);
+        let row = *rows.first()?;
+        Some((count, row, row.details.as_ref()?.wakes?))
     };
-    match [16, 8, 4, 2].into_iter().find_map(of_count) {
-        Some((count, wakes)) => Verdict {
-            claim,
-            found: format!("{wakes:.2} wakes per message with {count} subscriptions"),
-            holds: Some(wakes < 1.5),
-        },
-        None => Verdict { claim, found: "no figures".to_owned(), holds: None },
+    let Some((count, row, wakes)) = [16, 8, 4, 2].into_iter().find_map(of_count) else {
+        return verdict("not measured".to_owned(), None);
+    };
+    let found = format!(
+        "{:.2} wakes of the sampler per message with {count} subscriptions, limit 1.50; the process's other threads, {count} \
+         callback threads among them, wake {:.2} times in sum",
+        wakes.sampler, wakes.others
+    );
+    match unfit_for(row, Figure::P50) {
+        Some(reason) => verdict(format!("{found}; but it {reason}"), None),
+        None => verdict(found, Some(wakes.sampler < 1.5)),
     }
 }
 
 struct Rows<'a>(&'a [Row]);
 
 impl<'a> Rows<'a> {
-    fn find(&self, experiment: &str, system: &str, mode: &str, bytes: usize) -> Option<&'a Row> {
-        self.of(experiment, system, bytes).find(|row| row.mode == mode)
+    fn find(&self, experiment: &str, system: &str, modes: &[&str], bytes: usize) -> Vec<&'a Row> {
+        let mut rows = self.all(experiment, system, bytes);
+        rows.retain(|row| modes.contains(&row.mode.as_str()));
+        rows
     }
 
-    /// The configuration with the least of a number.
-    fn best(&self, experiment: &str, system: &str, bytes: usize, number: Number) -> Option<&'a Row> {
-        let least =
-            |a: &&Row, b: &&Row| number(a).unwrap_or(f64::MAX).total_cmp(&number(b).unwrap_or(f64::MAX));
-        self.of(experiment, system, bytes).filter(|row| number(row).is_some()).min_by(least)
-    }
-
-    fn of(&self, experiment: &str, system: &str, bytes: usize) -> impl Iterator<Item = &'a Row> {
-        self.0.iter().filter(move |row| {
-            row.experiment == experiment && row.system == system && row.payload_bytes == bytes
-        })
+    /// All configurations of a system.
+    fn all(&self, experiment: &str, system: &str, bytes: usize) -> Vec<&'a Row> {
+        let is_wanted =
+            |row: &&Row| row.experiment == experiment && row.system == system && row.payload_bytes == bytes;
+        self.0.iter().filter(is_wanted).collect()
     }
 }
 
@@ -173,12 +392,25 @@ pub mod tests {
     use super::*;
 
     pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
+        rounds(experiment, system, mode, bytes, &[us])
+    }
+
+    fn rounds(experiment: &str, system: &str, mode: &str, bytes: usize, p50s: &[f64]) -> Row {
+        let us = p50s[0];
+        let round = |(index, &us): (usize, &f64)| Round {
+            round: index as u32 + 1,
+            n: 10_000,
+            p50_us: us,
+            p99_us: us * 2.0,
+            p999_us: us * 3.0,
+            cpu_us_per_msg: Some(us),
+        };
         Row {
             experiment: experiment.to_owned(),
             system: system.to_owned(),
             mode: mode.to_owned(),
             payload_bytes: bytes,
-            n: 1,
+            n: 10_000,
             p50_us: Some(us),
             p99_us: Some(us * 2.0),
             p999_us: Some(us * 3.0),
@@ -187,6 +419,8 @@ pub mod tests {
             cpu_us_per_msg: Some(us),
             rss_mib: None,
             note: String::new(),
+            rounds: p50s.iter().enumerate().map(round).collect(),
+            unfit: None,
             details: None,
         }
     }
@@ -197,22 +431,66 @@ pub mod tests {
 
     #[test]
     fn the_best_configuration_of_a_rival_counts_and_what_was_not_measured_is_no_success() {
-        let held = "latency/whole/held-off";
         let rows = [
-            row(held, "tautline", "blocking", 64, 6.0),
-            row(held, "fastdds", "default", 64, 10.0),
-            row(held, "fastdds", "data-sharing", 64, 5.0),
-            row(held, "iceoryx2", "waitset", 64, 5.0),
-            row(held, "tautline", "blocking", MIB, 50.0),
-            row(held, "fastdds", "default", MIB, 500.0),
-            row(held, "fastdds", "tuned", MIB, 74.0),
+            row(HELD, "tautline", "blocking", 64, 6.0),
+            row(HELD, "fastdds", "default", 64, 10.0),
+            row(HELD, "fastdds", "data-sharing", 64, 5.0),
+            row(HELD, "iceoryx2", "waitset", 64, 5.0),
+            row(HELD, "tautline", "blocking", MIB, 50.0),
+            row(HELD, "fastdds", "default", MIB, 500.0),
+            row(HELD, "fastdds", "tuned", MIB, 74.0),
+            row(HELD, "floor", "futex", MIB, 60.0),
         ];
         let verdicts = verdicts(&rows);
         assert_eq!(of(&verdicts, "p50 lower than fastdds's best").holds, Some(false));
         assert_eq!(of(&verdicts, "p50 lower than zenoh's best").holds, None);
         assert_eq!(of(&verdicts, "iceoryx2's WaitSet").holds, Some(true));
-        assert_eq!(of(&verdicts, "10 x faster than Fast DDS's default").holds, Some(true));
+        let default = of(&verdicts, "held off: 10 x faster than Fast DDS's default");
+        assert_eq!(default.holds, Some(true));
+        assert!(
+            default.found.ends_with("the floor itself 0.12 x: the limit lies below the floor"),
+            "{default}"
+        );
         assert_eq!(of(&verdicts, "1.5 x faster than Fast DDS's tuned").holds, Some(false));
         assert!(of(&verdicts, "tuned").to_string().starts_with("MISSED"));
+    }
+
+    #[test]
+    fn rounds_are_compared_with_their_own_rivals() {
+        // The machine was slow in one round and in the next it was not: pooled figures would say 14 against 11.
+        let rows = [
+            rounds(HELD, "tautline", "blocking", 64, &[8.0, 16.0, 14.0]),
+            rounds(HELD, "tautline", "direct", 64, &[9.0, 17.0, 15.0]),
+            rounds(HELD, "cyclonedds", "tuned", 64, &[10.0, 20.0, 11.0]),
+        ];
+        let verdicts = verdicts(&rows);
+        let verdict = of(&verdicts, "p50 lower than cyclonedds's best");
+        assert_eq!(verdict.holds, Some(true));
+        assert!(verdict.found.starts_with("0.80 x, the median of 3 rounds (0.80 to 1.27)"), "{verdict}");
+        assert!(verdict.found.contains("(blocking)"), "the better one of ours: {verdict}");
+    }
+
+    #[test]
+    fn what_failed_lost_or_is_of_too_few_is_not_judged() {
+        let ours = || row(HELD, "tautline", "blocking", 64, 6.0);
+        let theirs = || row(HELD, "fastdds", "default", 64, 10.0);
+        let judge = |ours: Row, theirs: Row| {
+            let verdicts = verdicts(&[ours, theirs]);
+            ["p50", "p99"].map(|name| of(&verdicts, &format!("{name} lower than fastdds's best")).holds)
+        };
+        assert_eq!(judge(ours(), theirs()), [Some(true); 2]);
+        assert_eq!(judge(Row { lost: 1, ..ours() }, theirs()), [None; 2]);
+        assert_eq!(judge(ours(), Row { lost: 1, ..theirs() }), [None; 2]);
+        assert_eq!(judge(Row { unfit: Some("failed".to_owned()), ..ours() }, theirs()), [None; 2]);
+        assert_eq!(judge(Row { n: 999, ..ours() }, theirs()), [Some(true), None]);
+        assert_eq!(judge(Row { n: 1000, ..ours() }, theirs()), [Some(true); 2]);
+    }
+
+    #[test]
+    fn every_reason_belongs_to_a_claim() {
+        let verdicts = verdicts(&[]);
+        for (claim, _) in REASONS {
+            assert!(verdicts.iter().any(|verdict| verdict.claim == *claim), "no such claim: {claim}");
+        }
     }
 }

@@ -10,11 +10,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tautline_rt::clock::{monotonic_ns, process_cpu_ns, sleep_until_monotonic};
 
 use crate::Stamp;
-use crate::job::{Exchange, Job, Line, Measured, memory_kib, say};
+use crate::job::{Exchange, Job, Line, Measured, Memory, say};
 use crate::near::{WARM_UP_SHARE, nanoseconds};
 
-/// Between two rounds of messages of number 0, of up to ten topics.
+/// Of what goes as fast as it can, between two messages of number 0, and for each of their bytes: no system is flooded before it
+/// is measured.
 const GREETING_NS: u64 = 1_000_000;
+const GREETING_NS_PER_BYTE: u64 = 20;
 /// Of messages that come as fast as they go, one in so many is timed.
 const SAMPLED: u64 = 16;
 /// Times that are kept of each subscription.
@@ -54,7 +56,10 @@ fn topics(job: &Job) -> usize {
 pub struct Source {
     numbers: Numbers,
     topics: usize,
+    at_once: bool,
     go: Arc<AtomicBool>,
+    /// Between two rounds of messages of number 0: those of a rate keep it.
+    greeting_ns: u64,
     /// Messages so far, of number 0 or, since `started_ns`, of others.
     sent: u64,
     started_ns: Option<u64>,
@@ -62,42 +67,60 @@ pub struct Source {
     budget_ns: u64,
     /// CPU time, clock and messages when the warm-up ended.
     warm: Option<(u64, u64, u64)>,
+    /// Of those measured at a rate, how many were due before the one before was sent.
+    late: u64,
 }
 
 impl Source {
     /// Before the first message; `go` as by [`stop_flag`](crate::stop_flag).
     #[must_use]
     pub fn new(job: &Job, go: Arc<AtomicBool>) -> Self {
-        let budget_ns = nanoseconds(job.budget);
+        let (numbers, budget_ns) = (Numbers::of(job), nanoseconds(job.budget));
         Source {
-            numbers: Numbers::of(job),
+            numbers,
             topics: topics(job),
+            at_once: job.way.at_once,
             go,
+            greeting_ns: match numbers.last {
+                Some(_) => numbers.period_ns * topics(job) as u64,
+                None => GREETING_NS.max(GREETING_NS_PER_BYTE * job.payload_bytes as u64),
+            },
             sent: 0,
             started_ns: None,
             warm_up_ns: budget_ns / u64::from(WARM_UP_SHARE),
             budget_ns,
             warm: None,
+            late: 0,
         }
     }
 
-    /// Sleeps until a message is due; returns its topic and its stamp, or `None` at the end.
+    /// Sleeps until a message is due; returns its topic and its stamp, or `None` at the end. One that was due while the one
+    /// before was still being sent is stamped with the time at which it was due: a system that blocks its sender does not shorten
+    /// its own latencies.
     #[expect(clippy::should_implement_trait, reason = "it sleeps")]
     pub fn next(&mut self) -> Option<(usize, Stamp)> {
         let topic = (self.sent % self.topics as u64) as usize;
         let Some(started) = self.started_ns else { return Some(self.greet(topic)) };
         let number = self.sent / self.topics as u64 + 1;
-        let is_over = match self.numbers.last {
-            Some(last) => {
-                sleep_until_monotonic(started + self.sent * self.numbers.period_ns);
+        // Of those that are sent at once, the first.
+        let turn = if self.at_once { self.sent - topic as u64 } else { self.sent };
+        let due = self.numbers.last.map(|_| started + turn * self.numbers.period_ns);
+        let follows = self.at_once && topic != 0;
+        let mut now = monotonic_ns();
+        let is_late = !follows && due.is_some_and(|due| now > due);
+        let is_over = match (self.numbers.last, due) {
+            (Some(last), Some(due)) => {
+                if !is_late && !follows {
+                    sleep_until_monotonic(due);
+                    now = monotonic_ns();
+                }
                 number > last
             }
-            None => monotonic_ns() - started >= self.warm_up_ns + self.budget_ns,
+            _ => now - started >= self.warm_up_ns + self.budget_ns,
         };
         if is_over {
             return None;
         }
-        let now = monotonic_ns();
         let is_warm = match self.numbers.last {
             Some(_) => number > self.numbers.warm,
             None => now - started >= self.warm_up_ns,
@@ -105,18 +128,18 @@ impl Source {
         if is_warm && self.warm.is_none() {
             self.warm = Some((process_cpu_ns(), now, self.sent));
         }
+        self.late += u64::from(is_late && is_warm);
         self.sent += 1;
-        Some((topic, Stamp { number, sent_ns: now }))
+        Some((topic, Stamp { number, sent_ns: due.filter(|_| is_late).unwrap_or(now) }))
     }
 
     fn greet(&mut self, topic: usize) -> (usize, Stamp) {
         if topic == 0 {
-            let pause_ns = GREETING_NS * self.topics.div_ceil(10) as u64;
             if self.go.load(Ordering::Relaxed) {
                 self.sent = 0;
-                self.started_ns = Some(monotonic_ns() + pause_ns);
+                self.started_ns = Some(monotonic_ns() + self.greeting_ns);
             }
-            sleep_until_monotonic(monotonic_ns() + pause_ns);
+            sleep_until_monotonic(monotonic_ns() + self.greeting_ns);
         }
         self.sent += u64::from(self.started_ns.is_none());
         (topic, Stamp { number: 0, sent_ns: monotonic_ns() })
@@ -130,7 +153,8 @@ impl Source {
             cpu_ns: process_cpu_ns() - cpu_ns,
             seconds: (monotonic_ns() - since_ns) as f64 / 1e9,
             messages: self.sent - before,
-            memory_kib: memory_kib("self"),
+            late: self.late,
+            memory: Memory::of_exchange(),
             ..Measured::default()
         }
     }
@@ -152,6 +176,9 @@ struct Shared {
     first_ns: AtomicU64,
     /// When the first measured message came.
     warm_cpu_ns: AtomicU64,
+    /// Subscriptions that have had the last message of a flow at a rate, and when all had.
+    complete: AtomicUsize,
+    complete_cpu_ns: AtomicU64,
 }
 
 /// One subscription's end of a [`Sink`].
@@ -209,7 +236,11 @@ impl Sink {
     /// What has arrived. Of several subscriptions to one topic: when it had arrived at all of them.
     #[must_use]
     pub fn measured(&self) -> Measured {
-        let cpu_ns = process_cpu_ns() - self.shared.warm_cpu_ns.load(Ordering::Relaxed);
+        let end_cpu_ns = match self.shared.complete_cpu_ns.load(Ordering::Relaxed) {
+            0 => process_cpu_ns(),
+            complete => complete,
+        };
+        let cpu_ns = end_cpu_ns - self.shared.warm_cpu_ns.load(Ordering::Relaxed);
         let mut measured = Measured { cpu_ns, ..Measured::default() };
         let mut arrivals: Vec<(u64, u64)> = Vec::new();
         for counts in &self.inlets {
@@ -221,7 +252,13 @@ impl Sink {
             };
             let seconds = counts.since_ns.map_or(0.0, |since| (counts.last_ns - since) as f64 / 1e9);
             measured.seconds = measured.seconds.max(seconds);
-            arrivals.extend(&counts.times_ns);
+            match (self.numbers.last, counts.since_ns) {
+                // So few of a stream that none was sampled.
+                (None, Some(since)) if counts.times_ns.is_empty() && counts.received > 0 => {
+                    arrivals.push((counts.last_number, (counts.last_ns - since) / counts.received));
+                }
+                _ => arrivals.extend(&counts.times_ns),
+            }
         }
         let subscribers = self.inlets.len() / self.topics;
         if self.topics == 1 && subscribers > 1 {
@@ -272,8 +309,11 @@ impl Inlet {
     }
 
     fn begin(&self) {
-        if self.shared.warm_cpu_ns.load(Ordering::Relaxed) == 0 {
-            self.shared.warm_cpu_ns.store(process_cpu_ns(), Ordering::Relaxed);
+        let warm = &self.shared.warm_cpu_ns;
+        let is_first = warm.load(Ordering::Relaxed) == 0
+            && warm.compare_exchange(0, process_cpu_ns(), Ordering::Relaxed, Ordering::Relaxed).is_ok();
+        if is_first {
+            say(&Line::Warm);
         }
     }
 
@@ -288,6 +328,16 @@ impl Inlet {
         counts.received += 1;
         counts.last_ns = now;
         counts.times_ns.push((stamp.number, now.saturating_sub(stamp.sent_ns)));
+        if Some(stamp.number) == self.numbers.last {
+            self.complete(now);
+        }
+    }
+
+    fn complete(&self, now: u64) {
+        if self.shared.complete.fetch_add(1, Ordering::Relaxed) + 1 == self.shared.inlets {
+            self.shared.complete_cpu_ns.store(process_cpu_ns(), Ordering::Relaxed);
+            say(&Line::Complete { last_ns: now });
+        }
     }
 
     fn count_streamed(&self, counts: &mut Counts, number: u64, now: u64) {
@@ -345,6 +395,36 @@ mod tests {
     }
 
     #[test]
+    fn what_was_due_while_the_message_before_was_sent_is_stamped_so() {
+        // A message is due every nanosecond: no sender is as fast.
+        let job = Job { budget: Duration::from_nanos(8), ..job(Exchange::Paced { rate: 1e9 }, 1, 1) };
+        let mut source = Source::new(&job, Arc::new(AtomicBool::new(true)));
+        let stamps: Vec<Stamp> = std::iter::from_fn(|| source.next().map(|(_, stamp)| stamp)).collect();
+        let due = |index: usize| stamps[1].sent_ns + index as u64;
+        assert_eq!(stamps.len(), 10, "one that says that it goes, one of the warm-up, eight");
+        assert!(
+            stamps[1..].iter().enumerate().all(|(index, stamp)| stamp.sent_ns == due(index)),
+            "{stamps:?}"
+        );
+        assert_eq!(source.measured().late, 8);
+    }
+
+    #[test]
+    fn what_follows_at_once_is_not_waited_for_and_never_late() {
+        let way = Way { at_once: true, topics: 2, subscribers: 1, ..Way::default() };
+        let job = Job { budget: Duration::from_nanos(8), way, ..job(Exchange::Paced { rate: 1e9 }, 2, 1) };
+        let go = Arc::new(AtomicBool::new(true));
+        let mut source = Source::new(&job, go);
+        let sent: Vec<_> =
+            std::iter::from_fn(|| source.next()).filter(|(_, stamp)| stamp.number > 0).collect();
+        for pair in sent.chunks(2) {
+            assert_eq!((pair[0].0, pair[1].0, pair[0].1.number), (0, 1, pair[1].1.number));
+            assert!(pair[0].1.sent_ns <= pair[1].1.sent_ns);
+        }
+        assert_eq!((sent.len(), source.measured().messages, source.measured().late), (10, 8, 4));
+    }
+
+    #[test]
     fn what_is_missing_at_one_of_two_subscriptions_is_lost_and_not_timed() {
         let job = job(Exchange::Paced { rate: 1000.0 }, 1, 2);
         let sink = Sink::new(&job);
@@ -357,6 +437,16 @@ mod tests {
         let measured = sink.measured();
         assert_eq!((measured.messages, measured.lost), (15, 1));
         assert_eq!(measured.numbers, [2, 3, 4, 6, 7, 8, 9]);
+    }
+
+    #[test]
+    fn a_stream_of_few_messages_has_a_time_too() {
+        let job = Job { budget: Duration::ZERO, ..job(Exchange::Stream { window: None }, 1, 1) };
+        let sink = Sink::new(&job);
+        let (_, inlet) = sink.inlets(&job).remove(0);
+        (1..=4).for_each(|number| inlet.arrive(Stamp { number, sent_ns: 0 }));
+        let measured = sink.measured();
+        assert_eq!((measured.messages, measured.lost, measured.times_ns.len()), (3, 0, 1));
     }
 
     #[test]

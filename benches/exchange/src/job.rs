@@ -8,12 +8,16 @@ use std::time::Duration;
 
 use rustix::process::{Signal, set_parent_process_death_signal};
 use serde::{Deserialize, Serialize};
-use tautline_rt::{CoreSet, Policy, Realtime, ThreadBuilder, set_affinity, set_policy};
+use tautline_rt::{CoreSet, MemoryLock, Policy, Realtime, ThreadBuilder, set_affinity, set_policy};
 
 use crate::Result;
 
 /// `SCHED_FIFO` priority of the network's threads: that of the gateway.
 pub const NETWORK_PRIORITY: u8 = 80;
+/// The environment variable that tells the near end the numbers of the far processes, with commas.
+pub const PEERS: &str = "TAUTLINE_EXCHANGE_PEERS";
+/// Payloads up to this count as small.
+const SMALL_BYTES: usize = 64 << 10;
 /// `SCHED_FIFO` priority of the thread that sends or is called back.
 pub const APPLICATION_PRIORITY: u8 = 50;
 
@@ -80,6 +84,9 @@ pub struct Way {
     pub topics: usize,
     /// Subscriptions of each topic in this process.
     pub subscribers: usize,
+    /// Of a flow at a rate: all topics get their message one after the other at the same instant, as from one loop, instead of
+    /// evenly over the period.
+    pub at_once: bool,
 }
 
 impl Job {
@@ -106,14 +113,30 @@ impl Job {
         }
     }
 
-    /// Runs `work` in a thread with the application's priority.
+    /// Messages that a queue has room for, whatever the system: 10, of a stream of small ones 100.
+    #[must_use]
+    pub fn depth(&self) -> usize {
+        match self.exchange {
+            Exchange::Stream { .. } if self.payload_bytes <= SMALL_BYTES => 100,
+            _ => 10,
+        }
+    }
+
+    /// Runs `work` in a thread with the application's priority, in a process whose memory is locked and kept as that of Tautline's
+    /// contexts is.
     ///
     /// # Errors
-    /// A priority that is refused, and what `work` says.
+    /// A priority or locked memory that is refused, and what `work` says.
     pub fn as_application<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> Result<T> + Send + 'static,
     ) -> Result<T> {
+        tautline_rt::keep_freed_memory();
+        let locked = tautline_rt::lock_memory(MemoryLock::OnFault);
+        // Ignored without priorities: who may not have them may not lock memory either.
+        if self.realtime {
+            locked?;
+        }
         self.with_priority("application", APPLICATION_PRIORITY, work)
     }
 
@@ -156,6 +179,13 @@ pub enum Line {
         /// When all had.
         all_ns: u64,
     },
+    /// The far end of a flow has had the first message that is measured.
+    Warm,
+    /// The far end of a flow at a rate has had the last message on each of its subscriptions.
+    Complete {
+        /// When (`CLOCK_MONOTONIC`).
+        last_ns: u64,
+    },
     /// The end: of round trips from the near end, of a stream from the far one.
     Measured(Measured),
 }
@@ -172,12 +202,18 @@ pub struct Measured {
     /// CPU time of this process meanwhile.
     #[serde(default)]
     pub cpu_ns: u64,
-    /// The near process's share of resident memory, when it was done.
+    /// Of both ends, when the near one was done.
     #[serde(default)]
-    pub memory_kib: u64,
+    pub memory: Memory,
     /// Messages of a flow that were sent, or arrived.
     #[serde(default)]
     pub messages: u64,
+    /// Messages of a flow at a rate that were due before the one before was sent.
+    #[serde(default)]
+    pub late: u64,
+    /// Messages of a flow that the system did not take.
+    #[serde(default)]
+    pub refused: u64,
     /// The number of the message that each of `times_ns` belongs to, of a flow with one topic.
     #[serde(default)]
     pub numbers: Vec<u64>,
@@ -210,10 +246,39 @@ pub fn on_stop(then: impl FnOnce() + Send + 'static) {
     });
 }
 
-/// A process's share of resident memory: what several have mapped counts in part for each. 0 if the kernel does not say.
-#[must_use]
-pub fn memory_kib(process: &str) -> u64 {
-    let text = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap_or_default();
-    let line = text.lines().find_map(|line| line.strip_prefix("Pss:"));
-    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+/// Resident memory: what several processes have mapped counts in part for each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Memory {
+    /// All of it.
+    pub kib: u64,
+    /// Of it, shared memory (`/dev/shm` and the like).
+    pub shared_kib: u64,
+}
+
+impl Memory {
+    /// A process's share; 0 if the kernel does not say.
+    #[must_use]
+    pub fn of(process: &str) -> Self {
+        let text = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap_or_default();
+        let number = |name: &str| {
+            let line = text.lines().find_map(|line| line.strip_prefix(name));
+            line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+        };
+        Memory { kib: number("Pss:"), shared_kib: number("Pss_Shmem:") }
+    }
+
+    /// Of this process and of its [`PEERS`], now: later, when one of them has gone, what they shared would count for the others.
+    pub(crate) fn of_exchange() -> Self {
+        let peers = std::env::var(PEERS).unwrap_or_default();
+        let others = peers.split(',').filter(|peer| !peer.is_empty()).map(Memory::of);
+        others.fold(Memory::of("self"), std::ops::Add::add)
+    }
+}
+
+impl std::ops::Add for Memory {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Memory { kib: self.kib + other.kib, shared_kib: self.shared_kib + other.shared_kib }
+    }
 }

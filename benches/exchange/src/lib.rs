@@ -21,7 +21,7 @@ pub use far::{Answer, Arrivals};
 pub use flow::{Inlet, Sink, Source, to_the_last};
 pub use futex::FutexPair;
 pub use job::{
-    APPLICATION_PRIORITY, Exchange, Job, Line, Measured, NETWORK_PRIORITY, Role, Way, memory_kib,
+    APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Memory, NETWORK_PRIORITY, PEERS, Role, Way,
     on_network_thread, on_stop, say, stop_flag,
 };
 pub use near::{Link, PATIENCE, RoundTrips, Window, drive};

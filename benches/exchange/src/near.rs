@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tautline_rt::clock::{monotonic_ns, process_cpu_ns};
 
-use crate::job::{Exchange, Job, Measured, memory_kib};
+use crate::job::{Exchange, Job, Measured, Memory};
 use crate::{Answer, Result};
 
 /// How long an answer is waited for.
@@ -183,9 +183,9 @@ impl RoundTrips {
     pub fn measured(self) -> Measured {
         let seconds = self.measuring_since_ns.map_or(0.0, |since| (monotonic_ns() - since) as f64 / 1e9);
         let cpu_ns = process_cpu_ns() - self.cpu_ns;
-        let (messages, memory_kib) = (self.times_ns.len() as u64, memory_kib("self"));
+        let (messages, memory) = (self.times_ns.len() as u64, Memory::of_exchange());
         let (times_ns, lost) = (self.times_ns, self.lost);
-        Measured { times_ns, lost, seconds, cpu_ns, messages, memory_kib, ..Measured::default() }
+        Measured { times_ns, lost, seconds, cpu_ns, messages, memory, ..Measured::default() }
     }
 }
 

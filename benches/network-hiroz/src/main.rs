@@ -16,7 +16,8 @@ use hiroz::pubsub::ZPub;
 use hiroz::{Builder, ZBuf};
 use hiroz_msgs::std_msgs::ByteMultiArray;
 use tautline_exchange::{
-    Answer, Arrivals, Exchange, Job, Line, Link, Result, Role, drive, on_network_thread, say, stop_flag,
+    Answer, Arrivals, Exchange, Job, Line, Link, Result, Role, Stamp, drive, on_network_thread, say,
+    stop_flag,
 };
 use zenoh_buffers::ZSlice;
 use zenoh_buffers::buffer::SplitBuffer;
@@ -68,19 +69,22 @@ fn context(job: &Job, listen: &str) -> Result<ZContext> {
 struct Ends {
     publisher: ZPub<ByteMultiArray, <ByteMultiArray as ZMessage>::Serdes>,
     received: mpsc::Receiver<u64>,
-    /// All but the number: made once.
-    body: ZSlice,
+    /// All but the number: made once, unless it is written for each message.
+    body: Option<ZSlice>,
+    bytes: usize,
 }
 
 fn near(node: &ZNode, job: &Job) -> Result<()> {
     let [to, from] = job.topics();
     let (sender, received) = mpsc::channel();
     let subscription = node.create_sub::<ByteMultiArray>(&from);
+    let whole = job.way.whole;
     let _subscription = subscription.build_with_callback(move |message: ByteMultiArray| {
-        let _ = sender.send(number(&message));
+        let _ = sender.send(if whole { read(&message) } else { number(&message) });
     })?;
-    let body = ZSlice::from(vec![0; job.payload_bytes - size_of::<u64>()]);
-    let mut ends = Ends { publisher: node.create_pub::<ByteMultiArray>(&to).build()?, received, body };
+    let (publisher, bytes) = (node.create_pub::<ByteMultiArray>(&to).build()?, job.payload_bytes);
+    let body = (!whole).then(|| ZSlice::from(vec![0; bytes - size_of::<u64>()]));
+    let mut ends = Ends { publisher, received, body, bytes };
     if let Some(measured) = drive(job, &mut ends)? {
         say(&Line::Measured(measured));
     }
@@ -89,7 +93,10 @@ fn near(node: &ZNode, job: &Job) -> Result<()> {
 
 impl Link for Ends {
     fn send(&mut self, number: u64) -> Result<()> {
-        self.publisher.publish(&message(number, Some(&self.body)))
+        self.publisher.publish(&match &self.body {
+            Some(body) => message(number, Some(body)),
+            None => written(number, self.bytes),
+        })
     }
 
     fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
@@ -104,7 +111,7 @@ impl Link for Ends {
 fn far(node: &ZNode, job: &Job, endpoint: String) -> Result<()> {
     let [to, from] = job.topics();
     let publisher = node.create_pub::<ByteMultiArray>(&to).build()?;
-    let is_stream = job.exchange != Exchange::RoundTrips;
+    let (is_stream, whole, bytes) = (job.exchange != Exchange::RoundTrips, job.way.whole, job.payload_bytes);
     let (finished, measured) = mpsc::channel();
     let arrivals = Mutex::new(Arrivals::new(job));
     let answer = move |question: ByteMultiArray| {
@@ -118,6 +125,8 @@ fn far(node: &ZNode, job: &Job, endpoint: String) -> Result<()> {
                     message(number, None)
                 }
             }
+        } else if whole {
+            written(read(&question), bytes)
         } else {
             question
         };
@@ -140,6 +149,24 @@ fn message(number: u64, body: Option<&ZSlice>) -> ByteMultiArray {
     data.push_zslice(ZSlice::from(number.to_le_bytes().to_vec()));
     body.cloned().into_iter().for_each(|body| data.push_zslice(body));
     ByteMultiArray { data: ZBuf(data), ..Default::default() }
+}
+
+/// A message that is written whole.
+fn written(number: u64, bytes: usize) -> ByteMultiArray {
+    let mut data = vec![0; bytes];
+    Stamp { number, sent_ns: 0 }.write(&mut data, true);
+    ByteMultiArray { data: ZBuf(zenoh_buffers::ZBuf::from(data)), ..Default::default() }
+}
+
+/// Goes through all of a message; one that is damaged ends the process.
+fn read(message: &ByteMultiArray) -> u64 {
+    match Stamp::read(&message.data.0.contiguous(), true) {
+        Ok(stamp) => stamp.number,
+        Err(error) => {
+            eprintln!("network-hiroz: {error}");
+            std::process::exit(1);
+        }
+    }
 }
 
 fn number(message: &ByteMultiArray) -> u64 {

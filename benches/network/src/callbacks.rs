@@ -14,10 +14,9 @@ use tautline_benches::Process;
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
-use crate::gateways::{DOMAINS, Gateways, Setting};
 use crate::plan::{Experiment, Plan, System};
 use crate::report::{Flood, Round, Row};
-use crate::rounds::{progress_bar, start};
+use crate::rounds::{DOMAINS, gateways, progress_bar, start};
 
 /// 500 MB a second.
 const MESSAGE_BYTES: usize = 1 << 20;
@@ -34,9 +33,8 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<(Vec<Row>, Flood)> {
         for with_flood in if round % 2 == 1 { [false, true] } else { [true, false] } {
             let what = if with_flood { "a flood" } else { "no flood" };
             progress.set_message(format!("round {round}: callbacks and {what}"));
-            let near = Setting { core: Some(plan.both[0]), realtime: false };
-            let far = Setting { core: None, realtime: plan.realtime };
-            let mut gateways = Gateways::start(plan, [near, far], interrupted)?;
+            let cores = [Some(plan.both[0]), None];
+            let mut gateways = gateways(plan, cores, [false, plan.realtime], interrupted)?;
             if with_flood {
                 let mut flood = Stream::start(plan, seconds, interrupted)?;
                 flooded.push(demo(plan, seconds, interrupted)?);

@@ -9,13 +9,11 @@
 //! |---|---|
 //! | `plan` | what is measured: systems, payloads, rounds |
 //! | `rounds` | starts the pairs, merges what they measured |
-//! | `gateways` | the two gateways |
 //! | `tautline`, `zenoh` | the systems; hiroz's is `benches/network-hiroz` |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
 //! | `report`, `verdict` | the tables, the JSON, the ratios that must hold |
 
 mod callbacks;
-mod gateways;
 mod plan;
 mod report;
 mod rounds;

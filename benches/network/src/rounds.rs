@@ -6,14 +6,17 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use tautline_benches::{Distribution, Process};
+use tautline_benches::{Distribution, Gateways, Host, Process};
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
-use crate::gateways::{DOMAINS, Gateways, Setting};
 use crate::plan::{Case, Plan, System};
 use crate::report::{Round, Row};
 
+/// The near and the far host's. Nobody else measures there, and no test runs there.
+pub const DOMAINS: [u32; 2] = [117, 118];
+/// In which their gateways meet.
+const NETWORK_DOMAIN: u32 = 119;
 /// hiroz's, where both of its ends are.
 const HIROZ_DOMAIN: u32 = 116;
 /// How long a process may take to set itself up.
@@ -35,10 +38,7 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Row>> {
             let topic = format!("/bench/run_{}/pair_{round}_{index}", std::process::id());
             // Started for each: nobody else's idle threads disturb a rival.
             let _gateways = match case.system {
-                System::Tautline => {
-                    let setting = |core| Setting { core, realtime: plan.realtime };
-                    Some(Gateways::start(plan, plan.cores.map(setting), interrupted)?)
-                }
+                System::Tautline => Some(gateways(plan, plan.cores, [plan.realtime; 2], interrupted)?),
                 _ => None,
             };
             let measured = pair(plan, case, topic, interrupted)
@@ -49,6 +49,17 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Row>> {
     }
     progress.finish_and_clear();
     Ok(cells.iter().map(Cell::row).collect())
+}
+
+/// The two hosts' gateways, on their cores.
+pub fn gateways<'a>(
+    plan: &Plan,
+    cores: [Option<usize>; 2],
+    realtime: [bool; 2],
+    interrupted: &'a AtomicBool,
+) -> Result<Gateways<'a>> {
+    let host = |at: usize| Host { domain: DOMAINS[at], core: cores[at], realtime: realtime[at] };
+    Gateways::start(&plan.gateway, [host(0), host(1)], NETWORK_DOMAIN, interrupted)
 }
 
 /// Runs one pair of processes to its end.

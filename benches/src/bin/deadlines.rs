@@ -15,12 +15,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline::rt::permission::realtime_permitted;
 use tautline::std_msgs::msg::UInt64;
-use tautline::{
-    CallbackOptions, Context, ContextBuilder, Node, Publisher, QosProfile, Realtime, SubscriptionEvent,
-};
-use tautline_benches::{Distribution, Disturbance, machine};
+use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, QosProfile, SubscriptionEvent};
+use tautline_benches::{Distribution, Disturbance, Stage, Turns, machine, print_no_verdict, print_verdict};
 use tautline_rt::{CoreSet, Policy};
 
 const TOPICS: u64 = 200;
@@ -68,9 +65,7 @@ impl Part {
 /// How late things were in one part of all rounds.
 struct Lateness {
     part: Part,
-    of_all: Distribution,
-    /// Of each round: the 99th percentile to that of the bare sleeps.
-    ratios: Vec<f64>,
+    turns: Turns,
     /// Missed deadlines of which no event came.
     lost: u64,
 }
@@ -133,12 +128,9 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     let (rounds, part) =
         if options.quick { (3, Duration::from_secs(1)) } else { (15, Duration::from_secs(3)) };
     let (machine, disturbance) = (machine(), Disturbance::start());
-    let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
-    let (core, publishing_core) = (cores[cores.len() - 1], cores[0]);
-    let realtime = realtime_permitted(ContextBuilder::SAMPLER_PRIORITY).is_ok();
-    let mode = if realtime { Realtime::Required } else { Realtime::Off };
-    let context = Context::builder().realtime(mode).sampler_core(core).build()?;
-    let mut node = Node::create(context.clone(), "deadlines_bench", "")?;
+    let stage = Stage::new()?;
+    let (core, publishing_core) = (stage.core, stage.other_core);
+    let mut node = Node::create(stage.context.clone(), "deadlines_bench", "")?;
     let recorder = Arc::new(Recorder::default());
 
     let qos = QosProfile::default().keep_last(1).deadline(Duration::from_nanos(DEADLINE_NS));
@@ -167,32 +159,25 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
         async {}
     });
     callbacks.push(node.spawn_callback(options_of("timer"), tick)?);
-    let sampler = std::thread::spawn({
-        let context = context.clone();
-        move || context.spin()
-    });
-    let policy = |priority: u8| realtime.then_some(Policy::Fifo(priority));
-    let publishing = std::thread::spawn({
-        // As a driver: what it leaves out is what is missed, and no more.
-        let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY - 1));
-        move || publish(&publishers, &recorder, publishing_core, policy)
-    });
-    let sleeping = std::thread::spawn({
-        let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY));
-        move || sleep(&recorder, core, policy)
-    });
-    let measured = run(&recorder, rounds, part);
-    recorder.stop.store(true, Ordering::Relaxed);
-    publishing.join().map_err(|_| "the publishing thread panicked")??;
-    sleeping.join().map_err(|_| "the sleeping thread panicked")??;
-    context.shutdown();
-    sampler.join().map_err(|_| "the sampler panicked")??;
-    for callback in callbacks {
-        callback.stop();
-        callback.join()?;
-    }
+    let policy = |priority: u8| stage.realtime.then_some(Policy::Fifo(priority));
+    let measured = stage.spin_while(callbacks, || {
+        let publishing = std::thread::spawn({
+            // As a driver: what it leaves out is what is missed, and no more.
+            let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY - 1));
+            move || publish(&publishers, &recorder, publishing_core, policy)
+        });
+        let sleeping = std::thread::spawn({
+            let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY));
+            move || sleep(&recorder, core, policy)
+        });
+        let measured = run(&recorder, rounds, part);
+        recorder.stop.store(true, Ordering::Relaxed);
+        publishing.join().map_err(|_| "the publishing thread panicked")??;
+        sleeping.join().map_err(|_| "the sleeping thread panicked")??;
+        measured
+    })?;
     drop(subscriptions);
-    report(&measured?, options, realtime && core != publishing_core, &machine, &disturbance.report())
+    report(&measured?, options, stage.is_fit(), &machine, &disturbance.report())
 }
 
 /// All topics, one after the other, in each period; while deadlines are measured some messages are left out.
@@ -241,40 +226,29 @@ fn run(
     rounds: usize,
     part: Duration,
 ) -> Result<Vec<Lateness>, Box<dyn std::error::Error>> {
-    let none = |part| Lateness { part, of_all: Distribution::new(), ratios: Vec::new(), lost: 0 };
-    let mut results = Part::ALL.map(none);
     // Until what was left out before, or is left out last, has been told: some deadlines.
     let pause = Duration::from_nanos(10 * DEADLINE_NS);
     std::thread::sleep(pause);
-    for round in 0..rounds {
-        eprint!("\rround {} of {rounds} ", round + 1);
-        let mut p99 = [0.0; Part::ALL.len()];
-        for at in 0..p99.len() {
-            let index = (at + round) % p99.len();
-            let result = &mut results[index];
-            recorder.told.store(0, Ordering::Relaxed);
-            recorder.left_out.store(0, Ordering::Relaxed);
-            recorder.part.store(index + 1, Ordering::Release);
-            std::thread::sleep(part);
-            if result.part == Part::Deadline {
-                // The last ones are due after their messages were left out: published again, and recorded no more.
-                recorder.part.store(0, Ordering::Release);
-                std::thread::sleep(pause);
-                let (left_out, told) =
-                    (recorder.left_out.load(Ordering::Relaxed), recorder.told.load(Ordering::Relaxed));
-                result.lost += left_out.saturating_sub(told);
-            }
-            recorder.part.store(0, Ordering::Release);
+    let mut lost = [0; Part::ALL.len()];
+    let turns: [Turns; Part::ALL.len()] = Turns::take(rounds, |index| {
+        recorder.told.store(0, Ordering::Relaxed);
+        recorder.left_out.store(0, Ordering::Relaxed);
+        recorder.part.store(index + 1, Ordering::Release);
+        std::thread::sleep(part);
+        recorder.part.store(0, Ordering::Release);
+        if Part::ALL[index] == Part::Deadline {
+            // The last ones are due after their messages were left out: published again, and recorded no more.
             std::thread::sleep(pause);
-            let mut now = recorder.now.lock().map_err(|_| "a callback panicked")?;
-            p99[index] = now.quantile_us(0.99);
-            result.of_all.add(&now.counts());
-            *now = Distribution::new();
+            let (left_out, told) =
+                (recorder.left_out.load(Ordering::Relaxed), recorder.told.load(Ordering::Relaxed));
+            lost[index] += left_out.saturating_sub(told);
         }
-        results.iter_mut().zip(p99).for_each(|(result, of_it)| result.ratios.push(of_it / p99[0]));
-    }
-    eprintln!("\r                    ");
-    Ok(results.into())
+        std::thread::sleep(pause);
+        let mut now = recorder.now.lock().map_err(|_| "a callback panicked")?;
+        Ok::<_, &str>(std::mem::take(&mut *now))
+    })?;
+    let of_part = |((part, turns), lost)| Lateness { part, turns, lost };
+    Ok(Part::ALL.into_iter().zip(turns).zip(lost).map(of_part).collect())
 }
 
 fn report(
@@ -285,22 +259,19 @@ fn report(
     disturbance: &str,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let row = |of: &Lateness| {
-        let mut ratios = of.ratios.clone();
-        ratios.sort_by(f64::total_cmp);
-        let [least, greatest] =
-            [ratios.first(), ratios.last()].map(|ratio| ratio.copied().unwrap_or(f64::NAN));
+        let times = &of.turns.of_all;
         Row {
             experiment: "lateness",
             system: if of.part == Part::BareSleep { "linux" } else { "tautline" },
             mode: of.part.name(),
             payload_bytes: size_of::<u64>(),
-            n: of.of_all.len(),
-            p50_us: of.of_all.quantile_us(0.5),
-            p99_us: of.of_all.quantile_us(0.99),
-            p999_us: of.of_all.quantile_us(0.999),
-            max_us: of.of_all.max_us(),
+            n: times.len(),
+            p50_us: times.quantile_us(0.5),
+            p99_us: times.quantile_us(0.99),
+            p999_us: times.quantile_us(0.999),
+            max_us: times.max_us(),
             lost: of.lost,
-            ratio: [ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN), least, greatest],
+            ratio: of.turns.ratio(),
             realtime: is_judged,
             disturbance: disturbance.to_owned(),
         }
@@ -323,17 +294,17 @@ fn report(
         std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
     }
     let Some(of_event) = rows.last().filter(|_| is_judged) else {
-        println!("no verdict: it takes real-time priorities and two cores");
+        print_no_verdict();
         return Ok(());
     };
-    let word = |holds: bool| if holds { "holds" } else { "MISSED" };
-    // A miss is printed, never an error: the machine has its part in it.
-    println!(
-        "{}: an event comes at most one resolution of this machine's timers after an exact one would: p99 {:.2} times that of a bare \
-         sleep (median of rounds), limit {RATIO_LIMIT}",
-        word(of_event.ratio[0] <= RATIO_LIMIT),
-        of_event.ratio[0]
+    let ratio = of_event.ratio[0];
+    print_verdict(
+        ratio <= RATIO_LIMIT,
+        &format!(
+            "an event comes at most one resolution of this machine's timers after an exact one would: p99 {ratio:.2} times that of a \
+             bare sleep (median of rounds), limit {RATIO_LIMIT}"
+        ),
     );
-    println!("{}: every missed deadline is told: {} were not", word(of_event.lost == 0), of_event.lost);
+    print_verdict(of_event.lost == 0, &format!("every missed deadline is told: {} were not", of_event.lost));
     Ok(())
 }

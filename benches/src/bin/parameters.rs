@@ -16,11 +16,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline::rt::permission::realtime_permitted;
-use tautline::{
-    CallbackOptions, Context, ContextBuilder, Node, ParameterReader, ParameterValue, Parameters, Realtime,
-};
-use tautline_benches::{Distribution, Disturbance, machine};
+use tautline::{CallbackOptions, Node, ParameterReader, ParameterValue, Parameters};
+use tautline_benches::{Distribution, Disturbance, Stage, Turns, machine, print_no_verdict, print_verdict};
 use tautline_rt::CoreSet;
 use tautline_rt::host::steal_ticks;
 
@@ -89,25 +86,10 @@ impl Meanwhile {
 /// Response times of the callback's jobs: from the release of the timer to the end of the job.
 struct Callback {
     meanwhile: Meanwhile,
-    /// Of all rounds.
-    jobs: Distribution,
+    jobs: Turns,
     missed: u64,
     sets: u64,
     steal_ticks: u64,
-    /// Of each round: the 99th percentile to that of its quiet part.
-    ratios: Vec<f64>,
-}
-
-impl Callback {
-    fn ratio(&self) -> f64 {
-        median(&self.ratios)
-    }
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut values = values.to_vec();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// A line of the JSON, as other measurements have it.
@@ -154,17 +136,13 @@ impl Report {
             system: "tautline",
             mode: of.meanwhile.name().to_owned(),
             payload_bytes: 0,
-            n: of.jobs.len(),
-            p50_us: of.jobs.quantile_us(0.5),
-            p99_us: Some(of.jobs.quantile_us(0.99)),
-            p999_us: Some(of.jobs.quantile_us(0.999)),
-            max_us: of.jobs.max_us(),
+            n: of.jobs.of_all.len(),
+            p50_us: of.jobs.of_all.quantile_us(0.5),
+            p99_us: Some(of.jobs.of_all.quantile_us(0.99)),
+            p999_us: Some(of.jobs.of_all.quantile_us(0.999)),
+            max_us: of.jobs.of_all.max_us(),
             lost: of.missed,
-            ratio: Some([
-                of.ratio(),
-                of.ratios.iter().copied().fold(f64::INFINITY, f64::min),
-                of.ratios.iter().copied().fold(0.0, f64::max),
-            ]),
+            ratio: Some(of.jobs.ratio()),
             steal_ticks: Some(of.steal_ticks),
             realtime: self.realtime,
             disturbance: self.disturbance.clone(),
@@ -177,7 +155,7 @@ impl Report {
         let slowest = self.reads.iter().filter(|read| read.is_of_reader());
         let slowest = slowest.map(|read| read.p50_ns).fold(0.0, f64::max);
         let sets = self.callback.iter().find(|of| of.meanwhile == Meanwhile::Sets);
-        let ratio = sets.map_or(f64::NAN, Callback::ratio);
+        let ratio = sets.map_or(f64::NAN, |of| of.jobs.ratio()[0]);
         vec![
             (
                 slowest < READ_LIMIT_NS,
@@ -234,31 +212,26 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     };
     // Before this program confines itself to cores.
     let (machine, disturbance) = (machine(), Disturbance::start());
-    let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
-    let (callback_core, setter_core) = (cores[cores.len() - 1], cores[0]);
-    let realtime = realtime_permitted(ContextBuilder::SAMPLER_PRIORITY).is_ok();
-    let mode = if realtime { Realtime::Required } else { Realtime::Off };
-    let context = Context::builder().realtime(mode).sampler_core(callback_core).build()?;
-    let mut node = Node::create(context.clone(), "parameters_bench", "")?;
+    let stage = Stage::new()?;
+    let (cores, realtime) = ([stage.core, stage.other_core], stage.realtime);
+    let mut node = Node::create(stage.context.clone(), "parameters_bench", "")?;
     node.declare_parameter("gain", 1.5)?;
     node.declare_parameter("gains", vec![0.5; 16])?;
     node.declare_parameter("frame", "base_link".to_owned())?;
 
-    let reads = read_costs(&node, rounds, reads, [callback_core, setter_core])?;
-    let cores = [callback_core, setter_core];
-    let callback = disturbance_of_callback(&node, parts, part, cores)?;
+    let reads = read_costs(&node, rounds, reads, cores)?;
+    let callback = disturbance_of_callback(&stage, &node, parts, part)?;
     let report = Report { machine, disturbance: disturbance.report(), realtime, cores, reads, callback };
     print(&report);
     if let Some(path) = &options.json {
         std::fs::write(path, serde_json::to_string_pretty(&report.rows())?)?;
     }
-    if !realtime || callback_core == setter_core {
-        println!("no verdict: it takes real-time priorities and two cores");
+    if !stage.is_fit() {
+        print_no_verdict();
         return Ok(());
     }
-    // A miss is printed, never an error: the machine has its part in it.
     for (holds, what) in report.verdicts() {
-        println!("{}: {what}", if holds { "holds" } else { "MISSED" });
+        print_verdict(holds, &what);
     }
     Ok(())
 }
@@ -360,21 +333,21 @@ fn read_costs(
 }
 
 /// What the callback's jobs of now are recorded to.
+#[derive(Default)]
 struct Recording {
     jobs: Distribution,
     missed: u64,
 }
 
 fn disturbance_of_callback(
+    stage: &Stage,
     node: &Node,
     rounds: usize,
     part: Duration,
-    [core, setter_core]: [usize; 2],
 ) -> Result<Vec<Callback>, Box<dyn std::error::Error>> {
     static RECORDED: AtomicBool = AtomicBool::new(false);
-    let context = node.context().clone();
-    let recording = Arc::new(Mutex::new(Recording { jobs: Distribution::new(), missed: 0 }));
-    let timer = context_timer(&context)?;
+    let recording = Arc::new(Mutex::new(Recording::default()));
+    let timer = Node::create(stage.context.clone(), "timer", "")?.create_wall_timer(PERIOD)?;
     let mut readers = Readers::of(node)?;
     let recorded = recording.clone();
     let work = timer.for_each(move |tick| {
@@ -394,59 +367,39 @@ fn disturbance_of_callback(
         }
         async {}
     });
-    let handle = node.spawn_callback(CallbackOptions::fifo(40).core(core).name("read"), work)?;
-    let sampler = {
-        let context = context.clone();
-        std::thread::spawn(move || context.spin())
-    };
-    let none = |meanwhile| Callback {
-        meanwhile,
-        jobs: Distribution::new(),
-        missed: 0,
-        sets: 0,
-        steal_ticks: 0,
-        ratios: Vec::new(),
-    };
-    let mut results = Meanwhile::ALL.map(none);
+    let callback = node.spawn_callback(CallbackOptions::fifo(40).core(stage.core).name("read"), work)?;
     let pause = Duration::from_millis(20);
-    for round in 0..rounds {
-        eprint!("\rround {} of {rounds} ", round + 1);
-        let mut p99 = [0.0; Meanwhile::ALL.len()];
-        // Each comes first, second and third equally often.
-        for at in 0..p99.len() {
-            let index = (at + round) % p99.len();
-            let result = &mut results[index];
-            let setter = (result.meanwhile != Meanwhile::Nothing).then(|| {
-                let sets_any = result.meanwhile == Meanwhile::Sets;
-                Setter::start(node.parameters().clone(), setter_core, sets_any)
+    let mut counts = [(0, 0, 0); Meanwhile::ALL.len()];
+    let turns: [Turns; Meanwhile::ALL.len()] = stage.spin_while(vec![callback], || {
+        Turns::take(rounds, |index| {
+            let meanwhile = Meanwhile::ALL[index];
+            let setter = (meanwhile != Meanwhile::Nothing).then(|| {
+                Setter::start(node.parameters().clone(), stage.other_core, meanwhile == Meanwhile::Sets)
             });
             std::thread::sleep(pause);
             let steal = steal_ticks(None);
             RECORDED.store(true, Ordering::Release);
             std::thread::sleep(part);
             RECORDED.store(false, Ordering::Release);
-            result.steal_ticks += steal_ticks(None).saturating_sub(steal);
+            let (missed, sets, ticks) = &mut counts[index];
+            *ticks += steal_ticks(None).saturating_sub(steal);
             std::thread::sleep(pause);
             let wakes = setter.map_or(0, Setter::stop);
-            result.sets += if result.meanwhile == Meanwhile::Sets { wakes } else { 0 };
+            *sets += if meanwhile == Meanwhile::Sets { wakes } else { 0 };
             let mut recording = recording.lock().map_err(|_| "the callback panicked")?;
-            p99[index] = recording.jobs.quantile_us(0.99);
-            result.jobs.add(&recording.jobs.counts());
-            result.missed += recording.missed;
-            *recording = Recording { jobs: Distribution::new(), missed: 0 };
-        }
-        results.iter_mut().zip(p99).for_each(|(result, of_it)| result.ratios.push(of_it / p99[0]));
-    }
-    eprintln!("\r                    ");
-    context.shutdown();
-    sampler.join().map_err(|_| "the sampler panicked")??;
-    handle.stop();
-    handle.join()?;
-    Ok(results.into())
-}
-
-fn context_timer(context: &Context) -> tautline::Result<tautline::Timer> {
-    Node::create(context.clone(), "timer", "")?.create_wall_timer(PERIOD)
+            let Recording { jobs, missed: now } = std::mem::take(&mut *recording);
+            *missed += now;
+            Ok::<_, &str>(jobs)
+        })
+    })??;
+    let of = |((meanwhile, jobs), (missed, sets, steal_ticks))| Callback {
+        meanwhile,
+        jobs,
+        missed,
+        sets,
+        steal_ticks,
+    };
+    Ok(Meanwhile::ALL.into_iter().zip(turns).zip(counts).map(of).collect())
 }
 
 fn print(report: &Report) {
@@ -469,20 +422,18 @@ fn print(report: &Report) {
         "meanwhile", "jobs", "sets", "missed", "p50", "p99", "p99.9", "max", "steal"
     );
     for of in &report.callback {
-        let (least, greatest) =
-            of.ratios.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), ratio| (a.min(*ratio), b.max(*ratio)));
+        let ([ratio, least, greatest], jobs) = (of.jobs.ratio(), &of.jobs.of_all);
         println!(
-            "{:<15}  {:>7}  {:>7}  {:>6}  {:7.1}  {:7.1}  {:7.1}  {:7.1}  {:>6}  {:.2} ({least:.2} to {greatest:.2})",
+            "{:<15}  {:>7}  {:>7}  {:>6}  {:7.1}  {:7.1}  {:7.1}  {:7.1}  {:>6}  {ratio:.2} ({least:.2} to {greatest:.2})",
             of.meanwhile.name(),
-            of.jobs.len(),
+            jobs.len(),
             of.sets,
             of.missed,
-            of.jobs.quantile_us(0.5),
-            of.jobs.quantile_us(0.99),
-            of.jobs.quantile_us(0.999),
-            of.jobs.max_us(),
+            jobs.quantile_us(0.5),
+            jobs.quantile_us(0.99),
+            jobs.quantile_us(0.999),
+            jobs.max_us(),
             of.steal_ticks,
-            of.ratio(),
         );
     }
     println!("\n{}\n{}\n", report.machine, report.disturbance);

@@ -2,7 +2,8 @@
 //! r2r as its examples have it: one thread that spins and runs its callbacks; `std_msgs/msg/UInt8MultiArray`.
 //!
 //! `typed`: messages are Rust structs. `native`: messages are the middleware's C structs, made once and written and read in
-//! place. Loans are for types of a fixed size, and no package of ROS 2 has one that carries these payloads.
+//! place. `loaned`: a new one for each message, lent by the middleware, which does so for types of a fixed size alone:
+//! `geometry_msgs/msg/Inertia`, ten numbers of 8 bytes, of which the first eight carry 64 B.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use std::time::Duration;
 
 use futures::stream::LocalBoxStream;
 use futures::{FutureExt, StreamExt};
+use r2r::geometry_msgs::msg::Inertia;
 use r2r::std_msgs::msg::UInt8MultiArray;
 use r2r::{Context, Node, QosProfile};
 use tautline_exchange::{
@@ -127,8 +129,7 @@ impl Link for End {
 }
 
 fn qos(job: &Job) -> QosProfile {
-    let depth = if job.exchange == Exchange::RoundTrips { 1 } else { 10 };
-    QosProfile::default().reliable().keep_last(depth)
+    QosProfile::default().reliable().keep_last(job.depth())
 }
 
 /// A publisher and its message, made once.
@@ -138,6 +139,9 @@ struct Outlet {
 
 impl Outlet {
     fn new(node: &mut Node, job: &Job, topic: &str) -> Result<Self> {
+        if job.way.mode == "loaned" {
+            return Self::of_loans(node, job, topic);
+        }
         let mut message = UInt8MultiArray { data: vec![0; job.payload_bytes], ..Default::default() };
         let publisher = node.create_publisher::<UInt8MultiArray>(topic, qos(job))?;
         let whole = job.way.whole;
@@ -160,6 +164,26 @@ impl Outlet {
         Ok(Outlet { send: Box::new(send) })
     }
 
+    /// Of a message that the middleware lends for each.
+    fn of_loans(node: &mut Node, job: &Job, topic: &str) -> Result<Self> {
+        let publisher = node.create_publisher::<Inertia>(topic, qos(job))?;
+        let (bytes, whole) = (job.payload_bytes, job.way.whole);
+        let send = move |stamp: Stamp| {
+            let mut loan = publisher.borrow_loaned_message()?;
+            if !loan.is_loaned {
+                return Err("the middleware lends no messages of geometry_msgs/msg/Inertia".into());
+            }
+            if bytes > size_of_val(&*loan) {
+                return Err(format!("geometry_msgs/msg/Inertia carries no {bytes} bytes").into());
+            }
+            // SAFETY: numbers without padding, and more bytes of them than these; nobody else has this loan.
+            let out = unsafe { std::slice::from_raw_parts_mut(loan.msg.cast::<u8>(), bytes) };
+            stamp.write(out, whole);
+            Ok(publisher.publish_native(&mut loan)?)
+        };
+        Ok(Outlet { send: Box::new(send) })
+    }
+
     fn send(&mut self, stamp: Stamp) -> Result<()> {
         (self.send)(stamp)
     }
@@ -173,7 +197,16 @@ type Input = LocalBoxStream<'static, Result<Stamp>>;
 
 /// What is read of the messages of a topic.
 fn stamps(node: &mut Node, job: &Job, topic: &str) -> Result<Input> {
-    let whole = job.way.whole;
+    let (whole, bytes) = (job.way.whole, job.payload_bytes);
+    if job.way.mode == "loaned" {
+        let messages = node.subscribe_native::<Inertia>(topic, qos(job))?;
+        let stamps = messages.map(move |message| {
+            // SAFETY: numbers without padding, and more bytes of them than the sender accepts.
+            let bytes = unsafe { std::slice::from_raw_parts(message.msg.cast::<u8>(), bytes) };
+            Stamp::read(bytes, whole)
+        });
+        return Ok(stamps.boxed_local());
+    }
     Ok(if is_native(job) {
         let messages = node.subscribe_native::<UInt8MultiArray>(topic, qos(job))?;
         let stamps = messages.map(move |message| {

@@ -20,9 +20,6 @@ use tautline_rt::clock::monotonic_ns;
 
 use super::{LOOK, answer};
 
-/// Samples that wait: as many as the other systems keep.
-const DEPTH: usize = 10;
-
 /// Runs one end. The job's endpoint is the directory of its files, whose name starts those in shared memory.
 pub fn run(job: &Job) -> Result<()> {
     // Before there is a thread that polls on this core.
@@ -79,9 +76,14 @@ fn send_flow(node: &Node<ipc::Service>, job: &Job, stop: Arc<AtomicBool>) -> Res
 
 fn receive_flow(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
     let sink = Sink::new(job);
-    let mut inputs: Vec<(Input, Inlet)> = Vec::new();
+    let mut inputs: Vec<Topic> = Vec::new();
     for (topic, inlet) in sink.inlets(job) {
-        inputs.push((node.input(job, &format!("{}/{topic}", job.topic))?, inlet));
+        let name = format!("{}/{topic}", job.topic);
+        match inputs.get_mut(topic) {
+            // One listener for all subscribers of a process.
+            Some(shared) => shared.more.push((node.subscriber(job, &name)?, inlet)),
+            None => inputs.push(Topic { input: node.input(job, &name)?, inlet, more: Vec::new() }),
+        }
     }
     say(&Line::Ready(job.endpoint.clone()));
     if job.way.mode == BUSY_POLL {
@@ -93,31 +95,48 @@ fn receive_flow(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Resu
     Ok(())
 }
 
-fn poll(inputs: &[(Input, Inlet)], job: &Job, stop: &AtomicBool) -> Result<()> {
-    while !stop.load(Ordering::Relaxed) {
-        for (input, inlet) in inputs {
-            if let Some(stamp) = input.take(job.way.whole)? {
+/// A topic's subscribers in this process.
+struct Topic {
+    input: Input,
+    inlet: Inlet,
+    more: Vec<(Reader, Inlet)>,
+}
+
+impl Topic {
+    fn take_all(&self, whole: bool) -> Result<()> {
+        let more = self.more.iter().map(|(subscriber, inlet)| (subscriber, inlet));
+        for (subscriber, inlet) in std::iter::once((&self.input.subscriber, &self.inlet)).chain(more) {
+            while let Some(stamp) = take(subscriber, whole)? {
                 inlet.arrive(stamp);
             }
+        }
+        Ok(())
+    }
+}
+
+fn poll(inputs: &[Topic], job: &Job, stop: &AtomicBool) -> Result<()> {
+    while !stop.load(Ordering::Relaxed) {
+        for topic in inputs {
+            topic.take_all(job.way.whole)?;
         }
         spin_loop();
     }
     Ok(())
 }
 
-fn wait(inputs: &[(Input, Inlet)], job: &Job, stop: &AtomicBool) -> Result<()> {
+fn wait(inputs: &[Topic], job: &Job, stop: &AtomicBool) -> Result<()> {
     let waitset = waitset()?;
     let mut guards = Vec::new();
-    for (input, inlet) in inputs {
-        let listener = input.listener.as_ref().ok_or("no listener")?;
-        guards.push((waitset.attach_notification(listener)?, listener, input, inlet));
+    for topic in inputs {
+        let listener = topic.input.listener.as_ref().ok_or("no listener")?;
+        guards.push((waitset.attach_notification(listener)?, listener, topic));
     }
     while !stop.load(Ordering::Relaxed) {
         let mut failed = None;
         let on_event = |id: WaitSetAttachmentId<ipc::Service>| {
-            for (guard, listener, input, inlet) in &guards {
-                if id.has_event_from(guard) {
-                    failed = collect(listener, input, inlet, job.way.whole).err();
+            for (guard, listener, topic) in &guards {
+                if failed.is_none() && id.has_event_from(guard) {
+                    failed = collect(listener, topic, job.way.whole).err();
                 }
             }
             CallbackProgression::Continue
@@ -130,13 +149,10 @@ fn wait(inputs: &[(Input, Inlet)], job: &Job, stop: &AtomicBool) -> Result<()> {
     Ok(())
 }
 
-fn collect(listener: &Listener<ipc::Service>, input: &Input, inlet: &Inlet, whole: bool) -> Result<()> {
+fn collect(listener: &Listener<ipc::Service>, topic: &Topic, whole: bool) -> Result<()> {
     // Until none is left: iceoryx2 0.10 stops waking a listener that collects once per wake-up.
     while listener.try_wait(|_| {})? > 0 {}
-    while let Some(stamp) = input.take(whole)? {
-        inlet.arrive(stamp);
-    }
-    Ok(())
+    topic.take_all(whole)
 }
 
 const BUSY_POLL: &str = "busy-poll";
@@ -219,38 +235,45 @@ impl Outlet {
 }
 
 struct Input {
-    subscriber: Subscriber<ipc::Service, [u8], ()>,
+    subscriber: Reader,
     listener: Option<Listener<ipc::Service>>,
 }
 
 impl Input {
     fn take(&self, whole: bool) -> Result<Option<Stamp>> {
-        match self.subscriber.receive()? {
-            Some(sample) => Stamp::read(sample.payload(), whole).map(Some),
-            None => Ok(None),
-        }
+        take(&self.subscriber, whole)
     }
 }
 
-type Topic = iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
+fn take(subscriber: &Reader, whole: bool) -> Result<Option<Stamp>> {
+    match subscriber.receive()? {
+        Some(sample) => Stamp::read(sample.payload(), whole).map(Some),
+        None => Ok(None),
+    }
+}
+
+type Reader = Subscriber<ipc::Service, [u8], ()>;
+type Data = iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
 type Event = iceoryx2::service::port_factory::event::PortFactory<ipc::Service>;
 
 trait Open {
-    fn topic(&self, job: &Job, name: &str) -> Result<Topic>;
+    fn topic(&self, job: &Job, name: &str) -> Result<Data>;
     fn event(&self, job: &Job, name: &str) -> Result<Event>;
+    fn subscriber(&self, job: &Job, name: &str) -> Result<Reader>;
     fn input(&self, job: &Job, name: &str) -> Result<Input>;
 }
 
 impl Open for Node<ipc::Service> {
-    fn topic(&self, job: &Job, name: &str) -> Result<Topic> {
+    fn topic(&self, job: &Job, name: &str) -> Result<Data> {
         let name = ServiceName::new(&format!("{name}/topic"))?;
         let topic = self.service_builder(&name).publish_subscribe::<[u8]>();
         let topic = topic.payload_alignment(Alignment::new(8).ok_or("8 is a power of two")?);
         let topic = match job.exchange {
             // Holds the sender back instead of overwriting.
-            Exchange::Stream { .. } => topic.enable_safe_overflow(false).subscriber_max_buffer_size(100),
-            _ => topic.subscriber_max_buffer_size(DEPTH),
+            Exchange::Stream { .. } => topic.enable_safe_overflow(false),
+            _ => topic,
         };
+        let topic = topic.subscriber_max_buffer_size(job.depth());
         Ok(topic.max_publishers(1).max_subscribers(16).open_or_create()?)
     }
 
@@ -261,8 +284,12 @@ impl Open for Node<ipc::Service> {
         Ok(event.max_notifiers(1).max_listeners(16).open_or_create()?)
     }
 
+    fn subscriber(&self, job: &Job, name: &str) -> Result<Reader> {
+        Ok(self.topic(job, name)?.subscriber_builder().create()?)
+    }
+
     fn input(&self, job: &Job, name: &str) -> Result<Input> {
-        let subscriber = self.topic(job, name)?.subscriber_builder().create()?;
+        let subscriber = self.subscriber(job, name)?;
         let listener = match job.way.mode == BUSY_POLL {
             true => None,
             false => Some(self.event(job, name)?.listener_builder().create()?),

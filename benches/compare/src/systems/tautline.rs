@@ -4,13 +4,16 @@
 //! A plain message is bytes of a fixed number; one of variable size is a `sensor_msgs/msg/Image`. Both are written in the loan
 //! and read in place.
 
+use std::pin::pin;
 use std::sync::mpsc;
+use std::time::Duration;
 
 use ::tautline::{
     CallbackOptions, Context, Limits, Loan, Message, Node, Publisher, QosProfile, Realtime, Sample,
-    Subscription, Unpublished,
+    Subscription, Timer, Unpublished,
 };
 use futures::StreamExt;
+use futures::future::{Either, select};
 use tautline_exchange::{
     APPLICATION_PRIORITY, Exchange, Inlet, Job, Line, Measured, Result, Role, RoundTrips, Sink, Source,
     Stamp, on_stop, say, stop_flag,
@@ -23,8 +26,11 @@ use tautline_rt::clock::monotonic_ns;
 const SAMPLER_PRIORITY: u8 = APPLICATION_PRIORITY + 10;
 /// Samples that wait: as many as the other systems keep.
 const DEPTH: usize = 10;
-/// The same of a stream, which holds its sender back.
-const STREAM_DEPTH: usize = 100;
+/// How long an answer to the first question is waited for.
+const GREETING: Duration = Duration::from_millis(20);
+
+/// Of the mode `direct-spin`: about what falling asleep and being woken costs.
+const SPIN: Duration = Duration::from_micros(5);
 
 /// What is measured of a message.
 trait Payload: Message {
@@ -112,7 +118,11 @@ fn publish<T: Message>(mut loan: Loan<'_, T>) -> Result<()> {
 
 /// Runs one end to its end.
 pub fn run(job: &Job) -> Result<()> {
-    if job.way.mode.starts_with("image") { play::<Image>(job) } else { run_plain(job) }
+    match job.way.mode.as_str() {
+        // Gateways tell each other a type by its hash, which the bundled messages have.
+        "image" | "gateway" => play::<Image>(job),
+        _ => run_plain(job),
+    }
 }
 
 fn play<T: Payload>(job: &Job) -> Result<()> {
@@ -151,10 +161,11 @@ impl<T: Payload> End<T> {
     fn ask(&mut self) -> Result<()> {
         let [to, from] = self.job.topics();
         let (publisher, answers) = (self.publisher(&to)?, self.subscription(&from)?);
+        let timer = self.node.create_wall_timer(GREETING)?;
         let (own, context) = (self.job.clone(), self.context.clone());
         let (sender, outcome) = mpsc::channel();
         let callback = self.node.spawn_callback(self.options(), async move {
-            let asked = ask(&own, publisher, answers).await;
+            let asked = ask(&own, publisher, answers, timer).await;
             let _ = sender.send(asked);
             context.shutdown();
         })?;
@@ -234,14 +245,26 @@ impl<T: Payload> End<T> {
             Some(core) => options.core(core),
             None => options,
         };
-        if self.job.way.mode.contains("busy-poll") { options.busy_poll() } else { options }
+        match self.job.way.mode.as_str() {
+            "busy-poll" => options.busy_poll(),
+            "direct" => options.direct_wake(),
+            "direct-spin" => options.direct_wake().spin(SPIN),
+            _ => options,
+        }
     }
 
     fn qos(&self) -> QosProfile {
         match self.job.exchange {
-            Exchange::Stream { .. } => QosProfile::default().keep_all().depth(STREAM_DEPTH),
-            _ => QosProfile::default().keep_last(DEPTH),
+            Exchange::Stream { .. } => QosProfile::default().keep_all().depth(self.depth()),
+            _ => QosProfile::default().keep_last(self.depth()),
         }
+    }
+
+    /// A stream holds its sender back, and has room for as much as the others'.
+    fn depth(&self) -> usize {
+        let is_small_stream =
+            matches!(self.job.exchange, Exchange::Stream { .. }) && self.job.payload_bytes <= 64 << 10;
+        if is_small_stream { 100 } else { DEPTH }
     }
 
     fn publisher(&mut self, topic: &str) -> Result<Publisher<T>> {
@@ -255,8 +278,7 @@ impl<T: Payload> End<T> {
     }
 
     fn limit(&mut self, topic: &str) -> Result<()> {
-        let depth = if matches!(self.job.exchange, Exchange::Stream { .. }) { STREAM_DEPTH } else { DEPTH };
-        let message_bytes = self.job.payload_bytes + 128;
+        let (message_bytes, depth) = (self.job.payload_bytes + 128, self.depth());
         let limits = Limits { publishers: 1, message_bytes, depth, held: 2, loans: 2, ..Limits::default() };
         Ok(self.node.set_topic_limits(topic, limits)?)
     }
@@ -266,18 +288,37 @@ async fn ask<T: Payload>(
     job: &Job,
     publisher: Publisher<T>,
     mut answers: Subscription<T>,
+    timer: Timer,
 ) -> Result<Measured> {
+    let publisher = greet(job, publisher, &mut answers, timer).await?;
     let mut trips = RoundTrips::new(job);
     while let Some(number) = trips.start() {
         T::send(&publisher, job, Stamp { number, sent_ns: monotonic_ns() })?;
         // A question that is lost ends the run: the starter's patience does.
         while let Some(answer) = answers.next().await {
-            if trips.end(read(&answer, job)?.number) {
+            let number = read(&answer, job)?.number;
+            drop(answer);
+            if trips.end(number) {
                 break;
             }
         }
     }
     Ok(trips.measured())
+}
+
+/// Sends messages of number 0 until one is answered: gateways tell each other of topics, and some are sent before they did.
+async fn greet<T: Payload>(
+    job: &Job,
+    publisher: Publisher<T>,
+    answers: &mut Subscription<T>,
+    mut timer: Timer,
+) -> Result<Publisher<T>> {
+    loop {
+        T::send(&publisher, job, Stamp { number: 0, sent_ns: monotonic_ns() })?;
+        if let Either::Left(_) = select(answers.next(), pin!(timer.tick())).await {
+            return Ok(publisher);
+        }
+    }
 }
 
 async fn answer<T: Payload>(
@@ -287,6 +328,7 @@ async fn answer<T: Payload>(
 ) -> Result<()> {
     while let Some(question) = questions.next().await {
         let number = read(&question, job)?.number;
+        drop(question);
         T::send(&publisher, job, Stamp { number, sent_ns: monotonic_ns() })?;
     }
     Ok(())

@@ -2,55 +2,62 @@
 //! Two hosts: two domains of this machine, each with its gateway, which meet in a third one.
 
 use std::net::TcpListener;
+use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use tautline_benches::Process;
+use crate::Process;
 
-use crate::Result;
-use crate::plan::Plan;
-
-/// The near and the far host's. Nobody else measures there, and no test runs there.
-pub const DOMAINS: [u32; 2] = [117, 118];
-const NETWORK_DOMAIN: u32 = 119;
-
-/// One host's gateway.
-#[derive(Clone, Copy)]
-pub struct Setting {
+/// A host: a domain of this machine.
+#[derive(Clone, Copy, Debug)]
+pub struct Host {
+    /// Its own.
+    pub domain: u32,
+    /// Its gateway's; `None`: any.
     pub core: Option<usize>,
+    /// Whether its gateway has its real-time priority.
     pub realtime: bool,
 }
 
 /// Both gateways; they end with it.
+#[derive(Debug)]
 pub struct Gateways<'a> {
     both: Vec<Process<'a, serde_json::Value>>,
 }
 
 impl<'a> Gateways<'a> {
-    /// Starts them, each with the defaults but for what is set.
-    pub fn start(plan: &Plan, settings: [Setting; 2], interrupted: &'a AtomicBool) -> Result<Self> {
+    /// Starts `program` for each host, with the defaults but for what is set; `domain` is the one in which they meet.
+    ///
+    /// # Errors
+    /// One does not start, or they do not find each other.
+    pub fn start(
+        program: &Path,
+        hosts: [Host; 2],
+        domain: u32,
+        interrupted: &'a AtomicBool,
+    ) -> Result<Self, Box<dyn std::error::Error>> {
         // Free now; that somebody else takes it meanwhile is reported by the gateway.
         let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
         let endpoint = format!("tcp/127.0.0.1:{port}");
         let mut both = Vec::new();
-        for (host, (domain, setting)) in DOMAINS.into_iter().zip(settings).enumerate() {
-            let mut command = Command::new(&plan.gateway);
-            command.args(["--json", "--interval", "0.5", "--domain", &domain.to_string()]);
-            command.args(["--network-domain", &NETWORK_DOMAIN.to_string()]);
+        for (index, host) in hosts.into_iter().enumerate() {
+            let mut command = Command::new(program);
+            command.args(["--json", "--interval", "0.5", "--domain", &host.domain.to_string()]);
+            command.args(["--network-domain", &domain.to_string()]);
             // Listening on any port as well as on this one would find other machines' routers on the default one.
-            let (listen, connect) = match host {
+            let (listen, connect) = match index {
                 0 => (endpoint.as_str(), "tcp/127.0.0.1:1"),
                 _ => ("tcp/127.0.0.1:0", endpoint.as_str()),
             };
             command.args(["--listen", listen, "--connect", connect]);
-            if let Some(core) = setting.core {
+            if let Some(core) = host.core {
                 command.args(["--cores", &core.to_string()]);
             }
-            if !setting.realtime {
+            if !host.realtime {
                 command.arg("--no-rt");
             }
-            let name = format!("gateway of domain {domain}");
+            let name = format!("gateway of domain {}", host.domain);
             let mut process = Process::start(&mut command, name, interrupted)?;
             process.expect(Duration::from_secs(10), Some)?;
             both.push(process);
@@ -61,6 +68,7 @@ impl<'a> Gateways<'a> {
     }
 
     /// What the gateway of `host` (0 or 1) said last.
+    #[must_use]
     pub fn stats(&mut self, host: usize) -> serde_json::Value {
         self.both[host].latest().unwrap_or_default()
     }

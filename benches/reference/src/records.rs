@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What callbacks write down as they run: memory that is there before they start.
+
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use crate::graph::{self, Callback};
+
+/// The part of a run that counts, on the monotonic clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Window {
+    /// Its begin.
+    pub begin_ns: u64,
+    /// Its end.
+    pub end_ns: u64,
+}
+
+impl Window {
+    /// Whether this instant counts.
+    pub fn contains(&self, instant_ns: u64) -> bool {
+        (self.begin_ns..self.end_ns).contains(&instant_ns)
+    }
+
+    /// Its length.
+    pub fn length(&self) -> Duration {
+        Duration::from_nanos(self.end_ns - self.begin_ns)
+    }
+}
+
+/// Of all callbacks. Each number has one writer.
+#[derive(Debug)]
+pub struct Records {
+    /// What counts.
+    pub window: Window,
+    callbacks: Vec<Callback>,
+    runs: Box<[AtomicU64]>,
+    dropped: Box<[AtomicU64]>,
+    pub(crate) hot_path_ns: Series,
+    pub(crate) both_lidars_ns: Series,
+    pub(crate) planner_starts_ns: Series,
+}
+
+impl Records {
+    /// Room for what happens in `window`.
+    pub fn new(window: Window) -> Records {
+        let callbacks = graph::callbacks();
+        let zeroes = || callbacks.iter().map(|_| AtomicU64::new(0)).collect();
+        let (runs, dropped) = (zeroes(), zeroes());
+        // Twice what is expected: lidars and planner have 100 ms.
+        let series = || Series::new(window.length().as_millis() as usize / 50 + 16);
+        let (hot_path_ns, both_lidars_ns, planner_starts_ns) = (series(), series(), series());
+        Records { window, callbacks, runs, dropped, hot_path_ns, both_lidars_ns, planner_starts_ns }
+    }
+
+    /// The callbacks, by the index that the others take.
+    pub fn callbacks(&self) -> &[Callback] {
+        &self.callbacks
+    }
+
+    pub(crate) fn note_run(&self, index: usize, dropped: u32) {
+        self.runs[index].fetch_add(1, Ordering::Relaxed);
+        self.dropped[index].fetch_add(dropped.into(), Ordering::Relaxed);
+    }
+
+    /// How often the callback ran, and how many messages of its inputs it missed.
+    pub(crate) fn counts(&self, index: usize) -> (u64, u64) {
+        (self.runs[index].load(Ordering::Relaxed), self.dropped[index].load(Ordering::Relaxed))
+    }
+}
+
+/// Times, in the order in which they came. One writer, any readers.
+#[derive(Debug)]
+pub(crate) struct Series {
+    entries: Box<[AtomicU64]>,
+    count: AtomicUsize,
+}
+
+impl Series {
+    fn new(capacity: usize) -> Series {
+        // A value that is not zero touches the memory.
+        let entries = (0..capacity).map(|_| AtomicU64::new(u64::MAX)).collect();
+        Series { entries, count: AtomicUsize::new(0) }
+    }
+
+    /// Adds a time; beyond the room nothing is kept.
+    pub fn note(&self, time_ns: u64) {
+        let index = self.count.load(Ordering::Relaxed);
+        if let Some(entry) = self.entries.get(index) {
+            entry.store(time_ns, Ordering::Relaxed);
+            // Pairs with the Acquire in `to_vec`.
+            self.count.store(index + 1, Ordering::Release);
+        }
+    }
+
+    pub fn to_vec(&self) -> Vec<u64> {
+        let count = self.count.load(Ordering::Acquire);
+        self.entries[..count].iter().map(|entry| entry.load(Ordering::Relaxed)).collect()
+    }
+}
