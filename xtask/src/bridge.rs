@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge to ROS 2: its lints and its tests, against the ROS 2 that is sourced or the one under the target directory.
 
+use crate::reports::check_bridge;
 use crate::steps::{self, Outcome, Steps, cargo, execute};
 use crate::{machine, r2r};
 use std::path::PathBuf;
@@ -44,18 +45,13 @@ pub fn bench(options: &Options) -> ExitCode {
     steps::run(command.args(&options.arguments))
 }
 
+/// What its programs need to be built and to run.
+type Environment = Vec<(&'static str, String)>;
+
 /// Some minutes from cold. Returns what its programs need to run as well.
-fn build() -> Result<Vec<(&'static str, String)>, String> {
-    let mut build =
-        cargo("build --release --locked --manifest-path bridge-ros/Cargo.toml --features bench --bins");
+fn build() -> Result<Environment, String> {
     let environment = r2r::environment()?;
-    if let Some((_, lib)) = environment.iter().find(|(name, _)| *name == r2r::RPATH) {
-        // r2r's build script needs the libraries too, and has no rpath.
-        build.env("LD_LIBRARY_PATH", lib);
-    }
-    build.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
-    // The messages that it uses; all of them take minutes.
-    match execute(build.env("IDL_PACKAGE_FILTER", "std_msgs")) {
+    match execute(&mut with_libraries(&environment, &format!("build --release {WHOLE} --bins"))) {
         Outcome::Ok => Ok(environment),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("the build failed: {reason}")),
     }
@@ -83,22 +79,80 @@ pub fn test(steps: &mut Steps) {
         return steps
             .skip("bridge-ros", "there is no ROS 2 to build it with: source one, or run `cargo xtask ros`");
     }
-    let bridge = |arguments: &str| -> Command {
-        let mut command = cargo(arguments);
-        // The workspace's, with which it shares all but the bindings.
-        command.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
-        command
-    };
-    let manifest = "--manifest-path bridge-ros/Cargo.toml --locked";
+    // With the bench, which is linted too, and measures in a step of its own.
+    let building = |arguments: &str| with_libraries(&environment, arguments);
     steps.command(
         "bridge-ros: clippy",
-        &mut bridge(&format!("clippy {manifest} --all-targets -- -D warnings")),
+        &mut building(&format!("clippy {WHOLE} --all-targets -- -D warnings")),
     );
-    let mut doc = bridge(&format!("doc {manifest} --no-deps"));
+    let mut doc = building(&format!("doc {WHOLE} --no-deps"));
     steps.command("bridge-ros: doc", doc.env("RUSTDOCFLAGS", "-Dwarnings"));
-    // Of processes, several of which at once find each other late on a small machine.
-    steps.command(
-        "bridge-ros: tests",
-        &mut bridge(&format!("test {manifest} --no-fail-fast -- --test-threads 2")),
-    );
+    steps.command("bridge-ros: build", &mut building(&format!("test {WHOLE} --no-run")));
+    // The program that starts it, which says what is wrong when ROS or the loader ends it.
+    steps.command("bridge-ros: taut", &mut cargo("build --locked -p taut"));
+    // Of processes, several of which at once find each other late on a small machine; and now and then Fast DDS's two ends match on
+    // one side only: what fails once is tried again, and named.
+    let tests = if machine::cargo_has("nextest --version").is_ok() {
+        let profile = if machine::is_ci() { "ci" } else { "default" };
+        format!(
+            "nextest run {WHOLE} --config-file .config/nextest.toml --profile {profile} --no-fail-fast --test-threads 2"
+        )
+    } else {
+        format!("test {WHOLE} --lib --bins --tests --no-fail-fast -- --test-threads 2")
+    };
+    steps.command("bridge-ros: tests", &mut bridge_cargo(&environment, &tests));
+    steps.command("bridge-ros: doc tests", &mut bridge_cargo(&environment, &format!("test {WHOLE} --doc")));
+}
+
+/// All of it, the bench included.
+const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";
+
+fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
+    let mut command = cargo(arguments);
+    // The workspace's target directory, with which it shares all but the bindings; and of the bench's messages, those that it
+    // uses: all of them take minutes.
+    command.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
+    command.env("IDL_PACKAGE_FILTER", "std_msgs");
+    command
+}
+
+/// For a build: r2r's build script needs the libraries too, and has no rpath.
+fn with_libraries(environment: &Environment, arguments: &str) -> Command {
+    let mut command = bridge_cargo(environment, arguments);
+    if let Some((_, lib)) = environment.iter().find(|(name, _)| *name == r2r::RPATH) {
+        command.env("LD_LIBRARY_PATH", lib);
+    }
+    command
+}
+
+/// 20 topics at 1 kHz for 30 s each way lose nothing, with the build of the tests: what it adds is printed beside r2r's own
+/// subscriber, and belongs to the machine and the build.
+pub fn bench_of_tests(steps: &mut Steps) {
+    let environment = match r2r::environment() {
+        Err(reason) if !machine::is_ci() => return steps.skip("bench: bridge", &reason),
+        Err(reason) => {
+            steps.step("bench: bridge", || Outcome::Failed(reason));
+            return;
+        }
+        Ok(environment) => environment,
+    };
+    let build = &mut with_libraries(&environment, &format!("test {WHOLE} --no-run"));
+    if !steps.command("bench: bridge: build", build) {
+        return steps.skip("bench: bridge", "not built");
+    }
+    let target = machine::target_dir();
+    let json = target.join("bridge.json");
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: bridge", || {
+        // It waits for processes, which may not come.
+        let mut command = Command::new("timeout");
+        command.arg("300").arg(target.join("debug/bench-bridge")).arg("--json").arg(&json).envs(environment);
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.arg("--no-rt");
+        }
+        match execute(&mut command) {
+            Outcome::Ok => check_bridge(&json, 20 * 1000 * 30),
+            other => other,
+        }
+    });
 }

@@ -3,6 +3,7 @@
 
 use crate::steps::{self, Outcome, execute};
 use crate::{machine, network, r2r};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::{fs, io};
@@ -32,15 +33,19 @@ pub struct Options {
     pub arguments: Vec<String>,
 }
 
-/// A system that is not in this workspace, and what makes its program.
-type Rival = (&'static str, fn() -> Result<PathBuf, String>);
+/// A system, a program that is not in this workspace or not always built with it, and what makes that.
+type Rival = (&'static str, &'static str, fn() -> Result<PathBuf, String>);
 
-const RIVALS: [Rival; 5] = [
-    ("fastdds", build_fastdds),
-    ("cyclonedds", build_cyclonedds),
-    ("r2r", build_r2r),
-    ("zenoh", build_zenoh),
-    ("hiroz", network::build_hiroz),
+/// Those after the first six are what some ways of a system need beside its own program.
+const RIVALS: [Rival; 8] = [
+    ("taktora", "taktora", build_taktora),
+    ("fastdds", "fastdds", build_fastdds),
+    ("cyclonedds", "cyclonedds", build_cyclonedds),
+    ("r2r", "r2r", build_r2r),
+    ("zenoh", "zenoh", build_zenoh),
+    ("hiroz", "hiroz", network::build_hiroz),
+    ("tautline", "gateway", build_gateway),
+    ("cyclonedds", "roudi", write_roudi),
 ];
 
 pub fn run(options: &Options) -> ExitCode {
@@ -52,8 +57,15 @@ pub fn command(options: &Options) -> Command {
     let mut command = steps::cargo("run --release -p tautline-compare --bin compare --");
     let is_wanted =
         |name: &str| options.systems.is_empty() || options.systems.iter().any(|system| system == name);
-    for (name, build) in RIVALS.iter().filter(|(name, _)| is_wanted(name)) {
-        match build() {
+    // Whose figures count for nothing: a release build of Zenoh takes minutes.
+    let tested_gateway = machine::target_dir().join("debug/taut-gateway");
+    let is_smoke = options.arguments.iter().any(|argument| argument == "--smoke");
+    for (_, name, build) in RIVALS.iter().filter(|(system, ..)| is_wanted(system)) {
+        let built = match *name {
+            "gateway" if is_smoke && tested_gateway.exists() => Ok(tested_gateway.clone()),
+            _ => build(),
+        };
+        match built {
             Ok(program) => command.arg(format!("--program={name}={}", program.display())),
             Err(reason) => command.arg(format!("--without={name}={reason}")),
         };
@@ -84,25 +96,23 @@ fn build_fastdds() -> Result<PathBuf, String> {
     gcc.finish()
 }
 
-/// Debian's packages of Cyclone DDS and of what it is linked with.
-const CYCLONEDDS: [&str; 6] = [
+/// Debian's packages of Cyclone DDS, of what it is linked with, and of iceoryx's daemon.
+const CYCLONEDDS: [&str; 10] = [
+    "iceoryx",
     "cyclonedds-dev",
     "libddsc0debian",
     "libiceoryx-binding-c2",
     "libiceoryx-hoofs2",
+    "libiceoryx-introspection2",
     "libiceoryx-platform2",
+    "libiceoryx-posh-config2",
+    "libiceoryx-posh-roudi2",
     "libiceoryx-posh2",
 ];
 
 /// With Debian's packages, unpacked under the target directory: nothing is installed.
 fn build_cyclonedds() -> Result<PathBuf, String> {
-    let root = machine::target_dir().join("compare/cyclonedds-root");
-    if !root.join("complete").exists() {
-        unpack(&root, &CYCLONEDDS).map_err(|error| format!("Debian's packages cannot be had: {error}"))?;
-    }
-    let lib = fs::read_dir(root.join("usr/lib")).map_err(|error| error.to_string())?;
-    let mut lib = lib.flatten().map(|entry| entry.path()).filter(|path| path.join("libddsc.so").exists());
-    let lib = lib.next().ok_or("the packages have no libddsc.so")?;
+    let (root, lib) = cyclonedds_root()?;
     let include = root.join("usr/include");
     let mut gcc = cpp("cyclonedds")?;
     let by_machine = include.join(lib.file_name().unwrap_or_default());
@@ -115,6 +125,57 @@ fn build_cyclonedds() -> Result<PathBuf, String> {
     let rpath = format!("-Wl,--disable-new-dtags,-rpath,{}", lib.display());
     gcc.command.args(["-lpthread", &rpath]);
     gcc.finish()
+}
+
+/// Where the packages are unpacked, and their libraries among them.
+fn cyclonedds_root() -> Result<(PathBuf, PathBuf), String> {
+    let root = machine::target_dir().join("compare/cyclonedds-root");
+    if fs::read_to_string(root.join("complete")).ok() != Some(CYCLONEDDS.join("\n")) {
+        unpack(&root, &CYCLONEDDS).map_err(|error| format!("Debian's packages cannot be had: {error}"))?;
+    }
+    let lib = fs::read_dir(root.join("usr/lib")).map_err(|error| error.to_string())?;
+    let mut lib = lib.flatten().map(|entry| entry.path()).filter(|path| path.join("libddsc.so").exists());
+    let lib = lib.next().ok_or("the packages have no libddsc.so")?;
+    Ok((root, lib))
+}
+
+/// Chunks of iceoryx's daemon: their bytes, with some for headers, and their number.
+const CHUNKS: [(usize, usize); 6] = [
+    (1 << 10, 2000),
+    (8 << 10, 1000),
+    (64 << 10, 64),
+    (512 << 10, 32),
+    ((2 << 20) + (64 << 10), 32),
+    (9 << 20, 12),
+];
+
+/// A script that runs the daemon with room for these payloads, by the packages' libraries.
+fn write_roudi() -> Result<PathBuf, String> {
+    let (root, lib) = cyclonedds_root()?;
+    let folder = machine::target_dir().join("compare");
+    let (program, config) = (folder.join("roudi"), folder.join("roudi.toml"));
+    let mut text = "[general]\nversion = 1\n\n[[segment]]\n".to_owned();
+    for (size, count) in CHUNKS {
+        text += &format!("\n[[segment.mempool]]\nsize = {size}\ncount = {count}\n");
+    }
+    let script = format!(
+        "#!/bin/sh\nLD_LIBRARY_PATH='{}' exec '{}' --monitoring-mode off --config-file '{}'\n",
+        lib.display(),
+        root.join("usr/bin/iox-roudi").display(),
+        config.display()
+    );
+    fs::write(config, text).map_err(|error| error.to_string())?;
+    fs::write(&program, script).map_err(|error| error.to_string())?;
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).map_err(|error| error.to_string())?;
+    Ok(program)
+}
+
+/// The gateway of this workspace: a minute from cold, for it has a Zenoh.
+fn build_gateway() -> Result<PathBuf, String> {
+    match execute(&mut steps::cargo("build --release -p tautline-gateway --bins")) {
+        Outcome::Ok => Ok(machine::target_dir().join("release/taut-gateway")),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
+    }
 }
 
 /// Fetches packages and unpacks them to a folder.
@@ -145,21 +206,30 @@ fn build_r2r() -> Result<PathBuf, String> {
     let mut build = r2r::cargo("build --release --locked")?;
     build.arg("--manifest-path").arg(machine::root().join("benches/compare/r2r/Cargo.toml"));
     build.arg("--target-dir").arg(&target);
-    // The messages that it uses; all of them take minutes.
-    build.env("IDL_PACKAGE_FILTER", "std_msgs");
+    build.env("IDL_PACKAGE_FILTER", r2r::MESSAGES);
     match execute(&mut build) {
         Outcome::Ok => Ok(target.join("release/compare-r2r")),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
     }
 }
 
+/// Half a minute from cold: its iceoryx2 is not ours.
+fn build_taktora() -> Result<PathBuf, String> {
+    build_apart("taktora")
+}
+
 /// Minutes from cold: a Zenoh with shared memory, which the gateway's has not.
 fn build_zenoh() -> Result<PathBuf, String> {
-    let target = machine::target_dir().join("compare/zenoh-build");
+    build_apart("zenoh")
+}
+
+/// A program of a workspace of its own.
+fn build_apart(name: &str) -> Result<PathBuf, String> {
+    let target = machine::target_dir().join(format!("compare/{name}-build"));
     let mut build = steps::cargo("build --release --locked");
-    build.arg("--manifest-path").arg(machine::root().join("benches/compare/zenoh/Cargo.toml"));
+    build.arg("--manifest-path").arg(machine::root().join(format!("benches/compare/{name}/Cargo.toml")));
     match execute(build.arg("--target-dir").arg(&target)) {
-        Outcome::Ok => Ok(target.join("release/compare-zenoh")),
+        Outcome::Ok => Ok(target.join(format!("release/compare-{name}"))),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
     }
 }

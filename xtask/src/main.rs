@@ -13,6 +13,7 @@
 //! | `compare` | the comparison with other middleware: builds the rivals, and runs all |
 //! | `network` | the bench of the gateways: builds Zenoh's and hiroz's sides, and runs all |
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
+//! | `reference` | the Autoware reference system: builds r2r's side, if it can, and runs both |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
@@ -32,6 +33,7 @@ mod peers;
 mod programs;
 mod r2r;
 mod readme;
+mod reference;
 mod reports;
 mod ros;
 mod services;
@@ -165,6 +167,8 @@ enum Bench {
     Bridge(bridge::Options),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),
+    /// The Autoware reference system, 24 nodes in one process, on Tautline and, if there is a ROS 2, on r2r beside it
+    ReferenceSystem(reference::Options),
 }
 
 #[derive(Subcommand)]
@@ -210,6 +214,7 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Network(options)) => network::run(&options),
         Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
+        Verb::Bench(Bench::ReferenceSystem(options)) => reference::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),
         Verb::Miri => {
             let mut steps = Steps::new();

@@ -42,12 +42,8 @@ pub fn run(options: &Options) -> ExitCode {
 
 /// The command that measures. r2r's program is built before.
 pub fn command(options: &Options) -> Command {
-    let r2r = if options.no_r2r { Err("as --no-r2r says".to_owned()) } else { r2r::program("paper-r2r") };
     let mut command = steps::cargo("run --release -p tautline-benches --bin paper --");
-    match r2r {
-        Ok(program) => command.arg("--r2r").arg(program),
-        Err(reason) => command.arg(format!("--without-r2r={reason}")),
-    };
+    r2r::join(&mut command, "paper-r2r", options.no_r2r);
     if options.quick {
         command.arg("--quick");
     }

@@ -23,18 +23,39 @@ pub fn cargo(arguments: &str) -> Result<Command, String> {
     Ok(command)
 }
 
+/// The packages of messages that the benches' programs use; all there are take minutes. One list for all: r2r is built once.
+pub const MESSAGES: &str = "geometry_msgs;std_msgs;test_msgs";
+
+/// Where r2r's side of the benches is built.
+fn programs() -> PathBuf {
+    machine::target_dir().join("ros/paper-r2r")
+}
+
+/// Whether [`program`] has built this one before, so that it will not take long.
+pub fn is_built(name: &str) -> bool {
+    programs().join("release").join(name).exists()
+}
+
 /// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
 pub fn program(name: &str) -> Result<PathBuf, String> {
-    let target = machine::target_dir().join("ros/paper-r2r");
+    let target = programs();
     let mut build = cargo("build --release --locked")?;
     build.arg("--manifest-path").arg(machine::root().join("benches/paper-r2r/Cargo.toml"));
     build.arg("--target-dir").arg(&target);
-    // The messages that the programs use; all of them take minutes.
-    build.env("IDL_PACKAGE_FILTER", "std_msgs;test_msgs");
+    build.env("IDL_PACKAGE_FILTER", MESSAGES);
     match steps::execute(&mut build) {
         Outcome::Ok => Ok(target.join("release").join(name)),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
     }
+}
+
+/// Tells a bench where r2r's side of it is, built before, or why it is left out.
+pub fn join(bench: &mut Command, name: &str, is_left_out: bool) {
+    let built = if is_left_out { Err("as --no-r2r says".to_owned()) } else { program(name) };
+    match built {
+        Ok(program) => bench.arg("--r2r").arg(program),
+        Err(reason) => bench.arg(format!("--without-r2r={reason}")),
+    };
 }
 
 /// What the bridge's build script makes the rpath of.

@@ -16,6 +16,17 @@ enum Kind {
 }
 use Kind::{Bool, Count, List, Number, Text};
 
+const BRIDGE_CPU: &[(&str, Kind)] = &[
+    ("bridge", Number),
+    ("direct", Number),
+    ("bridged", Number),
+    ("publisher", Number),
+    ("machine", Number),
+];
+
+const BRIDGE_SUBSCRIBER: &[(&str, Kind)] =
+    &[("messages", Count), ("disordered", Count), ("p50_us", Number), ("p99_us", Number)];
+
 const DEMO: &[(&str, Kind)] = &[
     ("realtime", Bool),
     ("core", Count),
@@ -109,6 +120,42 @@ const PAPER_ROW: &[(&str, Kind)] = &[
     ("steal_ticks", Count),
 ];
 
+/// Of a run of the reference system.
+const REFERENCE: &[(&str, Kind)] = &[
+    ("system", Text),
+    ("mode", Text),
+    ("realtime", Bool),
+    ("seconds", Number),
+    ("cruncher_limit", Count),
+    ("crunch_ms", Number),
+    ("cpu_percent", Number),
+    ("rss_mib", Number),
+    ("dropped_in_transforms", Count),
+    ("dropped", Count),
+    ("front_lidar_samples", Count),
+    ("front_lidar_without_estimate", Count),
+    ("hot_path_average_ms", Number),
+    ("hot_path_p99_ms", Number),
+    ("hot_path_worst_ms", Number),
+    ("hot_path_ms", List),
+    ("both_lidars_average_ms", Number),
+    ("both_lidars_worst_ms", Number),
+    ("planner_runs", Count),
+    ("planner_jitter_average_ms", Number),
+    ("planner_jitter_worst_ms", Number),
+    ("planner_drift_ms", Number),
+    ("steal_ticks", Count),
+    ("callbacks", List),
+];
+
+/// How the comparison runs the nodes: each middleware with each way to execute callbacks.
+const REFERENCE_MODES: [(&str, &str); 4] = [
+    ("tautline", "system.toml"),
+    ("tautline", "flat.toml"),
+    ("r2r", "one LocalPool"),
+    ("r2r", "a thread each"),
+];
+
 /// The demo's report: five topics, each with messages; in real time if `realtime`.
 pub fn check_demo(path: &Path, realtime: bool) -> Outcome {
     judge(path, |report| {
@@ -175,6 +222,31 @@ pub fn check_network(path: &Path) -> Outcome {
     })
 }
 
+/// The bridge's ways: all that was published came through each of them, once and in order, and what it cost is beside r2r's.
+pub fn check_bridge(path: &Path, expected: u64) -> Outcome {
+    judge(path, |report| {
+        let ways = report.as_array().ok_or("it is not a list")?;
+        let names: Vec<&Value> = ways.iter().map(|way| &way["direction"]).collect();
+        if names != ["from_ros", "to_ros"] {
+            return Err(format!("its ways are {names:?}"));
+        }
+        ways.iter().try_for_each(|way| {
+            check_fields(&way["cpu"], "cpu", BRIDGE_CPU)?;
+            for subscriber in ["direct", "bridged"] {
+                check_fields(&way[subscriber], subscriber, BRIDGE_SUBSCRIBER)?;
+            }
+            let (all, got) = (&way["expected"], &way["bridged"]);
+            if *all != expected || got["messages"] != *all || got["disordered"] != 0 {
+                return Err(format!(
+                    "{}: {expected} were expected in order, not {got} of {all}",
+                    way["direction"]
+                ));
+            }
+            Ok(())
+        })
+    })
+}
+
 /// The comparison's rows: exactly the promised fields; each system is there or says why not; Tautline takes part in every
 /// experiment that a rival has, and loses nothing where messages come one by one.
 pub fn check_compare(path: &Path, systems: &[&str]) -> Outcome {
@@ -207,15 +279,20 @@ pub fn check_compare(path: &Path, systems: &[&str]) -> Outcome {
 
 fn check_compare_row(row: &Value) -> Result<(), String> {
     check_fields(row, "a row", COMPARE_ROW)?;
-    let fields = row.as_object().map_or(0, serde_json::Map::len);
-    if fields != COMPARE_ROW.len() + COMPARE_NUMBERS.len() {
-        return Err(format!("a row with {fields} fields: {row}"));
+    // What the ratios are judged by comes on top.
+    let known = |name: &str| {
+        COMPARE_ROW.iter().any(|(field, ..)| *field == name)
+            || COMPARE_NUMBERS.contains(&name)
+            || ["rounds", "unfit"].contains(&name)
+    };
+    if let Some(name) = row.as_object().and_then(|row| row.keys().find(|name| !known(name))) {
+        return Err(format!("a row with a field '{name}': {row}"));
     }
     let is_measured = row["n"] != 0;
     for name in COMPARE_NUMBERS {
         let number = row.get(name).ok_or_else(|| format!("a row has no field '{name}': {row}"))?;
-        // A start has no cost per message.
-        let may_lack = !is_measured || name == "cpu_us_per_msg" || name == "rss_mib";
+        // A start has no cost per message, and few times have no high quantiles.
+        let may_lack = !is_measured || !["p50_us", "max_us"].contains(&name);
         if !(number.is_number() || may_lack && number.is_null()) {
             return Err(format!("'{name}' is no number: {row}"));
         }
@@ -259,6 +336,57 @@ pub fn check_paper(path: &Path, realtime: bool) -> Outcome {
         }
         Ok(())
     })
+}
+
+/// The reference system's report: every callback of it ran and the hot path was measured; in real time it has bounds.
+pub fn check_reference(path: &Path, realtime: bool) -> Outcome {
+    judge(path, |report| {
+        check_reference_run(report)?;
+        if report["realtime"] != realtime {
+            return Err(format!("realtime is {}", report["realtime"]));
+        }
+        // Without, or if the machine is slower than the system file says, there is nothing to compare with.
+        for bound in ["hot_path_bound_ms", "planner_jitter_bound_ms"] {
+            let field = report.get(bound).ok_or_else(|| format!("the report has no field '{bound}'"))?;
+            if !(field.is_number() && realtime || field.is_null()) {
+                return Err(format!("'{bound}' is {field}"));
+            }
+        }
+        Ok(())
+    })
+}
+
+/// The reference system's comparison: each system's nodes ran.
+pub fn check_reference_beside(path: &Path) -> Outcome {
+    judge(path, |report| {
+        let systems = report["systems"].as_array().ok_or("it has no list of systems")?;
+        systems.iter().try_for_each(check_reference_run)?;
+        for (system, mode) in REFERENCE_MODES {
+            if !systems.iter().any(|it| it["system"] == system && it["mode"] == mode) {
+                return Err(format!("nothing was measured of {system} ({mode})"));
+            }
+        }
+        Ok(())
+    })
+}
+
+fn check_reference_run(report: &Value) -> Result<(), String> {
+    check_fields(report, "the report", REFERENCE)?;
+    let callbacks = report["callbacks"].as_array().map_or(&[][..], Vec::as_slice);
+    if callbacks.len() != 25 {
+        return Err(format!("{} callbacks instead of 25", callbacks.len()));
+    }
+    if let Some(callback) = callbacks.iter().find(|callback| callback["runs"] == 0) {
+        return Err(format!("a callback never ran: {callback}"));
+    }
+    let estimates = report["hot_path_ms"].as_array().map_or(0, Vec::len) as u64;
+    let (samples, without) = (&report["front_lidar_samples"], &report["front_lidar_without_estimate"]);
+    match samples.as_u64().zip(without.as_u64()) {
+        Some((samples, without)) if estimates > 0 && samples == without + estimates => Ok(()),
+        _ => Err(format!(
+            "{samples} samples of the front lidar, {without} of them lost, make no {estimates} estimates"
+        )),
+    }
 }
 
 fn judge(path: &Path, check: impl FnOnce(&Value) -> Result<(), String>) -> Outcome {
@@ -326,6 +454,23 @@ mod tests {
     }
 
     #[test]
+    fn a_bridge_that_loses_or_repeats_is_refused() {
+        let judged = |messages: u64, disordered: u64| {
+            let subscriber =
+                json!({"messages": messages, "disordered": disordered, "p50_us": 1.0, "p99_us": 2.0});
+            let cpu = json!({"bridge": 1.0, "direct": 1.0, "bridged": 1.0, "publisher": 1.0, "machine": 2.0});
+            let way = |name| json!({"direction": name, "expected": 9, "direct": subscriber, "bridged": subscriber, "cpu": cpu});
+            let file = std::env::temp_dir().join(format!("taut_bridge_report_{}.json", std::process::id()));
+            std::fs::write(&file, json!([way("from_ros"), way("to_ros")]).to_string()).unwrap();
+            let outcome = check_bridge(&file, 9);
+            std::fs::remove_file(file).unwrap();
+            matches!(outcome, Outcome::Ok)
+        };
+        assert!(judged(9, 0));
+        assert!(!judged(8, 0) && !judged(9, 1) && !judged(10, 0));
+    }
+
+    #[test]
     fn an_evaluation_that_cannot_fail_is_refused() {
         assert_eq!(paper_report(|_| {}), Ok(()));
         assert!(paper_report(|row| row["misses"] = json!(0)).unwrap_err().contains("no deadline was missed"));
@@ -333,6 +478,53 @@ mod tests {
         assert!(paper_report(|row| row["variant"] = json!("futures")).unwrap_err().contains("instead of 5"));
         let nameless = paper_report(|row| drop(row.as_object_mut().unwrap().remove("rta_ms")));
         assert!(nameless.unwrap_err().ends_with("has no field 'rta_ms'"));
+    }
+
+    #[test]
+    fn a_reference_system_with_a_silent_node_is_refused() {
+        let callbacks = vec![json!({"name": "n", "runs": 3, "dropped": 0}); 25];
+        let report = json!({
+            "system": "tautline", "mode": "system.toml", "realtime": true, "seconds": 1.0, "cruncher_limit": 4096, "crunch_ms": 1.6,
+            "cpu_percent": 30.0, "rss_mib": 9.0, "dropped_in_transforms": 0, "dropped": 0, "front_lidar_samples": 3,
+            "front_lidar_without_estimate": 1, "hot_path_average_ms": 9.0, "hot_path_p99_ms": 9.0, "hot_path_worst_ms": 9.0,
+            "hot_path_ms": [9.0, 9.0], "both_lidars_average_ms": 10.0, "both_lidars_worst_ms": 10.0, "planner_runs": 3, "planner_jitter_average_ms": 0.1, "planner_jitter_worst_ms": 0.1,
+            "planner_drift_ms": 0.0, "steal_ticks": 0, "callbacks": callbacks, "hot_path_bound_ms": 60.0,
+            "planner_jitter_bound_ms": null,
+        });
+        let file = std::env::temp_dir().join(format!("taut_reference_report_{}.json", std::process::id()));
+        let judged = |change: &dyn Fn(&mut Value)| {
+            let mut changed = report.clone();
+            change(&mut changed);
+            std::fs::write(&file, changed.to_string()).unwrap();
+            let outcome = check_reference(&file, true);
+            std::fs::remove_file(&file).unwrap();
+            match outcome {
+                Outcome::Ok => String::new(),
+                Outcome::Failed(reason) | Outcome::Skipped(reason) => reason,
+            }
+        };
+        assert_eq!(judged(&|_| {}), "");
+        assert!(judged(&|it| it["callbacks"][7]["runs"] = json!(0)).contains("a callback never ran"));
+        assert!(judged(&|it| drop(it["callbacks"].as_array_mut().unwrap().pop())).contains("24 callbacks"));
+        assert!(judged(&|it| it["front_lidar_samples"] = json!(4)).contains("make no 2 estimates"));
+        assert!(judged(&|it| it["realtime"] = json!(false)).contains("realtime is false"));
+        assert!(
+            judged(&|it| drop(it.as_object_mut().unwrap().remove("hot_path_bound_ms"))).contains("no field")
+        );
+        let beside = |modes: &[(&str, &str)]| {
+            let of = |&(system, mode): &(&str, &str)| {
+                let mut run = report.clone();
+                (run["system"], run["mode"]) = (json!(system), json!(mode));
+                run
+            };
+            let runs: Vec<_> = modes.iter().map(of).collect();
+            std::fs::write(&file, json!({"systems": runs}).to_string()).unwrap();
+            let outcome = check_reference_beside(&file);
+            std::fs::remove_file(&file).unwrap();
+            matches!(outcome, Outcome::Ok)
+        };
+        assert!(beside(&REFERENCE_MODES));
+        assert!(!beside(&REFERENCE_MODES[1..]));
     }
 
     #[test]
@@ -394,8 +586,9 @@ mod tests {
         };
         assert!(changed("payload_bytes", json!(65)).contains("tautline has no row beside"));
         assert!(changed("lost", json!(1)).contains("lost messages"));
-        assert!(changed("p99_us", Value::Null).contains("'p99_us' is no number"));
-        assert!(changed("idle", json!("poll")).contains("14 fields"));
+        assert!(changed("p50_us", Value::Null).contains("'p50_us' is no number"));
+        assert!(changed("p99_us", json!("much")).contains("'p99_us' is no number"));
+        assert!(changed("idle", json!("poll")).contains("a field 'idle'"));
     }
 
     #[test]

@@ -33,12 +33,8 @@ pub fn run(options: &Options) -> ExitCode {
 
 /// The command that measures. r2r's program is built before.
 pub fn command(options: &Options) -> Command {
-    let r2r = if options.no_r2r { Err("as --no-r2r says".to_owned()) } else { r2r::program("services-r2r") };
     let mut command = bench("services", options.quick, options.json.as_deref());
-    match r2r {
-        Ok(program) => command.arg("--r2r").arg(program),
-        Err(reason) => command.arg(format!("--without-r2r={reason}")),
-    };
+    r2r::join(&mut command, "services-r2r", options.no_r2r);
     command.args(&options.arguments);
     command
 }

@@ -3,12 +3,13 @@
 
 use crate::machine::{self, Domain};
 use crate::reports::{
-    check_ablation, check_compare, check_demo, check_messages, check_network, check_paper, check_wake,
+    check_ablation, check_compare, check_demo, check_messages, check_network, check_paper, check_reference,
+    check_reference_beside, check_wake,
 };
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
-    bench, bridge, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, programs, ros,
-    services as round_trips, stress_doorbell,
+    bench, bridge, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, programs, r2r,
+    reference, ros, services as round_trips, stress_doorbell,
 };
 use std::process::{Command, ExitCode};
 
@@ -25,10 +26,11 @@ pub fn run(quick: bool) -> ExitCode {
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
-    let binaries = "build --release -p taut -p tautline-examples -p own-messages -p tautline-benches -p tautline-compare --bins --examples";
+    let binaries = "build --release -p taut -p tautline-examples -p own-messages -p reference-system -p tautline-benches -p tautline-compare --bins --examples";
     let built = steps.command("build", &mut cargo(binaries));
     demo(&mut steps);
     examples::run(&mut steps, built, false);
+    reference_system(&mut steps, built);
     two_hosts(&mut steps, built);
     systemd(&mut steps);
     if quick {
@@ -39,7 +41,8 @@ pub fn run(quick: bool) -> ExitCode {
         programs::test(&mut steps);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 12] = [
+    let slow: [(&str, Step); 13] = [
+        ("bench: bridge", bridge::bench_of_tests),
         ("stress: doorbell", stress),
         ("bench: trace", trace),
         ("bench: parameters", parameters),
@@ -67,7 +70,7 @@ pub fn run(quick: bool) -> ExitCode {
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
     // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
-    let sources = ["src/main.rs", "src/bin/services-r2r.rs"];
+    let sources = ["src/main.rs", "src/bin/reference-r2r.rs", "src/bin/services-r2r.rs"];
     for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
         let r2r = machine::root().join(folder);
         let mut format = Command::new("rustfmt");
@@ -79,6 +82,7 @@ fn lints(steps: &mut Steps) {
     }
     for (name, folder) in [
         ("network-hiroz", "benches/network-hiroz"),
+        ("compare-taktora", "benches/compare/taktora"),
         ("compare-zenoh", "benches/compare/zenoh"),
         ("r2r-programs", "node/r2r"),
     ] {
@@ -144,6 +148,45 @@ fn demo(steps: &mut Steps) {
     } else {
         steps.skip("demo: sampler below the callbacks", "real-time priorities are not permitted");
     }
+}
+
+/// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
+/// r2r where that has been built before, which otherwise takes a minute.
+fn reference_system(steps: &mut Steps, built: bool) {
+    let name = "reference system";
+    if !built {
+        return steps.skip(name, "not built");
+    }
+    let target = machine::target_dir();
+    let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
+    let realtime = machine::is_ci() || machine::realtime_permitted();
+    let domain = Domain::unused();
+    let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
+        let _ = std::fs::remove_file(&json);
+        let mut command = Command::new(target.join("release/reference_system"));
+        command.args(arguments).arg("--json").arg(&json);
+        if !realtime {
+            command.arg("--no-rt");
+        }
+        match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+            Outcome::Ok => check(),
+            other => other,
+        }
+    };
+    let svg = svg.display().to_string();
+    steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &|| check_reference(&json, realtime)));
+    let name = "reference system: beside r2r";
+    if !r2r::is_built(reference::PROGRAM) {
+        return steps.skip(name, "not built before: `cargo xtask bench reference-system` does it");
+    }
+    steps.step(name, || {
+        let program = match r2r::program(reference::PROGRAM) {
+            Ok(program) => program.display().to_string(),
+            Err(reason) => return Outcome::Failed(reason),
+        };
+        let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
+        run(&arguments, &|| check_reference_beside(&json))
+    });
 }
 
 /// Nodes with a gateway on each side, as `tests` built it: a release build of Zenoh takes minutes.
