@@ -350,17 +350,17 @@ impl Control {
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
-        // What the port keeps for late joiners is not to be lost without need.
-        let before = self.inward.get(key).filter(|taken| taken.inward.type_hash == inward.type_hash);
-        let same = before
-            .and_then(|taken| Some((taken.port?, taken.inward.qos)))
-            .filter(|(port, _)| port.is_as_good(inward.offered));
-        if same.is_some_and(|(_, qos)| qos == inward.qos) {
+        // The type is the one that ROS has installed, whatever the topic stated before and states now.
+        let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
+        let before = self.inward.get(key);
+        // What the port keeps for late joiners is not to be lost without need; nor what a subscription gets that ROS knows.
+        let same = before.and_then(|taken| taken.port).filter(|port| port.is_as_good(inward.offered));
+        let has_none = before.is_some_and(|taken| taken.port.is_none());
+        if before.is_some_and(|taken| taken.inward.qos == inward.qos) && (same.is_some() || has_none) {
             return self.change_in(key, inward);
         }
-        let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
         let (port, offer) = match same {
-            Some((offer, _)) => (Port::Same, Some(offer)),
+            Some(offer) => (Port::Same, Some(offer)),
             None => match self.port(&key.topic, &found, inward)? {
                 Some((port, offer)) => (Port::New(Box::new(port)), Some(offer)),
                 None => (Port::None, None),

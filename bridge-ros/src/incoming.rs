@@ -28,6 +28,11 @@ const TURN: usize = 64;
 const EARLY_MESSAGES: usize = 1000;
 const EARLY_BYTES: usize = 64 << 20;
 const EARLY_TIME: Duration = NAME_TIME.saturating_add(Duration::from_secs(3));
+/// How often it is looked whether something has waited long enough.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// How long a subscription is kept beside the one that replaces it: publishers have found that by then, which they tell nobody.
+const RENEWAL_TIME: Duration = Duration::from_secs(3);
 
 /// A topic and class that come in.
 pub(crate) struct Inlet {
@@ -172,6 +177,9 @@ struct Loop {
 
 struct Route {
     inlet: Box<Inlet>,
+    /// Subscriptions before this one, the oldest first, and until when they are taken from: who keeps nothing for late joiners
+    /// does not send to the new one before they have found each other.
+    previous: Vec<(RosSubscription, Instant)>,
     numbers: Numbers,
     early: Vec<Early>,
     early_bytes: usize,
@@ -193,17 +201,18 @@ impl Loop {
                 self.obey(command);
             }
             let is_busy = self.routes.iter().any(|(_, route)| route.has_more);
-            let is_early = self.routes.iter().any(|(_, route)| !route.early.is_empty());
-            let timeout = match (is_busy, is_early) {
+            let is_waiting =
+                self.routes.iter().any(|(_, route)| !route.early.is_empty() || !route.previous.is_empty());
+            let timeout = match (is_busy, is_waiting) {
                 (true, _) => Some(Duration::ZERO),
-                (_, true) => Some(EARLY_TIME / 4),
+                (_, true) => Some(LOOK),
                 _ => None,
             };
-            let subscriptions =
-                self.routes.iter().map(|(_, route)| Waitable::Subscription(&route.inlet.subscription));
-            let all: Vec<_> = subscriptions.chain([Waitable::Guard(&self.guard)]).collect();
-            let ready = match self.wait_set.wait(&all, timeout) {
-                Ok(ready) => ready,
+            let subscriptions = self.routes.iter().flat_map(|(_, route)| route.subscriptions());
+            let all: Vec<_> =
+                subscriptions.map(Waitable::Subscription).chain([Waitable::Guard(&self.guard)]).collect();
+            let mut ready = match self.wait_set.wait(&all, timeout) {
+                Ok(ready) => ready.iter(),
                 Err(error) => {
                     // What was said once is enough; a thread of this priority must not spin.
                     tracing::error!("nothing comes from ROS: {error}");
@@ -211,8 +220,10 @@ impl Loop {
                     continue;
                 }
             };
-            for ((_, route), is_ready) in self.routes.iter_mut().zip(ready) {
-                if *is_ready || route.has_more {
+            for (_, route) in &mut self.routes {
+                let is_ready =
+                    ready.by_ref().take(route.subscriptions().count()).fold(false, |any, one| any | one);
+                if is_ready || route.has_more {
                     route.serve(&mut self.buffer);
                 }
                 route.look();
@@ -263,11 +274,23 @@ impl Loop {
 
 impl Route {
     fn new(inlet: Box<Inlet>) -> Self {
-        Route { inlet, numbers: Numbers::default(), early: Vec::new(), early_bytes: 0, has_more: true }
+        Route {
+            inlet,
+            previous: Vec::new(),
+            numbers: Numbers::default(),
+            early: Vec::new(),
+            early_bytes: 0,
+            has_more: true,
+        }
     }
 
-    /// Goes on where the other ended: both may have got the same. But what a new port is to keep for late joiners must come
-    /// through it, so who listens already gets it once more.
+    /// In the order in which they are taken from.
+    fn subscriptions(&self) -> impl Iterator<Item = &RosSubscription> {
+        self.previous.iter().map(|(subscription, _)| subscription).chain([&self.inlet.subscription])
+    }
+
+    /// Goes on where the other ended: both may get the same, which its numbers tell. But what a new port is to keep for late
+    /// joiners must come through it, so who listens already gets it once more.
     fn take_over(&mut self, old: Route, is_kept: bool) {
         let is_same_port = matches!(self.inlet.port, Port::Same);
         if is_same_port {
@@ -276,14 +299,17 @@ impl Route {
         if is_same_port || !is_kept {
             self.numbers = old.numbers;
         }
+        if !is_kept {
+            self.previous = old.previous;
+            self.previous.push((old.inlet.subscription, Instant::now() + RENEWAL_TIME));
+        }
         self.early = old.early;
     }
 
     /// Takes and passes on what is there, at most a turn of it.
     fn serve(&mut self, buffer: &mut SerializedMessage) {
-        self.has_more = true;
         for _ in 0..TURN {
-            match self.inlet.subscription.take(buffer) {
+            match self.take(buffer) {
                 Ok(Some(info)) => self.receive(buffer.bytes(), info),
                 Ok(None) => return self.has_more = false,
                 Err(error) => {
@@ -292,10 +318,22 @@ impl Route {
                 }
             }
         }
+        self.has_more = true;
+    }
+
+    /// From previous subscriptions first: what the new one has follows on it.
+    fn take(&mut self, buffer: &mut SerializedMessage) -> Result<Option<RosMessageInfo>, RclError> {
+        for (previous, _) in &mut self.previous {
+            if let Some(info) = previous.take(buffer)? {
+                return Ok(Some(info));
+            }
+        }
+        self.inlet.subscription.take(buffer)
     }
 
     fn receive(&mut self, bytes: &[u8], info: RosMessageInfo) {
         match self.inlet.senders.find(&info.gid) {
+            _ if info.is_own => {}
             Sender::Wanted => self.pass(bytes, info),
             Sender::Other => {}
             Sender::Unknown => self.keep_early(bytes, info),
@@ -338,7 +376,12 @@ impl Route {
         self.numbers.forget(|gid| !wanted.contains(gid));
     }
 
+    /// What has waited long enough goes.
     fn look(&mut self) {
+        // Not before it was empty.
+        if !self.has_more {
+            self.previous.retain(|(_, until)| Instant::now() < *until);
+        }
         if self.early.first().is_some_and(|early| early.since.elapsed() >= EARLY_TIME) {
             let (counters, bytes) = (&self.inlet.counters, &mut self.early_bytes);
             self.early.retain(|early| {

@@ -4,10 +4,10 @@
 mod support;
 
 use serde_json::json;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use support::{
-    BridgeProcess, Peer, STRING, check_recovery, matched, publisher, ros, subscription, take, take_texts,
-    text_body,
+    BridgeProcess, Peer, STRING, matched, publisher, recovers, ros, subscription, take, take_texts,
+    text_body, wait_until,
 };
 use tautline_transport::{Participant, Qos};
 
@@ -15,7 +15,7 @@ use tautline_transport::{Participant, Qos};
 fn a_killed_bridge_and_a_killed_node_are_replaced() {
     let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 1;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let mut bridge = Some(BridgeProcess::start(DOMAIN, DOMAIN, &[]));
     let participant = Participant::new(DOMAIN).unwrap();
     let mut peer = Peer::start(&venv, DOMAIN, "survivor");
     let here = publisher(&participant, "/to_ros", STRING, Qos::default());
@@ -26,42 +26,43 @@ fn a_killed_bridge_and_a_killed_node_are_replaced() {
     here.publish(&text_body("before")).unwrap();
     assert_eq!(peer.take_texts(there, 1), ["before"]);
 
-    bridge.kill();
-    let since = Instant::now();
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    // Published until it is heard: nobody knows yet that the one before has gone.
-    let end = since + support::PATIENCE;
-    let mut heard = Vec::new();
-    while heard.is_empty() {
-        assert!(Instant::now() < end, "nothing is heard of the new bridge");
-        here.publish(&text_body("after")).unwrap();
-        heard = peer.take_texts(there, 0);
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    assert!(heard.iter().all(|text| text == "after"), "{heard:?}");
-    while from_ros.try_take().unwrap().is_none() {
-        assert!(Instant::now() < end, "nothing is heard through the new bridge");
-        peer.publish_text(theirs, &["after"]);
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    check_recovery("a bridge that was killed and restarted", since);
+    recovers("a bridge that was killed and restarted", || {
+        if let Some(bridge) = bridge.take() {
+            bridge.kill();
+        }
+        bridge = Some(BridgeProcess::start(DOMAIN, DOMAIN, &[]));
+        // Published until it is heard: nobody knows yet that the one before has gone.
+        let mut heard = Vec::new();
+        wait_until("something to be heard of the new bridge", || {
+            here.publish(&text_body("after")).unwrap();
+            heard = peer.take_texts(there, 0);
+            !heard.is_empty()
+        });
+        assert!(heard.iter().all(|text| text == "after"), "{heard:?}");
+        wait_until("something to be heard through the new bridge", || {
+            peer.publish_text(theirs, &["after"]);
+            from_ros.try_take().unwrap().is_some()
+        });
+    });
 
-    peer.kill();
-    let since = Instant::now();
-    let mut peer = Peer::start(&venv, DOMAIN, "survivor");
-    let there = peer.subscription("/to_ros", STRING, json!({}));
-    let theirs = peer.publisher("/from_ros", STRING, json!({}));
-    peer.matched(theirs, 1);
-    peer.publish_text(theirs, &["again"]);
-    let mut last = String::new();
-    while last != "again" {
-        last = take_texts(&from_ros, 1).pop().unwrap();
-    }
-    peer.matched(there, 1);
-    here.publish(&text_body("again")).unwrap();
-    assert_eq!(peer.take_texts(there, 1).last().map(String::as_str), Some("again"));
-    check_recovery("a node that was killed and restarted", since);
-    drop(bridge);
+    let mut peer = Some(peer);
+    recovers("a node that was killed and restarted", || {
+        if let Some(peer) = peer.take() {
+            peer.kill();
+        }
+        let peer = peer.insert(Peer::start(&venv, DOMAIN, "survivor"));
+        let there = peer.subscription("/to_ros", STRING, json!({}));
+        let theirs = peer.publisher("/from_ros", STRING, json!({}));
+        peer.matched(theirs, 1);
+        peer.publish_text(theirs, &["again"]);
+        let mut last = String::new();
+        while last != "again" {
+            last = take_texts(&from_ros, 1).pop().unwrap();
+        }
+        peer.matched(there, 1);
+        here.publish(&text_body("again")).unwrap();
+        assert_eq!(peer.take_texts(there, 1).last().map(String::as_str), Some("again"));
+    });
 }
 
 #[test]

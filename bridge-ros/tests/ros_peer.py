@@ -83,9 +83,12 @@ class Peer:
 
     def matched(self, end, count=1):
         """Waits until the end has found so many others."""
+        return self.wait(lambda: self.others(end) == count)
+
+    def others(self, end):
+        """How many others the end has found."""
         one = self.ends[end]
-        found = one.get_publisher_count if end in self.received else one.get_subscription_count
-        return self.wait(lambda: found() == count)
+        return one.get_publisher_count() if end in self.received else one.get_subscription_count()
 
     def wait(self, is_so):
         with self.changed:

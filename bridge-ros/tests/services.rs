@@ -8,9 +8,9 @@ use futures::{FutureExt, StreamExt};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use support::node::Spinning;
-use support::{BridgeProcess, PATIENCE, Peer, check_recovery, ros, wait_until};
+use support::{BridgeProcess, Peer, recovers, ros, wait_until};
 use tautline::std_srvs::srv::SetBool;
 use tautline::test_msgs::srv::BasicTypes;
 use tautline::{CallbackOptions, Client, Node, QosProfile, ServiceError};
@@ -271,7 +271,7 @@ fn what_cannot_be_passed_on_ends_alone() {
 fn a_bridge_that_dies_ends_what_it_was_asked_and_the_next_one_goes_on() {
     let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 18;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let mut bridge = Some(BridgeProcess::start(DOMAIN, DOMAIN, &[]));
     let mut here = Spinning::new(DOMAIN, "here");
     let _served = serve_set_bool(&mut here.node, "/here");
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
@@ -284,25 +284,24 @@ fn a_bridge_that_dies_ends_what_it_was_asked_and_the_next_one_goes_on() {
     let asking = peer.tell(json!({ "do": "client", "name": "/here", "type": SET_BOOL }));
     peer.tell(json!({ "do": "call", "end": asking, "requests": [{ "data": false }] }));
 
-    let pending = silent.request(&SetBool::Request { data: true }).unwrap();
-    bridge.kill();
-    let since = Instant::now();
-    assert!(here.wait("an error", pending).is_err());
-    let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    available(&mut here, &set);
-    let answer = set.request(&SetBool::Request { data: false }).unwrap();
-    assert_eq!(here.wait("an answer", answer).unwrap().message, "off");
-    // What rclpy still knows of the bridge before does not answer; the one that answers is asked again.
-    let end = since + PATIENCE;
-    loop {
-        peer.tell(json!({ "do": "ask", "end": asking, "request": { "data": true } }));
-        std::thread::sleep(Duration::from_millis(200));
-        if peer.tell(json!({ "do": "answered" })) == true {
-            break;
+    recovers("services of a bridge that was killed and restarted", || {
+        let pending = silent.request(&SetBool::Request { data: true }).unwrap();
+        if let Some(bridge) = bridge.take() {
+            bridge.kill();
         }
-        assert!(Instant::now() < end, "the next bridge does not answer");
-    }
-    check_recovery("services of a bridge that was killed and restarted", since);
+        assert!(here.wait("an error", pending).is_err());
+        bridge = Some(BridgeProcess::start(DOMAIN, DOMAIN, &[]));
+        available(&mut here, &set);
+        let answer = set.request(&SetBool::Request { data: false }).unwrap();
+        assert_eq!(here.wait("an answer", answer).unwrap().message, "off");
+        // What rclpy still knows of the bridge before does not answer; the one that answers is asked again.
+        wait_until("the next bridge to answer", || {
+            peer.tell(json!({ "do": "ask", "end": asking, "request": { "data": true } }));
+            std::thread::sleep(Duration::from_millis(200));
+            peer.tell(json!({ "do": "answered" })) == true
+        });
+        available(&mut here, &silent);
+    });
 }
 
 #[test]

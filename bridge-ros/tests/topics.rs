@@ -4,10 +4,12 @@
 mod support;
 
 use serde_json::json;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 use support::{
     BridgeProcess, Peer, STRING, matched, publisher, ros, subscription, take_texts, text_body, wait_until,
 };
-use tautline_transport::{Participant, Qos};
+use tautline_transport::{Limits, Participant, Qos, TopicType};
 
 #[test]
 fn texts_go_both_ways_and_topics_come_and_go() {
@@ -39,4 +41,91 @@ fn texts_go_both_ways_and_topics_come_and_go() {
     assert!(all.iter().all(|topic| topic["dropped"] == json!({}) && topic["lost"] == 0), "{all:?}");
     wait_until("both are counted", || bridge.topic("/to_ros", "to_ros")["messages"] == 3);
     wait_until("it has ended", || bridge.topic("/from_ros", "from_ros")["active"] == false);
+}
+
+#[test]
+fn nothing_is_lost_while_a_deeper_subscription_joins() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 32;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "counting");
+    let limits = Limits { depth: 3000, ..Limits::default() };
+    let subscribe = |depth| {
+        let string = TopicType::new(STRING.to_owned());
+        participant.create_raw_subscription("/numbers", &string, Qos::keep_last(depth), limits).unwrap()
+    };
+    let first = subscribe(1000);
+    let there = peer.publisher("/numbers", STRING, json!({ "depth": 1000 }));
+    peer.matched(there, 1);
+
+    // The bridge's subscription in ROS is to be deeper, so there is another for a while.
+    let deeper = subscribe(limits.depth);
+    let (mut sent, mut ends) = (0, vec![1]);
+    wait_until("the deeper subscription has replaced the first", || {
+        let texts: Vec<_> = (sent..sent + 10).map(|number| number.to_string()).collect();
+        peer.publish_text(there, &texts);
+        assert_eq!(take_texts(&first, texts.len()), texts);
+        sent += texts.len();
+        let count = peer.tell(json!({ "do": "others", "end": there })).as_u64().unwrap();
+        if ends.last() != Some(&count) {
+            ends.push(count);
+        }
+        ends.starts_with(&[1, 2, 1])
+    });
+    drop(deeper);
+    wait_until("all are counted", || bridge.topic("/numbers", "from_ros")["messages"] == sent);
+    let numbers = bridge.topic("/numbers", "from_ros");
+    assert_eq!((&numbers["lost"], &numbers["dropped"]), (&json!(0), &json!({})));
+}
+
+#[test]
+fn nothing_is_lost_on_a_topic_that_both_sides_publish() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 33;
+    const FROM_ROS: usize = 1000;
+    const MOST_FROM_HERE: usize = 2000;
+    const DEPTH: usize = FROM_ROS + MOST_FROM_HERE;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let mut peer = Peer::start(&venv, DOMAIN, "both");
+    let here = publisher(&participant, "/both", STRING, Qos::keep_last(DEPTH));
+    let heard_here = subscription(&participant, "/both", STRING, Qos::keep_last(DEPTH));
+    let there = peer.publisher("/both", STRING, json!({ "depth": DEPTH }));
+    let heard_there = peer.subscription("/both", STRING, json!({ "depth": DEPTH }));
+    matched(&here, 2);
+    peer.matched(there, 2);
+    peer.matched(heard_there, 2);
+
+    // Those from ROS come to the bridge between its own, which it passes over.
+    let texts = |from: &str, count| (0..count).map(|number| format!("{from} {number}")).collect::<Vec<_>>();
+    let from_ros = texts("ros", FROM_ROS);
+    let is_over = AtomicBool::new(false);
+    let (here, from_here) = std::thread::scope(|scope| {
+        let publishing = scope.spawn(|| {
+            let here = here;
+            let mut sent = texts("here", MOST_FROM_HERE);
+            let is_last = |text: &String| {
+                here.publish(&text_body(text)).unwrap();
+                std::thread::sleep(Duration::from_micros(20));
+                is_over.load(Ordering::Acquire)
+            };
+            let count = sent.iter().position(is_last).map_or(sent.len(), |last| last + 1);
+            sent.truncate(count);
+            // What has not been taken yet goes with the publisher.
+            (here, sent)
+        });
+        peer.publish_text(there, &from_ros);
+        is_over.store(true, Ordering::Release);
+        publishing.join().unwrap()
+    });
+    let of = |from: &str, all: Vec<String>| -> Vec<String> {
+        all.into_iter().filter(|text| text.starts_with(from)).collect()
+    };
+    let count = from_here.len() + FROM_ROS;
+    assert_eq!(of("ros", take_texts(&heard_here, count)), from_ros);
+    assert_eq!(of("here", peer.take_texts(heard_there, count)), from_here);
+    drop(here);
+    wait_until("all are counted", || bridge.topic("/both", "from_ros")["messages"] == FROM_ROS);
+    assert_eq!(bridge.topic("/both", "from_ros")["lost"], 0);
 }

@@ -151,13 +151,15 @@ fn make_empty_library(name: &str, path: &Path) -> io::Result<()> {
 
 /// Where Debian and its kin install it.
 fn system_has_libclang() -> bool {
-    let has = |folder: &Path| {
-        files(folder).is_ok_and(|files| {
-            files.iter().any(|(name, _)| name.starts_with("libclang.so") || name.starts_with("libclang-"))
-        })
-    };
+    let has =
+        |folder: &Path| files(folder).is_ok_and(|files| files.iter().any(|(name, _)| is_libclang(name)));
     let llvm = files(Path::new("/usr/lib")).unwrap_or_default();
     llvm.iter().any(|(name, path)| name.starts_with("llvm-") && has(&path.join("lib")))
+}
+
+/// `libclang-cpp`, which comes with LLVM alone, is another library.
+fn is_libclang(name: &str) -> bool {
+    (name.starts_with("libclang.so") || name.starts_with("libclang-")) && !name.starts_with("libclang-cpp")
 }
 
 fn pypi_libclang() -> Result<[(&'static str, String); 2], String> {
@@ -185,6 +187,13 @@ fn done(outcome: Outcome) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn llvms_cpp_library_is_no_libclang() {
+        let found =
+            ["libclang.so", "libclang-14.so.1", "libclang-cpp.so.14", "libLLVM-14.so"].map(is_libclang);
+        assert_eq!(found, [true, true, false, false]);
+    }
 
     #[test]
     fn a_prefix_has_every_library_and_stubs_for_those_that_need_python() {

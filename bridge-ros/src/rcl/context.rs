@@ -4,12 +4,22 @@
 use super::error::{RclError, check};
 use r2r_rcl::*;
 use std::ffi::{CStr, CString};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use tautline_transport::Gid;
 
 /// Membership of a ROS domain. With Fast DDS: one participant, whose threads start here.
 pub struct Context {
     raw: *mut rcl_context_t,
     domain: u32,
+    /// What the gids of its participant begin with, once it has a publisher.
+    own: OnceLock<[u8; PREFIX]>,
+}
+
+/// Bytes of a DDS gid that are the participant's.
+const PREFIX: usize = 12;
+
+fn prefix(gid: &Gid) -> [u8; PREFIX] {
+    std::array::from_fn(|index| gid.0[index])
 }
 
 // SAFETY: rcl reads a context from many threads; it is changed by `new` and `drop` alone, which have it for themselves.
@@ -38,7 +48,7 @@ impl Context {
             let started =
                 set.and_then(|()| check("starting ROS 2", rcl_init(0, std::ptr::null(), &options, raw)));
             let _ = rcl_init_options_fini(&mut options);
-            let mut context = Context { raw, domain: 0 };
+            let mut context = Context { raw, domain: 0, own: OnceLock::new() };
             if let Err(error) = started {
                 drop(Box::from_raw(raw));
                 std::mem::forget(context);
@@ -54,6 +64,16 @@ impl Context {
     /// The domain.
     pub fn domain(&self) -> u32 {
         self.domain
+    }
+
+    /// Learns by one of its publishers what the context's gids begin with.
+    pub(super) fn learn_own(&self, publisher: &Gid) {
+        let _ = self.own.set(prefix(publisher));
+    }
+
+    /// Whether it is the gid of one of its publishers.
+    pub(super) fn is_own(&self, publisher: &Gid) -> bool {
+        self.own.get() == Some(&prefix(publisher))
     }
 
     pub(crate) fn raw(&self) -> *mut rcl_context_t {

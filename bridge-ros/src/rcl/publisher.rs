@@ -42,6 +42,11 @@ impl RosPublisher {
                 drop(Box::from_raw(raw));
                 return Err(error);
             }
+            let mut gid = rmw_gid_t { implementation_identifier: std::ptr::null(), data: [0; 16] };
+            let known = rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(raw), &mut gid);
+            if check("reading a publisher's gid", known).is_ok() {
+                node.context().learn_own(&super::graph::gid(&gid.data));
+            }
             let incompatible = Incompatible::of_publisher(raw);
             Ok(RosPublisher { raw, incompatible, node: node.clone(), _support: support.clone() })
         }

@@ -10,7 +10,7 @@ use r2r_rcl::*;
 use std::sync::Arc;
 use tautline_transport::{Gid, Qos};
 
-/// A subscription to bytes, but not to what publishers of the same context send.
+/// A subscription to bytes.
 pub struct RosSubscription {
     raw: *mut rcl_subscription_t,
     node: Arc<Node>,
@@ -29,6 +29,9 @@ pub struct RosMessageInfo {
     pub sequence_number: Option<u64>,
     /// Its publisher.
     pub gid: Gid,
+    /// Whether that is of the same context. (The RMW's own filter is not used: as rmw_fastrtps 8.4.3 takes serialized bytes,
+    /// the message behind one that is passed over is lost.)
+    pub is_own: bool,
 }
 
 impl RosSubscription {
@@ -43,7 +46,6 @@ impl RosSubscription {
         unsafe {
             let mut options = rcl_subscription_get_default_options();
             options.qos = to_ros(qos);
-            options.rmw_subscription_options.ignore_local_publications = true;
             let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_subscription()));
             let made = rcl_subscription_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
             let made = check("making a subscription", made);
@@ -74,10 +76,12 @@ impl RosSubscription {
             return Ok(None);
         }
         check("taking a message", code)?;
+        let gid = super::graph::gid(&info.publisher_gid.data);
         Ok(Some(RosMessageInfo {
             source_timestamp_ns: info.source_timestamp,
             sequence_number: Some(info.publication_sequence_number).filter(|number| *number != u64::MAX),
-            gid: super::graph::gid(&info.publisher_gid.data),
+            gid,
+            is_own: self.node.context().is_own(&gid),
         }))
     }
 

@@ -28,11 +28,20 @@ pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
 /// After this a restarted bridge or node is expected to be heard.
 const RECOVERY: Duration = Duration::from_secs(5);
 
-/// Looks at the time where CI is set: elsewhere the machine may be busy.
-pub fn check_recovery(what: &str, since: Instant) {
-    let elapsed = since.elapsed();
-    println!("{what}: {elapsed:?}");
-    assert!(std::env::var_os("CI").is_none() || elapsed < RECOVERY, "{what}: {elapsed:?}");
+/// Has something die and come back, up to three times, until it took less than [`RECOVERY`]: what takes longer each time is not
+/// the machine. Required where CI is set: elsewhere the machine may be busy.
+pub fn recovers(what: &str, mut die_and_come_back: impl FnMut()) {
+    let mut times = Vec::new();
+    while times.len() < 3 {
+        let since = Instant::now();
+        die_and_come_back();
+        times.push(since.elapsed());
+        println!("{what}: {:?}", since.elapsed());
+        if times.last() < Some(&RECOVERY) {
+            return;
+        }
+    }
+    assert!(std::env::var_os("CI").is_none(), "{what}: {times:?}");
 }
 
 /// The Python environment with ROS 2 that `cargo xtask ros` makes; prints why a test is skipped without it.
