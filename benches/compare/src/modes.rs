@@ -50,6 +50,8 @@ pub enum Part {
     Whole,
     /// Round trips of 64 B.
     Small,
+    /// Flows of many topics.
+    Topics,
 }
 
 /// A way of a system.
@@ -95,6 +97,12 @@ pub const MODES: &[Mode] = &[
         Part::RoundTrips,
         "memory that both processes map; one futex wake each way; the payload is written and read there",
     ),
+    own(
+        "floor",
+        "ring",
+        Part::Topics,
+        "memory that both processes map, with room for 64 messages of any topic; one futex wake for each; one thread receives all",
+    ),
     own("floor", "memcpy", Part::Whole, "a copy of the payload from one buffer to another within a process"),
     own(
         "tautline",
@@ -107,6 +115,12 @@ pub const MODES: &[Mode] = &[
         "direct",
         Part::All,
         "as blocking, but the publisher wakes the callback thread itself: CallbackOptions::direct_wake",
+    ),
+    own(
+        "tautline",
+        "one-thread",
+        Part::Topics,
+        "as direct, but one callback serves the subscriptions of all topics, as a DDS listener's thread does",
     ),
     own(
         "tautline",

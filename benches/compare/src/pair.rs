@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use tautline_benches::{Gateways, Host, Process, Scratch};
-use tautline_exchange::{Exchange, FutexPair, Job, Line, Measured, Memory, PEERS, Role, Way};
+use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, Memory, PEERS, Role, Way};
 
 use crate::Result;
 use crate::modes::{GATEWAY, Program};
@@ -155,10 +155,14 @@ impl Setup<'_> {
     /// What a system's processes find each other by, if they need it.
     fn meeting_place(&self, case: &Case) -> Result<Option<String>> {
         Ok(match (case.mode.system, case.mode.mode) {
-            ("floor", "futex") => {
-                let path = PathBuf::from("/dev/shm").join(format!("{}futex", self.scratch.prefix()));
+            ("floor", mode @ ("futex" | "ring")) => {
+                let path = PathBuf::from("/dev/shm").join(format!("{}{mode}", self.scratch.prefix()));
                 let file = File::options().create(true).truncate(true).read(true).write(true).open(&path)?;
-                file.set_len(FutexPair::memory_bytes(case.payload_bytes) as u64)?;
+                let bytes = match mode {
+                    "ring" => FutexRing::memory_bytes(case.payload_bytes),
+                    _ => FutexPair::memory_bytes(case.payload_bytes),
+                };
+                file.set_len(bytes as u64)?;
                 Some(path.display().to_string())
             }
             ("iceoryx2" | "taktora", _) => Some(self.scratch.directory().display().to_string()),

@@ -213,6 +213,7 @@ fn takes_part(mode: &Mode, setting: &Setting) -> bool {
         (Part::RoundTrips, Task::RoundTrips { .. }) => true,
         (Part::AsShipped, Task::RoundTrips { .. }) => setting.idle == Idle::AsShipped,
         (Part::Small, Task::RoundTrips { .. }) => setting.payload_bytes == 64,
+        (Part::Topics, Task::Paced { topics, .. }) => topics > 1,
         (Part::Whole, Task::RoundTrips { whole }) => whole && setting.idle == Idle::HeldOff,
         _ => false,
     }
@@ -236,10 +237,11 @@ fn latency(extent: Extent) -> Vec<Setting> {
         Extent::Full => 300,
     };
     // More where most is promised, and where a machine's phases show most.
-    let rounds = |payload_bytes| match (extent, payload_bytes) {
-        (Extent::Smoke, _) => 1,
-        (Extent::Quick, 64) => 3,
-        (Extent::Full, 64 | 0x10_0000) => 4,
+    let rounds = |idle, payload_bytes| match (extent, idle, payload_bytes) {
+        (Extent::Smoke, ..) => 1,
+        (Extent::Quick, Idle::HeldOff, 64) => 3,
+        (Extent::Quick, _, 8_388_608) => 1,
+        (Extent::Full, _, 64 | 0x10_0000) => 4,
         _ => 2,
     };
     let setting = |whole, idle, sizes: &[usize]| -> Vec<Setting> {
@@ -248,7 +250,7 @@ fn latency(extent: Extent) -> Vec<Setting> {
             payload_bytes,
             idle,
             budget_ms,
-            rounds: rounds(payload_bytes),
+            rounds: rounds(idle, payload_bytes),
         };
         sizes.iter().map(of_size).collect()
     };

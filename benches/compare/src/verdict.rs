@@ -106,8 +106,9 @@ fn median(mut numbers: Vec<f64>) -> Option<f64> {
 const MIB: usize = 1 << 20;
 /// Systems that are compared as a whole: their best configuration counts.
 const RIVALS: [&str; 5] = ["fastdds", "cyclonedds", "zenoh", "hiroz", "r2r"];
-/// Tautline's modes whose callback thread sleeps: woken by the sampler, or by the publisher. The best one counts.
-const BLOCKING: &[&str] = &["blocking", "direct"];
+/// Tautline's modes whose callback thread sleeps: woken by the sampler, or by the publisher, for one topic or for all of them.
+/// The best one counts.
+const BLOCKING: &[&str] = &["blocking", "direct", "one-thread"];
 
 const HELD: &str = "latency/whole/held-off";
 const SHIPPED: &str = "latency/whole/as-shipped";
@@ -124,13 +125,11 @@ pub fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         [("robot/20x100Hz", "each at its own time"), ("robot/20x100Hz/at-once", "all at once")]
     {
         for rival in ["fastdds", "r2r"] {
-            all.push(at_most(
-                format!("20 topics at 100 Hz, {how}: at most half of {rival}'s CPU time"),
-                0.5,
-                &rows.find(robot, "tautline", BLOCKING, 4096),
-                &rows.all(robot, rival, 4096),
-                Figure::CpuTime,
-            ));
+            let (ours, theirs) = (rows.find(robot, "tautline", BLOCKING, 4096), rows.all(robot, rival, 4096));
+            let floor = rows.find(robot, "floor", &["ring"], 4096);
+            let claim = format!("20 topics at 100 Hz, {how}: at most half of {rival}'s CPU time");
+            let verdict = at_most(claim, 0.5, &ours, &theirs, Figure::CpuTime);
+            all.push(beside_floor(verdict, 0.5, &floor, &theirs, Figure::CpuTime));
         }
     }
     all.push(under_load(&rows));
@@ -194,15 +193,8 @@ fn large(rows: &Rows, bytes: usize) -> Vec<Verdict> {
         let claim = format!("{size}, written and read whole, idle states {idle}: {claim}");
         let find = |(system, modes)| rows.find(experiment, system, modes, bytes);
         let (ours, theirs, floor) = (find(ours), find(theirs), find(("floor", &["futex"])));
-        let mut verdict = at_most(claim, limit, &ours, &theirs, Figure::P50);
-        let is_floor = theirs.first().is_some_and(|row| row.system == "floor");
-        if let (false, [floor], [theirs]) = (is_floor, &floor[..], &theirs[..])
-            && let Some(ratio) = Ratios::of(floor, theirs, Figure::P50)
-        {
-            let beyond = if ratio.median > limit { ": the limit lies below the floor" } else { "" };
-            verdict.found += &format!("; the floor itself {:.2} x{beyond}", ratio.median);
-        }
-        all.push(verdict);
+        let verdict = at_most(claim, limit, &ours, &theirs, Figure::P50);
+        all.push(beside_floor(verdict, limit, &floor, &theirs, Figure::P50));
     };
     let blocking = ("tautline", BLOCKING);
     let fast = |mode| ("fastdds", mode);
@@ -266,6 +258,24 @@ fn at_most(claim: impl Into<String>, limit: f64, ours: &[&Row], theirs: &[&Row],
     } else {
         verdict(format!("{found}; but not judged: {}", unfit_theirs.join(", ")), None)
     }
+}
+
+/// Adds what the floor would have been found with.
+fn beside_floor(
+    mut verdict: Verdict,
+    limit: f64,
+    floor: &[&Row],
+    theirs: &[&Row],
+    figure: Figure,
+) -> Verdict {
+    let best = best(&sort(theirs, figure).0, figure).filter(|row| row.system != "floor");
+    if let ([floor], Some(best)) = (floor, best)
+        && let Some(ratio) = Ratios::of(floor, best, figure)
+    {
+        let beyond = if ratio.median > limit { ": the limit lies below the floor" } else { "" };
+        verdict.found += &format!("; the floor itself {:.2} x{beyond}", ratio.median);
+    }
+    verdict
 }
 
 /// The rows that can be compared, and why the others cannot.

@@ -8,7 +8,7 @@
 //! | `far` | the end that answers: what arrived of a stream |
 //! | `flow` | both ends of what is sent one way, at a rate or as fast as it goes, to any number of subscriptions |
 //! | `payload` | what a message contains |
-//! | `futex` | the floor below all of them: memory that two processes share, and one futex wake each way |
+//! | `futex` | the floors below all of them: memory that two processes share, and a futex wake for each message |
 
 mod far;
 mod flow;
@@ -19,7 +19,7 @@ mod payload;
 
 pub use far::{Answer, Arrivals};
 pub use flow::{Inlet, Sink, Source, to_the_last};
-pub use futex::FutexPair;
+pub use futex::{FutexPair, FutexRing};
 pub use job::{
     APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Memory, NETWORK_PRIORITY, PEERS, Role, Way,
     on_network_thread, on_stop, say, stop_flag,

@@ -33,6 +33,14 @@ impl fmt::Display for ArenaId {
     }
 }
 
+/// Who sleeps on a bell of an arena.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sleeper {
+    Sampler,
+    /// The callback thread with this bell.
+    Thread(usize),
+}
+
 /// What lies in the file. Every field is an atomic whose zero is a valid idle state, so fresh pages need no set-up, and
 /// whatever another process writes is a value, never undefined behaviour.
 #[repr(C)]
@@ -311,20 +319,35 @@ impl Arena {
         self.layout().threads.iter().for_each(Bell::rescue);
     }
 
-    /// Rings for the sample that was just queued at the subscription behind `slot`, if it wants that.
+    /// Marks the sample that was just queued at the subscription behind `slot`, if it wants to be rung for it. Returns which bell's
+    /// sleeper [`wake`](Self::wake) is to wake, after a sequentially consistent fence.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; at most one futex wake.
-    pub(crate) fn announce_sample(&self, slot: usize) {
-        let Some(words) = self.layout().slots.get(slot) else { return };
-        if !words.flags.wants_ring() {
-            return;
-        }
-        match words.route.get() {
-            None => self.bell().ring(slot),
+    /// Wait-free; no syscall.
+    pub(crate) fn mark_sample(&self, slot: usize) -> Option<Sleeper> {
+        let words = self.layout().slots.get(slot).filter(|words| words.flags.wants_ring())?;
+        Some(match words.route.get() {
+            None => {
+                self.bell().mark(slot);
+                Sleeper::Sampler
+            }
             Some(Spot { thread, bit }) => {
+                self.thread_bell(thread)?.mark(bit);
+                Sleeper::Thread(thread)
+            }
+        })
+    }
+
+    /// Wakes whoever sleeps on a bell that was marked.
+    ///
+    /// # Real-time
+    /// Wait-free; at most one futex wake.
+    pub(crate) fn wake(&self, sleeper: Sleeper) {
+        match sleeper {
+            Sleeper::Sampler => self.bell().wake_if_sleeping(),
+            Sleeper::Thread(thread) => {
                 if let Some(bell) = self.thread_bell(thread) {
-                    bell.ring(bit);
+                    bell.wake_if_sleeping();
                 }
             }
         }

@@ -42,15 +42,28 @@ impl<const WORDS: usize> Bell<WORDS> {
     /// # Real-time
     /// Wait-free; no allocation; one futex wake if the sampler sleeps, else no syscall.
     pub(crate) fn ring(&self, slot: usize) {
-        // An index out of range can come from another process's memory: it rings nothing.
-        let Some(word) = self.pending.0.get(slot / 64) else { return };
-        // Release: pairs with the Acquire in `drain`; what was written before the ring is seen after the drain.
-        word.fetch_or(1 << (slot % 64), Ordering::Release);
+        self.mark(slot);
         fence(Ordering::SeqCst);
         self.wake_if_sleeping();
     }
 
-    fn wake_if_sleeping(&self) {
+    /// The first step of [`ring`](Self::ring), of several slots maybe: a sequentially consistent fence and
+    /// [`wake_if_sleeping`](Self::wake_if_sleeping) follow.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn mark(&self, slot: usize) {
+        // An index out of range can come from another process's memory: it rings nothing.
+        let Some(word) = self.pending.0.get(slot / 64) else { return };
+        // Release: pairs with the Acquire in `drain`; what was written before the ring is seen after the drain.
+        word.fetch_or(1 << (slot % 64), Ordering::Release);
+    }
+
+    /// The last step of a ring.
+    ///
+    /// # Real-time
+    /// Wait-free; one futex wake if the sampler sleeps, else no syscall.
+    pub(crate) fn wake_if_sleeping(&self) {
         if self.state.0.load(Ordering::Relaxed) & SLEEPING != 0 {
             self.wake();
         }

@@ -76,6 +76,24 @@ fn loom_the_second_ring_of_a_slot_shows_the_second_message() {
 }
 
 #[test]
+fn loom_slots_that_are_marked_together_need_one_wake() {
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let ringer = {
+            let bell = bell.clone();
+            thread::spawn(move || {
+                bell.mark(0);
+                bell.mark(1);
+                fence(Ordering::SeqCst);
+                bell.wake_if_sleeping();
+            })
+        };
+        sample_until(&bell, 0b11);
+        ringer.join().unwrap();
+    });
+}
+
+#[test]
 fn loom_a_sample_that_nobody_rang_for_is_seen_before_its_reader_sleeps() {
     // Two samples, for the first may come while the reader still drains and the second when it does no longer.
     model(|| {

@@ -19,7 +19,9 @@ mod loom;
 mod stress;
 mod thread_bell;
 
-pub(crate) use arena::{Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, remove_stale_arenas};
+pub(crate) use arena::{
+    Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, Sleeper, remove_stale_arenas,
+};
 pub use arena::{Pulse, PulseOf};
 pub(crate) use hot::Flags;
 pub(crate) use thread_bell::Joined;

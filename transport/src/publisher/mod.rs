@@ -303,7 +303,7 @@ impl std::fmt::Debug for RawPublisher {
 impl Drop for RawPublisher {
     fn drop(&mut self) {
         self.shared.janitor.forget(self.slot.index());
-        self.peers.borrow().end(self.gid);
+        self.peers.get_mut().end(self.gid);
         self.slot.retire();
     }
 }

@@ -2,9 +2,10 @@
 //! The subscriptions that a publisher rings, brought up to date when the topic's epoch changes.
 
 use crate::address::Address;
-use crate::doorbell::{Flags, Link, NONE_FOR_IT, Owner, Pulse, PulseOf, Slot};
+use crate::doorbell::{Flags, Link, NONE_FOR_IT, Owner, Pulse, PulseOf, Sleeper, Slot};
 use crate::header::Gid;
 use crate::ports::{self, Reached};
+use crate::sync::{Ordering, fence};
 use crate::topic::Topic;
 
 pub(crate) struct Peers {
@@ -26,6 +27,8 @@ pub(crate) struct Matched {
     pub(crate) slot: usize,
     pub(crate) depth: u64,
     link: Option<usize>,
+    /// Who is to be woken for the sample that is being published.
+    sleeper: Option<Sleeper>,
 }
 
 impl Matched {
@@ -109,9 +112,12 @@ impl Peers {
             let start = if fits { self.sequence_number + 1 } else { NONE_FOR_IT };
             let link = reached.arena().claim_link(port.address.slot, gid, start, waiter);
             let depth = port.depth as u64;
-            let matched = Matched { id: port.id, reached, slot: port.address.slot, depth, link };
+            let (id, slot) = (port.id, port.address.slot);
+            let matched = Matched { id, reached, slot, depth, link, sleeper: None };
             if fits { &mut self.matched } else { &mut self.apart }.push(matched);
         }
+        // As `ring` wants them: stable, for within a process the oldest comes first.
+        self.matched.sort_by_key(|matched| matched.reached.arena().id().0);
     }
 
     fn all(&self) -> impl Iterator<Item = &Matched> {
@@ -119,18 +125,31 @@ impl Peers {
     }
 
     /// Rings every subscription, but for those that poll by themselves and those that are still taking what they were rung for.
+    /// All of a process are marked before its sampler is woken: it wakes once.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
-    /// sleeps and is woken directly.
-    pub(crate) fn ring(&self) {
+    /// sleeps and is woken directly; in a process that has both kinds, at most one per subscription.
+    pub(crate) fn ring(&mut self) {
+        for matched in &mut self.matched {
+            matched.sleeper = matched.reached.arena().mark_sample(matched.slot);
+        }
+        fence(Ordering::SeqCst);
+        let mut woken = None;
         for matched in &self.matched {
-            matched.reached.arena().announce_sample(matched.slot);
+            let Some(sleeper) = matched.sleeper else { continue };
+            let arena = matched.reached.arena();
+            let this = Some((arena.id(), sleeper));
+            // Those of a process are next to each other.
+            if woken != this {
+                arena.wake(sleeper);
+                woken = this;
+            }
         }
     }
 
     /// The publisher `gid` ends: subscriptions settle what they did not get.
-    pub(crate) fn end(&self, gid: Gid) {
+    pub(crate) fn end(&mut self, gid: Gid) {
         for matched in self.all() {
             if let Some(link) = matched.link() {
                 link.release(Owner::of(gid));

@@ -1,25 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The floors: one futex wake each way, and a copy of the payload within a process.
+//! The floors: one futex wake each way or for each message, and a copy of the payload within a process.
 
 use std::fs::File;
 use std::hint::black_box;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use tautline_exchange::{FutexPair, Job, Line, Link, Measured, Result, Role, Stamp, drive, say, stop_flag};
+use tautline_exchange::{
+    FutexPair, FutexRing, Job, Line, Link, Measured, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
+};
 use tautline_rt::clock::monotonic_ns;
 
-use super::answer;
+use super::{LOOK, answer};
 
 /// At least as many bytes are copied between two looks at the clock.
 const COPIED_BYTES: usize = 256 << 10;
 
-/// Runs one end; the job's endpoint is the file of the shared memory.
+/// Runs one end of round trips; the job's endpoint is the file of the shared memory.
 pub fn run(job: &Job) -> Result<()> {
     let (own, stop) = (job.clone(), stop_flag());
     job.as_application(move || {
-        let path = own.endpoint.as_deref().ok_or("no file for the shared memory")?;
-        let file = File::options().read(true).write(true).open(path)?;
-        let pair = FutexPair::open(file, own.role, own.payload_bytes)?;
+        let pair = FutexPair::open(memory(&own)?, own.role, own.payload_bytes)?;
         let mut end = End { pair, whole: own.way.whole };
         match own.role {
             Role::Near => {
@@ -33,6 +34,40 @@ pub fn run(job: &Job) -> Result<()> {
                 answer(&mut end, &stop)
             }
         }
+    })
+}
+
+fn memory(job: &Job) -> Result<File> {
+    let path = job.endpoint.as_deref().ok_or("no file for the shared memory")?;
+    Ok(File::options().read(true).write(true).open(path)?)
+}
+
+/// Runs one end of a flow, all of whose topics go through one ring.
+pub fn flow(job: &Job) -> Result<()> {
+    let (own, flag) = (job.clone(), stop_flag());
+    job.as_application(move || {
+        let mut ring = FutexRing::open(memory(&own)?, own.payload_bytes)?;
+        let whole = own.way.whole;
+        if own.role == Role::Near {
+            let mut source = Source::new(&own, flag);
+            while let Some((topic, stamp)) = source.next() {
+                ring.send(topic, |out| stamp.write_uninit(out, whole))?;
+            }
+            say(&Line::Measured(source.measured()));
+            return Ok(());
+        }
+        let sink = Sink::new(&own);
+        let inlets = sink.inlets(&own);
+        say(&Line::Ready(own.endpoint.clone()));
+        while !flag.load(Ordering::Relaxed) {
+            let Some((topic, stamp)) = ring.receive(LOOK, |bytes| Stamp::read(bytes, whole))? else {
+                continue;
+            };
+            let stamp = stamp?;
+            inlets.iter().filter(|(of, _)| *of == topic).for_each(|(_, inlet)| inlet.arrive(stamp));
+        }
+        say(&Line::Measured(sink.measured()));
+        Ok(())
     })
 }
 

@@ -15,6 +15,7 @@ pub fn run(system: &str, job: &str) -> Result<()> {
     let job = Job::begin(job)?;
     match (system, job.way.mode.as_str()) {
         ("floor", "memcpy") => futex::copy(&job),
+        ("floor", "ring") => futex::flow(&job),
         ("floor", _) => futex::run(&job),
         ("iceoryx2", _) => iceoryx::run(&job),
         ("tautline", _) => tautline::run(&job),

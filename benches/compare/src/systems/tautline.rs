@@ -12,8 +12,9 @@ use ::tautline::{
     CallbackOptions, Context, Limits, Loan, Message, Node, Publisher, QosProfile, Realtime, Sample,
     Subscription, Timer, Unpublished,
 };
-use futures::StreamExt;
 use futures::future::{Either, select};
+use futures::stream::FuturesUnordered;
+use futures::{StreamExt, TryStreamExt};
 use tautline_exchange::{
     APPLICATION_PRIORITY, Exchange, Inlet, Job, Line, Measured, Result, Role, RoundTrips, Sink, Source,
     Stamp, on_stop, say, stop_flag,
@@ -214,11 +215,16 @@ impl<T: Payload> End<T> {
         let sink = Sink::new(&self.job);
         let (sender, outcome) = mpsc::channel();
         let mut callbacks = Vec::new();
+        let mut ends = Vec::new();
         for (topic, inlet) in sink.inlets(&self.job) {
-            let messages = self.subscription(&format!("{}/t{topic}", self.job.topic))?;
+            ends.push((self.subscription(&format!("{}/t{topic}", self.job.topic))?, inlet));
+        }
+        let is_one_thread = self.job.way.mode == "one-thread";
+        while !ends.is_empty() {
+            let of_callback: Vec<_> = ends.drain(..if is_one_thread { ends.len() } else { 1 }).collect();
             let (own, context, sender) = (self.job.clone(), self.context.clone(), sender.clone());
             callbacks.push(self.node.spawn_callback(self.options(), async move {
-                if let Err(error) = receive(&own, messages, inlet).await {
+                if let Err(error) = receive_all(&own, of_callback).await {
                     let _ = sender.send(error);
                     context.shutdown();
                 }
@@ -247,7 +253,7 @@ impl<T: Payload> End<T> {
         };
         match self.job.way.mode.as_str() {
             "busy-poll" => options.busy_poll(),
-            "direct" => options.direct_wake(),
+            "direct" | "one-thread" => options.direct_wake(),
             "direct-spin" => options.direct_wake().spin(SPIN),
             _ => options,
         }
@@ -340,6 +346,17 @@ fn send_flow<T: Payload>(job: &Job, publishers: Vec<Publisher<T>>) -> Result<Mea
         T::send(&publishers[topic], job, stamp)?;
     }
     Ok(source.measured())
+}
+
+async fn receive_all<T: Payload>(job: &Job, mut ends: Vec<(Subscription<T>, Inlet)>) -> Result<()> {
+    match (ends.pop(), ends.is_empty()) {
+        (Some((messages, inlet)), true) => receive(job, messages, inlet).await,
+        (last, _) => {
+            // Those alone that were woken are looked at.
+            let all = ends.into_iter().chain(last).map(|(messages, inlet)| receive(job, messages, inlet));
+            all.collect::<FuturesUnordered<_>>().try_collect().await
+        }
+    }
 }
 
 async fn receive<T: Payload>(job: &Job, mut messages: Subscription<T>, inlet: Inlet) -> Result<()> {
