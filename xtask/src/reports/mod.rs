@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The JSON that scripts rely on: every promised field is there, with its type. No time is judged.
+
+mod bridge;
+mod compare;
+mod demo;
+mod network;
+mod paper;
+mod reference;
+
+use crate::steps::Outcome;
+use serde_json::Value;
+use std::path::Path;
+
+pub use bridge::check_bridge;
+pub use compare::check_compare;
+pub use demo::{check_ablation, check_demo};
+pub use network::check_network;
+pub use paper::check_paper;
+pub use reference::{check_reference, check_reference_beside};
+
+/// A field's type.
+#[derive(Clone, Copy)]
+enum Kind {
+    Bool,
+    Count,
+    Number,
+    Text,
+    List,
+}
+use Kind::{Bool, Count, List, Number, Text};
+
+const WAKE_ROW: &[(&str, Kind)] = &[
+    ("system", Text),
+    ("mode", Text),
+    ("idle", Text),
+    ("payload_bytes", Count),
+    ("touched", Bool),
+    ("n", Count),
+    ("p50_us", Number),
+    ("p99_us", Number),
+    ("p999_us", Number),
+    ("max_us", Number),
+    ("lost", Count),
+];
+
+const MESSAGES_ROW: &[(&str, Kind)] = &[
+    ("case", Text),
+    ("implementation", Text),
+    ("bytes", Count),
+    ("n", Count),
+    ("p50_us", Number),
+    ("p99_us", Number),
+    ("ratio_to_plain_buffer", Number),
+];
+
+/// The wake bench's report: a list of rows, each with measurements.
+pub fn check_wake(path: &Path) -> Outcome {
+    check_rows(path, WAKE_ROW)
+}
+
+/// The messages bench's rows.
+pub fn check_messages(path: &Path) -> Outcome {
+    check_rows(path, MESSAGES_ROW)
+}
+
+fn check_rows(path: &Path, fields: &[(&str, Kind)]) -> Outcome {
+    judge(path, |report| {
+        let rows = report.as_array().ok_or("it is not a list")?;
+        if rows.is_empty() {
+            return Err("it has no rows".to_owned());
+        }
+        rows.iter().try_for_each(|row| check_row(row, fields))
+    })
+}
+
+fn judge(path: &Path, check: impl FnOnce(&Value) -> Result<(), String>) -> Outcome {
+    let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
+    let report = text.and_then(|text| serde_json::from_str(&text).map_err(|error| error.to_string()));
+    match report.and_then(|report| check(&report)) {
+        Ok(()) => Outcome::Ok,
+        Err(reason) => Outcome::Failed(format!("{}: {reason}", path.display())),
+    }
+}
+
+fn check_row(row: &Value, fields: &[(&str, Kind)]) -> Result<(), String> {
+    check_fields(row, &row.to_string(), fields)?;
+    if row["n"] == 0 { Err(format!("nothing was measured in {row}")) } else { Ok(()) }
+}
+
+fn check_fields(value: &Value, what: &str, fields: &[(&str, Kind)]) -> Result<(), String> {
+    for &(name, kind) in fields {
+        let field = value.get(name).ok_or_else(|| format!("{what} has no field '{name}'"))?;
+        let (fits, wanted) = match kind {
+            Bool => (field.is_boolean(), "true or false"),
+            Count => (field.is_u64(), "a whole number"),
+            Number => (field.is_number(), "a number"),
+            Text => (field.is_string(), "a string"),
+            List => (field.is_array(), "a list"),
+        };
+        if !fits {
+            return Err(format!("'{name}' of {what} should be {wanted}, not {field}"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// Why a report is refused; empty if it is not.
+    pub fn refusal(check: impl FnOnce(&Path) -> Outcome, report: &Value) -> String {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(&file, report.to_string()).unwrap();
+        match check(file.path()) {
+            Outcome::Ok => String::new(),
+            Outcome::Failed(reason) | Outcome::Skipped(reason) => reason,
+        }
+    }
+
+    fn wake_row() -> Value {
+        json!({"system": "futex", "mode": "blocking", "idle": "poll", "payload_bytes": 64, "touched": false, "n": 9,
+               "p50_us": 1.0, "p99_us": 2, "p999_us": 3.0, "max_us": 4.0, "lost": 0})
+    }
+
+    #[test]
+    fn what_is_missing_or_of_another_type_is_named() {
+        assert_eq!(check_row(&wake_row(), WAKE_ROW), Ok(()));
+        let refused = |name: &str, value: Value| {
+            let mut row = wake_row();
+            row[name] = value;
+            check_row(&row, WAKE_ROW).unwrap_err()
+        };
+        assert!(refused("lost", json!(-1)).starts_with("'lost' of"));
+        assert!(refused("p50_us", Value::Null).contains("should be a number, not null"));
+        assert!(refused("n", json!(0)).starts_with("nothing was measured"));
+        let mut row = wake_row();
+        row.as_object_mut().unwrap().remove("idle");
+        assert!(check_row(&row, WAKE_ROW).unwrap_err().ends_with("has no field 'idle'"));
+    }
+}
