@@ -99,7 +99,12 @@ pub fn latency_by_size(rows: &[Row], experiment: &str) -> Result<Option<String>>
 }
 
 /// Shares of the messages by time.
-pub fn distributions(rows: &[Row], experiment: &str, bytes: usize) -> Result<Option<String>> {
+pub fn distributions(
+    rows: &[Row],
+    experiment: &str,
+    bytes: usize,
+    axis: &'static str,
+) -> Result<Option<String>> {
     let mut lines: Vec<Line> = Vec::new();
     for row in rows.iter().filter(|row| row.experiment == experiment && row.payload_bytes == bytes) {
         let Some(details) = row.details.as_ref().filter(|_| row.mode != "memcpy") else { continue };
@@ -123,7 +128,7 @@ pub fn distributions(rows: &[Row], experiment: &str, bytes: usize) -> Result<Opt
     }
     lines.retain(|line| !line.points.is_empty());
     let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.0));
-    let x = Axis { title: "half a round trip", ..Axis::decades(times) };
+    let x = Axis { title: axis, ..Axis::decades(times) };
     let marks = (0..=4).map(|quarter| (f64::from(quarter) * 0.25, format!("{} %", quarter * 25))).collect();
     chart(&lines, &x, &Axis { title: "messages", marks, is_log: false }).map(Some)
 }
@@ -356,7 +361,7 @@ mod tests {
             wakes: None,
         };
         let row = Row { details: Some(details), ..row("x", "tautline", "blocking", 64, 5.0) };
-        let svg = distributions(&[row], "x", 64).unwrap().unwrap();
+        let svg = distributions(&[row], "x", 64, "time").unwrap().unwrap();
         assert!(svg.contains("tautline blocking"));
     }
 

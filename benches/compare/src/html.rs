@@ -64,7 +64,8 @@ fn write_figure(out: &mut String, svg: Option<String>, caption: &str) {
 
 fn write_latency(out: &mut String, report: &Report) -> Result<()> {
     let rows = &report.rows;
-    if !rows.iter().any(|row| row.experiment.starts_with("latency/")) {
+    if !rows.iter().any(|row| ["latency/", "open-loop/"].iter().any(|kind| row.experiment.starts_with(kind)))
+    {
         return Ok(());
     }
     out.push_str("<h2>Latency by size</h2>\n");
@@ -88,7 +89,13 @@ fn write_latency(out: &mut String, report: &Report) -> Result<()> {
     for bytes in [64, 1 << 20] {
         let caption =
             format!("Half round trips of {}, written and read whole, idle states held off.", payload(bytes));
-        write_figure(out, distributions(rows, "latency/whole/held-off", bytes)?, &caption);
+        let axis = "half a round trip";
+        write_figure(out, distributions(rows, "latency/whole/held-off", bytes, axis)?, &caption);
+    }
+    for (load, how) in [("quiet", "with a quiet machine"), ("load", "under load")] {
+        let experiment = format!("open-loop/{load}/held-off");
+        let caption = format!("One way of 1 KiB at 1 kHz {how}, idle states held off.");
+        write_figure(out, distributions(rows, &experiment, 1 << 10, "one way")?, &caption);
     }
     Ok(())
 }
@@ -123,23 +130,23 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
         ),
         (
             "20 topics at 100 Hz, each at its own time: CPU time of all processes in % of a core",
-            of("robot/20x100Hz", 4096, cpu_percent, none),
+            of("robot/20x100Hz/as-shipped", 4096, cpu_percent, none),
             None,
         ),
         (
             "20 topics at 100 Hz, all at once: CPU time of all processes in % of a core",
-            of("robot/20x100Hz/at-once", 4096, cpu_percent, none),
+            of("robot/20x100Hz/at-once/as-shipped", 4096, cpu_percent, none),
             None,
         ),
         (
             "20 topics at 100 Hz: resident memory of all processes in MiB",
-            of("robot/20x100Hz", 4096, |row| row.rss_mib, none),
+            of("robot/20x100Hz/as-shipped", 4096, |row| row.rss_mib, none),
             None,
         ),
         (
             "Throughput at 64 B: 1000 messages/s",
             of(
-                "throughput",
+                "throughput/held-off",
                 64,
                 |row| row.details.as_ref().map(|details| details.messages_per_s / 1e3),
                 none,
@@ -149,7 +156,7 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
         (
             "Throughput at 1 MiB: GB/s",
             of(
-                "throughput",
+                "throughput/held-off",
                 1 << 20,
                 |row| {
                     row.details
@@ -162,17 +169,17 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
         ),
         (
             "From the start of the sender to its first message: ms; whiskers are the rounds",
-            milliseconds(of("start-up/first-message", 64, p50, rounds)),
+            milliseconds(of("start-up/first-message/as-shipped", 64, p50, rounds)),
             None,
         ),
         (
             "From the start of a late receiver to its first message: ms",
-            milliseconds(of("start-up/late-joiner", 64, p50, rounds)),
+            milliseconds(of("start-up/late-joiner/as-shipped", 64, p50, rounds)),
             None,
         ),
         (
             "100 topics, from the start of the sender to a message on each: ms",
-            milliseconds(of("start-up/100-topics", 64, p50, rounds)),
+            milliseconds(of("start-up/100-topics/as-shipped", 64, p50, rounds)),
             None,
         ),
     ];
@@ -181,10 +188,10 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
     }
     for (kind, caption) in [
         (
-            "fan-out/one-process",
+            "fan-out/one-process/held-off",
             "1 MiB to subscriptions of one process: time until the last one has read it.",
         ),
-        ("fan-out/processes", "1 MiB to one subscription in each of several processes."),
+        ("fan-out/processes/held-off", "1 MiB to one subscription in each of several processes."),
     ] {
         write_figure(out, fan_out(&report.rows, kind)?, caption);
     }

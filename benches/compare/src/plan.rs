@@ -78,18 +78,18 @@ impl Case {
             }
             Task::Paced { processes, subscribers, .. } if self.experiment == Experiment::FanOut => {
                 match processes {
-                    1 => format!("fan-out/one-process/{subscribers}"),
-                    _ => format!("fan-out/processes/{processes}"),
+                    1 => format!("fan-out/one-process/{idle}/{subscribers}"),
+                    _ => format!("fan-out/processes/{idle}/{processes}"),
                 }
             }
             Task::Paced { rate, topics, at_once, .. } => {
                 let how = if at_once { "/at-once" } else { "" };
-                format!("robot/{topics}x{}Hz{how}", rate / topics as f64)
+                format!("robot/{topics}x{}Hz{how}/{idle}", rate / topics as f64)
             }
-            Task::Stream => "throughput".to_owned(),
-            Task::Start { is_late_joiner: true, .. } => "start-up/late-joiner".to_owned(),
-            Task::Start { topics: 1, .. } => "start-up/first-message".to_owned(),
-            Task::Start { topics, .. } => format!("start-up/{topics}-topics"),
+            Task::Stream => format!("throughput/{idle}"),
+            Task::Start { is_late_joiner: true, .. } => format!("start-up/late-joiner/{idle}"),
+            Task::Start { topics: 1, .. } => format!("start-up/first-message/{idle}"),
+            Task::Start { topics, .. } => format!("start-up/{topics}-topics/{idle}"),
         }
     }
 
@@ -175,6 +175,7 @@ fn is_among(systems: &[String], system: &str) -> bool {
 }
 
 /// One setting of an experiment, for every mode that takes part.
+#[derive(Clone, Copy)]
 struct Setting {
     task: Task,
     payload_bytes: usize,
@@ -265,87 +266,104 @@ fn paced(topics: usize, rate: f64, processes: usize, subscribers: usize, is_load
 }
 
 fn open_loop(extent: Extent) -> Vec<Setting> {
-    let (budget_ms, rounds) = match extent {
-        Extent::Smoke => (200, 1),
-        Extent::Quick => (1000, 1),
-        // More than 10,000 messages in all: enough for p99.9.
-        Extent::Full => (3400, 3),
-    };
-    let setting = |is_loaded| Setting {
+    let setting = |is_loaded, idle, budget_ms, rounds| Setting {
         task: paced(1, 1000.0, 1, 1, is_loaded),
         payload_bytes: 1 << 10,
-        idle: Idle::HeldOff,
+        idle,
         budget_ms,
         rounds,
     };
-    vec![setting(false), setting(true)]
+    let both = |idle, budget_ms, rounds| [false, true].map(|loaded| setting(loaded, idle, budget_ms, rounds));
+    match extent {
+        Extent::Smoke => both(Idle::HeldOff, 200, 1).into(),
+        Extent::Quick => both(Idle::HeldOff, 1000, 1).into(),
+        // More than 10,000 messages in all: enough for p99.9. The other setting has enough for p99.
+        Extent::Full => [both(Idle::HeldOff, 3400, 3), both(Idle::AsShipped, 1200, 1)].concat(),
+    }
 }
 
 fn fan_out(extent: Extent) -> Vec<Setting> {
-    let (counts, budget_ms, rounds): (&[usize], _, _) = match extent {
-        Extent::Smoke => (&[2], 200, 1),
-        Extent::Quick => (&[1, 8], 600, 1),
-        Extent::Full => (&[1, 2, 4, 8, 16], 1000, 1),
-    };
-    let setting = |processes, subscribers| Setting {
+    let setting = |processes, subscribers, idle, budget_ms| Setting {
         task: paced(1, 50.0, processes, subscribers, false),
         payload_bytes: 1 << 20,
-        idle: Idle::HeldOff,
-        budget_ms,
-        rounds,
-    };
-    let in_one = counts.iter().map(|&count| setting(1, count));
-    let in_many = counts.iter().filter(|&&count| count > 1).map(|&count| setting(count, 1));
-    in_one.chain(in_many).collect()
-}
-
-fn robot(extent: Extent) -> Vec<Setting> {
-    let (apart_ms, at_once_ms) = match extent {
-        Extent::Smoke => (500, 200),
-        Extent::Quick => (1500, 1500),
-        Extent::Full => (20_000, 10_000),
-    };
-    let task = |at_once| Task::Paced {
-        rate: 2000.0,
-        topics: 20,
-        processes: 1,
-        subscribers: 1,
-        is_loaded: false,
-        at_once,
-    };
-    let setting = |task, budget_ms| Setting {
-        task,
-        payload_bytes: 4 << 10,
-        idle: Idle::AsShipped,
+        idle,
         budget_ms,
         rounds: 1,
     };
-    vec![setting(task(false), apart_ms), setting(task(true), at_once_ms)]
+    let both = |counts: &[usize], budget_ms| -> Vec<Setting> {
+        let in_one = counts.iter().map(|&count| setting(1, count, Idle::HeldOff, budget_ms));
+        let many = counts.iter().filter(|&&count| count > 1);
+        in_one.chain(many.map(|&count| setting(count, 1, Idle::HeldOff, budget_ms))).collect()
+    };
+    match extent {
+        Extent::Smoke => both(&[2], 200),
+        Extent::Quick => both(&[1, 8], 600),
+        Extent::Full => {
+            let mut all = both(&[1, 2, 4, 8, 16], 1000);
+            all.extend([1, 4].map(|count| setting(1, count, Idle::AsShipped, 600)));
+            all.push(setting(4, 1, Idle::AsShipped, 600));
+            all
+        }
+    }
+}
+
+fn robot(extent: Extent) -> Vec<Setting> {
+    let setting = |at_once, idle, budget_ms| Setting {
+        task: Task::Paced {
+            rate: 2000.0,
+            topics: 20,
+            processes: 1,
+            subscribers: 1,
+            is_loaded: false,
+            at_once,
+        },
+        payload_bytes: 4 << 10,
+        idle,
+        budget_ms,
+        rounds: 1,
+    };
+    let both =
+        |idle, apart_ms, at_once_ms| vec![setting(false, idle, apart_ms), setting(true, idle, at_once_ms)];
+    match extent {
+        Extent::Smoke => both(Idle::AsShipped, 500, 200),
+        Extent::Quick => both(Idle::AsShipped, 1500, 1000),
+        Extent::Full => [both(Idle::AsShipped, 20_000, 5000), both(Idle::HeldOff, 4000, 2000)].concat(),
+    }
 }
 
 fn throughput(extent: Extent) -> Vec<Setting> {
-    let (budget_ms, rounds) = match extent {
-        Extent::Smoke => (100, 1),
-        Extent::Quick => (400, 1),
-        Extent::Full => (1000, 3),
+    let setting = |payload_bytes, idle, budget_ms, rounds| Setting {
+        task: Task::Stream,
+        payload_bytes,
+        idle,
+        budget_ms,
+        rounds,
     };
-    let setting =
-        |payload_bytes| Setting { task: Task::Stream, payload_bytes, idle: Idle::HeldOff, budget_ms, rounds };
-    vec![setting(64), setting(1 << 20)]
+    let both = |idle, budget_ms, rounds| [64, 1 << 20].map(|bytes| setting(bytes, idle, budget_ms, rounds));
+    match extent {
+        Extent::Smoke => both(Idle::HeldOff, 100, 1).into(),
+        Extent::Quick => both(Idle::HeldOff, 400, 1).into(),
+        Extent::Full => [both(Idle::HeldOff, 1000, 3), both(Idle::AsShipped, 1000, 1)].concat(),
+    }
 }
 
 fn start_up(extent: Extent) -> Vec<Setting> {
-    let rounds = match extent {
-        Extent::Smoke => 1,
-        Extent::Quick => 1,
-        Extent::Full => 3,
-    };
-    let setting = |topics, is_late_joiner| Setting {
+    let setting = |topics, is_late_joiner, idle, rounds| Setting {
         task: Task::Start { topics, is_late_joiner },
         payload_bytes: 64,
-        idle: Idle::AsShipped,
+        idle,
         budget_ms: 10,
         rounds,
     };
-    vec![setting(1, false), setting(1, true), setting(100, false)]
+    let all = |idle, rounds| {
+        vec![
+            setting(1, false, idle, rounds),
+            setting(1, true, idle, rounds),
+            setting(100, false, idle, rounds),
+        ]
+    };
+    match extent {
+        Extent::Smoke | Extent::Quick => all(Idle::AsShipped, 1),
+        Extent::Full => [all(Idle::AsShipped, 3), all(Idle::HeldOff, 1)].concat(),
+    }
 }

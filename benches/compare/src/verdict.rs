@@ -113,6 +113,8 @@ const BLOCKING: &[&str] = &["blocking", "direct", "one-thread"];
 const HELD: &str = "latency/whole/held-off";
 const SHIPPED: &str = "latency/whole/as-shipped";
 const UNTOUCHED: &str = "latency/untouched/held-off";
+const ROBOT: &str = "robot/20x100Hz/as-shipped";
+const ROBOT_AT_ONCE: &str = "robot/20x100Hz/at-once/as-shipped";
 
 /// All of them.
 pub fn verdicts(rows: &[Row]) -> Vec<Verdict> {
@@ -121,9 +123,7 @@ pub fn verdicts(rows: &[Row]) -> Vec<Verdict> {
     for bytes in [MIB, 8 * MIB] {
         all.extend(large(&rows, bytes));
     }
-    for (robot, how) in
-        [("robot/20x100Hz", "each at its own time"), ("robot/20x100Hz/at-once", "all at once")]
-    {
+    for (robot, how) in [(ROBOT, "each at its own time"), (ROBOT_AT_ONCE, "all at once")] {
         for rival in ["fastdds", "r2r"] {
             let (ours, theirs) = (rows.find(robot, "tautline", BLOCKING, 4096), rows.all(robot, rival, 4096));
             let floor = rows.find(robot, "floor", &["ring"], 4096);
@@ -362,7 +362,8 @@ fn one_wake(rows: &Rows) -> Verdict {
     let claim = "fan-out within a process: its sampler wakes once per message, not once per subscription";
     let verdict = |found: String, holds| Verdict { claim: claim.to_owned(), found, holds, reason: None };
     let of_count = |count: usize| {
-        let rows = rows.find(&format!("fan-out/one-process/{count}"), "tautline", &["blocking"], MIB);
+        let rows =
+            rows.find(&format!("fan-out/one-process/held-off/{count}"), "tautline", &["blocking"], MIB);
         let row = *rows.first()?;
         Some((count, row, row.details.as_ref()?.wakes?))
     };

@@ -25,9 +25,9 @@ pub(super) fn table(run: &Value) -> String {
         ("1 MiB", held, 1 << 20, &both),
         ("8 MiB", held, 8 << 20, &both),
         ("1 kHz under load, p99.9", "open-loop/load/held-off", 1024, &|row| us(row, "p999_us")),
-        ("robot: CPU", "robot/20x100Hz", 4096, &|row| us(row, "cpu_us_per_msg")),
-        ("at once", "robot/20x100Hz/at-once", 4096, &|row| us(row, "cpu_us_per_msg")),
-        ("robot: MiB", "robot/20x100Hz", 4096, &|row| us(row, "rss_mib")),
+        ("robot: CPU", "robot/20x100Hz/as-shipped", 4096, &|row| us(row, "cpu_us_per_msg")),
+        ("at once", "robot/20x100Hz/at-once/as-shipped", 4096, &|row| us(row, "cpu_us_per_msg")),
+        ("robot: MiB", "robot/20x100Hz/as-shipped", 4096, &|row| us(row, "rss_mib")),
     ];
     let mut out = String::from("| system |");
     columns.iter().for_each(|(title, ..)| out.push_str(&format!(" {title} |")));
@@ -79,7 +79,7 @@ mod tests {
         let held = "latency/whole/held-off";
         let rows = [
             row(held, "tautline", 64, 9),
-            row("robot/20x100Hz", "tautline", 4096, 9),
+            row("robot/20x100Hz/as-shipped", "tautline", 4096, 9),
             row(held, "fastdds", 64, 9),
             row(held, "fastdds", 1 << 20, 0),
             row("latency/untouched/held-off", "hiroz", 64, 9),
