@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! LTTng for the test that records one run twice: its packages, installed where CI is set.
 
-use crate::machine;
-use crate::steps::{Outcome, Steps, cargo, execute};
-use std::process::{Command, Stdio};
+use crate::packages;
+use crate::steps::{Outcome, Steps, cargo};
 
 const PACKAGES: [&str; 3] = ["lttng-tools", "liblttng-ust-dev", "babeltrace2"];
 
@@ -12,7 +11,7 @@ pub fn test(steps: &mut Steps) {
     const NAMES: [&str; 2] = ["lttng: clippy", "lttng: test"];
     let mut ready = false;
     steps.step("lttng: packages", || {
-        let outcome = prepare();
+        let outcome = packages::prepare(&PACKAGES, present);
         ready = matches!(outcome, Outcome::Ok);
         outcome
     });
@@ -24,42 +23,13 @@ pub fn test(steps: &mut Steps) {
     steps.command(NAMES[1], &mut cargo("test -p taut --features lttng --test lttng -- --nocapture"));
 }
 
-/// Installs what is missing, as root and where CI is set; on somebody's own machine that is for them to do.
-fn prepare() -> Outcome {
-    let Err(missing) = present() else { return Outcome::Ok };
-    let line = format!("{missing} is missing: sudo apt install {}", PACKAGES.join(" "));
-    if !machine::is_ci() {
-        return Outcome::Skipped(line);
-    }
-    let apt = |arguments: &[&str]| {
-        let mut command = Command::new("apt-get");
-        command.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
-        execute(&mut command)
-    };
-    let install = [&["install", "--yes", "--quiet", "--no-install-recommends"], &PACKAGES[..]].concat();
-    if !matches!(apt(&install), Outcome::Ok) {
-        // Its lists may be missing or old.
-        apt(&["update", "--quiet"]);
-        apt(&install);
-    }
-    match present() {
-        Ok(()) => Outcome::Ok,
-        Err(_) => Outcome::Failed(line),
-    }
-}
-
 /// Whether everything is there; otherwise what is not.
 fn present() -> Result<(), &'static str> {
-    let runs = |program: &str, arguments: &[&str]| {
-        let mut command = Command::new(program);
-        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-        command.status().is_ok_and(|status| status.success())
-    };
     for tool in ["lttng", "lttng-sessiond", "babeltrace2"] {
-        if !runs(tool, &["--version"]) {
+        if !packages::runs(tool, &["--version"]) {
             return Err(tool);
         }
     }
     let header = ["-include", "lttng/tracepoint.h", "-x", "c", "-E", "/dev/null"];
-    if runs("cc", &header) { Ok(()) } else { Err("lttng/tracepoint.h") }
+    if packages::runs("cc", &header) { Ok(()) } else { Err("lttng/tracepoint.h") }
 }

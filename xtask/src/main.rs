@@ -28,6 +28,7 @@ mod fuzz;
 mod lttng;
 mod machine;
 mod network;
+mod packages;
 mod paper;
 mod peers;
 mod programs;

@@ -8,8 +8,8 @@ use crate::reports::{
 };
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
-    bench, bridge, compare as comparison, examples, fuzz, lttng, paper as evaluation, peers, programs, r2r,
-    reference, ros, services as round_trips, stress_doorbell,
+    bench, bridge, compare as comparison, examples, fuzz, lttng, packages, paper as evaluation, peers,
+    programs, r2r, reference, ros, services as round_trips, stress_doorbell,
 };
 use std::process::{Command, ExitCode};
 
@@ -105,6 +105,7 @@ fn ros(steps: &mut Steps) {
 }
 
 fn tests(steps: &mut Steps) {
+    steps.step("gateway: packages", packages::firewall);
     // Every bundled message, not only those of the default packages.
     let build = "--workspace --features tautline/ros_all --no-fail-fast";
     let leak_cycles = machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"));

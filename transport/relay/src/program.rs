@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Becomes true with the first SIGINT or SIGTERM. One that comes later than [`ONE_STOP`] after it ends the program at once, with 128
+/// Becomes true with the first SIGINT or SIGTERM. One that comes later than 200 ms after it ends the program at once, with 128
 /// and the signal's number.
 ///
 /// # Errors
