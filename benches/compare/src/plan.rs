@@ -241,16 +241,18 @@ fn latency(extent: Extent) -> Vec<Setting> {
     let rounds = |idle, payload_bytes| match (extent, idle, payload_bytes) {
         (Extent::Smoke, ..) => 1,
         (Extent::Quick, Idle::HeldOff, 64) => 3,
-        (Extent::Quick, _, 8_388_608) => 1,
+        (Extent::Quick, Idle::HeldOff, 0x10_0000) | (Extent::Quick, Idle::AsShipped, 64) => 2,
+        (Extent::Quick, ..) => 1,
         (Extent::Full, _, 64 | 0x10_0000) => 4,
-        _ => 2,
+        (Extent::Full, ..) => 2,
     };
     let setting = |whole, idle, sizes: &[usize]| -> Vec<Setting> {
         let of_size = |&payload_bytes: &usize| Setting {
             task: Task::RoundTrips { whole },
             payload_bytes,
             idle,
-            budget_ms,
+            // The slowest are to make some round trips, too.
+            budget_ms: if payload_bytes > 4 << 20 { budget_ms.max(250) } else { budget_ms },
             rounds: rounds(idle, payload_bytes),
         };
         sizes.iter().map(of_size).collect()
@@ -297,7 +299,13 @@ fn fan_out(extent: Extent) -> Vec<Setting> {
     };
     match extent {
         Extent::Smoke => both(&[2], 200),
-        Extent::Quick => both(&[1, 8], 600),
+        Extent::Quick => {
+            vec![
+                setting(1, 1, Idle::HeldOff, 600),
+                setting(1, 8, Idle::HeldOff, 600),
+                setting(4, 1, Idle::HeldOff, 600),
+            ]
+        }
         Extent::Full => {
             let mut all = both(&[1, 2, 4, 8, 16], 1000);
             all.extend([1, 4].map(|count| setting(1, count, Idle::AsShipped, 600)));

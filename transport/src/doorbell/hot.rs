@@ -139,6 +139,17 @@ impl<const WORDS: usize> Bell<WORDS> {
     }
 }
 
+#[cfg(test)]
+impl<const WORDS: usize> Bell<WORDS> {
+    /// How often whoever sleeps here is woken by what happens `meanwhile`.
+    pub(crate) fn wakes(&self, meanwhile: impl FnOnce()) -> u32 {
+        let before = self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING;
+        meanwhile();
+        let after = self.state.0.fetch_and(!SLEEPING, Ordering::AcqRel);
+        after.wrapping_sub(before) / ONE_RING
+    }
+}
+
 /// What others must know of a slot. Written by its owner alone; zero says nothing special.
 ///
 /// A subscription that finds sample after sample need not be rung for each: it is *draining*. Before it sleeps it says that

@@ -159,3 +159,26 @@ impl Peers {
         self.ring();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::{Limits, Participant, Qos, TopicType};
+
+    #[test]
+    fn a_message_wakes_a_sampler_once_whatever_the_number_of_its_subscriptions() {
+        const DOMAIN: u32 = 98;
+        let participants = [(), ()].map(|()| Participant::new(DOMAIN).unwrap());
+        let string = TopicType::new("std_msgs/msg/String".to_owned());
+        let (qos, limits) = (Qos::keep_last(4), Limits::default());
+        let subscribe = |one: &Participant| one.create_raw_subscription("/x", &string, qos, limits).unwrap();
+        // Taking turns, so that those of a participant are not created one after the other.
+        let _all: Vec<_> = (0..4).flat_map(|_| participants.each_ref().map(subscribe)).collect();
+        let publisher = participants[0].create_raw_publisher("/x", &string, qos, limits).unwrap();
+        let [one, other] = participants.each_ref().map(Participant::doorbell);
+        let mut of_other = 0;
+        let of_one = one.arena().bell().wakes(|| {
+            of_other = other.arena().bell().wakes(|| publisher.publish(&[0; 8]).unwrap());
+        });
+        assert_eq!((of_one, of_other), (1, 1));
+    }
+}
