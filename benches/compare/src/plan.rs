@@ -238,9 +238,10 @@ fn latency(extent: Extent) -> Vec<Setting> {
         Extent::Full => 300,
     };
     // More where most is promised, and where a machine's phases show most.
-    let rounds = |idle, payload_bytes| match (extent, idle, payload_bytes) {
+    let rounds = |whole, idle, payload_bytes| match (extent, idle, payload_bytes) {
         (Extent::Smoke, ..) => 1,
-        (Extent::Quick, Idle::HeldOff, 64) => 3,
+        (Extent::Quick, Idle::HeldOff, 64) if whole => 3,
+        (Extent::Quick, Idle::HeldOff, 64) => 2,
         (Extent::Quick, Idle::HeldOff, 0x10_0000) | (Extent::Quick, Idle::AsShipped, 64) => 2,
         (Extent::Quick, ..) => 1,
         (Extent::Full, _, 64 | 0x10_0000) => 4,
@@ -253,7 +254,7 @@ fn latency(extent: Extent) -> Vec<Setting> {
             idle,
             // The slowest are to make some round trips, too.
             budget_ms: if payload_bytes > 4 << 20 { budget_ms.max(250) } else { budget_ms },
-            rounds: rounds(idle, payload_bytes),
+            rounds: rounds(whole, idle, payload_bytes),
         };
         sizes.iter().map(of_size).collect()
     };
