@@ -321,7 +321,8 @@ impl Route {
         self.has_more = true;
     }
 
-    /// From previous subscriptions first: what the new one has follows on it.
+    /// From previous subscriptions first: what the new one has follows on it. What both get is told by its number; of an RMW that
+    /// gives none, both copies are passed on.
     fn take(&mut self, buffer: &mut SerializedMessage) -> Result<Option<RosMessageInfo>, RclError> {
         for (previous, _) in &mut self.previous {
             if let Some(info) = previous.take(buffer)? {

@@ -42,10 +42,10 @@ const REASONS: &[(&str, &str)] = &[
     (ONE_WAKE, OTHER_WAITS),
 ];
 const A_WAKE_EACH: &str = "most of it is what every system pays here: for each message the sender sleeps, is woken by a timer and interrupts an idle core";
-const A_LOAN_EACH: &str = "nobody sleeps between the 20 messages; beyond the floor is what loaning, queueing and taking each of them costs";
+const A_LOAN_EACH: &str = "beyond the floor is what loaning, queueing and taking each of the 20 messages costs, and nobody sleeps between them";
 const ONE_WAKE: &str =
     "fan-out within a process: its sampler wakes once per message, not once per subscription";
-const OTHER_WAITS: &str = "publishers wake it once per message, which a test counts; the kernel counts all waits of its thread, those within its calls, too";
+const OTHER_WAITS: &str = "publishers wake it once per message, which a test counts; the kernel counts other waits of its thread, too, and what they are is not known";
 
 /// A figure that is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
