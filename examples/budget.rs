@@ -20,7 +20,8 @@ fn main() -> ExitCode {
 
 fn detect(jobs: u64) -> Result<()> {
     let system = Path::new(env!("CARGO_MANIFEST_DIR")).join("systems/budget.toml");
-    let context = context_of(Context::builder().system(system))?;
+    // `args` reads ROS 2's arguments, as `Context::create` does by itself.
+    let context = context_of(Context::builder().args(std::env::args()).system(system))?;
     let mut node = Node::create(context.clone(), "vision", "")?;
     let mut timer = node.create_wall_timer(Duration::from_millis(200))?;
 

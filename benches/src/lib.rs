@@ -9,6 +9,7 @@
 //! | `paper` | do the response times of an ECRTS 2025 paper hold, with Tautline and with r2r, and only for the structure that it proposes |
 //! | `compare` | Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up; in a package of its own |
 //! | `network` | what the gateways cost beside plain Zenoh; in a package of its own, for it builds Zenoh |
+//! | `services` | what a request and its answer cost, beside topics, iceoryx2's request-response and r2r |
 //! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
 //! | `trace` | what a trace event costs, recorded and not |
 //!

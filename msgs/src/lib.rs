@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages: plain ones whose bytes in memory are their CDR, and owned ones converted to and from it.
+//! Messages: plain ones whose bytes in memory are their CDR, views and writers for those of any length, and owned ones converted
+//! to and from it.
 //!
 //! A topic carries one format, on the network and in shared memory: the XCDR1 little-endian body that ROS 2 sends
 //! (without its 4 encapsulation bytes), starting at an 8-byte aligned address. For a [`Plain`] type these bytes *are*

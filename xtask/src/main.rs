@@ -14,11 +14,13 @@
 //! | `network` | the bench of the gateways: builds Zenoh's and hiroz's sides, and runs all |
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `reference` | the Autoware reference system: builds r2r's side, if it can, and runs both |
+//! | `services` | the services bench: builds r2r's side, if it can, and runs all |
 //! | `readme` | the README's tables and picture, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
+//! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
 
 mod bridge;

@@ -16,7 +16,7 @@ use std::process::ExitCode;
 
 /// Records publications, takes, callbacks and the sampler of running processes; exports them; computes latencies.
 ///
-/// Programs need no preparation: while nobody records, an event costs about a nanosecond. docs/tracing.md says more.
+/// Programs need no preparation: while nobody records, an event costs less than a nanosecond. docs/tracing.md says more.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut trace record --seconds 10 -o run.trace       every process of the domain, for ten seconds
