@@ -43,7 +43,7 @@ impl<'a> Gateways<'a> {
         let mut both = Vec::new();
         for (index, host) in hosts.into_iter().enumerate() {
             let mut command = Command::new(program);
-            command.args(["--json", "--interval", "0.5", "--domain", &host.domain.to_string()]);
+            command.args(["--json", "--interval", "0.1", "--domain", &host.domain.to_string()]);
             command.args(["--network-domain", &domain.to_string()]);
             // Listening on any port as well as on this one would find other machines' routers on the default one.
             let (listen, connect) = match index {
@@ -77,6 +77,7 @@ impl<'a> Gateways<'a> {
 /// Not killed: that would leave their files in shared memory behind.
 impl Drop for Gateways<'_> {
     fn drop(&mut self) {
+        self.both.iter_mut().for_each(Process::ask_to_end);
         self.both.iter_mut().for_each(Process::terminate);
     }
 }

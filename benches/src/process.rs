@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use serde::de::DeserializeOwned;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -20,7 +20,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// How often an interrupt is looked for.
 const GLANCE: Duration = Duration::from_millis(100);
 
-/// A process that says lines of JSON, each a `L`; killed on drop if it still runs.
+/// A process that says lines of JSON, each a `L`; killed on drop if it still runs. If the thread that starts it ends first, however
+/// that may be, it is asked to end, too.
 #[derive(Debug)]
 pub struct Process<'a, L> {
     name: String,
@@ -42,6 +43,8 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         name: impl Into<String>,
         interrupted: &'a AtomicBool,
     ) -> Result<Self> {
+        // SAFETY: between fork and exec it does a system call and nothing else.
+        unsafe { command.pre_exec(|| Ok(set_parent_process_death_signal(Some(Signal::TERM))?)) };
         let mut child = command
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -149,18 +152,37 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         }
     }
 
+    /// Says whether it still runs.
+    ///
+    /// # Errors
+    /// It has ended.
+    pub fn still_runs(&mut self) -> Result<()> {
+        match self.child.try_wait()? {
+            None => Ok(()),
+            Some(_) => {
+                let words = self.last_words();
+                Err(format!("the {} ended early: {words}", self.name).into())
+            }
+        }
+    }
+
     /// Asks it to end, as a terminal does, and kills it if it does not within a second.
     pub fn terminate(&mut self) {
         let patience = Duration::from_secs(1);
-        if let Some(pid) = Pid::from_raw(self.child.id().cast_signed()) {
-            // Ignored: it has ended.
-            let _ = kill_process(pid, Signal::TERM);
-        }
+        self.ask_to_end();
         let since = Instant::now();
         while since.elapsed() < patience && matches!(self.child.try_wait(), Ok(None)) {
             thread::sleep(Duration::from_millis(5));
         }
         end(&mut self.child);
+    }
+
+    /// Asks it to end, as a terminal does, and does not wait.
+    pub fn ask_to_end(&mut self) {
+        if let (Ok(None), Some(pid)) = (self.child.try_wait(), Pid::from_raw(self.child.id().cast_signed())) {
+            // Ignored: it has ended meanwhile; its number is its own until it was waited for.
+            let _ = kill_process(pid, Signal::TERM);
+        }
     }
 
     /// Its number.
@@ -231,6 +253,16 @@ mod tests {
         let error = shell.finish().unwrap_err().to_string();
         assert!(error.contains("stderr: xxx") && error.ends_with("the end"), "{error}");
         assert!(error.len() < WORDS + 100);
+    }
+
+    #[test]
+    fn one_that_has_ended_is_told_from_one_that_runs() {
+        let mut shell = shell("echo 1; read line; echo why >&2; echo 2");
+        shell.expect(PATIENCE, Some).unwrap();
+        shell.still_runs().unwrap();
+        shell.tell("go").unwrap();
+        assert!(shell.finish().is_ok());
+        assert!(shell.still_runs().unwrap_err().to_string().contains("why"));
     }
 
     #[test]

@@ -238,7 +238,7 @@ fn build_apart(name: &str) -> Result<PathBuf, String> {
 struct Cpp {
     program: PathBuf,
     command: Command,
-    is_fresh: bool,
+    sources: [PathBuf; 2],
 }
 
 fn cpp(name: &str) -> Result<Cpp, String> {
@@ -247,26 +247,31 @@ fn cpp(name: &str) -> Result<Cpp, String> {
     let target = machine::target_dir().join("compare");
     fs::create_dir_all(&target).map_err(|error| format!("{}: {error}", target.display()))?;
     let program = target.join(name);
-    let is_fresh = is_newer(&program, &[&source, &folder.join("exchange.hpp")]).unwrap_or(false);
     let mut command = Command::new("g++");
     // As cargo's release profile: the loops over payloads become vectors in both.
     command.args(["-std=c++17", "-O3", "-Wall", "-Wextra", "-Werror"]).arg(&source).arg("-o").arg(&program);
-    Ok(Cpp { program, command, is_fresh })
+    Ok(Cpp { program, command, sources: [source, folder.join("exchange.hpp")] })
 }
 
 impl Cpp {
     fn finish(mut self) -> Result<PathBuf, String> {
-        if self.is_fresh {
+        // Another installation that was sourced, or other flags: the same sources make another program.
+        let (record, words) = (self.program.with_extension("command"), format!("{:?}", self.command));
+        let is_same = fs::read_to_string(&record).is_ok_and(|built| built == words);
+        if is_same && is_newer(&self.program, &self.sources).unwrap_or(false) {
             return Ok(self.program);
         }
         match execute(&mut self.command) {
-            Outcome::Ok => Ok(self.program),
+            Outcome::Ok => {
+                fs::write(&record, words).map_err(|error| format!("{}: {error}", record.display()))?;
+                Ok(self.program)
+            }
             Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
         }
     }
 }
 
-fn is_newer(file: &Path, others: &[&Path]) -> io::Result<bool> {
+fn is_newer(file: &Path, others: &[PathBuf]) -> io::Result<bool> {
     let built = fs::metadata(file)?.modified()?;
     others.iter().try_fold(true, |newer, other| Ok(newer && fs::metadata(other)?.modified()? < built))
 }

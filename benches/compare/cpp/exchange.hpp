@@ -147,6 +147,11 @@ inline void wait_for_stop() {
     while (!stop_flag()) sleep_until(monotonic_ns() + 20000000);
 }
 
+[[noreturn]] inline void damaged(uint64_t number) {
+    fprintf(stderr, "message %lu arrived damaged\n", number);
+    _exit(1);
+}
+
 struct Stamp {
     uint64_t number = 0, sent_ns = 0;
 
@@ -157,23 +162,25 @@ struct Stamp {
         memcpy(to, &number, 8);
         memcpy(to + 8, &sent_ns, 8);
     }
+    // One that is damaged ends the process.
     static Stamp read(const void* in, size_t bytes, bool whole) {
-        auto* from = static_cast<const uint8_t*>(in);
         Stamp stamp;
-        memcpy(&stamp.number, from, 8);
-        memcpy(&stamp.sent_ns, from + 8, 8);
+        if (!stamp.take(in, bytes, whole)) damaged(stamp.number);
+        return stamp;
+    }
+    // Whether all of it says the same number.
+    bool take(const void* in, size_t bytes, bool whole) {
+        auto* from = static_cast<const uint8_t*>(in);
+        memcpy(&number, from, 8);
+        memcpy(&sent_ns, from + 8, 8);
         uint64_t difference = 0;
         if (whole)
             for (size_t at = 16; at + 8 <= bytes; at += 8) {
                 uint64_t word;
                 memcpy(&word, from + at, 8);
-                difference |= word ^ stamp.number;
+                difference |= word ^ number;
             }
-        if (difference != 0) {
-            fprintf(stderr, "message %lu arrived damaged\n", stamp.number);
-            _exit(1);
-        }
-        return stamp;
+        return difference == 0;
     }
 };
 

@@ -99,6 +99,8 @@ class Participant {
         fdds::DataWriterQos qos;
         qos.reliability().kind = fdds::RELIABLE_RELIABILITY_QOS;
         qos.reliability().max_blocking_time = {1, 0};
+        // As ROS 2 and all others here; its own default keeps messages for readers that come later.
+        qos.durability().kind = fdds::VOLATILE_DURABILITY_QOS;
         set_history(qos.history(), qos.resource_limits());
         qos.endpoint().history_memory_policy = rtps::PREALLOCATED_MEMORY_MODE;
         qos.publish_mode().kind = fdds::SYNCHRONOUS_PUBLISH_MODE;
@@ -125,6 +127,8 @@ class Participant {
         limits.max_instances = 1;
         limits.max_samples_per_instance = depth;
         limits.allocated_samples = depth;
+        // Of data sharing: slack for a reader that still looks at what it has taken.
+        if (loans_) limits.extra_samples = depth;
     }
     fdds::Topic* topic(const std::string& name) {
         auto& topic = topics_[name];
@@ -174,33 +178,30 @@ class Input : public fdds::DataReaderListener {
         if (job_.mode == "data-sharing") {
             fdds::LoanableSequence<uint8_t> samples;
             fdds::SampleInfoSeq infos;
-            while (reader->take(samples, infos) == eprosima::fastrtps::types::ReturnCode_t::RETCODE_OK) {
-                for (int index = 0; index < infos.length(); index++)
-                    if (infos[index].valid_data) take(&samples[index]);
+            // One at a time: what is taken counts as read, and its memory may be written again.
+            while (reader->take(samples, infos, 1) == eprosima::fastrtps::types::ReturnCode_t::RETCODE_OK) {
+                Stamp stamp;
+                bool is_valid = infos[0].valid_data;
+                bool is_whole = is_valid && stamp.take(&samples[0], job_.payload_bytes, job_.whole);
+                // What was written over meanwhile is a loss: its number never arrives.
+                is_valid = is_valid && reader->is_sample_valid(&samples[0], &infos[0]);
                 reader->return_loan(samples, infos);
-                finish();
+                if (is_valid && !is_whole) exchange::damaged(stamp.number);
+                if (is_valid) then_(stamp);
             }
         } else {
             fdds::SampleInfo info;
             while (reader->take_next_sample(sample_.data(), &info) ==
                    eprosima::fastrtps::types::ReturnCode_t::RETCODE_OK) {
-                if (info.valid_data) take(sample_.data());
-                finish();
+                if (info.valid_data) then_(Stamp::read(sample_.data(), job_.payload_bytes, job_.whole));
             }
         }
     }
 
   private:
-    // The answer is sent when the loan is back: the history may be one sample deep.
-    void take(const void* sample) { stamps_.push_back(Stamp::read(sample, job_.payload_bytes, job_.whole)); }
-    void finish() {
-        for (auto stamp : stamps_) then_(stamp);
-        stamps_.clear();
-    }
     const Job& job_;
     std::function<void(Stamp)> then_;
     std::vector<uint8_t> sample_;
-    std::vector<Stamp> stamps_;
 };
 
 void ask(Participant& participant, const Job& job) {

@@ -352,14 +352,7 @@ mod tests {
     fn times_that_are_all_the_same_are_a_line_too() {
         let mut times = Distribution::new();
         times.record(5000);
-        let details = Details {
-            times,
-            p50_us: (5.0, 5.0),
-            messages_per_s: 1.0,
-            cpu_share: 0.0,
-            steal_ticks: 0,
-            wakes: None,
-        };
+        let details = Details { times, messages_per_s: 1.0, cpu_share: 0.0, steal_ticks: 0, wakes: None };
         let row = Row { details: Some(details), ..row("x", "tautline", "blocking", 64, 5.0) };
         let svg = distributions(&[row], "x", 64, "time").unwrap().unwrap();
         assert!(svg.contains("tautline blocking"));

@@ -11,6 +11,7 @@ use crate::load::LOAD;
 use crate::modes::{MODES, SYSTEMS, strengths};
 use crate::plan::Plan;
 use crate::report::{Report, Row, payload, short};
+use crate::slower::Slower;
 
 /// The page.
 pub fn page(plan: &Plan, report: &Report) -> Result<String> {
@@ -26,6 +27,7 @@ pub fn page(plan: &Plan, report: &Report) -> Result<String> {
         out.push_str("<p class=\"late\">Measured without real-time priorities: these are not the numbers to compare.</p>\n");
     }
     write_verdicts(&mut out, report)?;
+    write_slower(&mut out, report)?;
     write_latency(&mut out, report)?;
     write_bars(&mut out, report)?;
     write_tables(&mut out, report)?;
@@ -53,6 +55,28 @@ fn write_verdicts(out: &mut String, report: &Report) -> Result<()> {
         writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}{reason}</li>")?;
     }
     out.push_str("</ul>\n");
+    Ok(())
+}
+
+fn write_slower(out: &mut String, report: &Report) -> Result<()> {
+    if report.slower.is_empty() {
+        return Ok(());
+    }
+    out.push_str(
+        "<h2>Where a rival is ahead of Tautline's default, and why</h2>\n<p>The default mode is blocking, for rivals that never \
+         sleep busy-poll; the median of the rounds' ratios, from 1.05 x on.</p>\n<table><tr><th class=\"l\">experiment, payload, \
+         figure</th><th class=\"l\">found</th><th class=\"l\">why it stays</th></tr>\n",
+    );
+    for Slower { what, found, reason } in &report.slower {
+        writeln!(
+            out,
+            "<tr><td class=\"l\">{}</td><td class=\"l\">{}</td><td class=\"l\" style=\"white-space:normal\">{}</td></tr>",
+            escape(what),
+            escape(found),
+            escape(reason)
+        )?;
+    }
+    out.push_str("</table>\n");
     Ok(())
 }
 
@@ -107,9 +131,10 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
             report.rows.iter().filter(|row| row.experiment == experiment && row.payload_bytes == bytes);
         rows.filter_map(|row| Some(Bar::new(row, number(row)?, spread(row)))).collect::<Vec<_>>()
     };
-    let rounds: fn(&Row) -> Option<(f64, f64)> = |row| row.details.as_ref().map(|details| details.p50_us);
+    let rounds: fn(&Row) -> Option<(f64, f64)> = |row| row.spread(|round| Some(round.p50_us));
     let to_p99: fn(&Row) -> Option<(f64, f64)> = |row| row.p50_us.zip(row.p99_us);
-    let none: fn(&Row) -> Option<(f64, f64)> = |_| None;
+    let cpu: fn(&Row) -> Option<(f64, f64)> =
+        |row| row.spread(|round| Some(round.cpu_us_per_msg? * round.msgs_per_s? / 1e4));
     let p50: Number = |row| row.p50_us;
     let cpu_percent: Number = |row| row.details.as_ref().map(|details| details.cpu_share * 100.0);
     let pictures = [
@@ -129,32 +154,32 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
             Some(500.0),
         ),
         (
-            "20 topics at 100 Hz, each at its own time: CPU time of all processes in % of a core",
-            of("robot/20x100Hz/as-shipped", 4096, cpu_percent, none),
+            "20 topics at 100 Hz, each at its own time: CPU time of all processes in % of a core; whiskers are the rounds",
+            of("robot/20x100Hz/as-shipped", 4096, cpu_percent, cpu),
             None,
         ),
         (
-            "20 topics at 100 Hz, all at once: CPU time of all processes in % of a core",
-            of("robot/20x100Hz/at-once/as-shipped", 4096, cpu_percent, none),
+            "20 topics at 100 Hz, all at once: CPU time of all processes in % of a core; whiskers are the rounds",
+            of("robot/20x100Hz/at-once/as-shipped", 4096, cpu_percent, cpu),
             None,
         ),
         (
-            "20 topics at 100 Hz: resident memory of all processes in MiB",
-            of("robot/20x100Hz/as-shipped", 4096, |row| row.rss_mib, none),
+            "20 topics at 100 Hz: resident memory of all processes in MiB; whiskers are the rounds",
+            of("robot/20x100Hz/as-shipped", 4096, |row| row.rss_mib, |row| row.spread(|round| round.rss_mib)),
             None,
         ),
         (
-            "Throughput at 64 B: 1000 messages/s",
+            "Throughput at 64 B: 1000 messages/s; whiskers are the rounds",
             of(
                 "throughput/held-off",
                 64,
                 |row| row.details.as_ref().map(|details| details.messages_per_s / 1e3),
-                none,
+                |row| row.spread(|round| Some(round.msgs_per_s? / 1e3)),
             ),
             None,
         ),
         (
-            "Throughput at 1 MiB: GB/s",
+            "Throughput at 1 MiB: GB/s; whiskers are the rounds",
             of(
                 "throughput/held-off",
                 1 << 20,
@@ -163,7 +188,7 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
                         .as_ref()
                         .map(|details| details.messages_per_s * row.payload_bytes as f64 / 1e9)
                 },
-                none,
+                |row| row.spread(|round| Some(round.msgs_per_s? * row.payload_bytes as f64 / 1e9)),
             ),
             None,
         ),
@@ -269,17 +294,17 @@ fn write_settings(out: &mut String) -> Result<()> {
 
 fn method() -> Vec<String> {
     [
-        "Two processes (or more, of fan-out), pinned: the sender to one core, the receivers to the other. The threads that send or are called back have SCHED_FIFO 50, and so have those that a system starts by itself, but for Tautline's samplers (60), which wake its callback threads; a mode called ordinary has none of it. Every process locks its memory (mlockall, on fault), and malloc keeps what is freed, as Tautline's context does by itself.",
+        "Two processes (or more, of fan-out), pinned: the sender to one core, the receivers to the other. The threads that send or are called back have SCHED_FIFO 50, and so have those that a system starts by itself, but for Tautline's samplers (60), which wake its callback threads, and for the network threads of its gateways and of hiroz (80), which must not wait for callbacks; a mode called ordinary has none of it. Every process locks its memory (mlockall, on fault), and malloc keeps what is freed, as Tautline's context does by itself.",
         "Queues: 10 messages in every system, for throughput at 64 B 100.",
         "No setting comes from the environment or from files of the user: variables such as FASTRTPS_DEFAULT_PROFILES_FILE, CYCLONEDDS_URI and RMW_IMPLEMENTATION are removed.",
-        "Each experiment has its own number of rounds; in each of them every system runs directly after its rivals, in the order of the round before reversed. What must hold is judged by the median of the ratios of the rounds, for a machine has slow and fast phases; a rival's best configuration is the one whose rounds have the least median. Not judged: what failed in a round, lost messages, ran without real-time priorities or with idle states that should have been held off, or has fewer than ten times above the quantile; quantiles of so few are left out.",
+        "Each experiment has its own number of rounds; in each of them every system runs directly after its rivals, in the order of the round before reversed. What must hold is judged by the median of the ratios of the rounds, for a machine has slow and fast phases; a rival's best configuration is the one whose rounds have the least median. Not judged: what failed in a round, lost messages, ran without real-time priorities or with idle states that should have been held off, or has fewer than ten times above the quantile; quantiles of so few are left out, and where only all rounds together have enough, they are judged together.",
         "Latency: a message to and fro, half of it. Written and read whole: the sender writes every byte in the place that its system gives it, the receiver looks at every byte; untouched: the first 16 bytes.",
         "Idle states: as shipped, or held off for all by /dev/cpu_dma_latency, taken and released for each measurement. On a virtual machine leaving an idle state costs far more than any middleware.",
-        "One way: the sender stamps the message with CLOCK_MONOTONIC before it asks for memory; the receiver reads the clock when it has it. The sender keeps its rate whatever becomes of the messages; a message that was due while the one before was still being sent is stamped with the time at which it was due. What is under way at the end has 500 ms to arrive.",
+        "One way: the sender stamps the message with CLOCK_MONOTONIC before it asks for memory; the receiver reads the clock when it has read it and given its memory back. The sender keeps its rate whatever becomes of the messages; a message that was due while the one before was still being sent is stamped with the time at which it was due. What is under way at the end has 500 ms to arrive.",
         "CPU time: of latency that of one end, which sends and receives one message per round trip; else that of all processes, by their own clocks, from the end of the warm-up to the last message, per message that was sent; of throughput, per message that was received.",
         "Throughput: as fast as the receiver lets the sender: keep all and reliable, or what a system has of it; times are those between arrivals, means of 16.",
-        "Start-up: from before the process is started to its message in the receiver; includes loading the program.",
-        "A message is lost if its number never arrives at a subscription, counted after the warm-up.",
+        "Start-up: from before the process is started to its message in the receiver; includes loading the program. The sender tries every millisecond, with 100 topics a round of them every 10 ms.",
+        "A message is lost if its number never arrives at a subscription, counted after the warm-up; of throughput, if a later one arrives: what is still queued when the measurement ends counts as neither received nor lost.",
     ]
     .map(str::to_owned)
     .into_iter()

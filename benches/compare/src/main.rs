@@ -13,7 +13,8 @@
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |
 //! | `systems` | the systems that this binary runs itself |
-//! | `report`, `verdict` | the tables, the JSON, the ratios that must hold |
+//! | `report` | the tables, the JSON |
+//! | `ratios`, `verdict`, `slower` | figures of rivals compared, the ratios that must hold, where a rival is ahead and why |
 //! | `html`, `figures` | the page |
 
 mod figures;
@@ -23,8 +24,10 @@ mod load;
 mod modes;
 mod pair;
 mod plan;
+mod ratios;
 mod report;
 mod rounds;
+mod slower;
 mod systems;
 mod verdict;
 
@@ -77,7 +80,7 @@ struct Options {
     #[arg(long)]
     no_rt: bool,
     /// The two cores, the sender's and the receiver's [default: the first two allowed]
-    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
     cores: Option<Vec<usize>>,
     /// Only these experiments [default: all]
     #[arg(long, value_name = "EXPERIMENT,...", value_delimiter = ',', value_enum)]

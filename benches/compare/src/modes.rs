@@ -46,8 +46,10 @@ pub enum Part {
     RoundTrips,
     /// Round trips with idle states as shipped, for it decides about them itself.
     AsShipped,
-    /// A floor, of payloads that are written and read whole.
+    /// Round trips of payloads that are written and read whole.
     Whole,
+    /// The same with idle states held off alone, for nobody sleeps: a floor.
+    Copy,
     /// Round trips of 64 B.
     Small,
     /// Flows of many topics.
@@ -69,9 +71,9 @@ pub struct Mode {
 
 impl Mode {
     /// Whether a sender that is faster than its receiver is held back, rather than losing messages.
-    pub fn holds_sender_back(&self) -> bool {
-        // It has no setting of the history that does.
-        self.system != "r2r"
+    pub fn holds_sender_back(&self, payload_bytes: usize) -> bool {
+        // See its settings.
+        self.system != "r2r" || payload_bytes <= 64 << 10
     }
 }
 
@@ -103,7 +105,7 @@ pub const MODES: &[Mode] = &[
         Part::Topics,
         "memory that both processes map, with room for 64 messages of any topic; one futex wake for each; one thread receives all",
     ),
-    own("floor", "memcpy", Part::Whole, "a copy of the payload from one buffer to another within a process"),
+    own("floor", "memcpy", Part::Copy, "a copy of the payload from one buffer to another within a process"),
     own(
         "tautline",
         "blocking",
@@ -160,7 +162,7 @@ pub const MODES: &[Mode] = &[
         ..own(
             "tautline",
             "gateway",
-            Part::RoundTrips,
+            Part::Whole,
             "as image, in two domains with a gateway (taut gateway) each, which one TCP connection over the loopback joins; each gateway shares the core of its end, its threads at their default, FIFO 80; CPU time and memory without the gateways'",
         )
     },
@@ -180,7 +182,7 @@ pub const MODES: &[Mode] = &[
     words(
         "fastdds",
         "default",
-        "listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable",
+        "listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable, volatile",
     ),
     words(
         "fastdds",
@@ -190,7 +192,7 @@ pub const MODES: &[Mode] = &[
     words(
         "fastdds",
         "data-sharing",
-        "as tuned, with a plain type, data sharing and loans on both sides: loan_sample, take without a copy",
+        "as tuned, with a plain type, data sharing and loans on both sides: loan_sample, take of one at a time without a copy, is_sample_valid after it was read (what was written over meanwhile counts as lost), as many extra_samples as the queue has",
     ),
     words("cyclonedds", "default", "C interface, an array of octets, listener; UDP as it comes; reliable"),
     words(
@@ -210,7 +212,7 @@ pub const MODES: &[Mode] = &[
         "r2r",
         "typed",
         Part::All,
-        "r2r 0.9.7 over rmw_fastrtps_cpp; std_msgs/msg/UInt8MultiArray as a Rust struct; one thread spins and runs the callbacks; the builtin transports as they come; reliable, keep last, also for throughput, where it loses what the receiver misses",
+        "r2r 0.9.7 over rmw_fastrtps_cpp; std_msgs/msg/UInt8MultiArray as a Rust struct; one thread spins and runs the callbacks; the builtin transports as they come; reliable, keep last; throughput at 64 B with keep all, of which rmw_fastrtps holds up to 5,000 whatever is asked for; of 1 MiB that would be 5 GB, so there it is keep last, and loses what the receiver misses",
     ),
     json(
         "r2r",
@@ -241,7 +243,7 @@ pub const MODES: &[Mode] = &[
         "hiroz",
         "pub-sub",
         Part::RoundTrips,
-        "hiroz 0.2.1 as in its z_pingpong: a node each, std_msgs/msg/ByteMultiArray, two peers with one TCP link; a buffer for each message that is written whole, else one that is made once; Zenoh's threads at FIFO 80, as the gateway's",
+        "hiroz 0.2.1 as in its z_pingpong: a node each, std_msgs/msg/ByteMultiArray, two peers with one TCP link; a buffer for each message that is written whole, else one that is made once; Zenoh's threads at FIFO 80 as the gateway's, above the threads that send and are called back",
     ),
 ];
 

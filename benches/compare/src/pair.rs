@@ -28,6 +28,13 @@ pub struct Around<'a> {
     daemon: Option<Process<'a, Line>>,
 }
 
+impl Around<'_> {
+    /// Whether what ran beside a measurement is still there: without it the ends would have used somebody else's.
+    pub fn still_runs(&mut self) -> Result<()> {
+        self.daemon.as_mut().map_or(Ok(()), Process::still_runs)
+    }
+}
+
 /// Not killed: that would leave its files in shared memory behind.
 impl Drop for Around<'_> {
     fn drop(&mut self) {

@@ -215,7 +215,8 @@ fn takes_part(mode: &Mode, setting: &Setting) -> bool {
         (Part::AsShipped, Task::RoundTrips { .. }) => setting.idle == Idle::AsShipped,
         (Part::Small, Task::RoundTrips { .. }) => setting.payload_bytes == 64,
         (Part::Topics, Task::Paced { topics, .. }) => topics > 1,
-        (Part::Whole, Task::RoundTrips { whole }) => whole && setting.idle == Idle::HeldOff,
+        (Part::Copy, Task::RoundTrips { whole }) => whole && setting.idle == Idle::HeldOff,
+        (Part::Whole, Task::RoundTrips { whole }) => whole,
         _ => false,
     }
 }
@@ -228,32 +229,30 @@ fn latency(extent: Extent) -> Vec<Setting> {
     let (whole_held, whole_shipped, untouched_held): (Sizes, Sizes, Sizes) = match extent {
         Extent::Smoke => (&[64, 1 << 20], &[64], &[64]),
         Extent::Quick => (&[64, 1 << 20, 8 << 20], &[64, 1 << 20], &[64]),
-        Extent::Full => {
-            (&SIZES, &[64, 4 << 10, 256 << 10, 1 << 20, 8 << 20], &[64, 4 << 10, 256 << 10, 8 << 20])
-        }
+        Extent::Full => (&SIZES, &SIZES, &SIZES),
     };
-    let budget_ms = match extent {
-        Extent::Smoke => 60,
-        Extent::Quick => 100,
-        Extent::Full => 300,
+    // The slowest are to make some round trips of 8 MiB, too: twenty in all, of which a median is made.
+    let (budget_ms, large_ms) = match extent {
+        Extent::Smoke => (60, 60),
+        Extent::Quick => (100, 650),
+        Extent::Full => (100, 400),
     };
     // More where most is promised, and where a machine's phases show most.
     let rounds = |whole, idle, payload_bytes| match (extent, idle, payload_bytes) {
         (Extent::Smoke, ..) => 1,
         (Extent::Quick, Idle::HeldOff, 64) if whole => 3,
-        (Extent::Quick, Idle::HeldOff, 64) => 2,
         (Extent::Quick, Idle::HeldOff, 0x10_0000) | (Extent::Quick, Idle::AsShipped, 64) => 2,
         (Extent::Quick, ..) => 1,
-        (Extent::Full, _, 64 | 0x10_0000) => 4,
-        (Extent::Full, ..) => 2,
+        (Extent::Full, Idle::HeldOff, 64 | 0x10_0000 | 0x80_0000) if whole => 3,
+        (Extent::Full, Idle::AsShipped, 64 | 0x10_0000 | 0x80_0000) if whole => 2,
+        (Extent::Full, ..) => 1,
     };
     let setting = |whole, idle, sizes: &[usize]| -> Vec<Setting> {
         let of_size = |&payload_bytes: &usize| Setting {
             task: Task::RoundTrips { whole },
             payload_bytes,
             idle,
-            // The slowest are to make some round trips, too.
-            budget_ms: if payload_bytes > 4 << 20 { budget_ms.max(250) } else { budget_ms },
+            budget_ms: if payload_bytes > 4 << 20 { large_ms } else { budget_ms },
             rounds: rounds(whole, idle, payload_bytes),
         };
         sizes.iter().map(of_size).collect()
@@ -261,6 +260,9 @@ fn latency(extent: Extent) -> Vec<Setting> {
     let mut settings = setting(true, Idle::HeldOff, whole_held);
     settings.extend(setting(false, Idle::HeldOff, untouched_held));
     settings.extend(setting(true, Idle::AsShipped, whole_shipped));
+    if extent == Extent::Full {
+        settings.extend(setting(false, Idle::AsShipped, &SIZES));
+    }
     settings
 }
 
@@ -281,7 +283,7 @@ fn open_loop(extent: Extent) -> Vec<Setting> {
         Extent::Smoke => both(Idle::HeldOff, 200, 1).into(),
         Extent::Quick => both(Idle::HeldOff, 1000, 1).into(),
         // More than 10,000 messages in all: enough for p99.9. The other setting has enough for p99.
-        Extent::Full => [both(Idle::HeldOff, 3400, 3), both(Idle::AsShipped, 1200, 1)].concat(),
+        Extent::Full => [both(Idle::HeldOff, 5100, 2), both(Idle::AsShipped, 1100, 1)].concat(),
     }
 }
 
@@ -293,13 +295,13 @@ fn fan_out(extent: Extent) -> Vec<Setting> {
         budget_ms,
         rounds: 1,
     };
-    let both = |counts: &[usize], budget_ms| -> Vec<Setting> {
-        let in_one = counts.iter().map(|&count| setting(1, count, Idle::HeldOff, budget_ms));
+    let both = |counts: &[usize], idle, budget_ms| -> Vec<Setting> {
+        let in_one = counts.iter().map(|&count| setting(1, count, idle, budget_ms));
         let many = counts.iter().filter(|&&count| count > 1);
-        in_one.chain(many.map(|&count| setting(count, 1, Idle::HeldOff, budget_ms))).collect()
+        in_one.chain(many.map(|&count| setting(count, 1, idle, budget_ms))).collect()
     };
     match extent {
-        Extent::Smoke => both(&[2], 200),
+        Extent::Smoke => both(&[2], Idle::HeldOff, 200),
         Extent::Quick => {
             vec![
                 setting(1, 1, Idle::HeldOff, 600),
@@ -308,16 +310,13 @@ fn fan_out(extent: Extent) -> Vec<Setting> {
             ]
         }
         Extent::Full => {
-            let mut all = both(&[1, 2, 4, 8, 16], 1000);
-            all.extend([1, 4].map(|count| setting(1, count, Idle::AsShipped, 600)));
-            all.push(setting(4, 1, Idle::AsShipped, 600));
-            all
+            [both(&[1, 2, 4, 8, 16], Idle::HeldOff, 500), both(&[1, 4, 16], Idle::AsShipped, 500)].concat()
         }
     }
 }
 
 fn robot(extent: Extent) -> Vec<Setting> {
-    let setting = |at_once, idle, budget_ms| Setting {
+    let setting = |at_once, idle, budget_ms, rounds| Setting {
         task: Task::Paced {
             rate: 2000.0,
             topics: 20,
@@ -329,14 +328,16 @@ fn robot(extent: Extent) -> Vec<Setting> {
         payload_bytes: 4 << 10,
         idle,
         budget_ms,
-        rounds: 1,
+        rounds,
     };
-    let both =
-        |idle, apart_ms, at_once_ms| vec![setting(false, idle, apart_ms), setting(true, idle, at_once_ms)];
+    let both = |idle, apart_ms, at_once_ms, rounds| {
+        vec![setting(false, idle, apart_ms, rounds), setting(true, idle, at_once_ms, rounds)]
+    };
     match extent {
-        Extent::Smoke => both(Idle::AsShipped, 500, 200),
-        Extent::Quick => both(Idle::AsShipped, 1500, 1000),
-        Extent::Full => [both(Idle::AsShipped, 20_000, 5000), both(Idle::HeldOff, 4000, 2000)].concat(),
+        Extent::Smoke => both(Idle::AsShipped, 500, 200, 1),
+        Extent::Quick => both(Idle::AsShipped, 1000, 600, 1),
+        // 20 s in all.
+        Extent::Full => [both(Idle::AsShipped, 5000, 1000, 4), both(Idle::HeldOff, 1000, 600, 1)].concat(),
     }
 }
 
@@ -352,7 +353,7 @@ fn throughput(extent: Extent) -> Vec<Setting> {
     match extent {
         Extent::Smoke => both(Idle::HeldOff, 100, 1).into(),
         Extent::Quick => both(Idle::HeldOff, 400, 1).into(),
-        Extent::Full => [both(Idle::HeldOff, 1000, 3), both(Idle::AsShipped, 1000, 1)].concat(),
+        Extent::Full => [both(Idle::HeldOff, 500, 3), both(Idle::AsShipped, 500, 1)].concat(),
     }
 }
 

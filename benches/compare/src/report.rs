@@ -12,8 +12,10 @@ use crate::load::LOAD;
 use crate::modes::NOT_JOINED;
 use crate::pair::Wakes;
 use crate::plan::{Experiment, Plan, Task};
+use crate::ratios::is_enough;
 use crate::rounds::Cell;
-use crate::verdict::{Verdict, is_enough, verdicts};
+use crate::slower::{Slower, slower};
+use crate::verdict::{Verdict, verdicts};
 
 /// A line of the result. Times are `None` where nothing was measured; the note says why.
 #[derive(Debug, Serialize, Deserialize)]
@@ -53,14 +55,25 @@ pub struct Round {
     pub p99_us: f64,
     pub p999_us: f64,
     pub cpu_us_per_msg: Option<f64>,
+    #[serde(default)]
+    pub msgs_per_s: Option<f64>,
+    #[serde(default)]
+    pub rss_mib: Option<f64>,
+}
+
+impl Row {
+    /// Least and most of a figure of the rounds.
+    pub fn spread(&self, figure: impl Fn(&Round) -> Option<f64>) -> Option<(f64, f64)> {
+        let mut figures = self.rounds.iter().filter_map(figure);
+        let first = figures.next()?;
+        Some(figures.fold((first, first), |(least, most), figure| (least.min(figure), most.max(figure))))
+    }
 }
 
 /// What the page shows beside.
 #[derive(Debug)]
 pub struct Details {
     pub times: Distribution,
-    /// Least and most of the rounds.
-    pub p50_us: (f64, f64),
     pub messages_per_s: f64,
     /// CPU time of all processes per second.
     pub cpu_share: f64,
@@ -72,6 +85,8 @@ pub struct Details {
 pub struct Report {
     pub rows: Vec<Row>,
     pub verdicts: Vec<Verdict>,
+    /// Where a rival is ahead.
+    pub slower: Vec<Slower>,
     /// Machine, versions, conditions: a line each.
     pub machine: Vec<String>,
     pub is_realtime: bool,
@@ -95,15 +110,15 @@ impl Report {
         for (system, mode, reason) in NOT_JOINED.iter().filter(|(system, ..)| plan.is_wanted(system)) {
             rows.push(missing(system, mode, reason));
         }
-        let verdicts = verdicts(&rows);
+        let (verdicts, slower) = (verdicts(&rows), slower(&rows));
         let machine = notes(plan, disturbance);
-        Report { rows, verdicts, machine, is_realtime: plan.realtime, failures }
+        Report { rows, verdicts, slower, machine, is_realtime: plan.realtime, failures }
     }
 
     /// Of an earlier run.
     pub fn of_rows(rows: Vec<Row>) -> Self {
-        let verdicts = verdicts(&rows);
-        Report { rows, verdicts, machine: Vec::new(), is_realtime: true, failures: Vec::new() }
+        let (verdicts, slower) = (verdicts(&rows), slower(&rows));
+        Report { rows, verdicts, slower, machine: Vec::new(), is_realtime: true, failures: Vec::new() }
     }
 
     /// Prints the machine, a table per experiment and what must hold.
@@ -117,6 +132,10 @@ impl Report {
         }
         println!();
         self.verdicts.iter().for_each(|verdict| println!("{verdict}"));
+        if !self.slower.is_empty() {
+            println!("\nWhere a rival is ahead of Tautline's default, and why:");
+            self.slower.iter().for_each(|line| println!("{line}"));
+        }
     }
 
     /// The rows of each experiment, under its title.
@@ -199,6 +218,8 @@ fn rounded(of: &Round) -> Round {
         p99_us: round(of.p99_us),
         p999_us: round(of.p999_us),
         cpu_us_per_msg: of.cpu_us_per_msg.map(round),
+        msgs_per_s: of.msgs_per_s.map(round),
+        rss_mib: of.rss_mib.map(round),
         ..*of
     }
 }
@@ -216,11 +237,8 @@ fn unfit(cell: &Cell, plan: &Plan) -> Option<String> {
 }
 
 fn details(cell: &Cell) -> Details {
-    let p50s = cell.rounds.iter().map(|round| round.p50_us);
-    let (least, most) = (p50s.clone().fold(f64::INFINITY, f64::min), p50s.fold(0.0, f64::max));
     Details {
         times: cell.times.clone(),
-        p50_us: (least, most),
         messages_per_s: cell.messages as f64 / cell.seconds.max(1e-9),
         cpu_share: cell.cpu_ns as f64 / 1e9 / cell.seconds.max(1e-9),
         steal_ticks: cell.steal_ticks,
@@ -244,7 +262,7 @@ fn note(cell: &Cell) -> String {
     match cell.case.task {
         Task::Stream => {
             let gb_per_s = rate * cell.case.payload_bytes as f64 / 1e9;
-            let loss = match cell.case.mode.holds_sender_back() {
+            let loss = match cell.case.mode.holds_sender_back(cell.case.payload_bytes) {
                 true => "the sender is held back",
                 false => "the sender is not held back",
             };
@@ -302,7 +320,8 @@ fn round(number: f64) -> f64 {
 fn conditions(plan: &Plan, is_held: bool) -> String {
     let priority = if plan.realtime { "SCHED_FIFO" } else { "NO REAL-TIME PRIORITY" };
     let idle = if is_held { "held off where the experiment says so" } else { "NOT HELD OFF" };
-    format!("{}; {priority}; idle states {idle}", machine())
+    let extent = if plan.quick { "a quick run of few messages" } else { "a full run" };
+    format!("{}; {priority}; idle states {idle}; {extent}", machine())
 }
 
 fn notes(plan: &Plan, disturbance: String) -> Vec<String> {

@@ -70,6 +70,8 @@ impl Cell {
             p999_us: times.quantile_us(0.999),
             cpu_us_per_msg: (found.cpu_ns > 0)
                 .then(|| found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64),
+            msgs_per_s: (found.seconds > 0.0).then(|| found.messages as f64 / found.seconds),
+            rss_mib: (found.memory.kib > 0).then(|| found.memory.kib as f64 / 1024.0),
         });
         found.times_ns.iter().for_each(|&time_ns| self.times.record(time_ns));
         self.lost += found.lost;
@@ -139,10 +141,13 @@ fn measure(setup: &Setup<'_>, cell: &mut Cell, round: u32, topic: &str) {
     };
     let before = segments();
     let steal = steal_ticks(None);
-    let found = setup.around(&cell.case).and_then(|_around| match cell.case.task {
-        Task::RoundTrips { .. } => setup.round_trips(&cell.case, topic),
-        Task::Paced { .. } | Task::Stream => setup.flow(&cell.case, topic),
-        Task::Start { .. } => setup.start_up(&cell.case, topic),
+    let found = setup.around(&cell.case).and_then(|mut around| {
+        let found = match cell.case.task {
+            Task::RoundTrips { .. } => setup.round_trips(&cell.case, topic),
+            Task::Paced { .. } | Task::Stream => setup.flow(&cell.case, topic),
+            Task::Start { .. } => setup.start_up(&cell.case, topic),
+        };
+        around.still_runs().and(found)
     });
     drop(hold);
     cell.steal_ticks += steal_ticks(None).saturating_sub(steal);

@@ -6,7 +6,8 @@
 
 use std::fmt;
 
-use crate::report::{Round, Row, payload, short};
+use crate::ratios::{Figure, Ratios, Rows, best, sort, unfit_for};
+use crate::report::{Row, payload, short};
 
 /// What must hold, and what was found. `holds` is `None` where that cannot be judged; `found` says why.
 #[derive(Debug)]
@@ -39,73 +40,11 @@ const REASONS: &[(&str, &str)] = &[
     ("20 topics at 100 Hz, each at its own time: at most half of r2r's CPU time", A_WAKE_EACH),
     ("20 topics at 100 Hz, all at once: at most half of fastdds's CPU time", A_LOAN_EACH),
     ("20 topics at 100 Hz, all at once: at most half of r2r's CPU time", A_LOAN_EACH),
-    (ONE_WAKE, OTHER_WAITS),
 ];
 const A_WAKE_EACH: &str = "most of it is what every system pays here: for each message the sender sleeps, is woken by a timer and interrupts an idle core";
 const A_LOAN_EACH: &str = "beyond the floor is what loaning, queueing and taking each of the 20 messages costs, and nobody sleeps between them";
 const ONE_WAKE: &str =
     "fan-out within a process: its sampler wakes once per message, not once per subscription";
-const OTHER_WAITS: &str = "publishers wake it once per message, which a test counts; the kernel counts other waits of its thread, too, and what they are is not known";
-
-/// A figure that is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Figure {
-    P50,
-    P99,
-    P999,
-    CpuTime,
-}
-
-impl Figure {
-    fn name(self) -> &'static str {
-        match self {
-            Figure::P50 => "p50",
-            Figure::P99 => "p99",
-            Figure::P999 => "p99.9",
-            Figure::CpuTime => "CPU time",
-        }
-    }
-
-    fn of(self, round: &Round) -> Option<f64> {
-        match self {
-            Figure::P50 => Some(round.p50_us),
-            Figure::P99 => Some(round.p99_us),
-            Figure::P999 => Some(round.p999_us),
-            Figure::CpuTime => round.cpu_us_per_msg,
-        }
-    }
-
-    /// The median of a row's rounds.
-    fn median(self, row: &Row) -> Option<f64> {
-        median(row.rounds.iter().filter_map(|round| self.of(round)).collect())
-    }
-
-    /// Whether so many times say something about it.
-    fn is_of_enough(self, times: u64) -> bool {
-        match self {
-            Figure::P50 => is_enough(times, 0.5),
-            Figure::P99 => is_enough(times, 0.99),
-            Figure::P999 => is_enough(times, 0.999),
-            Figure::CpuTime => times > 0,
-        }
-    }
-}
-
-/// Whether at least ten of so many times lie above a quantile.
-pub fn is_enough(times: u64, quantile: f64) -> bool {
-    // Half a time for what a quantile cannot say exactly in binary.
-    times as f64 * (1.0 - quantile) >= 10.0 - 1e-6
-}
-
-fn median(mut numbers: Vec<f64>) -> Option<f64> {
-    numbers.sort_by(f64::total_cmp);
-    let middle = numbers.len() / 2;
-    match numbers.len() {
-        0 => None,
-        len if len % 2 == 1 => Some(numbers[middle]),
-        _ => Some(f64::midpoint(numbers[middle - 1], numbers[middle])),
-    }
-}
 
 const MIB: usize = 1 << 20;
 /// Systems that are compared as a whole: their best configuration counts.
@@ -116,7 +55,6 @@ const BLOCKING: &[&str] = &["blocking", "direct", "one-thread"];
 
 const HELD: &str = "latency/whole/held-off";
 const SHIPPED: &str = "latency/whole/as-shipped";
-const UNTOUCHED: &str = "latency/untouched/held-off";
 const ROBOT: &str = "robot/20x100Hz/as-shipped";
 const ROBOT_AT_ONCE: &str = "robot/20x100Hz/at-once/as-shipped";
 
@@ -150,16 +88,13 @@ fn small(rows: &Rows) -> Vec<Verdict> {
     let ours = |experiment, modes| rows.find(experiment, "tautline", modes, 64);
     let mut all = Vec::new();
     for rival in RIVALS {
-        // Its program does not write its body again.
-        let (experiment, how) =
-            if rival == "hiroz" { (UNTOUCHED, ", payload not written again") } else { (HELD, "") };
         for figure in [Figure::P50, Figure::P99] {
             let name = figure.name();
             all.push(at_most(
-                format!("64 B, blocking, idle states held off{how}: {name} lower than {rival}'s best"),
+                format!("64 B, blocking, idle states held off: {name} lower than {rival}'s best"),
                 1.0,
-                &ours(experiment, BLOCKING),
-                &rows.all(experiment, rival, 64),
+                &ours(HELD, BLOCKING),
+                &rows.all(HELD, rival, 64),
                 figure,
             ));
         }
@@ -255,6 +190,10 @@ fn at_most(claim: impl Into<String>, limit: f64, ours: &[&Row], theirs: &[&Row],
         them.system,
         them.mode
     );
+    let found = match unfit_ours.is_empty() {
+        true => found,
+        false => format!("{found}; of ours left out: {}", unfit_ours.join(", ")),
+    };
     if ratios.median > limit {
         verdict(found, Some(false))
     } else if unfit_theirs.is_empty() {
@@ -280,72 +219,6 @@ fn beside_floor(
         verdict.found += &format!("; the floor itself {:.2} x{beyond}", ratio.median);
     }
     verdict
-}
-
-/// The rows that can be compared, and why the others cannot.
-fn sort<'a>(rows: &[&'a Row], figure: Figure) -> (Vec<&'a Row>, Vec<String>) {
-    let (mut fit, mut unfit) = (Vec::new(), Vec::new());
-    for row in rows {
-        match unfit_for(row, figure) {
-            None => fit.push(*row),
-            Some(reason) => unfit.push(format!("{} {} {reason}", row.system, row.mode)),
-        }
-    }
-    (fit, unfit)
-}
-
-fn unfit_for(row: &Row, figure: Figure) -> Option<String> {
-    match row {
-        Row { unfit: Some(reason), .. } => Some(reason.clone()),
-        Row { lost: 1.., .. } => Some(format!("lost {} messages", row.lost)),
-        _ if figure.median(row).is_none() => Some("has no figures".to_owned()),
-        _ if !figure.is_of_enough(row.n) => {
-            Some(format!("has {} times, too few for {}", row.n, figure.name()))
-        }
-        _ => None,
-    }
-}
-
-/// The one with the least median.
-fn best<'a>(rows: &[&'a Row], figure: Figure) -> Option<&'a Row> {
-    let median = |row: &&Row| figure.median(row).unwrap_or(f64::MAX);
-    rows.iter().copied().min_by(|a, b| median(a).total_cmp(&median(b)))
-}
-
-/// Ratios of the rounds that two rows have in common.
-struct Ratios {
-    median: f64,
-    least: f64,
-    most: f64,
-    rounds: usize,
-}
-
-impl Ratios {
-    fn of(ours: &Row, theirs: &Row, figure: Figure) -> Option<Self> {
-        let ratio = |us: &Round| {
-            let them = theirs.rounds.iter().find(|them| them.round == us.round)?;
-            Some(figure.of(us)? / figure.of(them)?)
-        };
-        let ratios: Vec<f64> = ours.rounds.iter().filter_map(ratio).collect();
-        Some(Ratios {
-            least: ratios.iter().copied().fold(f64::INFINITY, f64::min),
-            most: ratios.iter().copied().fold(0.0, f64::max),
-            rounds: ratios.len(),
-            median: median(ratios)?,
-        })
-    }
-}
-
-impl fmt::Display for Ratios {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.rounds {
-            1 => write!(f, "{:.2} x in one round", self.median),
-            rounds => {
-                let Ratios { median, least, most, .. } = self;
-                write!(f, "{median:.2} x, the median of {rounds} rounds ({least:.2} to {most:.2})")
-            }
-        }
-    }
 }
 
 /// Its own figures, and what the hypervisor took meanwhile, which explains some of it.
@@ -384,26 +257,10 @@ fn one_wake(rows: &Rows) -> Verdict {
     }
 }
 
-struct Rows<'a>(&'a [Row]);
-
-impl<'a> Rows<'a> {
-    fn find(&self, experiment: &str, system: &str, modes: &[&str], bytes: usize) -> Vec<&'a Row> {
-        let mut rows = self.all(experiment, system, bytes);
-        rows.retain(|row| modes.contains(&row.mode.as_str()));
-        rows
-    }
-
-    /// All configurations of a system.
-    fn all(&self, experiment: &str, system: &str, bytes: usize) -> Vec<&'a Row> {
-        let is_wanted =
-            |row: &&Row| row.experiment == experiment && row.system == system && row.payload_bytes == bytes;
-        self.0.iter().filter(is_wanted).collect()
-    }
-}
-
 #[cfg(test)]
 pub mod tests {
     use super::*;
+    use crate::report::Round;
 
     pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
         rounds(experiment, system, mode, bytes, &[us])
@@ -418,6 +275,8 @@ pub mod tests {
             p99_us: us * 2.0,
             p999_us: us * 3.0,
             cpu_us_per_msg: Some(us),
+            msgs_per_s: None,
+            rss_mib: None,
         };
         Row {
             experiment: experiment.to_owned(),

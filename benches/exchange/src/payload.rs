@@ -37,6 +37,20 @@ impl Stamp {
         self.write_words(words, whole, |word| word.map(MaybeUninit::new));
     }
 
+    /// A message that is written whole, each byte once.
+    ///
+    /// # Panics
+    /// Of less than [`BYTES`](Self::BYTES), or of a number that is no multiple of 8.
+    #[must_use]
+    pub fn written(self, bytes: usize) -> Vec<u8> {
+        assert!(bytes >= Self::BYTES && bytes.is_multiple_of(8), "a message of {bytes} bytes");
+        let mut message = Vec::with_capacity(bytes);
+        self.write_uninit(&mut message.spare_capacity_mut()[..bytes], true);
+        // SAFETY: whole words, all of which were written.
+        unsafe { message.set_len(bytes) };
+        message
+    }
+
     fn write_words<T: Clone>(self, words: &mut [T], whole: bool, word: impl Fn([u8; 8]) -> T) {
         if whole {
             words[2..].fill(word(self.number.to_ne_bytes()));
@@ -67,6 +81,15 @@ impl Stamp {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_written_whole_is_read_whole() {
+        let stamp = Stamp { number: 7, sent_ns: 8 };
+        for bytes in [16, 64, 4096] {
+            let message = stamp.written(bytes);
+            assert_eq!((message.len(), Stamp::read(&message, true).unwrap()), (bytes, stamp));
+        }
+    }
 
     #[test]
     fn damage_is_seen_where_the_payload_is_read_whole() {

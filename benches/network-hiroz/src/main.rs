@@ -153,8 +153,7 @@ fn message(number: u64, body: Option<&ZSlice>) -> ByteMultiArray {
 
 /// A message that is written whole.
 fn written(number: u64, bytes: usize) -> ByteMultiArray {
-    let mut data = vec![0; bytes];
-    Stamp { number, sent_ns: 0 }.write(&mut data, true);
+    let data = Stamp { number, sent_ns: 0 }.written(bytes);
     ByteMultiArray { data: ZBuf(zenoh_buffers::ZBuf::from(data)), ..Default::default() }
 }
 

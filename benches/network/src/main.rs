@@ -57,7 +57,7 @@ struct Options {
     #[arg(long)]
     no_rt: bool,
     /// The two cores, one for each host [default: the first two allowed]
-    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
     cores: Option<Vec<usize>>,
     /// Leave the threads to the scheduler: any core
     #[arg(long, conflicts_with = "cores")]

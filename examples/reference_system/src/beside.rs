@@ -17,6 +17,20 @@ use crate::{Result, own_file, table, write};
 const ELSEWHERE: &str = "From elsewhere, on a like system, 60 s, p99 of three real-time chains in ms, no deadline missed: \
     Copper 151.7, 12.3, 23.5; LaME 113.5, 56.4, 88.9. Other machines and other chains: to be read beside these, not compared.";
 
+/// Nobody else's.
+const DOMAIN: &str = "88";
+/// What in the environment would set a system otherwise than it is said.
+const INHERITED: [&str; 8] = [
+    "TAUT_DOMAIN",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "RMW_FASTRTPS_PUBLICATION_MODE",
+    "RMW_FASTRTPS_USE_QOS_FROM_XML",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_STATIC_PEERS",
+];
+
 /// What is compared.
 struct Contestant {
     name: &'static str,
@@ -32,6 +46,8 @@ struct Comparison {
     systems: Vec<Report>,
     /// Each alone.
     rounds: Vec<Kpis>,
+    /// Of runs that are therefore not among them.
+    failures: Vec<String>,
     elsewhere: &'static str,
     r2r_left_out: Option<String>,
 }
@@ -48,14 +64,26 @@ pub fn run(
     let bar = ProgressBar::new(steps);
     bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}  {msg}")?);
     bar.enable_steady_tick(Duration::from_secs(1));
+    let mut order: Vec<usize> = (0..contestants.len()).rev().collect();
+    let mut failures = Vec::new();
     for round in 1..=rounds {
-        for contestant in &mut contestants {
+        // To and fro, so that a drift of the machine meets all.
+        order.reverse();
+        for &index in &order {
+            let contestant = &mut contestants[index];
             let message = format!("{}, round {round} of {rounds}", contestant.name);
             if !stderr().is_terminal() {
                 eprintln!("{message}: {:.0} s", job.seconds);
             }
             bar.set_message(message);
-            contestant.rounds.push(measure(contestant)?);
+            match measure(contestant) {
+                Ok(kpis) => contestant.rounds.push(kpis),
+                // What the others did counts.
+                Err(error) => {
+                    bar.suspend(|| eprintln!("{error}"));
+                    failures.push(error.to_string());
+                }
+            }
             bar.inc(1);
         }
     }
@@ -66,10 +94,16 @@ pub fn run(
     explain(&reports, r2r.as_ref().err());
     if let Some(path) = json {
         let rounds = contestants.into_iter().flat_map(|contestant| contestant.rounds).collect();
-        let all = Comparison { systems: reports, rounds, elsewhere: ELSEWHERE, r2r_left_out: r2r.err() };
+        let all = Comparison {
+            systems: reports,
+            rounds,
+            failures: failures.clone(),
+            elsewhere: ELSEWHERE,
+            r2r_left_out: r2r.err(),
+        };
         write(path, &serde_json::to_string_pretty(&all)?)?;
     }
-    Ok(())
+    if failures.is_empty() { Ok(()) } else { Err(failures.join("\n").into()) }
 }
 
 fn contestants(job: &Job, r2r: Option<&PathBuf>) -> Result<Vec<Contestant>> {
@@ -94,8 +128,11 @@ fn contestants(job: &Job, r2r: Option<&PathBuf>) -> Result<Vec<Contestant>> {
 fn measure(contestant: &Contestant) -> Result<Kpis> {
     let mut command = Command::new(&contestant.program);
     command.arg("--child").arg(serde_json::to_string(&contestant.job)?);
-    // r2r would look for others in the whole network.
-    command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+    for name in INHERITED {
+        command.env_remove(name);
+    }
+    // r2r would look for others in the whole network, and hear whoever publishes the same topics.
+    command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", DOMAIN);
     let output = command.stderr(Stdio::inherit()).output();
     let output = output.map_err(|error| format!("{}: {error}", contestant.program.display()))?;
     if !output.status.success() {
@@ -106,7 +143,7 @@ fn measure(contestant: &Contestant) -> Result<Kpis> {
 
 fn explain(reports: &[Report], r2r_left_out: Option<&String>) {
     println!(
-        "Hot path: from the begin of the FrontLidarDriver's run to the end of the ObjectCollisionEstimator's; below it from the begin\n\
+        "Hot path: from the beginning of the FrontLidarDriver's run to the end of the ObjectCollisionEstimator's; below it from that\n\
          of the lidar's run that came first, for either may have to wait. Bounds are those of `taut check`.\n\
          Each in a process of its own, in turn. Tautline: a thread for each callback; it keeps the cores out of idle states by\n\
          itself. r2r: all callbacks on one LocalPool, as its manual shows, and each on a thread with the priority and core of\n\

@@ -46,7 +46,11 @@ pub(super) fn table(run: &Value) -> String {
     for row in rows.iter().copied().filter(failed) {
         let word = |key: &str| word(row, key);
         let experiment = if word("experiment") == "-" { String::new() } else { word("experiment") + ": " };
-        let text = format!("{}, {} ({experiment}{})", word("system"), word("mode"), word("note"));
+        let mode = match word("mode").as_str() {
+            "-" => String::new(),
+            mode => format!(", {mode}"),
+        };
+        let text = format!("{}{mode} ({experiment}{})", word("system"), word("note"));
         if !missing.contains(&text) {
             missing.push(text);
         }
@@ -60,7 +64,8 @@ pub(super) fn table(run: &Value) -> String {
         out,
         "\n`cargo xtask bench compare`: half round trips in µs (p50 / p99), payload written and read whole, the experiment with \
          idle states held off; pinned; one way at 1 kHz under load; 20 topics at 100 Hz: CPU time of all processes per message \
-         in µs, the topics evenly over the period and all at once, and resident memory; {conditions}.{missing}"
+         in µs, the topics evenly over the period and all at once, and resident memory; \
+         -: not measured, or too few times for that percentile; {conditions}.{missing}"
     );
     out
 }

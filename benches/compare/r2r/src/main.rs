@@ -129,7 +129,13 @@ impl Link for End {
 }
 
 fn qos(job: &Job) -> QosProfile {
-    QosProfile::default().reliable().keep_last(job.depth())
+    let profile = QosProfile::default().reliable();
+    match job.exchange {
+        // Holds the sender back instead of overwriting. The RMW then keeps up to 5,000, which nothing here bounds: of large
+        // ones that is all of the memory.
+        Exchange::Stream { .. } if job.payload_bytes <= 64 << 10 => profile.keep_all(),
+        _ => profile.keep_last(job.depth()),
+    }
 }
 
 /// A publisher and its message, made once.

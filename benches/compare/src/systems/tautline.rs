@@ -16,8 +16,8 @@ use futures::future::{Either, select};
 use futures::stream::FuturesUnordered;
 use futures::{StreamExt, TryStreamExt};
 use tautline_exchange::{
-    APPLICATION_PRIORITY, Exchange, Inlet, Job, Line, Measured, Result, Role, RoundTrips, Sink, Source,
-    Stamp, on_stop, say, stop_flag,
+    APPLICATION_PRIORITY, Exchange, Inlet, Job, Line, Measured, PATIENCE, Result, Role, RoundTrips, Sink,
+    Source, Stamp, on_stop, say, stop_flag,
 };
 use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
 use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
@@ -25,8 +25,6 @@ use tautline_rt::clock::monotonic_ns;
 
 /// The sampler's priority: above the callbacks'.
 const SAMPLER_PRIORITY: u8 = APPLICATION_PRIORITY + 10;
-/// Samples that wait: as many as the other systems keep.
-const DEPTH: usize = 10;
 /// How long an answer to the first question is waited for.
 const GREETING: Duration = Duration::from_millis(20);
 
@@ -162,11 +160,13 @@ impl<T: Payload> End<T> {
     fn ask(&mut self) -> Result<()> {
         let [to, from] = self.job.topics();
         let (publisher, answers) = (self.publisher(&to)?, self.subscription(&from)?);
-        let timer = self.node.create_wall_timer(GREETING)?;
+        let timers = [GREETING, PATIENCE].map(|period| self.node.create_wall_timer(period));
+        let [greeting, patience] = timers;
+        let (greeting, patience) = (greeting?, patience?);
         let (own, context) = (self.job.clone(), self.context.clone());
         let (sender, outcome) = mpsc::channel();
         let callback = self.node.spawn_callback(self.options(), async move {
-            let asked = ask(&own, publisher, answers, timer).await;
+            let asked = ask(&own, publisher, answers, greeting, patience).await;
             let _ = sender.send(asked);
             context.shutdown();
         })?;
@@ -200,14 +200,17 @@ impl<T: Payload> End<T> {
         let (own, context) = (self.job.clone(), self.context.clone());
         let (sender, outcome) = mpsc::channel();
         let callback = self.node.spawn_callback(self.options(), async move {
-            let _ = sender.send(send_flow(&own, publishers));
+            let sent = send_flow(&own, &publishers);
+            let _ = sender.send(sent.map(|measured| (measured, publishers)));
             context.shutdown();
         })?;
         self.node.spin()?;
         callback.join()?;
-        say(&Line::Measured(outcome.recv()??));
-        // What it sent is read from its memory.
+        let (measured, publishers) = outcome.recv()??;
+        say(&Line::Measured(measured));
+        // What it sent is read from its memory, and that a publisher goes wakes subscriptions once more.
         std::thread::sleep(super::LOOK);
+        drop(publishers);
         Ok(())
     }
 
@@ -261,16 +264,9 @@ impl<T: Payload> End<T> {
 
     fn qos(&self) -> QosProfile {
         match self.job.exchange {
-            Exchange::Stream { .. } => QosProfile::default().keep_all().depth(self.depth()),
-            _ => QosProfile::default().keep_last(self.depth()),
+            Exchange::Stream { .. } => QosProfile::default().keep_all().depth(self.job.depth()),
+            _ => QosProfile::default().keep_last(self.job.depth()),
         }
-    }
-
-    /// A stream holds its sender back, and has room for as much as the others'.
-    fn depth(&self) -> usize {
-        let is_small_stream =
-            matches!(self.job.exchange, Exchange::Stream { .. }) && self.job.payload_bytes <= 64 << 10;
-        if is_small_stream { 100 } else { DEPTH }
     }
 
     fn publisher(&mut self, topic: &str) -> Result<Publisher<T>> {
@@ -284,7 +280,7 @@ impl<T: Payload> End<T> {
     }
 
     fn limit(&mut self, topic: &str) -> Result<()> {
-        let (message_bytes, depth) = (self.job.payload_bytes + 128, self.depth());
+        let (message_bytes, depth) = (self.job.payload_bytes + 128, self.job.depth());
         let limits = Limits { publishers: 1, message_bytes, depth, held: 2, loans: 2, ..Limits::default() };
         Ok(self.node.set_topic_limits(topic, limits)?)
     }
@@ -294,18 +290,28 @@ async fn ask<T: Payload>(
     job: &Job,
     publisher: Publisher<T>,
     mut answers: Subscription<T>,
-    timer: Timer,
+    greeting: Timer,
+    mut patience: Timer,
 ) -> Result<Measured> {
-    let publisher = greet(job, publisher, &mut answers, timer).await?;
+    let publisher = greet(job, publisher, &mut answers, greeting).await?;
     let mut trips = RoundTrips::new(job);
     while let Some(number) = trips.start() {
         T::send(&publisher, job, Stamp { number, sent_ns: monotonic_ns() })?;
-        // A question that is lost ends the run: the starter's patience does.
-        while let Some(answer) = answers.next().await {
-            let number = read(&answer, job)?.number;
-            drop(answer);
-            if trips.end(number) {
-                break;
+        loop {
+            match select(answers.next(), pin!(patience.tick())).await {
+                Either::Left((Some(answer), _)) => {
+                    let number = read(&answer, job)?.number;
+                    drop(answer);
+                    if trips.end(number) {
+                        break;
+                    }
+                }
+                Either::Left((None, _)) => return Err("the subscription ended".into()),
+                Either::Right(_) if trips.is_overdue() => {
+                    trips.give_up()?;
+                    break;
+                }
+                Either::Right(_) => {}
             }
         }
     }
@@ -340,7 +346,7 @@ async fn answer<T: Payload>(
     Ok(())
 }
 
-fn send_flow<T: Payload>(job: &Job, publishers: Vec<Publisher<T>>) -> Result<Measured> {
+fn send_flow<T: Payload>(job: &Job, publishers: &[Publisher<T>]) -> Result<Measured> {
     let mut source = Source::new(job, stop_flag());
     while let Some((topic, stamp)) = source.next() {
         T::send(&publishers[topic], job, stamp)?;
@@ -361,7 +367,10 @@ async fn receive_all<T: Payload>(job: &Job, mut ends: Vec<(Subscription<T>, Inle
 
 async fn receive<T: Payload>(job: &Job, mut messages: Subscription<T>, inlet: Inlet) -> Result<()> {
     while let Some(message) = messages.next().await {
-        inlet.arrive(read(&message, job)?);
+        let stamp = read(&message, job)?;
+        // As all ends: a message has arrived when its memory is back.
+        drop(message);
+        inlet.arrive(stamp);
     }
     Ok(())
 }

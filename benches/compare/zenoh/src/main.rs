@@ -116,9 +116,7 @@ impl Outlet {
                 buffer.into()
             }
             None if self.whole => {
-                let mut bytes = vec![0; self.bytes];
-                stamp.write(&mut bytes, true);
-                bytes.into()
+                stamp.written(self.bytes).into()
             }
             None => {
                 let mut first = vec![0; Stamp::BYTES];
@@ -170,11 +168,16 @@ fn subscribe(
     mut then: impl FnMut(Stamp) + Send + Sync + 'static,
 ) -> Result<Subscriber<()>> {
     let own = job.clone();
-    let call = move |sample: Sample| match stamp(&sample, &own) {
-        Ok(stamp) => then(stamp),
-        Err(error) => {
-            eprintln!("compare-zenoh: {error}");
-            std::process::exit(1);
+    let call = move |sample: Sample| {
+        let stamp = stamp(&sample, &own);
+        // As all ends: a message has arrived when its memory is back.
+        drop(sample);
+        match stamp {
+            Ok(stamp) => then(stamp),
+            Err(error) => {
+                eprintln!("compare-zenoh: {error}");
+                std::process::exit(1);
+            }
         }
     };
     session.declare_subscriber(key(topic)).callback_mut(call).wait().map_err(text)

@@ -47,7 +47,7 @@ struct Options {
     #[arg(long)]
     no_rt: bool,
     /// The two cores, the sender's and the receiver's [default: the first two allowed]
-    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
     cores: Option<Vec<usize>>,
     /// Run one process of a pair; the argument is its job
     #[arg(long, hide = true)]

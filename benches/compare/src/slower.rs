@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Where a rival is ahead of Tautline as it comes, by how much, and why it stays so.
+
+use std::collections::BTreeSet;
+use std::fmt;
+
+use crate::modes::SYSTEMS;
+use crate::ratios::Figure::{self, CpuTime, Interval, Memory, P50, P99, P999, Start};
+use crate::ratios::{Ratios, Rows, best, sort};
+use crate::report::{Row, payload, short};
+
+/// A figure that a rival has better.
+#[derive(Debug)]
+pub struct Slower {
+    /// The experiment, the payload and the figure.
+    pub what: String,
+    pub found: String,
+    pub reason: &'static str,
+}
+
+impl fmt::Display for Slower {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}; {}", self.what, self.found, self.reason)
+    }
+}
+
+/// Beginnings of the experiment and of the rival's name, figures, why. The first that fits counts.
+const REASONS: &[(&str, &str, &[Figure], &str)] = &[
+    ("latency", "iceoryx2 busy-poll", &[P50, P99, P999], A_BARE_RECEIVE),
+    ("latency", "taktora", &[P50, P99, P999], A_BARE_RECEIVE),
+    ("latency", "", &[P50], TWO_WAKES),
+    ("open-loop", "", &[P50], TWO_WAKES),
+    ("", "", &[P99, P999], RARE),
+    ("fan-out", "", &[CpuTime], JANITOR),
+    ("fan-out/one", "", &[P50], A_THREAD_EACH),
+    ("fan-out", "", &[P50], TWO_WAKES),
+    ("robot", "", &[P50, CpuTime], A_THREAD_EACH),
+    ("robot", "", &[Memory], STACKS),
+    ("throughput", "zenoh", &[Interval], BATCHES),
+    ("start-up/100", "", &[Start], SERVICES),
+    ("start-up", "", &[Start], SYNCED),
+];
+const A_BARE_RECEIVE: &str = "its row is a bare receive() of bytes; Tautline's goes to a callback: a header that is checked, numbers that tell what was lost, release and response time of each job";
+const TWO_WAKES: &str = "blocking wakes two threads one after the other, the sampler and the callback's, which is what keeps priorities apart and can be bounded; direct wakes one";
+const RARE: &str = "no cause in Tautline is known: a tail of few messages, which changes from run to run";
+const A_THREAD_EACH: &str = "a thread for each callback, so that each has its own priority: they are woken one after the other, where one thread of the rival's takes all; one-thread does as it does";
+const JANITOR: &str = "in each process a janitor thread looks at the ports when they have changed, a millisecond or two in the first half second, which here is spread over some 25 messages; and with several subscriptions in a process a thread is woken for each";
+const STACKS: &str = "a thread for each callback has a locked stack and a malloc arena; queues are reserved before the first message, so that none is allocated later; one-thread has neither";
+const BATCHES: &str =
+    "it packs many small messages into one packet, and one wake delivers them all; Tautline announces each";
+const SERVICES: &str = "each topic is an iceoryx2 service: some ten files are made, and queues and links mapped for each end before the first message, so that nothing is allocated later";
+const SYNCED: &str = "iceoryx2 has the descriptions of its services written to the disk (fsync) one by one; on a tmpfs at /tmp that costs nothing";
+
+/// Less is noise of the machine.
+const NOTABLE: f64 = 1.05;
+/// Modes that never sleep: they are compared with each other.
+const POLLING: [&str; 2] = ["busy-poll", "items"];
+
+/// All of them, in the order of the rows.
+pub fn slower(rows: &[Row]) -> Vec<Slower> {
+    let all = Rows(rows);
+    let mut seen = BTreeSet::new();
+    let mut found = Vec::new();
+    for row in rows.iter().filter(|row| row.system == "tautline") {
+        if !seen.insert((row.experiment.as_str(), row.payload_bytes)) {
+            continue;
+        }
+        for figure in figures(&row.experiment) {
+            for system in SYSTEMS.into_iter().filter(|system| !["tautline", "floor"].contains(system)) {
+                for is_polling in [false, true] {
+                    let theirs = all.all(&row.experiment, system, row.payload_bytes);
+                    found.extend(beside(&all, row, *figure, theirs, is_polling));
+                }
+            }
+        }
+    }
+    found
+}
+
+/// What is compared in an experiment.
+fn figures(experiment: &str) -> &'static [Figure] {
+    match experiment.split('/').next() {
+        Some("latency" | "open-loop") => &[P50, P99, P999],
+        Some("robot") => &[P50, CpuTime, Memory],
+        Some("throughput") => &[Interval],
+        Some("fan-out") => &[P50, CpuTime],
+        _ => &[Start],
+    }
+}
+
+fn beside(
+    all: &Rows<'_>,
+    row: &Row,
+    figure: Figure,
+    mut theirs: Vec<&Row>,
+    is_polling: bool,
+) -> Option<Slower> {
+    theirs.retain(|row| POLLING.contains(&row.mode.as_str()) == is_polling);
+    let mut ours = all.all(&row.experiment, "tautline", row.payload_bytes);
+    let default =
+        ours.iter().copied().find(|row| row.mode == if is_polling { "busy-poll" } else { "blocking" })?;
+    let (theirs, _) = sort(&theirs, figure);
+    let them = best(&theirs, figure)?;
+    let ratio = Ratios::of(default, them, figure)?.median;
+    if ratio < NOTABLE {
+        return None;
+    }
+    let text = |row| figure.median(row).map_or("-".to_owned(), short);
+    let unit = if figure == Memory { "MiB" } else { "µs" };
+    let name = format!("{} {}", them.system, them.mode);
+    let mut found =
+        format!("{name} {} {unit}, {} {} ({ratio:.2} x)", text(them), default.mode, text(default));
+    // A mode that its users can choose instead.
+    ours.retain(|row| ["direct", "one-thread"].contains(&row.mode.as_str()) && !is_polling);
+    let (ours, _) = sort(&ours, figure);
+    if let Some(other) = best(&ours, figure).filter(|other| figure.median(other) < figure.median(default)) {
+        found += &format!(", {} {}", other.mode, text(other));
+    }
+    let fits = |(experiment, rival, figures, _): &&(&str, &str, &[Figure], &str)| {
+        row.experiment.starts_with(experiment) && name.starts_with(rival) && figures.contains(&figure)
+    };
+    let reason = REASONS.iter().find(fits).map_or("no reason is known", |(.., reason)| reason);
+    let what = format!("{}, {}, {}", row.experiment, payload(row.payload_bytes), figure.name());
+    Some(Slower { what, found, reason })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::verdict::tests::row;
+
+    #[test]
+    fn what_sleeps_is_compared_with_what_sleeps_and_the_better_mode_is_named() {
+        let held = "latency/whole/held-off";
+        let rows = [
+            row(held, "tautline", "blocking", 64, 6.0),
+            row(held, "tautline", "direct", 64, 4.0),
+            row(held, "tautline", "busy-poll", 64, 1.2),
+            row(held, "cyclonedds", "tuned", 64, 5.0),
+            row(held, "iceoryx2", "busy-poll", 64, 1.0),
+            row(held, "fastdds", "default", 64, 9.0),
+            row(held, "floor", "futex", 64, 2.0),
+        ];
+        let lines: Vec<String> = slower(&rows).iter().map(ToString::to_string).collect();
+        let of_p50: Vec<&String> = lines.iter().filter(|line| line.contains(" p50:")).collect();
+        assert_eq!(of_p50.len(), 2, "{lines:?}");
+        assert!(of_p50[0].contains("iceoryx2 busy-poll 1.00 µs, busy-poll 1.20 (1.20 x);"), "{lines:?}");
+        assert!(
+            of_p50[1].contains("cyclonedds tuned 5.00 µs, blocking 6.00 (1.20 x), direct 4.00;"),
+            "{lines:?}"
+        );
+    }
+
+    #[test]
+    fn what_was_lost_is_not_ahead() {
+        let robot = "robot/20x100Hz/as-shipped";
+        let rows = [
+            row(robot, "tautline", "blocking", 4096, 6.0),
+            Row { lost: 1, ..row(robot, "zenoh", "tcp", 4096, 1.0) },
+        ];
+        assert!(slower(&rows).is_empty());
+    }
+}
