@@ -53,6 +53,8 @@ impl Alarm {
 }
 
 impl Drop for Alarm {
+    /// # Real-time
+    /// As [`set`](Self::set).
     fn drop(&mut self) {
         self.shared.timers[self.slot.index()].disarm();
         self.slot.ring();

@@ -76,7 +76,7 @@ impl Events {
     /// An alarm that is not set.
     ///
     /// # Real-time
-    /// Setup only.
+    /// Wait-free, O([`SLOTS`]); no allocation; no lock; no syscall.
     ///
     /// # Errors
     /// [`TransportError::Slots`] if the context has no slot left.

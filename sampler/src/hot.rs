@@ -23,7 +23,7 @@ impl Agenda {
         Agenda { due: BinaryHeap::with_capacity(SLOTS) }
     }
 
-    /// A timer was armed or dropped at `slot`. Setup of a timer, so O(timers) may pass.
+    /// A timer was armed or dropped at `slot`: O(timers), to find its entry.
     fn update(&mut self, shared: &Shared, slot: usize) {
         let Some(words) = shared.timers.get(slot) else { return };
         if !words.changed.load(Ordering::Relaxed) || !words.changed.swap(false, Ordering::Acquire) {
@@ -100,7 +100,8 @@ impl Sampler {
     /// Returns the number of events served. [`Events::stop`](crate::Events::stop) ends the wait.
     ///
     /// # Real-time
-    /// O(ready) per wake; no allocation; no lock; one syscall to wait and one per thread that is woken.
+    /// O(ready) per wake, and O(timers) for each timer, watchdog or alarm that was armed, set or dropped since the last one: a
+    /// request with a time limit is two of these. No allocation; no lock; one syscall to wait and one per thread that is woken.
     pub fn spin_once(&mut self, timeout: Option<Duration>) -> usize {
         let deadline_ns = timeout.map(|timeout| monotonic_ns().saturating_add(nanoseconds(timeout)));
         loop {

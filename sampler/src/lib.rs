@@ -3,7 +3,8 @@
 //!
 //! The [`Sampler`] sleeps on its participant's doorbell with the next timer's release as the time-out. When something is
 //! pending it wakes the tasks registered there, and does nothing else: it reads no payload, runs no callback, takes no
-//! lock, allocates nothing. Its work per wake is O(ready), so it can be charged per message in a response-time analysis.
+//! lock, allocates nothing. Its work per wake is O(ready), so it can be charged per message in a response-time analysis; arming,
+//! setting or dropping a timer, a watchdog or an alarm costs it O(timers) once.
 //!
 //! - [`Timer`]s are absolute: release *k* is at `start + k * period`, whatever happened before. A release that nobody
 //!   took is counted as missed, not delivered late in a bunch.

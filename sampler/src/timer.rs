@@ -52,13 +52,16 @@ impl TimerWords {
     }
 
     /// The releases of what `number` was armed as, if there are any after the first `seen`.
+    ///
+    /// Fewer than were seen are none: where a slot is used again at once, the sampler may accept what was armed there twice, once for
+    /// the ring of the timer before. The second time it counts anew, and comes to the same numbers.
     pub(crate) fn released_since(&self, number: u64, seen: u64) -> Option<u64> {
         // Acquire: each pairs with the sampler's Release.
         if self.accepted.load(Ordering::Acquire) != number {
             return None; // what is counted there is a former timer's
         }
         let released = self.released.load(Ordering::Acquire);
-        (released != seen).then_some(released)
+        (released > seen).then_some(released)
     }
 }
 
@@ -147,5 +150,36 @@ impl Drop for Timer {
     fn drop(&mut self) {
         self.shared.timers[self.slot.index()].disarm();
         self.slot.ring();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Sampler;
+    use std::task::Waker;
+    use tautline_rt::clock::monotonic_ns;
+    use tautline_transport::Participant;
+
+    /// The sampler accepts the timer when it looks for the ring of the slot's owner before, and again for its own.
+    #[test]
+    fn a_timer_that_is_accepted_twice_ticks_once_for_each_release() {
+        let participant = Participant::new(86).unwrap();
+        let mut sampler = Sampler::new(&participant).unwrap();
+        let hour = Duration::from_secs(3600);
+        let start = monotonic_ns();
+        let mut timer = sampler.events().timer_at(start, hour).unwrap();
+        let shared = timer.shared.clone();
+        let words = &shared.timers[timer.slot.index()];
+        let mut poll = || timer.poll_tick(&mut Context::from_waker(Waker::noop()));
+        sampler.spin_once(Some(Duration::ZERO));
+        assert_eq!(poll(), Poll::Ready(Tick { release_ns: start, index: 1, missed: 0 }));
+        words.released.store(0, Ordering::Release);
+        assert_eq!(poll(), Poll::Pending, "counted anew, and not there yet");
+        words.released.store(1, Ordering::Release);
+        assert_eq!(poll(), Poll::Pending, "it was seen");
+        words.released.store(3, Ordering::Release);
+        let release_ns = start + 2 * nanoseconds(hour);
+        assert_eq!(poll(), Poll::Ready(Tick { release_ns, index: 3, missed: 1 }));
     }
 }

@@ -10,12 +10,18 @@ use tautline_msgs::cdr::{DecodeError, EncodeError};
 #[non_exhaustive]
 pub enum TransportError {
     /// The file of the doorbell could not be made or mapped.
-    #[error("the doorbell {} cannot be used: {source}; check that /dev/shm exists, is writable and is not full", path.display())]
+    #[error("the doorbell {} cannot be used: {source}; check that /dev/shm exists, is writable and is not full, and that the process is not at its limit of open files (ulimit -n)", path.display())]
     Arena {
         /// The file.
         path: PathBuf,
         /// Why.
         source: io::Error,
+    },
+    /// The file of another process's doorbell is not what this version makes.
+    #[error("the doorbell {} is of another version of Tautline: use the same one in all processes", path.display())]
+    ArenaVersion {
+        /// The file.
+        path: PathBuf,
     },
     /// What the environment says about tracing is not understood, or there is no memory for it.
     #[error(transparent)]
@@ -143,7 +149,10 @@ pub enum TransportError {
         setting: &'static str,
     },
     /// iceoryx2 refused.
-    #[error("{}: {what} failed in iceoryx2: {reason}", named(topic))]
+    #[error(
+        "{}: {what} failed in iceoryx2: {reason}; check that /dev/shm and /tmp/tautline_<uid> are writable and not full, that the process is not at its limit of open files (ulimit -n), and that all processes of the domain have the same version of Tautline",
+        named(topic)
+    )]
     Iceoryx {
         /// The topic.
         topic: String,
@@ -174,7 +183,7 @@ pub enum LoanError {
     /// The message is longer than the topic's fixed size, or than `Limits::message_bytes` of a publisher that may not grow, or
     /// than [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES).
     #[error(
-        "the message is longer than its topic's fixed size, or than `Limits::message_bytes` of a publisher that may not grow, or than 4 GiB"
+        "the message is longer than its publisher can send: if its type has no fixed size and the message is not above 4 GiB, raise `Limits::message_bytes`, or let the publisher grow (`Limits::may_grow`)"
     )]
     TooLarge,
     /// iceoryx2 has no memory left for this publisher, or the system none for a larger segment.
@@ -199,7 +208,9 @@ pub enum PublishError {
     #[error(transparent)]
     Encode(#[from] EncodeError),
     /// iceoryx2 could not deliver to every subscription; those missed count it as lost.
-    #[error("the sample could not be delivered to every subscription")]
+    #[error(
+        "the sample could not be delivered to every subscription, and those that it missed count it as lost; is the process at its limit of open files (ulimit -n), or /dev/shm full? publish the next one as ever: it goes to all that can be reached"
+    )]
     Incomplete,
 }
 

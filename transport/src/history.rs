@@ -15,12 +15,17 @@ use crate::lending::{Shelf, Sole};
 use crate::ports::{self, Reached};
 use crate::qos::Qos;
 use crate::topic::{IoxPublisher, IoxSample, IoxSubscriber, Topic, Word};
+use futures::channel::oneshot;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use tautline_rt::clock::monotonic_ns;
 
 /// How long a late joiner waits for the histories of the publishers it found, before it takes what is live.
 const PATIENCE_NS: u64 = 1_000_000_000;
+
+/// A keeper's queue holds the samples of all of the topic's publishers, and iceoryx2 empties that of one after the other. So often
+/// they may be full until it has come to the one that it is for: once as it finds them, once more while it empties them.
+const ROUNDS: usize = 2;
 
 /// Keeps one publisher's last samples. Owned by the janitor.
 pub(crate) struct Keeper {
@@ -67,39 +72,60 @@ impl Keeper {
         })
     }
 
-    /// Gives each late joiner that was not served yet the last `depth` samples and the mark that ends them.
-    pub(crate) fn serve(&mut self) {
+    /// Gives each late joiner that was not served yet the last `depth` samples and the mark that ends them. Calls `between` before
+    /// each sample that is copied: that can take long, and the janitor has more to do.
+    ///
+    /// # Real-time
+    /// For a low-priority thread. Bounded, however fast the publishers are: copies at most `depth` samples twice, and looks at
+    /// 2 x `depth` x publishers.
+    pub(crate) fn serve(&mut self, between: &mut dyn FnMut()) {
         let Some(history) = &self.topic.history else { return };
         let joiners = ports::subscriptions(history);
         self.served.retain(|id| joiners.iter().any(|joiner| joiner.id == *id));
         if joiners.iter().all(|joiner| self.served.contains(&joiner.id)) {
             return;
         }
-        self.keep_what_is_queued();
-        if let Err(error) = self.send_kept() {
+        if !self.keep_what_is_queued(between) {
+            // Other publishers were too fast: at the next look, while the joiners' patience lasts.
+            return;
+        }
+        if let Err(error) = self.send_kept(between) {
             tracing::warn!("topic '{}': a late joiner misses the history: {error}", self.topic.name);
         }
         for joiner in joiners {
-            if let Some(reached) = Reached::reach(self.domain, &self.doorbell, joiner.address.arena) {
+            // If not, it takes the history when its patience is over.
+            if let Some(reached) = Reached::reach_at_best(self.domain, &self.doorbell, joiner.address.arena) {
                 reached.arena().bell().ring(joiner.address.slot);
             }
-            self.served.push(joiner.id);
+            if !self.served.contains(&joiner.id) {
+                self.served.push(joiner.id);
+            }
         }
     }
 
-    fn keep_what_is_queued(&mut self) {
-        while let Ok(Some(sample)) = self.queue.get().receive() {
+    /// False if it may not have come to what was queued when it began. What is published later goes to the late joiners themselves.
+    fn keep_what_is_queued(&mut self, between: &mut dyn FnMut()) -> bool {
+        let mut own = 0;
+        for _ in 0..ROUNDS * self.depth * self.topic.limits.publishers {
+            let Ok(Some(sample)) = self.queue.get().receive() else { return true };
             if sample.user_header().gid != self.gid {
                 continue;
             }
+            between();
             if self.kept.len() == self.depth {
                 self.kept.pop_front();
             }
             self.kept.push_back((*sample.user_header(), sample.payload().to_vec()));
+            own += 1;
+            // There were no more.
+            if own == self.depth {
+                return true;
+            }
         }
+        false
     }
 
-    fn send_kept(&mut self) -> Result<(), TransportError> {
+    fn send_kept(&mut self, between: &mut dyn FnMut()) -> Result<(), TransportError> {
         let topic = self.topic.clone();
         let Some(history) = &topic.history else { return Ok(()) };
         if self.outlet.is_none() {
@@ -113,6 +139,7 @@ impl Keeper {
         for (header, body) in
             self.kept.iter().map(|(header, body)| (*header, body.as_slice())).chain([(end, &[][..])])
         {
+            between();
             let mut loan = outlet
                 .loan_slice_uninit(body.len())
                 .map_err(|error| topic.iceoryx_error("serving late joiners", error))?
@@ -132,6 +159,33 @@ pub(crate) struct Catch {
     pub(crate) shelf: Shelf<IoxSample>,
     awaited: Vec<Gid>,
     give_up_ns: u64,
+    /// The janitor's [`Finished`], where it goes when it is complete.
+    janitor: Option<oneshot::Sender<Catch>>,
+}
+
+/// Where a late joiner's side is closed: that unmaps memory and removes files, which the thread that takes is spared.
+pub(crate) struct Finished {
+    come: oneshot::Receiver<Catch>,
+    catch: Option<Catch>,
+}
+
+impl Finished {
+    /// Closes it if it has come and none of its samples is out. False if that is still to be.
+    pub(crate) fn close(&mut self) -> bool {
+        if self.catch.is_none() {
+            match self.come.try_recv() {
+                Ok(None) => return false,
+                Ok(catch) => self.catch = catch,
+                // It was dropped before it was complete.
+                Err(oneshot::Canceled) => return true,
+            }
+        }
+        if self.catch.as_ref().is_some_and(|catch| !catch.shelf.is_whole()) {
+            return false;
+        }
+        self.catch = None;
+        true
+    }
 }
 
 impl Catch {
@@ -140,7 +194,7 @@ impl Catch {
         topic: &Topic,
         address: Address,
         depth: usize,
-    ) -> Result<Option<Self>, TransportError> {
+    ) -> Result<Option<(Self, Finished)>, TransportError> {
         let awaited: Vec<Gid> = ports::publishers(topic)
             .into_iter()
             .filter(|port| port.address.role == Role::TransientPublisher)
@@ -154,7 +208,21 @@ impl Catch {
             .create()
             .map_err(|error| topic.iceoryx_error("asking for the history", error))?;
         let (inlet, shelf) = (Sole::new(inlet), Shelf::new(topic.limits.held));
-        Ok(Some(Catch { inlet, shelf, awaited, give_up_ns: monotonic_ns() + PATIENCE_NS }))
+        let (janitor, come) = oneshot::channel();
+        let (janitor, give_up_ns) = (Some(janitor), monotonic_ns() + PATIENCE_NS);
+        let catch = Catch { inlet, shelf, awaited, give_up_ns, janitor };
+        Ok(Some((catch, Finished { come, catch: None })))
+    }
+
+    /// It is complete: the janitor closes it.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub(crate) fn finish(mut self) {
+        if let Some(janitor) = self.janitor.take() {
+            // If nobody is there any more, it is closed here.
+            let _ = janitor.send(self);
+        }
     }
 
     /// The mark of `gid` came.
@@ -168,5 +236,37 @@ impl Catch {
 
     pub(crate) fn is_complete(&self) -> bool {
         self.awaited.is_empty() || monotonic_ns() >= self.give_up_ns
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use crate::{Limits, Participant, TopicType};
+
+    #[test]
+    fn a_late_joiner_is_served_with_pauses_and_closed_by_the_janitor_when_its_samples_are_back() {
+        let participant = Participant::new(99).unwrap();
+        let (text, qos) = (TopicType::new("test_msgs/msg/Text"), Qos::keep_last(3).transient_local());
+        let publisher = participant.create_raw_publisher("/kept", &text, qos, Limits::default()).unwrap();
+        let (topic, slot, address) = publisher.place();
+        let doorbell = participant.doorbell();
+        // Besides the janitor's.
+        let mut keeper = Keeper::new(99, doorbell, topic, publisher.gid(), 3, slot.index()).unwrap();
+        (0..5).for_each(|n| publisher.publish(&[n; 8]).unwrap());
+        let joiner = Address { role: Role::Subscription, ..address };
+        let (catch, mut finished) = Catch::open(topic, joiner, 3).unwrap().unwrap();
+        let mut pauses = 0;
+        keeper.serve(&mut || pauses += 1);
+        assert_eq!(pauses, 3 + 4, "three taken; three sent, and the mark");
+
+        let ports = || ports::subscriptions(topic.history.as_ref().unwrap()).len();
+        let sample = catch.inlet.get().receive().unwrap().unwrap();
+        let lent = catch.shelf.lend(sample).unwrap();
+        assert!(!finished.close(), "the joiner uses it");
+        catch.finish();
+        assert!(!finished.close() && ports() == 1, "a sample is out");
+        drop(lent);
+        assert!(finished.close() && ports() == 0);
     }
 }

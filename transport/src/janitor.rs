@@ -6,6 +6,7 @@
 //!   process is killed; finishes a ring that a killed process began.
 //! - Looks whether this process is to be traced.
 //! - Serves late joiners of transient-local publishers (see [`history`](crate::history)).
+//! - Opens doorbells of other processes that a publisher or subscription could not open, rings there, and says why not.
 //! - Tells monitors which ends of their topics are on other hosts.
 //!
 //! Its lock is taken by creating and dropping ports, never by publish or take.
@@ -14,11 +15,11 @@ use crate::dead_nodes;
 use crate::doorbell::{Doorbell, Owner, remove_stale_arenas};
 use crate::error::TransportError;
 use crate::graph::Graph;
-use crate::history::Keeper;
+use crate::history::{Finished, Keeper};
 use crate::monitor::RemoteWatch;
 use crate::nodes::{self, Registry};
-use crate::ports;
-use crate::sync::Ordering;
+use crate::ports::{self, Reached};
+use crate::sync::{Ordering, fence};
 use crate::topic::{IoxNode, Topic};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -41,6 +42,10 @@ pub(crate) struct Watch {
     pub(crate) epoch: u32,
     /// When a late joiner no longer waits for histories and takes what is live, which may have been announced before.
     pub(crate) ring_at_ns: Option<u64>,
+    /// What a late joiner no longer needs.
+    pub(crate) finished: Option<Finished>,
+    /// It was said that a doorbell cannot be opened.
+    pub(crate) is_warned: bool,
 }
 
 #[derive(Default)]
@@ -165,14 +170,43 @@ fn run(shared: &Shared) {
 fn look_around(shared: &Shared) {
     let arena = shared.doorbell.arena();
     arena.rescue();
-    let mut charges = shared.charges();
-    for (_, keeper) in &mut charges.keepers {
-        keeper.serve();
+    look_at_ports(shared);
+    // Copying histories can take longer than a period.
+    let mut next_rescue = Instant::now() + PERIOD;
+    let mut rescue = || {
+        if Instant::now() >= next_rescue {
+            arena.rescue();
+            next_rescue = Instant::now() + PERIOD;
+        }
+    };
+    // From the last to the first: when one is forgotten meanwhile, none of the others is missed.
+    let keepers = shared.charges().keepers.len();
+    for index in (0..keepers).rev() {
+        // Locked for each anew: whoever makes or drops a port waits for one at most.
+        if let Some((_, keeper)) = shared.charges().keepers.get_mut(index) {
+            keeper.serve(&mut rescue);
+        }
     }
+}
+
+fn look_at_ports(shared: &Shared) {
+    let arena = shared.doorbell.arena();
+    let mut charges = shared.charges();
+    let mut is_marked = false;
     for watch in &mut charges.watches {
+        if watch.finished.as_mut().is_some_and(Finished::close) {
+            watch.finished = None;
+        }
+        if shared.doorbell.take_left(watch.slot) {
+            match watch.is_publisher {
+                true => reach_subscriptions(shared, watch),
+                false => reach_publishers(shared, watch),
+            }
+        }
         if watch.ring_at_ns.is_some_and(|at| monotonic_ns() >= at) {
             watch.ring_at_ns = None;
-            arena.bell().ring(watch.slot);
+            arena.bell().mark(watch.slot);
+            is_marked = true;
         }
         // The epoch before the ports: whoever changes it after this is seen at the next look.
         let epoch = arena.epoch(watch.slot).load(Ordering::Acquire);
@@ -187,7 +221,73 @@ fn look_around(shared: &Shared) {
         arena.advance_epoch(watch.slot);
         // A publisher killed between sending and ringing left samples that nobody announced; a subscription that died
         // may be what an async publish waits for.
-        arena.bell().ring(watch.slot);
+        arena.bell().mark(watch.slot);
+        is_marked = true;
+    }
+    // The sampler stands above all callbacks: it wakes once, not once for each port.
+    if is_marked {
+        fence(Ordering::SeqCst);
+        arena.bell().wake_if_sleeping();
+    }
+}
+
+/// A publisher could not open every subscription's doorbell. What it sent meanwhile is queued there, and it opens them itself when
+/// it next publishes: if it can by now, which this finds out.
+fn reach_subscriptions(shared: &Shared, watch: &mut Watch) {
+    let mut reached = Vec::new();
+    for port in ports::subscriptions(&watch.topic.factory) {
+        if port.address.arena == shared.doorbell.arena().id() {
+            continue;
+        }
+        match Reached::reach(shared.domain, &shared.doorbell, port.address.arena) {
+            Ok(one) => reached.extend(one.map(|one| (one, port.address.slot))),
+            Err(error) => {
+                warn(watch, "not every subscription is woken for what this publisher sends", &error);
+                if ports::may_pass(&error) {
+                    shared.doorbell.leave_again(watch.slot);
+                }
+            }
+        }
+    }
+    if reached.is_empty() {
+        return;
+    }
+    // Before the rings, with a fence between: a sample that its publisher queued before it saw this is found by who is rung.
+    shared.doorbell.arena().advance_epoch(watch.slot);
+    watch.epoch = watch.epoch.wrapping_add(1);
+    for (one, slot) in reached {
+        one.arena().bell().ring(slot);
+    }
+}
+
+/// A keep-all subscription could not open the doorbell of a publisher that waits for room.
+fn reach_publishers(shared: &Shared, watch: &mut Watch) {
+    for link in shared.doorbell.arena().links(watch.slot) {
+        if link.out.waiting.swap(0, Ordering::Relaxed) == 0 {
+            continue;
+        }
+        let (arena, slot) = link.waiter();
+        match Reached::reach(shared.domain, &shared.doorbell, arena) {
+            Ok(Some(one)) => one.arena().bell().ring(slot),
+            // It has gone, and waits no longer.
+            Ok(None) => {}
+            Err(error) => {
+                warn(
+                    watch,
+                    "a publisher that waits for room in this subscription's queue is not rung",
+                    &error,
+                );
+                link.out.waiting.store(1, Ordering::Relaxed);
+                shared.doorbell.leave_again(watch.slot);
+            }
+        }
+    }
+}
+
+/// Said once for each publisher or subscription.
+fn warn(watch: &mut Watch, what: &str, why: &TransportError) {
+    if !std::mem::replace(&mut watch.is_warned, true) {
+        tracing::warn!("topic '{}': {what}: {why} (said once)", watch.topic.name);
     }
 }
 

@@ -96,6 +96,12 @@ impl<S> Shelf<S> {
         !free.is_empty()
     }
 
+    /// Drops the samples that came back. Returns whether none is out.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.reclaim();
+        self.free.borrow().len() == self.shared.places.len()
+    }
+
     /// Puts a sample on the shelf. `None` if every place is out: see [`reclaim`](Self::reclaim).
     ///
     /// # Real-time

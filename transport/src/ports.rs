@@ -3,11 +3,13 @@
 
 use crate::address::{Address, Role};
 use crate::doorbell::{Arena, ArenaId, Doorbell};
+use crate::error::TransportError;
 use crate::header::Gid;
 use crate::topic::{Factory, Topic};
 use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
+use std::io::ErrorKind;
 use std::sync::Arc;
 
 /// One subscription of a topic.
@@ -86,11 +88,27 @@ pub(crate) enum Reached {
 
 impl Reached {
     /// Maps the arena `id` unless it is this process's own. `None` if its owner has gone.
-    pub(crate) fn reach(domain: u32, own: &Arc<Doorbell>, id: ArenaId) -> Option<Self> {
+    ///
+    /// # Errors
+    /// It is there and cannot be mapped: see [`may_pass`].
+    pub(crate) fn reach(
+        domain: u32,
+        own: &Arc<Doorbell>,
+        id: ArenaId,
+    ) -> Result<Option<Self>, TransportError> {
         if own.arena().id() == id {
-            return Some(Reached::Own(own.clone()));
+            return Ok(Some(Reached::Own(own.clone())));
         }
-        Arena::open(domain, id).ok().map(|arena| Reached::Peer(Arc::new(arena)))
+        match Arena::open(domain, id) {
+            Ok(arena) => Ok(Some(Reached::Peer(Arc::new(arena)))),
+            Err(TransportError::Arena { source, .. }) if source.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// As [`reach`](Self::reach), where what is told is found out by the other one's janitor as well, only later.
+    pub(crate) fn reach_at_best(domain: u32, own: &Arc<Doorbell>, id: ArenaId) -> Option<Self> {
+        Self::reach(domain, own, id).ok().flatten()
     }
 
     pub(crate) fn arena(&self) -> &Arena {
@@ -101,11 +119,17 @@ impl Reached {
     }
 }
 
+/// Whether an arena that cannot be mapped now may be mappable later: the system said no, at its limit of open files for one. What
+/// it is and whose does not change.
+pub(crate) fn may_pass(error: &TransportError) -> bool {
+    matches!(error, TransportError::Arena { source, .. } if source.raw_os_error().is_some())
+}
+
 /// Tells every publisher of the topic that its participants changed; `call_janitors` also asks those that keep samples
 /// for late joiners to serve them.
 pub(crate) fn announce(domain: u32, own: &Arc<Doorbell>, topic: &Topic, call_janitors: bool) {
     for port in publishers(topic) {
-        let Some(reached) = Reached::reach(domain, own, port.address.arena) else { continue };
+        let Some(reached) = Reached::reach_at_best(domain, own, port.address.arena) else { continue };
         reached.arena().advance_epoch(port.address.slot);
         // It may wait for room in a queue that has gone.
         reached.arena().bell().ring(port.address.slot);
@@ -118,7 +142,7 @@ pub(crate) fn announce(domain: u32, own: &Arc<Doorbell>, topic: &Topic, call_jan
 /// Tells every subscription of the topic that a publisher came or went.
 pub(crate) fn announce_publisher(domain: u32, own: &Arc<Doorbell>, topic: &Topic) {
     for port in subscriptions(&topic.factory) {
-        let Some(reached) = Reached::reach(domain, own, port.address.arena) else { continue };
+        let Some(reached) = Reached::reach_at_best(domain, own, port.address.arena) else { continue };
         reached.arena().advance_epoch(port.address.slot);
         // It connects when it next takes: better now than when the first sample is there.
         reached.arena().bell().ring(port.address.slot);

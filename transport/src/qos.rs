@@ -31,6 +31,10 @@ pub enum History {
     #[default]
     KeepLast,
     /// Nothing is overwritten: with `depth` samples waiting, publish() returns `Full` at once. Both ends must keep all.
+    ///
+    /// A sample that is being published while a subscription joins may reach it before the publisher knows of it: that one is not in
+    /// the publisher's count of what waits there, so it alone may be overwritten by the `depth` samples after it, and is not counted
+    /// as lost. What is published later is safe.
     KeepAll,
 }
 

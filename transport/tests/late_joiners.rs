@@ -4,7 +4,7 @@
 mod support;
 
 use support::{Count, Part, domain, say, take_all, wait_for, wait_for_the_end};
-use tautline_transport::{Limits, Participant, PublishError, Publisher, Qos, Subscription};
+use tautline_transport::{Limits, Participant, PublishError, Publisher, Qos, Subscription, TopicType};
 
 fn kept(depth: usize) -> Qos {
     Qos::keep_last(depth).transient_local()
@@ -117,6 +117,32 @@ fn while_the_publisher_runs() {
             assert!(taken.is_sorted_by(|a, b| a < b), "in order, once: {taken:?}");
             let gaps = taken.last().unwrap() - taken[0] + 1 - taken.len() as u64;
             assert_eq!(gaps, joiner.counters().lost(), "what is missing was counted");
+        }
+        stop.store(true, std::sync::atomic::Ordering::Relaxed);
+    });
+}
+
+#[test]
+fn a_publisher_that_is_faster_than_its_history_is_copied_keeps_nobody_waiting() {
+    const MESSAGE_BYTES: usize = 8 << 20;
+    let participant = Participant::new(domain(159)).unwrap();
+    let text = TopicType::new("test_msgs/msg/Text");
+    // Few samples, for whoever copies one makes its pages resident.
+    let small = Limits { publishers: 1, subscribers: 2, depth: 4, held: 1, loans: 1, ..Limits::default() };
+    let limits = Limits { message_bytes: MESSAGE_BYTES, ..small };
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let publisher = participant.create_raw_publisher("/fast", &text, kept(4), limits).unwrap();
+        let stop = &stop;
+        scope.spawn(move || {
+            while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+                publisher.loan(MESSAGE_BYTES).unwrap().publish().unwrap();
+            }
+        });
+        // All but the first would wait for ever for a janitor that has not come to the end of the history.
+        for _ in 0..3 {
+            let joiner = participant.create_raw_subscription("/fast", &text, kept(4), limits).unwrap();
+            wait_for("a message", || joiner.try_take().unwrap().is_some());
         }
         stop.store(true, std::sync::atomic::Ordering::Relaxed);
     });

@@ -32,6 +32,7 @@ fn child_main() {
     let texts = participant.create_raw_publisher("/text", &text, Qos::default(), larger).unwrap();
     let taken = participant.create_raw_subscription("/text", &text, Qos::default(), larger).unwrap();
     let stdout = std::io::stdout().as_raw_fd();
+    let member = participant.clone();
     let work = move || {
         let mut sum = 0;
         let mut cycle = |n| {
@@ -39,6 +40,8 @@ fn child_main() {
             loan.n = n;
             loan.publish().unwrap();
             publisher.assert_liveliness();
+            // As a request with a time limit does.
+            drop(member.claim_slot().unwrap());
             let mut loan = texts.loan(n as usize % 5000).unwrap();
             loan.fill(1);
             loan.publish().unwrap();

@@ -45,10 +45,12 @@ impl<T: Service> Client<T> {
     /// it is there when the future is first polled.
     ///
     /// # Real-time
-    /// As [`request`](Self::request), and claims a timer.
+    /// As [`request`](Self::request), and claims an alarm, which takes no further lock: wait-free, O(the context's slots), copies
+    /// the service's name, and at most one futex wake to set it. Dropping the future is at most one more. After each the sampler looks
+    /// through its timers once.
     ///
     /// # Errors
-    /// As [`request`](Self::request); [`Error::Transport`] if the context has no slot left for a timer. The future's:
+    /// As [`request`](Self::request); [`Error::Transport`] if the context has no slot left for the alarm. The future's:
     /// [`Error::ServiceTimeout`].
     pub fn request_timeout(&self, msg: &T::Request, timeout: Duration) -> Result<ResponseFuture<T>> {
         let client = self.client();

@@ -16,7 +16,7 @@ use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, ShmError};
 /// Publishers that one subscription can tell apart: the most publishers of a topic.
 pub(crate) const LINKS: usize = 64;
 const MAGIC: u64 = u64::from_le_bytes(*b"tautline");
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// Owner word of a link nobody uses.
 const FREE: u64 = 0;
@@ -137,14 +137,10 @@ impl Link {
     /// Claims the link, if its owner word is `from`, for a publisher whose next sample will be number `start`, or
     /// [`NONE_FOR_IT`].
     fn claim(&self, from: u64, gid: Gid, start: u64, waiter: (ArenaId, usize)) -> bool {
-        let [low, high] = gid.words();
-        let Owner(owner) = Owner::of(gid);
-        if self.out.owner.compare_exchange(from, owner, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+        if !self.begin_claim(from, Owner::of(gid)) {
             return false;
         }
-        // Nobody's until the claim is complete: should this process be killed here, the numbers are no publisher's.
-        self.out.gid[1].store(0, Ordering::Relaxed);
-        self.out.gid[0].store(0, Ordering::Release);
+        let [low, high] = gid.words();
         self.out.start.store(start, Ordering::Relaxed);
         self.out.sent.store(start.saturating_sub(1), Ordering::Relaxed);
         self.taken.0.store(start.saturating_sub(1), Ordering::Relaxed);
@@ -155,6 +151,17 @@ impl Link {
         self.out.gid[0].store(low, Ordering::Relaxed);
         // Release: pairs with the Acquire in `gid`; who reads this gid reads this claim's start.
         self.out.gid[1].store(high, Ordering::Release);
+        true
+    }
+
+    /// The first step: nobody's until the claim is complete. Should this process be killed within, the numbers are no publisher's:
+    /// see [`is_incomplete`](Self::is_incomplete).
+    fn begin_claim(&self, from: u64, owner: Owner) -> bool {
+        if self.out.owner.compare_exchange(from, owner.0, Ordering::AcqRel, Ordering::Relaxed).is_err() {
+            return false;
+        }
+        self.out.gid[1].store(0, Ordering::Relaxed);
+        self.out.gid[0].store(0, Ordering::Release);
         true
     }
 
@@ -202,6 +209,12 @@ impl Link {
         self.out.owner.load(Ordering::Acquire) == ENDED
     }
 
+    /// Whether a claim was begun and its end is not seen: one of the gid's words is 0, as no publisher's is. If the link has ended
+    /// by now, the claimer was killed, and what else stands here is of the publisher before it.
+    pub(crate) fn is_incomplete(&self) -> bool {
+        self.gid().words().contains(&0)
+    }
+
     /// The subscription has settled what the ended publisher `gid` sent.
     pub(crate) fn settle(&self, gid: Gid) {
         if self.gid() == gid {
@@ -210,14 +223,36 @@ impl Link {
     }
 }
 
-/// Who claimed a link: half of a publisher's gid, moved away from the two reserved values.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[cfg(all(test, not(taut_loom)))]
+impl Link {
+    /// A publisher that is killed while it claims the link.
+    pub(crate) fn claim_and_die(&self, gid: Gid) -> Owner {
+        let owner = Owner::of(gid);
+        assert!(self.begin_claim(FREE, owner));
+        owner
+    }
+}
+
+/// Who claimed a link: a word made of all of a publisher's gid. Those of gids that have one half in common differ; else two are the
+/// same by a chance of 1 in 2^64.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Owner(u64);
 
 impl Owner {
     pub(crate) fn of(gid: Gid) -> Self {
-        Owner(gid.words()[0] | 2)
+        let [low, high] = gid.words();
+        match mixed(mixed(low) ^ high) {
+            reserved @ (FREE | ENDED) => Owner(!reserved),
+            owner => Owner(owner),
+        }
     }
+}
+
+/// One to one, and each bit depends on all: the last steps of SplitMix64 (Steele, Lea, Flood, 2014).
+const fn mixed(word: u64) -> u64 {
+    let word = (word ^ word >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let word = (word ^ word >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    word ^ word >> 31
 }
 
 /// A mapped arena: this process's own, or a peer's. Unmapped when dropped; the owner's file is removed as well.
@@ -229,7 +264,7 @@ pub(crate) struct Arena {
 }
 
 impl Arena {
-    /// Claims memory for all but the links, which most slots never have: see [`claim_slot`](Self::claim_slot).
+    /// Claims memory for all but the links, which most slots never have: see [`claim_links`](Self::claim_links).
     pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
         let own = OwnFile::create(&file_prefix(domain)).map_err(arena_error)?;
         let make = || -> Result<Mapping, ShmError> {
@@ -254,29 +289,29 @@ impl Arena {
     /// Maps a peer's arena. What it holds are claims: indices are checked wherever they are used.
     pub(crate) fn open(domain: u32, id: ArenaId) -> Result<Self, TransportError> {
         let file = PeerFile::open(path(domain, id), true).map_err(arena_error)?;
-        let refuse = |source| TransportError::Arena { path: file.path().to_owned(), source };
+        let named = || file.path().to_owned();
         if file.size_bytes().map_err(arena_error)? < size_of::<Layout>() as u64 {
-            return Err(refuse(io::Error::other(
-                "shorter than an arena: made by another version of Tautline?",
-            )));
+            return Err(TransportError::ArenaVersion { path: named() });
         }
-        let arena = Arena { id, map: map(&file).map_err(refuse)?, own: None };
+        let map = map(&file).map_err(|source| TransportError::Arena { path: named(), source })?;
+        let arena = Arena { id, map, own: None };
         let layout = arena.layout();
         if layout.magic.load(Ordering::Acquire) != MAGIC || layout.version.load(Ordering::Relaxed) != VERSION
         {
-            return Err(refuse(io::Error::other("not an arena of this version of Tautline")));
+            return Err(TransportError::ArenaVersion { path: named() });
         }
         Ok(arena)
     }
 
-    /// Gives a slot of this process's own arena memory for its links, and makes it look never used.
-    pub(crate) fn claim_slot(&self, slot: usize) -> Result<(), TransportError> {
+    /// Gives a slot of this process's own arena memory for its links, and makes these look never used. Without it they are not to
+    /// be touched: where /dev/shm is full, that kills the process.
+    pub(crate) fn claim_links(&self, slot: usize) -> Result<(), TransportError> {
         if let Some(own) = &self.own {
             let links = size_of::<[Link; LINKS]>();
             let start = offset_of!(Layout, links) + slot * links;
             own.claim(start as u64, links as u64).map_err(arena_error)?;
         }
-        self.reset(slot);
+        self.reset_links(slot);
         Ok(())
     }
 
@@ -437,13 +472,19 @@ impl Arena {
         claim(FREE).or_else(|| claim(ENDED))
     }
 
-    /// Makes a slot look never used.
-    fn reset(&self, slot: usize) {
+    /// Makes a slot look never used, but for its links.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub(crate) fn reset(&self, slot: usize) {
         let words = &self.layout().slots[slot];
         words.flags.set(0);
         words.route.set(None);
         words.events.store(0, Ordering::Relaxed);
         words.pulses.iter().for_each(|pulse| pulse.store(0, Ordering::Relaxed));
+    }
+
+    fn reset_links(&self, slot: usize) {
         for link in self.links(slot).iter().filter(|link| link.out.owner.load(Ordering::Relaxed) != FREE) {
             link.out.gid[0].store(0, Ordering::Relaxed);
             link.out.gid[1].store(0, Ordering::Relaxed);
@@ -496,7 +537,7 @@ mod tests {
         let (old, new, third) = (Gid([4; 16]), Gid([8; 16]), Gid([12; 16]));
         assert_eq!(arena.claim_link(0, old, 1, (arena.id(), 7)), Some(0));
         // The subscription behind the slot goes, another comes, and a publisher matches it before `old` has noticed.
-        arena.reset(0);
+        arena.reset_links(0);
         assert_eq!(arena.claim_link(0, new, 5, (arena.id(), 8)), Some(0));
         let link = &arena.links(0)[0];
         link.release(Owner::of(old));
@@ -505,6 +546,36 @@ mod tests {
         link.release(Owner::of(new));
         assert!(!link.is_claimed());
         assert_eq!((link.gid(), link.start()), (new, 5), "readable until it is claimed again");
+    }
+
+    #[test]
+    fn owners_whose_gids_share_a_half_differ() {
+        let of = |low: u64, high: u64| Owner::of(Gid::from_words([low, high]));
+        // Seconds and nanoseconds below, process and counter above, as iceoryx2 numbers its ports.
+        let (time, process) = (17_u64 | 123_456_789 << 32, 4242_u64 | 5 << 32);
+        for bit in 0..64 {
+            assert_ne!(of(time, process), of(time ^ 1 << bit, process), "bit {bit} of the low half");
+            assert_ne!(of(time, process), of(time, process ^ 1 << bit), "bit {bit} of the high half");
+        }
+        let owners: Vec<_> =
+            (0..100).flat_map(|n| [of(time, process + (n << 32)), of(time + n + 1, process)]).collect();
+        let is_twice = |(index, owner): (usize, &Owner)| owners[..index].contains(owner);
+        assert!(!owners.iter().enumerate().any(is_twice));
+        assert!(of(0, 0).0 > ENDED, "what mixes to a reserved value is moved away from it");
+    }
+
+    #[test]
+    fn a_publisher_of_the_same_instant_does_not_release_anothers_link() {
+        let arena = Arena::create(DOMAIN).unwrap();
+        let gid = |counter: u64| Gid::from_words([7, 4242 | counter << 32]);
+        let (old, new) = (gid(1), gid(2));
+        assert_eq!(arena.claim_link(0, old, 1, (arena.id(), 7)), Some(0));
+        arena.reset_links(0);
+        assert_eq!(arena.claim_link(0, new, 5, (arena.id(), 8)), Some(0));
+        let link = &arena.links(0)[0];
+        link.release(Owner::of(old));
+        link.release_killed(Owner::of(old));
+        assert!(link.is_claimed() && link.owner() == Some(Owner::of(new)));
     }
 
     #[test]
@@ -521,9 +592,10 @@ mod tests {
         for len_bytes in [16, size_of::<Layout>() as u64] {
             let file = OwnFile::create(&file_prefix(DOMAIN)).unwrap();
             file.set_len(len_bytes).unwrap();
-            let refused = Arena::open(DOMAIN, ArenaId(file.id())).is_err();
+            let refused = Arena::open(DOMAIN, ArenaId(file.id())).err();
             file.retire();
-            assert!(refused, "{len_bytes} bytes");
+            let refused = refused.map(|error| error.to_string()).unwrap_or_default();
+            assert!(refused.ends_with("use the same one in all processes"), "{len_bytes} bytes: {refused}");
         }
     }
 

@@ -3,6 +3,8 @@
 //! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-transport --release loom`).
 
 use super::hot::{Bell, Flags, Route, Spot};
+use super::places::FreePlaces;
+use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::sync::atomic::{AtomicU32, Ordering, fence};
 use loom::thread;
@@ -217,5 +219,38 @@ fn loom_a_ringer_that_is_stuck_before_its_wake_holds_up_nobody_else() {
         }
         stuck.join().unwrap();
         other.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_place_is_one_owners_at_a_time() {
+    /// What belongs to a place: loom reports it if two threads touch it at once, or one before the other's is seen.
+    struct Owned(UnsafeCell<u32>);
+    // SAFETY: for the model; loom checks the accesses.
+    unsafe impl Sync for Owned {}
+    // SAFETY: as above.
+    unsafe impl Send for Owned {}
+
+    model(|| {
+        let places = Arc::new(FreePlaces::new(2));
+        let owned = Arc::new([(); 2].map(|()| Owned(UnsafeCell::new(0))));
+        let claim_each = {
+            let (places, owned) = (places.clone(), owned.clone());
+            move || {
+                for _ in 0..2 {
+                    // None if the other thread has just claimed each that was free.
+                    if let Some(place) = places.take() {
+                        // SAFETY: the place is this thread's.
+                        owned[place].0.with_mut(|count| unsafe { *count += 1 });
+                        places.give_back(place);
+                    }
+                }
+            }
+        };
+        let other = thread::spawn(claim_each.clone());
+        claim_each();
+        other.join().unwrap();
+        let both = [places.take(), places.take(), places.take()];
+        assert!(both.iter().flatten().count() == 2 && both[2].is_none(), "both are free: {both:?}");
     });
 }

@@ -6,7 +6,7 @@
 //! - the [`Bell`](hot::Bell): a bitmap of pending slots and an eventcount on which the sampler sleeps;
 //! - small bells for callback threads that publishers wake themselves: see [`ThreadBell`];
 //! - per slot some words: flags, which bell is rung for it, an epoch that others advance when a topic's participants change;
-//! - per slot a page of links: what one publisher and one subscription tell each other (sent, taken, waiting).
+//! - per slot of a subscription two pages of links: what one publisher and it tell each other (sent, taken, waiting).
 //!
 //! A subscription, a publisher, a timer and a guard condition each own a slot. Only the owner of an arena creates or
 //! removes it; a file whose owner died is unlocked and is removed by whoever finds it.
@@ -15,12 +15,13 @@ mod arena;
 pub(crate) mod hot;
 #[cfg(all(test, taut_loom))]
 mod loom;
+mod places;
 #[cfg(all(test, not(taut_loom)))]
 mod stress;
 mod thread_bell;
 
 pub(crate) use arena::{
-    Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, Sleeper, remove_stale_arenas,
+    Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, Sleeper, THREADS, remove_stale_arenas,
 };
 pub use arena::{Pulse, PulseOf};
 pub(crate) use hot::Flags;
@@ -30,8 +31,9 @@ pub use thread_bell::ThreadBell;
 use crate::error::TransportError;
 use crate::sync::Ordering;
 use futures::task::AtomicWaker;
+use places::FreePlaces;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// Slots of an arena: the most subscriptions, publishers, timers and guard conditions that one context can have.
 #[cfg(not(taut_loom))]
@@ -44,8 +46,10 @@ pub const SLOTS: usize = 64;
 pub struct Doorbell {
     arena: Arena,
     wakers: Box<[AtomicWaker]>,
-    free: Mutex<FreePlaces>,
-    free_threads: Mutex<FreePlaces>,
+    /// Of which slots the janitor is to open what their owners could not: see [`Slot::leave_to_janitor`].
+    left: Box<[AtomicBool]>,
+    free: FreePlaces,
+    free_threads: FreePlaces,
     sampled: AtomicBool,
 }
 
@@ -58,8 +62,9 @@ impl Doorbell {
         Ok(Arc::new(Doorbell {
             arena: Arena::create(domain)?,
             wakers: (0..SLOTS).map(|_| AtomicWaker::new()).collect(),
-            free: Mutex::new(FreePlaces::new(SLOTS)),
-            free_threads: Mutex::new(FreePlaces::new(arena::THREADS)),
+            left: (0..SLOTS).map(|_| AtomicBool::new(false)).collect(),
+            free: FreePlaces::new(SLOTS),
+            free_threads: FreePlaces::new(THREADS),
             sampled: AtomicBool::new(false),
         }))
     }
@@ -68,8 +73,8 @@ impl Doorbell {
         &self.arena
     }
 
-    fn threads(&self) -> std::sync::MutexGuard<'_, FreePlaces> {
-        self.free_threads.lock().unwrap_or_else(PoisonError::into_inner)
+    fn threads(&self) -> &FreePlaces {
+        &self.free_threads
     }
 
     /// Claims a bell for a callback thread that publishers wake themselves.
@@ -82,16 +87,38 @@ impl Doorbell {
 
     /// Claims a slot, clean of its previous owner's state. It is free again when the returned guard is dropped.
     ///
+    /// # Real-time
+    /// Wait-free, O([`SLOTS`]); no allocation; no syscall.
+    ///
     /// # Errors
     /// [`TransportError::Slots`] if all are taken.
     pub fn claim(self: &Arc<Self>) -> Result<Slot, TransportError> {
-        let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let index = free.take().ok_or(TransportError::Slots { limit: SLOTS })?;
-        if let Err(error) = self.arena.claim_slot(index) {
-            free.give_back(index);
-            return Err(error);
-        }
+        let index = self.free.take().ok_or(TransportError::Slots { limit: SLOTS })?;
+        self.arena.reset(index);
+        self.left[index].store(false, Ordering::Relaxed);
         Ok(Slot { doorbell: self.clone(), index, retired: AtomicBool::new(false) })
+    }
+
+    /// Claims a slot for a subscription, with memory for what it and its publishers tell each other.
+    pub(crate) fn claim_with_links(self: &Arc<Self>) -> Result<Slot, TransportError> {
+        let slot = self.claim()?;
+        self.arena.claim_links(slot.index)?;
+        Ok(slot)
+    }
+
+    /// For the janitor: whether it is to open what the owner of `slot` could not. It then sees what the owner saw.
+    pub(crate) fn take_left(&self, slot: usize) -> bool {
+        // Acquire: pairs with the Release of `leave_to_janitor` and `is_left_to_janitor`.
+        self.left
+            .get(slot)
+            .is_some_and(|left| left.load(Ordering::Relaxed) && left.swap(false, Ordering::Acquire))
+    }
+
+    /// For the janitor: it could not either.
+    pub(crate) fn leave_again(&self, slot: usize) {
+        if let Some(left) = self.left.get(slot) {
+            left.store(true, Ordering::Release);
+        }
     }
 
     /// Claims the right to drain this doorbell and to sleep on it, which one sampler has.
@@ -213,6 +240,25 @@ impl Slot {
         self.retired.load(std::sync::atomic::Ordering::Acquire)
     }
 
+    /// The owner could not open another process's doorbell: the janitor tries again at each of its looks, says why not, and rings
+    /// there.
+    ///
+    /// # Real-time
+    /// Wait-free: one store; no syscall.
+    pub(crate) fn leave_to_janitor(&self) {
+        self.doorbell.left[self.index].store(true, Ordering::Release);
+    }
+
+    /// Whether that is still to come. The janitor then sees what this thread has seen.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn is_left_to_janitor(&self) -> bool {
+        // It writes what it reads, for its Release.
+        let left = &self.doorbell.left[self.index];
+        left.compare_exchange(true, true, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+    }
+
     pub(crate) fn doorbell(&self) -> &Arc<Doorbell> {
         &self.doorbell
     }
@@ -228,28 +274,10 @@ impl Slot {
 }
 
 impl Drop for Slot {
+    /// # Real-time
+    /// Wait-free; no syscall. Drops the waker that is registered.
     fn drop(&mut self) {
         self.doorbell.wakers[self.index].take();
-        self.doorbell.free.lock().unwrap_or_else(PoisonError::into_inner).give_back(self.index);
-    }
-}
-
-/// Slots, or the bells of threads. First in, first out: each rests as long as possible before it is used again, so that a publisher that has not
-/// yet noticed the end of a subscription does not ring its successor (harmless, but a spurious wake-up).
-struct FreePlaces {
-    queue: std::collections::VecDeque<usize>,
-}
-
-impl FreePlaces {
-    fn new(places: usize) -> Self {
-        FreePlaces { queue: (0..places).collect() }
-    }
-
-    fn take(&mut self) -> Option<usize> {
-        self.queue.pop_front()
-    }
-
-    fn give_back(&mut self, index: usize) {
-        self.queue.push_back(index);
+        self.doorbell.free.give_back(self.index);
     }
 }

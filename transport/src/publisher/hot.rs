@@ -270,7 +270,8 @@ impl<'p> RawLoan<'p> {
     /// loan comes back.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, no other syscall.
+    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
+    /// sleeps and is woken directly; no other syscall.
     /// When ports of the topic have appeared or gone since the last call: allocates and maps memory.
     ///
     /// # Errors

@@ -129,6 +129,8 @@ impl RawPublisher {
             fingerprint,
             epoch: slot.epoch(),
             ring_at_ns: None,
+            finished: None,
+            is_warned: false,
         };
         shared.janitor.watch(watch);
         ports::warn_of_incompatible(&topic, &address);

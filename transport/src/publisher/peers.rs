@@ -2,7 +2,7 @@
 //! The subscriptions that a publisher rings, brought up to date when the topic's epoch changes.
 
 use crate::address::Address;
-use crate::doorbell::{Flags, Link, NONE_FOR_IT, Owner, Pulse, PulseOf, Sleeper, Slot};
+use crate::doorbell::{ArenaId, Flags, Link, NONE_FOR_IT, Owner, Pulse, PulseOf, Sleeper, Slot, THREADS};
 use crate::header::Gid;
 use crate::ports::{self, Reached};
 use crate::sync::{Ordering, fence};
@@ -19,6 +19,8 @@ pub(crate) struct Peers {
     pub(crate) matched: Vec<Matched>,
     /// Subscriptions that this publisher does not fit: they are told that nothing is for them, once.
     apart: Vec<Matched>,
+    /// Doorbells that are of no use, now and later: the janitor has said so.
+    refused: Vec<ArenaId>,
 }
 
 pub(crate) struct Matched {
@@ -65,6 +67,7 @@ impl Peers {
             sequence_number: 0,
             matched: Vec::with_capacity(capacity),
             apart: Vec::new(),
+            refused: Vec::new(),
         }
     }
 
@@ -80,7 +83,8 @@ impl Peers {
     }
 
     /// Lists the topic's subscriptions, maps the doorbells of new ones and claims a link in each. Only when ports
-    /// appeared or went: allocates, opens files.
+    /// appeared or went: allocates, opens files. Where a doorbell cannot be mapped, the janitor goes on: samples are queued there
+    /// all the same, and nobody would ever be woken for them.
     #[cold]
     pub(crate) fn refresh(&mut self, topic: &Topic, slot: &Slot, gid: Gid) {
         // Before listing: what changes after this load changes the epoch again.
@@ -95,18 +99,29 @@ impl Peers {
         };
         self.matched.retain(stays);
         self.apart.retain(stays);
+        self.refused.retain(|arena| ports.iter().any(|port| port.address.arena == *arena));
         for port in ports {
-            if self.all().any(|matched| matched.id == port.id) {
+            let (own, arena) = (slot.doorbell(), port.address.arena);
+            if self.all().any(|matched| matched.id == port.id) || self.refused.contains(&arena) {
                 continue;
             }
-            let own = slot.doorbell();
-            let known = self.all().find(|matched| matched.reached.arena().id() == port.address.arena);
+            let known = self.all().find(|matched| matched.reached.arena().id() == arena);
             let reached = match known {
-                Some(matched) => Some(matched.reached.clone()),
-                None => Reached::reach(self.domain, own, port.address.arena),
+                Some(matched) => Ok(Some(matched.reached.clone())),
+                None => Reached::reach(self.domain, own, arena),
             };
-            // Gone already: its end changes the epoch again.
-            let Some(reached) = reached else { continue };
+            let reached = match reached {
+                Ok(Some(reached)) => reached,
+                // Gone already: its end changes the epoch again.
+                Ok(None) => continue,
+                Err(error) => {
+                    slot.leave_to_janitor();
+                    if !ports::may_pass(&error) {
+                        self.refused.push(arena);
+                    }
+                    continue;
+                }
+            };
             let waiter = (own.arena().id(), slot.index());
             let fits = self.address.incompatibility(&port.address).is_none();
             let start = if fits { self.sequence_number + 1 } else { NONE_FOR_IT };
@@ -116,7 +131,7 @@ impl Peers {
             let matched = Matched { id, reached, slot, depth, link, sleeper: None };
             if fits { &mut self.matched } else { &mut self.apart }.push(matched);
         }
-        // As `ring` wants them: stable, for within a process the oldest comes first.
+        // As `ring` wants them, those of an arena next to each other: stable, for within a process the oldest comes first.
         self.matched.sort_by_key(|matched| matched.reached.arena().id().0);
     }
 
@@ -125,25 +140,26 @@ impl Peers {
     }
 
     /// Rings every subscription, but for those that poll by themselves and those that are still taking what they were rung for.
-    /// All of a process are marked before its sampler is woken: it wakes once.
+    /// All are marked before anybody is woken: whoever sleeps for several wakes once.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
-    /// sleeps and is woken directly; in a process that has both kinds, at most one per subscription.
+    /// sleeps and is woken directly.
     pub(crate) fn ring(&mut self) {
         for matched in &mut self.matched {
             matched.sleeper = matched.reached.arena().mark_sample(matched.slot);
         }
         fence(Ordering::SeqCst);
-        let mut woken = None;
+        let (mut last, mut woken) = (None, Woken::default());
         for matched in &self.matched {
             let Some(sleeper) = matched.sleeper else { continue };
             let arena = matched.reached.arena();
-            let this = Some((arena.id(), sleeper));
-            // Those of a process are next to each other.
-            if woken != this {
+            // Those of an arena are next to each other; which bells they lead to, their threads say at any time.
+            if last.replace(arena.id()) != Some(arena.id()) {
+                woken = Woken::default();
+            }
+            if woken.add(sleeper) {
                 arena.wake(sleeper);
-                woken = this;
             }
         }
     }
@@ -157,6 +173,30 @@ impl Peers {
             matched.reached.arena().advance_epoch(matched.slot);
         }
         self.ring();
+    }
+}
+
+/// Which sleepers of an arena were woken for a sample.
+#[derive(Default)]
+struct Woken {
+    sampler: bool,
+    /// A bit for each.
+    threads: u128,
+}
+
+const _: () = assert!(THREADS <= u128::BITS as usize);
+
+impl Woken {
+    /// True if it was not among them.
+    fn add(&mut self, sleeper: Sleeper) -> bool {
+        match sleeper {
+            Sleeper::Sampler => !std::mem::replace(&mut self.sampler, true),
+            Sleeper::Thread(thread) => {
+                let (bit, before) = (1u128 << (thread % THREADS), self.threads);
+                self.threads |= bit;
+                before & bit == 0
+            }
+        }
     }
 }
 
@@ -180,5 +220,32 @@ mod tests {
             of_other = other.arena().bell().wakes(|| publisher.publish(&[0; 8]).unwrap());
         });
         assert_eq!((of_one, of_other), (1, 1));
+    }
+
+    #[test]
+    fn a_message_wakes_each_directly_woken_thread_once_and_the_sampler_once() {
+        let participant = Participant::new(98).unwrap();
+        let string = TopicType::new("std_msgs/msg/String".to_owned());
+        let (qos, limits) = (Qos::keep_last(4), Limits::default());
+        let bells = [(); 2].map(|()| participant.doorbell().claim_thread_bell().unwrap());
+        // The sampler's, one thread's, the other's, and again.
+        let _all: Vec<_> = [None, Some(&bells[0]), Some(&bells[1])]
+            .repeat(2)
+            .into_iter()
+            .map(|bell| {
+                let one = participant.create_raw_subscription("/direct", &string, qos, limits).unwrap();
+                one.wake_thread(bell);
+                one
+            })
+            .collect();
+        let publisher = participant.create_raw_publisher("/direct", &string, qos, limits).unwrap();
+        let arena = participant.doorbell().arena();
+        let [mut first, mut second] = [0; 2];
+        let sampler = arena.bell().wakes(|| {
+            first = arena.thread_bell(0).unwrap().wakes(|| {
+                second = arena.thread_bell(1).unwrap().wakes(|| publisher.publish(&[0; 8]).unwrap());
+            });
+        });
+        assert_eq!((sampler, first, second), (1, 1, 1));
     }
 }

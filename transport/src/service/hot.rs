@@ -41,8 +41,9 @@ impl RawClient {
     /// Sends a request to every server. The first response counts.
     ///
     /// # Real-time
-    /// Wait-free, O(pending requests + servers); no allocation; at most one futex wake per sampler that sleeps. When servers
-    /// have appeared or gone since the last call: allocates and maps memory.
+    /// Wait-free, O(responses x pending requests + servers); no allocation; at most one futex wake per sampler that sleeps, and per
+    /// callback thread of a server that sleeps and is woken directly; and one for each task whose response is taken on the way and
+    /// whose thread sleeps. When servers have appeared or gone since the last call: allocates and maps memory.
     ///
     /// # Errors
     /// [`Unsent`]: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`] with the loan.

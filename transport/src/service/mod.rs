@@ -218,7 +218,9 @@ pub enum ServiceError {
         service: Arc<str>,
     },
     /// iceoryx2 could not deliver.
-    #[error("service '{service}': the message could not be delivered")]
+    #[error(
+        "service '{service}': the message could not be delivered; is the process at its limit of open files (ulimit -n), or /dev/shm full? then ask again"
+    )]
     Incomplete {
         /// The service.
         service: Arc<str>,

@@ -4,8 +4,8 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use super::{Counters, RawSubscription, Run, State};
-use crate::doorbell::{ArenaId, Doorbell, Link};
-use crate::error::TakeError;
+use crate::doorbell::{ArenaId, Doorbell, Link, Slot};
+use crate::error::{TakeError, TransportError};
 use crate::header::{END_OF_HISTORY, Gid, MessageInfo, NEVER, SampleHeader};
 use crate::lending::{Lent, Shelf, Sole};
 use crate::ports::Reached;
@@ -94,29 +94,51 @@ impl Waiters {
         Waiters { domain, known: Default::default(), capacity }
     }
 
-    /// Rings the publisher of `link` if it waits for room. The first time for each process: maps its doorbell.
-    fn ring(&mut self, own: &Arc<Doorbell>, link: &Link) {
+    /// Rings the publisher of `link` if it waits for room. The first time for each process: maps its doorbell. If that cannot be
+    /// mapped, the janitor goes on: the publisher would wait for ever.
+    fn ring(&mut self, slot: &Slot, link: &Link) {
         // The take before is visible before the request is looked at; see the publisher's check for room.
         fence(Ordering::SeqCst);
-        if link.out.waiting.load(Ordering::Relaxed) == 0 || link.out.waiting.swap(0, Ordering::Relaxed) == 0 {
+        if link.out.waiting.load(Ordering::Relaxed) == 0 {
             return;
         }
-        let (arena, slot) = link.waiter();
-        if let Some(reached) = self.reach(own, arena) {
-            reached.arena().bell().ring(slot);
+        // It will see this request, and opens files where nobody waits for that.
+        if self.position(link.waiter().0).is_none() && slot.is_left_to_janitor() {
+            return;
+        }
+        if link.out.waiting.swap(0, Ordering::Relaxed) == 0 {
+            return;
+        }
+        let (arena, waiter) = link.waiter();
+        match self.reach(slot.doorbell(), arena) {
+            Ok(Some(reached)) => reached.arena().bell().ring(waiter),
+            // It has gone, and waits no longer.
+            Ok(None) => {}
+            Err(_) => {
+                link.out.waiting.store(1, Ordering::Relaxed);
+                slot.leave_to_janitor();
+            }
         }
     }
 
+    fn position(&self, arena: ArenaId) -> Option<usize> {
+        self.known.iter().position(|reached| reached.arena().id() == arena)
+    }
+
     #[allow(clippy::disallowed_methods, reason = "once for each process that publishes here")]
-    fn reach(&mut self, own: &Arc<Doorbell>, arena: ArenaId) -> Option<&Reached> {
-        let position = self.known.iter().position(|reached| reached.arena().id() == arena);
-        if position.is_none() {
-            if self.known.len() >= self.capacity {
-                self.known.clear();
+    fn reach(&mut self, own: &Arc<Doorbell>, arena: ArenaId) -> Result<Option<&Reached>, TransportError> {
+        let position = match self.position(arena) {
+            Some(position) => position,
+            None => {
+                let Some(reached) = Reached::reach(self.domain, own, arena)? else { return Ok(None) };
+                if self.known.len() >= self.capacity {
+                    self.known.clear();
+                }
+                self.known.push(reached);
+                self.known.len() - 1
             }
-            self.known.push(Reached::reach(self.domain, own, arena)?);
-        }
-        self.known.get(position.unwrap_or(self.known.len().saturating_sub(1)))
+        };
+        Ok(self.known.get(position))
     }
 }
 
@@ -128,8 +150,9 @@ impl RawSubscription {
     /// # Real-time
     /// Wait-free, O(publishers), at most 16 samples looked at. No allocation; no syscall, except one futex wake if a keep-all
     /// publisher waits for room and its sampler sleeps, one if messages were lost and somebody watches for that, and one if 16 were
-    /// passed over and this process's sampler sleeps. When publishers have appeared or gone since the last call, or one of them took
-    /// a larger segment: allocates and maps memory.
+    /// passed over and this process's sampler sleeps. When publishers have appeared or gone since the last call, when one of them took
+    /// a larger segment, and the first time that a keep-all publisher of another process waits for room (its doorbell is opened):
+    /// allocates and maps memory.
     ///
     /// # Errors
     /// [`TakeError`]. A sample whose header is invalid is consumed.
@@ -188,7 +211,7 @@ impl RawSubscription {
             if self.qos.history == History::KeepAll
                 && let Some(link) = noted.link.and_then(|link| links.get(link))
             {
-                state.waiters.ring(slot.doorbell(), link);
+                state.waiters.ring(slot, link);
             }
             if noted.duplicate {
                 continue;
@@ -224,8 +247,10 @@ impl RawSubscription {
                 received => received?,
             };
             let Some(sample) = received else {
-                if catch.is_complete() {
-                    state.catch = None;
+                if catch.is_complete()
+                    && let Some(catch) = state.catch.take()
+                {
+                    catch.finish();
                 }
                 return Ok(None);
             };

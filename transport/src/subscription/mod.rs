@@ -132,7 +132,7 @@ impl RawSubscription {
         if existing >= limit {
             return Err(too_many(&topic, limit));
         }
-        let slot = Arc::new(shared.doorbell.claim()?);
+        let slot = Arc::new(shared.doorbell.claim_with_links()?);
         let flag = |set: bool, flag: u32| if set { flag } else { 0 };
         slot.flags().set(
             flag(qos.history == History::KeepAll, Flags::KEEP_ALL)
@@ -149,7 +149,8 @@ impl RawSubscription {
             .create()
             .map_err(|error| create_error(&topic, error))?;
         let owner = participant.own(ports::gid(port.id().value()))?;
-        let catch = if transient { Catch::open(&topic, address, qos.depth)? } else { None };
+        let opened = if transient { Catch::open(&topic, address, qos.depth)? } else { None };
+        let (catch, finished) = opened.unzip();
         // Publishers learn of the new queue; what they sent before that is found by the first take.
         ports::announce(shared.domain, &shared.doorbell, &topic, catch.is_some());
         ports::warn_of_incompatible(&topic, &address);
@@ -164,6 +165,8 @@ impl RawSubscription {
             fingerprint,
             epoch,
             ring_at_ns,
+            finished,
+            is_warned: false,
         };
         shared.janitor.watch(watch);
         let waiters = hot::Waiters::new(shared.domain, topic.limits.publishers);

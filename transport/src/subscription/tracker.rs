@@ -99,6 +99,11 @@ impl Tracker {
     pub(crate) fn note_ended(&mut self, links: &[Link]) {
         for (index, link) in links.iter().enumerate().filter(|(_, link)| link.has_ended()) {
             let gid = link.gid();
+            if link.is_incomplete() {
+                // It was killed while it claimed the link, and sent nothing that was counted here.
+                link.settle(gid);
+                continue;
+            }
             if self.ended.len() < LINKS && !self.ended.iter().any(|ended| ended.gid == gid) {
                 let (start, sent) = (link.start(), link.out.sent.load(Ordering::Relaxed));
                 self.ended.push(Ended { gid, link: index, start, sent });
@@ -156,9 +161,11 @@ impl Tracker {
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
+    use crate::doorbell::{Arena, Owner};
 
     const A: Gid = Gid([1; 16]);
     const B: Gid = Gid([2; 16]);
+    const C: Gid = Gid([3; 16]);
 
     #[test]
     fn gaps_are_counted_for_each_publisher() {
@@ -180,6 +187,27 @@ mod tests {
         assert!(!tracker.note_history(A, 3, &[]));
         assert!(tracker.note(A, 4, &[]).is_some_and(|noted| noted.duplicate));
         assert_eq!(tracker.note(A, 6, &[]).map(|noted| noted.lost), Some(1));
+    }
+
+    #[test]
+    fn of_one_that_was_killed_while_it_claimed_its_link_nothing_is_lost() {
+        let arena = Arena::create(117).unwrap();
+        let claim = |gid, start| arena.claim_link(0, gid, start, (arena.id(), 7));
+        let links = arena.links(0);
+        let mut tracker = Tracker::new();
+        assert_eq!(claim(A, 6), Some(0));
+        links[0].out.sent.store(15, Ordering::Relaxed);
+        links[0].release(Owner::of(A));
+        tracker.note_ended(links);
+        assert_eq!(tracker.settle(links), 10, "of A, nothing came");
+        let killed = links[0].claim_and_die(B);
+        tracker.note_ended(links);
+        assert_eq!(tracker.settle(links), 0, "not known to be dead");
+        links[0].release_killed(killed);
+        tracker.note_ended(links);
+        assert_eq!(tracker.settle(links), 0, "the numbers are A's");
+        assert!(!links[0].has_ended(), "it is free");
+        assert_eq!(claim(C, 1), Some(0));
     }
 
     #[test]
