@@ -17,6 +17,8 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 /// How long a process may take to end.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// How long one that was killed may take to end. Threads that share a core and a real-time priority wait for each other.
+const DYING: Duration = Duration::from_secs(2);
 /// How often an interrupt is looked for.
 const GLANCE: Duration = Duration::from_millis(100);
 
@@ -185,6 +187,12 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         }
     }
 
+    /// Kills it and does not wait.
+    pub fn kill(&mut self) {
+        // Ignored: it has ended.
+        let _ = self.child.kill();
+    }
+
     /// Its number.
     #[must_use]
     pub fn id(&self) -> u32 {
@@ -193,7 +201,9 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
 
     /// Ends the process and returns what it wrote to standard error in the end.
     fn last_words(&mut self) -> String {
-        end(&mut self.child);
+        if !end(&mut self.child) {
+            return "it was killed, and does not end".to_owned();
+        }
         let words = self.errors.take().and_then(|errors| errors.join().ok()).unwrap_or_default();
         match String::from_utf8_lossy(&words).trim() {
             "" => "no error stated".to_owned(),
@@ -221,10 +231,18 @@ fn last_bytes(mut input: impl Read) -> Vec<u8> {
     }
 }
 
-fn end(child: &mut Child) {
-    // Ignored: both fail only if the process has ended.
+/// Kills it and waits for its end, which may have to wait for a thread of another process that never sleeps: says whether it came.
+fn end(child: &mut Child) -> bool {
+    // Ignored: it has ended.
     let _ = child.kill();
-    let _ = child.wait();
+    let since = Instant::now();
+    while matches!(child.try_wait(), Ok(None)) {
+        if since.elapsed() > DYING {
+            return false;
+        }
+        thread::sleep(Duration::from_millis(1));
+    }
+    true
 }
 
 impl<L> Drop for Process<'_, L> {

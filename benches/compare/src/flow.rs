@@ -21,8 +21,8 @@ impl Setup<'_> {
             _ => (1, false),
         };
         let (mut fars, endpoint) = self.start_fars(case, topic, processes)?;
-        let mut near = self.start_near(case, topic, endpoint, &fars)?;
-        for far in &mut fars {
+        let mut near = self.start_near(case, topic, endpoint, &fars.0)?;
+        for far in &mut fars.0 {
             connected(far)?;
         }
         let load = if is_loaded { Some(Load::start(self.plan.cores)?) } else { None };
@@ -31,19 +31,19 @@ impl Setup<'_> {
         if case.task != Task::Stream {
             let is_warm = |line| matches!(line, Line::Warm).then_some(());
             // Without one nothing arrives, which is said below.
-            let warm = fars[0].wait_for(case.budget + DRAIN, is_warm)?;
-            before = warm.and_then(|()| waits(&fars[0]));
+            let warm = fars.0[0].wait_for(case.budget + DRAIN, is_warm)?;
+            before = warm.and_then(|()| waits(&fars.0[0]));
         }
         let sent = measured(&mut near, PATIENCE + case.budget * 3)?;
         if case.task != Task::Stream {
             let since = Instant::now();
-            for far in &mut fars {
+            for far in &mut fars.0 {
                 let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
                 // Whether it has come: what has not is counted as lost.
                 let _ = far.wait_for(DRAIN.saturating_sub(since.elapsed()), is_last)?;
             }
         }
-        let after = waits(&fars[0]);
+        let after = waits(&fars.0[0]);
         let mut found = Found {
             cpu_ns: sent.cpu_ns,
             messages: sent.messages,
@@ -60,7 +60,7 @@ impl Setup<'_> {
             ..Found::default()
         };
         let mut arrivals = Vec::new();
-        for far in &mut fars {
+        for far in &mut fars.0 {
             let received = received(far)?;
             found.cpu_ns += received.cpu_ns;
             found.lost += received.lost;
@@ -89,20 +89,20 @@ impl Setup<'_> {
         let is_late_joiner = matches!(case.task, Task::Start { is_late_joiner: true, .. });
         let (mut fars, endpoint) = self.start_fars(case, topic, 1)?;
         let mut started_ns = monotonic_ns();
-        let mut near = self.start_near(case, topic, endpoint.clone(), &fars)?;
-        let mut arrived_ns = connected(&mut fars[0])?;
+        let mut near = self.start_near(case, topic, endpoint.clone(), &fars.0)?;
+        let mut arrived_ns = connected(&mut fars.0[0])?;
         if is_late_joiner {
             started_ns = monotonic_ns();
             // Its first message may come before it says that it is ready.
             let mut late = self.spawn_far(case, topic, endpoint)?;
             arrived_ns = connected(&mut late)?;
-            fars.push(late);
+            fars.0.push(late);
         }
         near.tell("go")?;
         let sent = measured(&mut near, PATIENCE)?;
         // Its peers' is in the near end's; of one that came late this is most of it.
-        let late = fars.get(1).map_or(Memory::default(), |late| Memory::of(&late.id().to_string()));
-        for far in &mut fars {
+        let late = fars.0.get(1).map_or(Memory::default(), |late| Memory::of(&late.id().to_string()));
+        for far in &mut fars.0 {
             received(far)?;
         }
         near.finish()?;
@@ -114,21 +114,25 @@ impl Setup<'_> {
         })
     }
 
-    fn start_fars(
-        &self,
-        case: &Case,
-        topic: &str,
-        processes: usize,
-    ) -> Result<(Vec<Process<'_, Line>>, Option<String>)> {
-        let mut fars = Vec::new();
+    fn start_fars(&self, case: &Case, topic: &str, processes: usize) -> Result<(Fars<'_>, Option<String>)> {
+        let mut fars = Fars(Vec::new());
         let mut endpoints: Vec<String> = Vec::new();
         for _ in 0..processes {
             let (far, endpoint) = self.start_far(case, topic)?;
-            fars.push(far);
+            fars.0.push(far);
             endpoints.extend(endpoint);
         }
         endpoints.dedup();
         Ok((fars, (!endpoints.is_empty()).then(|| endpoints.join(","))))
+    }
+}
+
+/// The receiving processes. On a core where one of them never sleeps, none of the others ends before that one is killed.
+struct Fars<'a>(Vec<Process<'a, Line>>);
+
+impl Drop for Fars<'_> {
+    fn drop(&mut self) {
+        self.0.iter_mut().for_each(Process::kill);
     }
 }
 

@@ -15,7 +15,7 @@ use crate::modes::{GATEWAY, Program};
 use crate::plan::{Case, Plan, Task};
 
 /// How long a process may take to set itself up.
-pub const PATIENCE: Duration = Duration::from_secs(30);
+pub const PATIENCE: Duration = Duration::from_secs(15);
 /// Tautline's and the rivals' domain, where they have one. Nobody else measures there, and no test runs there.
 const DOMAIN: u32 = 89;
 /// The far end's over gateways, and the one in which they meet.

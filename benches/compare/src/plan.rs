@@ -261,7 +261,7 @@ fn latency(extent: Extent) -> Vec<Setting> {
     settings.extend(setting(false, Idle::HeldOff, untouched_held));
     settings.extend(setting(true, Idle::AsShipped, whole_shipped));
     if extent == Extent::Full {
-        settings.extend(setting(false, Idle::AsShipped, &SIZES));
+        settings.extend(setting(false, Idle::AsShipped, &[64, 4 << 10, 256 << 10, 8 << 20]));
     }
     settings
 }
