@@ -310,7 +310,7 @@ fn fan_out(extent: Extent) -> Vec<Setting> {
             ]
         }
         Extent::Full => {
-            [both(&[1, 2, 4, 8, 16], Idle::HeldOff, 500), both(&[1, 4, 16], Idle::AsShipped, 500)].concat()
+            [both(&[1, 2, 4, 8, 16], Idle::HeldOff, 500), both(&[1, 4, 8], Idle::AsShipped, 500)].concat()
         }
     }
 }
@@ -337,7 +337,7 @@ fn robot(extent: Extent) -> Vec<Setting> {
         Extent::Smoke => both(Idle::AsShipped, 500, 200, 1),
         Extent::Quick => both(Idle::AsShipped, 1000, 600, 1),
         // 20 s in all.
-        Extent::Full => [both(Idle::AsShipped, 5000, 1000, 4), both(Idle::HeldOff, 1000, 600, 1)].concat(),
+        Extent::Full => [both(Idle::AsShipped, 5000, 700, 4), both(Idle::HeldOff, 1000, 600, 1)].concat(),
     }
 }
 
