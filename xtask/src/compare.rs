@@ -10,7 +10,7 @@ use std::{fs, io};
 
 #[derive(clap::Args, Default)]
 #[command(after_help = "Examples:
-  cargo xtask bench compare --quick                                   about five minutes, once it is built
+  cargo xtask bench compare --quick                                   under five minutes, once it is built
   cargo xtask bench compare --json compare.json --html compare.html   under half an hour
   cargo xtask bench compare --systems tautline,iceoryx2,fastdds -- --only latency
 

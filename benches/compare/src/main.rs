@@ -51,7 +51,7 @@ type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 /// Measures Tautline beside other middleware.
 #[derive(Parser)]
 #[command(after_help = "Examples:
-  cargo xtask bench compare --quick                                   about five minutes, once it is built
+  cargo xtask bench compare --quick                                   under five minutes, once it is built
   cargo xtask bench compare --json compare.json --html compare.html   under half an hour
   cargo xtask bench compare --systems tautline,fastdds -- --only latency,robot")]
 struct Options {
