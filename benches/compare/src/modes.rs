@@ -72,8 +72,12 @@ pub struct Mode {
 impl Mode {
     /// Whether a sender that is faster than its receiver is held back, rather than losing messages.
     pub fn holds_sender_back(&self, payload_bytes: usize) -> bool {
-        // See its settings.
-        self.system != "r2r" || payload_bytes <= 64 << 10
+        // See their settings.
+        match (self.system, self.mode) {
+            ("cyclonedds", "shared-memory") => false,
+            ("r2r", _) => payload_bytes <= 64 << 10,
+            _ => true,
+        }
     }
 }
 
