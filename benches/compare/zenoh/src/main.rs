@@ -115,9 +115,7 @@ impl Outlet {
                 stamp.write(&mut buffer, self.whole);
                 buffer.into()
             }
-            None if self.whole => {
-                stamp.written(self.bytes).into()
-            }
+            None if self.whole => stamp.written(self.bytes).into(),
             None => {
                 let mut first = vec![0; Stamp::BYTES];
                 stamp.write(&mut first, false);
