@@ -34,6 +34,8 @@ fn colour(system: &str) -> RGBColor {
     }
 }
 
+/// Of a system's ways, one after the other.
+const DASHES: [i32; 9] = [0, 8, 3, 14, 5, 2, 20, 11, 1];
 /// Less is a copy of some bytes, which would take half of a logarithmic scale.
 const LEAST_US: f64 = 0.1;
 
@@ -50,7 +52,7 @@ impl Line {
     /// Of a system; its modes differ by their dashes.
     fn of(row: &Row, points: Vec<(f64, f64)>, turn: usize) -> Self {
         let label = format!("{} {}", row.system, row.mode);
-        Line { label, colour: colour(&row.system), dash: [0, 8, 3, 14, 5, 2][turn % 6], points }
+        Line { label, colour: colour(&row.system), dash: DASHES[turn % DASHES.len()], points }
     }
 }
 
