@@ -278,15 +278,16 @@ fn feedback_that_nobody_reads_is_not_kept_for_ever() {
     let all =
         node.subscribe::<Fibonacci::FeedbackMessage>("talkative/_action/feedback", QosProfile::default());
     let mut all = all.unwrap();
-    for n in 0..1100 {
+    for n in 0..2500 {
         goal.publish_feedback(Fibonacci::Feedback { sequence: vec![n] }).unwrap();
         block_on(all.next()).unwrap();
     }
     goal.succeed(Fibonacci::Result::default()).unwrap();
     block_on(result).unwrap();
     let heard: Vec<_> = block_on(feedback.map(|feedback| feedback.sequence[0]).collect());
-    assert!((1..=1001).contains(&heard.len()), "{}", heard.len());
-    assert!(heard.is_sorted() && heard[0] <= 100, "the first ones: {heard:?}");
+    // A thousand are kept for who asked; as many wait in the topic's queue if the thread that moves them has not come to it.
+    assert!((1..=2001).contains(&heard.len()), "{}", heard.len());
+    assert!(heard.is_sorted() && heard[0] <= 1500, "the first ones: {heard:?}");
 }
 
 /// What the thread that listens has no time for waits, as much as its queue holds; a topic that somebody else made has shorter ones.
