@@ -13,6 +13,7 @@
 
 mod arena;
 pub(crate) mod hot;
+mod link;
 #[cfg(all(test, taut_loom))]
 mod loom;
 mod places;
@@ -20,11 +21,10 @@ mod places;
 mod stress;
 mod thread_bell;
 
-pub(crate) use arena::{
-    Arena, ArenaId, KILLED, LINKS, Link, NONE_FOR_IT, Owner, Sleeper, THREADS, remove_stale_arenas,
-};
+pub(crate) use arena::{Arena, ArenaId, Sleeper, THREADS, remove_stale_arenas};
 pub use arena::{Pulse, PulseOf};
 pub(crate) use hot::Flags;
+pub(crate) use link::{KILLED, LINKS, Link, NONE_FOR_IT, Owner};
 pub(crate) use thread_bell::Joined;
 pub use thread_bell::ThreadBell;
 
