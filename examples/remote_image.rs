@@ -30,7 +30,7 @@ fn main() -> ExitCode {
 
 fn node(context: &Context, name: &str) -> Result<Node> {
     let mut node = Node::create(context.clone(), name, "")?;
-    let limits = Limits { message_bytes: 3 << 20, depth: 2, ..Limits::default() };
+    let limits = Limits { message_bytes: 3 << 20, ..Limits::default() };
     node.set_topic_limits("/camera/image_raw", limits)?;
     Ok(node)
 }

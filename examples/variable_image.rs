@@ -22,7 +22,7 @@ fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "camera", "")?;
     // Room for the largest image from the start, so that the first one is as fast as the others.
-    let limits = Limits { message_bytes: 9 << 20, depth: 1, ..Limits::default() };
+    let limits = Limits { message_bytes: 9 << 20, ..Limits::default() };
     node.set_topic_limits("/image_raw", limits)?;
     let qos = QosProfile::default().keep_last(1);
     let mut images = node.subscribe_loaned::<Image>("/image_raw", qos)?;

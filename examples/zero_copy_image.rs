@@ -24,11 +24,8 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "camera", "")?;
-    // The defaults would reserve room for thousands of images. (Address space only: what is never written costs nothing.)
-    node.set_topic_limits(
-        "/image",
-        Limits { publishers: 1, subscribers: 1, depth: 1, held: 1, loans: 1, ..Limits::default() },
-    )?;
+    // The memory of all images that can be in flight is claimed at the start: these are few.
+    node.set_topic_limits("/image", Limits { held: 1, loans: 1, ..Limits::default() })?;
     let qos = QosProfile::default().keep_last(1);
     let mut images = node.subscribe_loaned::<Image>("/image", qos)?;
     let publisher = node.create_publisher::<Image>("/image", qos)?;

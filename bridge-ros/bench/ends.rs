@@ -232,7 +232,7 @@ fn publish_in_tautline(job: &Job) -> Result<()> {
 }
 
 fn limits() -> Limits {
-    Limits { depth: DEPTH, message_bytes: 64, ..Limits::default() }
+    Limits { message_bytes: 64, ..Limits::default() }
 }
 
 /// The topics take turns, evenly.

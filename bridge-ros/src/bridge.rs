@@ -134,7 +134,9 @@ pub struct Bridge {
     wake: Arc<GuardCondition>,
     threads: Vec<JoinHandle<()>>,
     info: Vec<ThreadInfo>,
+    // Before the participant, whose end removes the folder that the seat's file is in.
     _seat: Seat,
+    _participant: Participant,
 }
 
 /// What is read from outside.
@@ -184,7 +186,8 @@ impl Bridge {
         let wake = GuardCondition::new(&context)?;
         let threads = Vec::new();
         // From here on what was started ends if something fails.
-        let mut bridge = Bridge { events, shared, wake, threads, info, _seat: seat };
+        let mut bridge =
+            Bridge { events, shared, wake, threads, info, _seat: seat, _participant: participant.clone() };
         let control = {
             let shared = bridge.shared.clone();
             let (participant, node) = (participant.clone(), node.clone());
@@ -246,7 +249,7 @@ fn known_rmw(rmw: String) -> Result<String, BridgeError> {
 
 /// One bridge per user and pair of domains on a host.
 fn take_seat(domain: u32, ros_domain: u32) -> Result<Seat, BridgeError> {
-    let name = format!("{}bridge_ros_{ros_domain}", tautline_transport::file_prefix(domain));
+    let name = format!("{}/bridge_ros_{ros_domain}", tautline_rt::domain::shared_folder(domain));
     Seat::take(&name).map_err(|error| match error {
         SeatError::Taken { pid, .. } => BridgeError::Taken { domain, ros_domain, pid },
         error => BridgeError::Seat(error),

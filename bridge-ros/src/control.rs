@@ -23,10 +23,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::as_deep_as_allowed;
 use tautline_transport::{
-    Durability, Gid, GraphSnapshot, Limits, Participant, Qos, RawPublisher, RawSubscription, ServiceEndpoint,
-    ServiceKind, TransportError,
+    Claim, Durability, Gid, GraphSnapshot, Limits, Participant, Qos, RawPublisher, RawSubscription,
+    ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
 };
 
 /// What the control thread is told.
@@ -73,24 +72,10 @@ pub(crate) struct Control {
 /// A class that is being taken from ROS.
 struct Taken {
     inward: Inward,
-    /// Once there is somebody who sends.
-    port: Option<Offer>,
+    /// Whether there is a port, which offers what `inward` says: once there is somebody who sends.
+    has_port: bool,
     /// As the thread that takes was told.
     senders: Senders,
-}
-
-/// What a port offers, and how deep it could.
-#[derive(Clone, Copy)]
-struct Offer {
-    qos: Qos,
-    most_depth: usize,
-}
-
-impl Offer {
-    /// Whether a new port would offer no more.
-    fn is_as_good(&self, wanted: Qos) -> bool {
-        Qos { depth: wanted.depth.clamp(1, self.most_depth), ..wanted } == self.qos
-    }
 }
 
 impl Control {
@@ -184,8 +169,8 @@ impl Control {
         };
         let relays = here.relays.iter().copied().collect();
         *self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner) = relays;
-        let ends: Vec<_> = here.endpoints.iter().filter(|end| !end.is_remote).cloned().collect();
-        for action in self.mirror.update(&ends, &self.graph.endpoints) {
+        let ends = here.endpoints.iter().map(AsRef::as_ref).filter(|end: &&TopicEndpoint| !end.is_remote);
+        for action in self.mirror.update(ends, &self.graph.endpoints) {
             self.act(action);
         }
         self.renew_senders();
@@ -203,9 +188,9 @@ impl Control {
     }
 
     fn route_services(&mut self, here: &GraphSnapshot, there: &[ServiceEndpoint]) {
-        let ends: Vec<_> = here.services.iter().filter(|end| !end.is_remote).cloned().collect();
+        let ends = here.services.iter().map(AsRef::as_ref).filter(|end: &&ServiceEndpoint| !end.is_remote);
         let mut there = there.to_vec();
-        let asked = ends.iter().filter(|end| end.kind == ServiceKind::Client).map(|end| &*end.name);
+        let asked = ends.clone().filter(|end| end.kind == ServiceKind::Client).map(|end| &*end.name);
         for service in asked.collect::<BTreeSet<_>>() {
             if let Some(choice) = self.service_rules.choice(service) {
                 // Without it a server is known by its node's name alone.
@@ -213,7 +198,7 @@ impl Control {
                 ros_graph::identify(&mut there, &choice.ros_topic, &found);
             }
         }
-        let routes = Routes::of(&self.service_rules, &ends, &there, self.services.routes());
+        let routes = Routes::of(&self.service_rules, ends, &there, self.services.routes());
         self.services.set_routes(routes, self.shown.by_name());
     }
 
@@ -221,7 +206,7 @@ impl Control {
     fn renew_senders(&mut self) {
         for (key, taken) in &mut self.inward {
             let Some(publishers) = self.mirror.publishers(key) else { continue };
-            let senders = senders(&self.graph, key, publishers, taken.port.is_some());
+            let senders = senders(&self.graph, key, publishers, taken.has_port);
             if senders != taken.senders {
                 taken.senders = senders.clone();
                 let limiter = Limiter::new(taken.inward.min_period);
@@ -236,7 +221,7 @@ impl Control {
         }
     }
 
-    /// What failed may be possible now: a limit, memory, a package that was installed.
+    /// What failed may be possible now: there is memory, a package was installed.
     fn try_again(&mut self) {
         for (action, before) in self.failed.take() {
             if let Err(reason) = self.try_to(&action) {
@@ -281,18 +266,17 @@ impl Control {
         if self.failed.change_start(key, inward) {
             return Ok(());
         }
-        let before = self.inward.get(key).and_then(|taken| taken.port);
-        let port = if before.is_none() {
+        let had_port = self.inward.get(key).is_some_and(|taken| taken.has_port);
+        let port = if had_port {
+            None
+        } else {
             let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
             self.port(&key.topic, &found, inward)?
-        } else {
-            None
         };
-        let offer = before.or(port.as_ref().map(|(_, offer)| *offer));
-        let senders = senders(&self.graph, key, &inward.publishers, offer.is_some());
-        let limiter = Limiter::new(inward.min_period);
-        self.incoming.change(key.clone(), senders.clone(), limiter, port.map(|(port, _)| port));
-        self.inward.insert(key.clone(), Taken { inward: inward.clone(), port: offer, senders });
+        let has_port = had_port || port.is_some();
+        let senders = senders(&self.graph, key, &inward.publishers, has_port);
+        self.incoming.change(key.clone(), senders.clone(), Limiter::new(inward.min_period), port);
+        self.inward.insert(key.clone(), Taken { inward: inward.clone(), has_port, senders });
         Ok(())
     }
 
@@ -339,14 +323,11 @@ impl Control {
     }
 
     fn subscribe(&mut self, key: &TopicKey, outward: &Outward) -> Result<RawSubscription, TransportError> {
-        let stated = self.participant.topic_type(&key.topic);
-        let topic_type = stated.unwrap_or_else(|| tautline_transport::TopicType::new(key.type_name.clone()));
+        let hash = outward.type_hash.clone().map(Into::into);
+        let topic_type = TopicType { hash, ..TopicType::new(key.type_name.clone()) };
         let durability = if outward.is_kept { Durability::TransientLocal } else { Durability::Volatile };
-        let wanted = Qos { durability, ..Qos::keep_last(outward.depth.min(Limits::MAX_DEPTH)) };
-        let (subscription, _) = as_deep_as_allowed(wanted, |qos| {
-            self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
-        })?;
-        Ok(subscription)
+        let qos = Qos { durability, ..Qos::keep_last(outward.depth) };
+        self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
@@ -354,19 +335,19 @@ impl Control {
         let found = self.find_type(&key.topic, inward.type_hash.as_deref())?;
         let before = self.inward.get(key);
         // What the port keeps for late joiners is not to be lost without need; nor what a subscription gets that ROS knows.
-        let same = before.and_then(|taken| taken.port).filter(|port| port.is_as_good(inward.offered));
-        let has_none = before.is_some_and(|taken| taken.port.is_none());
-        if before.is_some_and(|taken| taken.inward.qos == inward.qos) && (same.is_some() || has_none) {
+        let has_same = |taken: &Taken| taken.has_port && taken.inward.offered == inward.offered;
+        let has_same_or_none = |taken: &Taken| !taken.has_port || has_same(taken);
+        if before.is_some_and(|taken| taken.inward.qos == inward.qos && has_same_or_none(taken)) {
             return self.change_in(key, inward);
         }
-        let (port, offer) = match same {
-            Some(offer) => (Port::Same, Some(offer)),
-            None => match self.port(&key.topic, &found, inward)? {
-                Some((port, offer)) => (Port::New(Box::new(port)), Some(offer)),
-                None => (Port::None, None),
-            },
+        let port = match before.is_some_and(has_same) {
+            true => Port::Same,
+            false => {
+                self.port(&key.topic, &found, inward)?.map_or(Port::None, |port| Port::New(Box::new(port)))
+            }
         };
-        let senders = senders(&self.graph, key, &inward.publishers, offer.is_some());
+        let has_port = !matches!(port, Port::None);
+        let senders = senders(&self.graph, key, &inward.publishers, has_port);
         let subscription =
             RosSubscription::new(&self.node, &key.topic.ros_topic, &found.support, &inward.qos);
         let inlet = Inlet {
@@ -378,7 +359,7 @@ impl Control {
             senders: senders.clone(),
         };
         self.incoming.open(key.clone(), inlet);
-        self.inward.insert(key.clone(), Taken { inward: inward.clone(), port: offer, senders });
+        self.inward.insert(key.clone(), Taken { inward: inward.clone(), has_port, senders });
         Ok(())
     }
 
@@ -388,19 +369,18 @@ impl Control {
         key: &TopicKey,
         found: &BridgedType,
         inward: &Inward,
-    ) -> Result<Option<(RawPublisher, Offer)>, String> {
+    ) -> Result<Option<RawPublisher>, String> {
         if inward.publishers.is_empty() {
             return Ok(None);
         }
-        let depth = inward.offered.depth.clamp(1, Limits::MAX_DEPTH);
         let topic_type = found.topic_type();
-        let port = as_deep_as_allowed(Qos { depth, ..inward.offered }, |qos| {
-            self.participant.create_raw_publisher(&key.topic, &topic_type, qos, Limits::default())
-        });
-        let (port, qos) = port.map_err(|error| error.to_string())?;
+        // How long other messages are is not known before they come: what would be claimed ahead is a guess.
+        let claim = if topic_type.body_bytes.is_some() { Claim::Ahead } else { Claim::OnUse };
+        let limits = Limits { claim, ..Limits::default() };
+        let port = self.participant.create_raw_publisher(&key.topic, &topic_type, inward.offered, limits);
+        let port = port.map_err(|error| error.to_string())?;
         self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).insert(port.gid());
-        let most_depth = port.limits().depth;
-        Ok(Some((port, Offer { qos, most_depth })))
+        Ok(Some(port))
     }
 
     fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<crate::stats::Counters> {

@@ -18,8 +18,9 @@ use tautline_rt::Realtime;
 fn main() -> ExitCode {
     let args = Args::parse();
     // That a message needs a larger segment is none of the user's doing here.
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,tautline_transport::publisher=error"));
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
+        tracing_subscriber::EnvFilter::new("warn,tautline_transport::topic::publisher=error")
+    });
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -17,9 +17,7 @@
 use crate::rules::{Choice, Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
-use tautline_transport::{
-    Durability, EndpointKind, Gid, History, Qos, Reliability, TopicEndpoint, TopicType,
-};
+use tautline_transport::{Durability, EndpointKind, Gid, History, Limits, Qos, Reliability, TopicEndpoint};
 
 /// A topic on both sides.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -155,9 +153,7 @@ impl Action {
     }
 }
 
-/// Depth of a queue between the two sides at least: it is emptied at once, and costs nothing when it is empty.
-pub const MIN_DEPTH: usize = 100;
-/// As above, of what comes from ROS, where publishers do not tell their depth.
+/// Depth of the RMW's queue of what comes from ROS at least: publishers there do not tell theirs.
 pub const MIN_DEPTH_IN: usize = 1000;
 /// What is kept of a class from ROS for late joiners at least; more is twice as much, and so on. A change costs those who listen
 /// already what they get twice, so a few publishers more must not be one.
@@ -204,7 +200,11 @@ impl Mirror {
     }
 
     /// What exists now: `here` in Tautline, `there` in ROS, both without what bridges and gateways made.
-    pub fn update(&mut self, here: &[TopicEndpoint], there: &[TopicEndpoint]) -> Vec<Action> {
+    pub fn update<'e>(
+        &mut self,
+        here: impl IntoIterator<Item = &'e TopicEndpoint>,
+        there: &[TopicEndpoint],
+    ) -> Vec<Action> {
         let wanted = self.wanted(here, there);
         let mut actions = Vec::new();
         // Ends before beginnings.
@@ -261,7 +261,11 @@ impl Mirror {
         actions
     }
 
-    fn wanted(&self, here: &[TopicEndpoint], there: &[TopicEndpoint]) -> Wanted {
+    fn wanted<'e>(
+        &self,
+        here: impl IntoIterator<Item = &'e TopicEndpoint>,
+        there: &[TopicEndpoint],
+    ) -> Wanted {
         let mut wanted = Wanted::default();
         let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
         for end in here {
@@ -274,11 +278,18 @@ impl Mirror {
         for (topic, ends) in topics {
             let Some(choice) = self.rules.choice(topic) else { continue };
             let others = of_ros.get(&*choice.ros_topic).map_or(&[][..], |ends| ends);
-            if let Err(reason) = wanted.topic(topic, &ends, others, &choice) {
+            let is_bridged = |type_name: &str| self.is_bridged(topic, type_name);
+            if let Err(reason) = wanted.topic(topic, &ends, others, &choice, is_bridged) {
                 wanted.problems.insert(topic.to_owned(), reason);
             }
         }
         wanted
+    }
+
+    /// Whether a topic exists in ROS for the ends here with this type.
+    fn is_bridged(&self, topic: &str, type_name: &str) -> bool {
+        let keys = self.writers.keys().map(|(key, _)| key).chain(self.inward.keys().map(|key| &key.topic));
+        keys.filter(|key| key.topic == topic).any(|key| key.type_name == type_name)
     }
 }
 
@@ -290,42 +301,58 @@ impl Wanted {
         here: &[&TopicEndpoint],
         there: &[&TopicEndpoint],
         choice: &Choice,
+        is_bridged: impl Fn(&str) -> bool,
     ) -> Result<(), String> {
-        // One type: a topic of Tautline's has no second one.
-        let Some(topic_type) = here.first().map(|end| &end.topic_type) else { return Ok(()) };
-        let type_name = &*topic_type.name;
-        if let Some(expected) = choice.type_name.as_deref().filter(|expected| *expected != type_name) {
+        let types: BTreeSet<&str> = here.iter().map(|end| &*end.topic_type.name).collect();
+        let is_there = |name: &&str| there.iter().any(|end| end.topic_type.name == **name);
+        // A process has one type of a topic in ROS: of several here it is one that is there too, and stays the same.
+        let rank = |name: &&str| (types.len() > 1).then(|| (is_there(name), is_bridged(name)));
+        let is_allowed = |name: &&str| choice.type_name.as_deref().is_none_or(|expected| expected == *name);
+        let allowed = types.iter().copied().filter(is_allowed);
+        let Some(type_name) = allowed.max_by_key(rank) else {
             return Err(format!(
-                "it carries {type_name}, but the configuration says {expected}: correct 'type', or leave it out"
+                "it carries {}, but the configuration says {}: correct 'type', or leave it out",
+                types.into_iter().collect::<Vec<_>>().join(" and "),
+                choice.type_name.as_deref().unwrap_or_default()
             ));
-        }
+        };
+        let (here, others): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
+            here.iter().copied().partition(|end| end.topic_type.name == type_name);
         let (same, other): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
             there.iter().copied().partition(|end| end.topic_type.name == type_name);
+        let hash = definition(&here, &same);
         let (same, changed): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
-            same.into_iter().partition(|end| is_same_hash(&end.topic_type, topic_type));
+            same.into_iter().partition(|end| is_of(end, hash));
+        let here: Vec<&TopicEndpoint> = here.into_iter().filter(|end| is_of(end, hash)).collect();
         let key = TopicKey {
             topic: topic.to_owned(),
             ros_topic: choice.ros_topic.clone(),
             type_name: type_name.to_owned(),
         };
         if choice.goes(Direction::ToRos) {
-            self.out(&key, here, &same, choice, topic_type);
+            self.out(&key, &here, &same, choice, hash);
         }
         if choice.goes(Direction::FromRos) {
-            self.inward(&key, here, &same, choice, topic_type);
+            self.inward(&key, &here, &same, choice, hash);
         }
-        // Of the types that ROS has, this is one: the others are none of ours.
+        // Of the types that ROS has, this is one: those that nobody has here are none of ours.
+        let also = others.iter().map(|end| &*end.topic_type.name).find(is_there);
         match (same.is_empty(), changed.first(), other.first()) {
             (true, Some(changed), _) => Err(format!(
                 "{type_name} is defined differently in ROS ({}) and here ({}): rebuild one of them with the other's definition",
                 changed.topic_type.hash.as_deref().unwrap_or("no hash"),
-                topic_type.hash.as_deref().unwrap_or("no hash"),
+                hash.unwrap_or("no hash"),
             )),
             (true, None, Some(other)) => Err(format!(
                 "it carries {type_name}, in ROS {}: rename one of them, or use the same type",
                 other.topic_type.name
             )),
-            _ => Ok(()),
+            _ => also.map_or(Ok(()), |also| {
+                Err(format!(
+                    "both sides have it with {type_name}, which is bridged, and with {also}, which is not: a process has one type of a \
+                     topic in ROS, so rename one of them"
+                ))
+            }),
         }
     }
 
@@ -335,9 +362,9 @@ impl Wanted {
         here: &[&TopicEndpoint],
         there: &[&TopicEndpoint],
         choice: &Choice,
-        topic_type: &TopicType,
+        hash: Option<&str>,
     ) {
-        let hash = topic_type.hash.as_ref().map(ToString::to_string);
+        let hash = hash.map(str::to_owned);
         let writers = || here.iter().filter(|end| end.kind == EndpointKind::Publisher);
         for end in writers() {
             let qos = choice.qos.applied_to(Qos {
@@ -349,14 +376,9 @@ impl Wanted {
             self.writers.insert((key.clone(), end.gid), (qos, hash.clone()));
         }
         let is_read = key.is_of_action() || there.iter().any(|end| end.kind == EndpointKind::Subscription);
-        if let (true, Some(depth)) = (is_read, writers().map(|end| depth(&end.qos)).max()) {
+        if let (true, Some(depth)) = (is_read, writers().map(|end| end.qos.depth).max()) {
             let is_kept = writers().any(|end| end.qos.durability == Durability::TransientLocal);
-            let outward = Outward {
-                depth: depth.max(MIN_DEPTH),
-                is_kept,
-                min_period: choice.min_period,
-                type_hash: hash,
-            };
+            let outward = Outward { depth, is_kept, min_period: choice.min_period, type_hash: hash };
             self.out.insert(key.clone(), outward);
         }
     }
@@ -367,10 +389,10 @@ impl Wanted {
         here: &[&TopicEndpoint],
         there: &[&TopicEndpoint],
         choice: &Choice,
-        topic_type: &TopicType,
+        hash: Option<&str>,
     ) {
         let readers = || here.iter().filter(|end| end.kind == EndpointKind::Subscription);
-        let Some(deepest) = readers().map(|end| depth(&end.qos)).max() else { return };
+        let Some(deepest) = readers().map(|end| end.qos.depth).max() else { return };
         let mut classes: BTreeMap<Class, Vec<&TopicEndpoint>> = BTreeMap::new();
         for end in there.iter().filter(|end| end.kind == EndpointKind::Publisher) {
             classes.entry(Class::of(&choice.qos.applied_to(end.qos))).or_default().push(end);
@@ -383,8 +405,8 @@ impl Wanted {
         }
         for (class, publishers) in classes {
             let late = readers().filter(|end| end.qos.durability == Durability::TransientLocal);
-            let kept = publishers.iter().map(|end| depth(&end.qos)).fold(0, usize::saturating_add);
-            let deepest_late = late.map(|end| depth(&end.qos)).max().unwrap_or(1);
+            let kept = publishers.iter().map(|end| depth_in_ros(&end.qos)).fold(0, usize::saturating_add);
+            let deepest_late = late.map(|end| end.qos.depth).max().unwrap_or(1);
             let qos = choice.qos.applied_to(class.qos(deepest.max(MIN_DEPTH_IN)));
             let inward = Inward {
                 qos,
@@ -400,7 +422,7 @@ impl Wanted {
                 },
                 publishers: publishers.iter().map(|end| end.gid).collect(),
                 min_period: choice.min_period,
-                type_hash: topic_type.hash.as_ref().map(ToString::to_string),
+                type_hash: hash.map(str::to_owned),
             };
             // Only what the configuration says can ask for more than there is.
             if let Some(policy) = publishers.iter().find_map(|end| end.qos.incompatibility(&qos)) {
@@ -419,20 +441,25 @@ fn longest(times: impl Iterator<Item = Option<Duration>>) -> Option<Duration> {
     times.reduce(|one, other| Some(one?.max(other?))).flatten()
 }
 
+/// The hash of the definition that the ends of a type go by, of those that are stated: one that both sides have, if there is one.
+fn definition<'e>(here: &[&'e TopicEndpoint], there: &[&TopicEndpoint]) -> Option<&'e str> {
+    let mut stated = here.iter().filter_map(|end| end.topic_type.hash.as_deref());
+    let is_there = |hash: &&str| there.iter().any(|end| end.topic_type.hash.as_deref() == Some(hash));
+    stated.clone().find(is_there).or_else(|| stated.next())
+}
+
 /// What is not known agrees with everything.
-fn is_same_hash(one: &TopicType, other: &TopicType) -> bool {
-    match (&one.hash, &other.hash) {
-        (Some(one), Some(other)) => one == other,
-        _ => true,
-    }
+fn is_of(end: &TopicEndpoint, hash: Option<&str>) -> bool {
+    end.topic_type.hash.as_deref().is_none_or(|stated| hash.is_none_or(|hash| hash == stated))
 }
 
 fn kept_depth(wanted: usize) -> usize {
-    wanted.max(MIN_KEPT).checked_next_power_of_two().unwrap_or(wanted)
+    let depth = wanted.max(MIN_KEPT).checked_next_power_of_two().unwrap_or(wanted);
+    depth.min(Limits::MAX_DEPTH)
 }
 
-/// Samples that an end keeps; keep-all has no number and gets a large one.
-fn depth(qos: &Qos) -> usize {
+/// Samples that a publisher in ROS keeps; keep-all has no number there and gets a large one.
+fn depth_in_ros(qos: &Qos) -> usize {
     const KEEP_ALL: usize = 1000;
     if qos.history == History::KeepAll { qos.depth.max(KEEP_ALL) } else { qos.depth.max(1) }
 }

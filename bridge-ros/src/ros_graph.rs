@@ -115,7 +115,8 @@ pub(crate) fn identify(ends: &mut Vec<ServiceEndpoint>, service: &str, found: &[
     let (servers, others): (Vec<_>, Vec<_>) = std::mem::take(ends).into_iter().partition(is_server);
     *ends = others;
     for server in servers {
-        let of_node = |end: &&RosEndpoint| end.node.as_ref().map(node_name).as_ref() == Some(&server.node);
+        let of_node =
+            |end: &&RosEndpoint| end.node.is_some() && end.node.as_ref().map(node_name) == server.node;
         let mut gids: Vec<Gid> = found.iter().filter(of_node).map(|end| end.gid).collect();
         if gids.is_empty() {
             gids.push(server.gid);
@@ -138,7 +139,7 @@ pub(crate) fn services<'n>(node: &Node, nodes: impl Iterator<Item = &'n RosNode>
                     type_name,
                     type_hash: None,
                     gid: Gid::default(),
-                    node: node_name(of),
+                    node: Some(node_name(of)),
                     pid: None,
                     is_remote: true,
                 }));
@@ -163,7 +164,7 @@ mod tests {
             type_name: "a/srv/B".into(),
             type_hash: None,
             gid: Gid::default(),
-            node: node_name(&node(of)),
+            node: Some(node_name(&node(of))),
             pid: None,
             is_remote: true,
         };
@@ -183,7 +184,7 @@ mod tests {
         ];
         // A bridge's is none of ours; that of `two` is not told yet.
         identify(&mut ends, "/x", &[found("one", 1), found("taut_bridge_1", 3)]);
-        let told = |end: &ServiceEndpoint| (end.name.clone(), end.node.name.clone(), end.gid.0[0]);
+        let told = |end: &ServiceEndpoint| (end.name.clone(), end.node.clone().unwrap().name, end.gid.0[0]);
         let servers = ends.iter().filter(|end| end.kind == ServiceKind::Server).map(told);
         let expected = [("/y", "one", 0), ("/x", "one", 1), ("/x", "two", 0)];
         assert_eq!(

@@ -7,7 +7,8 @@ mod support;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use support::{
-    BridgeProcess, Peer, STRING, matched, publisher, ros, subscription, take_texts, text_body, wait_until,
+    BridgeProcess, Peer, STRING, matched, publisher, ros, scope, subscription, take_texts, text_body,
+    wait_until,
 };
 use tautline_transport::{EndpointKind, Participant, Qos};
 
@@ -51,7 +52,7 @@ fn late_joiners_get_what_is_kept() {
 #[test]
 fn what_is_kept_stays_and_comes_once_though_ends_come_and_go() {
     let Some(venv) = ros() else { return };
-    const DOMAIN: u32 = 5;
+    const DOMAIN: u32 = 31;
     let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let participant = Participant::new(DOMAIN).unwrap();
     let mut peer = Peer::start(&venv, DOMAIN, "latched");
@@ -117,6 +118,13 @@ fn a_topic_with_two_types_in_ros() {
     here.publish(&text_body("back")).unwrap();
     assert_eq!(peer.take_texts(there, 1), ["back"]);
     other.matched(wrong, 0);
+    // Two types here, too: what is bridged stays so.
+    let _other = publisher(&participant, "/both", "std_msgs/msg/Int32", Qos::default());
+    bridge.wait_for("the second type", |stats| {
+        stats["not_bridged"]["/both"].as_str().is_some_and(|said| said.contains("one type of a topic"))
+    });
+    here.publish(&text_body("still")).unwrap();
+    assert_eq!(peer.take_texts(there, 1), ["still"]);
 }
 
 #[test]
@@ -129,13 +137,10 @@ fn ros_domain_id_is_honoured() {
     assert_eq!(bridge.stats()["ros_domain"], DOMAIN + 1);
     drop(bridge);
     // Without the option; Tautline's domain is said by another variable.
-    let command = || {
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros"));
-        command.args(["--no-rt", "--json"]).env("TAUT_DOMAIN", DOMAIN.to_string());
-        command.env("ROS_DOMAIN_ID", (DOMAIN + 1).to_string()).stdout(std::process::Stdio::piped());
-        command
-    };
-    let mut child = command().spawn().unwrap();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros"));
+    command.args(["--no-rt", "--json"]).env("TAUT_DOMAIN", DOMAIN.to_string()).env("TAUT_SCOPE", scope());
+    command.env("ROS_DOMAIN_ID", (DOMAIN + 1).to_string()).stdout(std::process::Stdio::piped());
+    let mut child = command.spawn().unwrap();
     let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stdout.take().unwrap()));
     let stats: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
     assert_eq!((&stats["domain"], &stats["ros_domain"]), (&json!(DOMAIN), &json!(DOMAIN + 1)));

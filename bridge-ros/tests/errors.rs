@@ -11,7 +11,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use support::{
-    BridgeProcess, Peer, STRING, failure, failure_of, matched, publisher, ros, text_body, wait_until,
+    BridgeProcess, Peer, STRING, failure, failure_of, matched, publisher, reserve, ros, scope, text_body,
+    wait_until,
 };
 use tautline_transport::{Limits, Participant, Qos, TopicType};
 
@@ -108,8 +109,9 @@ fn taut() -> Option<PathBuf> {
 /// What `taut bridge-ros` says of a bridge that cannot run.
 fn taut_says(taut: &Path, change: impl FnOnce(&mut Command)) -> String {
     let mut command = Command::new(taut);
-    command.args(["bridge-ros", "--domain", "5", "--ros-domain", "5", "--no-rt"]).env_remove("RUST_LOG");
-    change(&mut command);
+    command.args(["bridge-ros", "--domain", "16", "--ros-domain", "16", "--no-rt"]).env_remove("RUST_LOG");
+    reserve(16);
+    change(command.env("TAUT_SCOPE", scope()));
     failure(command)
 }
 
@@ -175,8 +177,9 @@ fn a_second_signal_does_not_wait_for_the_end() {
     while input.write(b"\n").is_ok() {}
     rustix::fs::fcntl_setfl(&input, OFlags::empty()).unwrap();
     let mut command = Command::new(BRIDGE);
-    command.args(["--domain", "7", "--ros-domain", "9", "--no-rt", "--json", "--interval", "0.1"]);
-    let mut bridge = command.stdout(input).spawn().unwrap();
+    command.args(["--domain", "38", "--ros-domain", "38", "--no-rt", "--json", "--interval", "0.1"]);
+    reserve(38);
+    let mut bridge = command.env("TAUT_SCOPE", scope()).stdout(input).spawn().unwrap();
     // The builder has the other end of the pipe.
     drop(command);
     let pid = Pid::from_child(&bridge);
@@ -205,6 +208,10 @@ fn a_second_signal_does_not_wait_for_the_end() {
     });
     assert_eq!(status.unwrap().code(), Some(128 + 15));
     drop(output);
+    // The next one in the domain removes what it left there.
+    drop(Participant::new(38).unwrap());
+    let seat = format!("/dev/shm/{}/bridge_ros_38", tautline_rt::domain::shared_folder(38));
+    assert!(!Path::new(&seat).exists());
 }
 
 #[test]

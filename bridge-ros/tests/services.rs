@@ -251,7 +251,7 @@ fn what_cannot_be_passed_on_ends_alone() {
     let mut waiting = client.request(&SetBool::Request { data: true }).unwrap();
     let participant = Participant::new(DOMAIN).unwrap();
     let service_type = ServiceType::of::<SetBool::Service>();
-    let raw = participant.create_raw_client("/there", &service_type, Limits::SERVICE).unwrap();
+    let raw = participant.create_raw_client("/there", &service_type, Limits::default()).unwrap();
     // Cut off.
     let mut refused = raw.send(raw.loan(0).unwrap()).unwrap();
     let mut outcome = None;
@@ -322,8 +322,9 @@ fn what_is_wrong_with_a_service_is_said_and_the_others_go_on() {
     });
     let _all = ["/a", "/wrong", "/twice", "/unspoken"].map(|name| serve_set_bool(&mut here.node, name));
     // Of a package that ROS does not have.
-    let handle = here.node.handle().clone();
-    let _unknown = handle.register_service("/unknown", "no_such_srvs/srv/A", None).unwrap();
+    let participant = Participant::new(DOMAIN).unwrap();
+    let unknown = ServiceType::new("no_such_srvs/srv/A", None);
+    let _unknown = participant.create_raw_server("/unknown", &unknown, 1, Limits::default()).unwrap();
 
     let asking = peer.tell(json!({ "do": "client", "name": "/b", "type": SET_BOOL }));
     let answers = peer.tell(json!({ "do": "call", "end": asking, "requests": [{ "data": true }] }));

@@ -3,7 +3,7 @@
 
 mod support;
 
-use support::{BridgeProcess, ros, wait_until};
+use support::{BridgeProcess, reserve, ros, wait_until};
 use tautline_bridge_ros::{Bridge, Options};
 use tautline_rt::{Policy, Realtime};
 
@@ -53,10 +53,11 @@ fn a_bridge_in_another_program() {
     if ros().is_none() {
         return;
     }
-    let options = Options { domain: 7, ros_domain: Some(8), realtime: Realtime::Off, ..Options::default() };
+    let options = Options { domain: 39, ros_domain: Some(40), realtime: Realtime::Off, ..Options::default() };
+    reserve(options.domain);
     let bridge = Bridge::spawn(options.clone()).unwrap();
     let stats = bridge.stats();
-    assert_eq!((stats.domain, stats.ros_domain, &*stats.rmw), (7, 8, "rmw_fastrtps_cpp"));
+    assert_eq!((stats.domain, stats.ros_domain, &*stats.rmw), (39, 40, "rmw_fastrtps_cpp"));
     let names: Vec<&str> = bridge.threads().iter().map(|thread| &*thread.name).collect();
     assert_eq!(names, ["ros-out", "ros-in", "ros-services", "ros-control", "ros-here", "ros-there"]);
     assert!(bridge.threads().iter().all(|thread| !matches!(thread.policy, Policy::Fifo(_))));

@@ -50,17 +50,18 @@ fn nothing_is_lost_while_a_deeper_subscription_joins() {
     let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let participant = Participant::new(DOMAIN).unwrap();
     let mut peer = Peer::start(&venv, DOMAIN, "counting");
-    let limits = Limits { depth: 3000, ..Limits::default() };
     let subscribe = |depth| {
         let string = TopicType::new(STRING.to_owned());
-        participant.create_raw_subscription("/numbers", &string, Qos::keep_last(depth), limits).unwrap()
+        participant
+            .create_raw_subscription("/numbers", &string, Qos::keep_last(depth), Limits::default())
+            .unwrap()
     };
     let first = subscribe(1000);
     let there = peer.publisher("/numbers", STRING, json!({ "depth": 1000 }));
     peer.matched(there, 1);
 
     // The bridge's subscription in ROS is to be deeper, so there is another for a while.
-    let deeper = subscribe(limits.depth);
+    let deeper = subscribe(3000);
     let (mut sent, mut ends) = (0, vec![1]);
     wait_until("the deeper subscription has replaced the first", || {
         let texts: Vec<_> = (sent..sent + 10).map(|number| number.to_string()).collect();

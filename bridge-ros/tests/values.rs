@@ -88,7 +88,7 @@ fn values_are_the_same_on_both_sides(domain: u32, types: &[&str]) {
 #[test]
 fn of_common_types() {
     values_are_the_same_on_both_sides(
-        2,
+        34,
         &["std_msgs/msg/String", "geometry_msgs/msg/Twist", "sensor_msgs/msg/PointCloud2"],
     );
 }
@@ -96,7 +96,7 @@ fn of_common_types() {
 #[test]
 fn of_arrays_and_strings() {
     values_are_the_same_on_both_sides(
-        3,
+        35,
         &[
             "test_msgs/msg/Arrays",
             "test_msgs/msg/WStrings",
@@ -109,12 +109,12 @@ fn of_arrays_and_strings() {
 #[test]
 fn of_sequences() {
     values_are_the_same_on_both_sides(
-        4,
+        36,
         &["test_msgs/msg/UnboundedSequences", "test_msgs/msg/BoundedSequences", "sensor_msgs/msg/Image"],
     );
 }
 
 #[test]
 fn of_nested_types() {
-    values_are_the_same_on_both_sides(5, &["test_msgs/msg/MultiNested", "test_msgs/msg/Nested"]);
+    values_are_the_same_on_both_sides(37, &["test_msgs/msg/MultiNested", "test_msgs/msg/Nested"]);
 }

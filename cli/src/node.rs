@@ -6,8 +6,9 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::process::ExitCode;
+use std::sync::Arc;
 use tautline::{Context, EndpointKind, GraphSnapshot, NodeInfo, ServiceKind};
-use tautline_transport::Participant;
+use tautline_transport::graph_of;
 
 /// Lists nodes; says what a node publishes, subscribes to, answers and asks.
 ///
@@ -52,13 +53,15 @@ pub enum NodeError {
 
 /// Runs the verb.
 pub fn run(args: &NodeArgs) -> Result<ExitCode, NodeError> {
-    let graph = Participant::new(Context::domain_of_environment()?)?.graph()?;
+    let graph = graph_of(Context::domain_of_environment()?)?;
     for pair in graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1) {
         eprintln!("taut: {} nodes are called {}", pair.len(), pair[0].name);
     }
     let mut out = io::stdout().lock();
     let printed = match &args.verb {
-        Verb::List if args.json => writeln!(out, "{}", Value::from_iter(graph.nodes.iter().map(facts))),
+        Verb::List if args.json => {
+            writeln!(out, "{}", Value::from_iter(graph.nodes.iter().map(|node| facts(node))))
+        }
         Verb::List => list(&graph.nodes, &mut out),
         Verb::Info { node } => {
             let name = if node.starts_with('/') { node.clone() } else { format!("/{node}") };
@@ -75,8 +78,8 @@ pub fn run(args: &NodeArgs) -> Result<ExitCode, NodeError> {
     }
 }
 
-fn list(nodes: &[NodeInfo], out: &mut impl Write) -> io::Result<()> {
-    let row = |node: &NodeInfo| {
+fn list(nodes: &[Arc<NodeInfo>], out: &mut impl Write) -> io::Result<()> {
+    let row = |node: &Arc<NodeInfo>| {
         let process = node.pid.map_or("on another host".into(), |pid| pid.to_string());
         (true, vec![node.name.full_name(), process])
     };
@@ -102,14 +105,16 @@ impl Parts {
             let own = ends.filter(|end| end.node.as_ref() == Some(&node.name) && !is_of_action(&end.topic));
             own.map(|end| (end.topic.clone(), end.topic_type.name.to_string())).collect()
         };
-        let all = |kind| graph.services.iter().filter(move |end| end.kind == kind && end.node == node.name);
+        let all = |kind| {
+            graph.services.iter().filter(move |end| end.kind == kind && end.node.as_ref() == Some(&node.name))
+        };
         let services = |kind| {
             let own = all(kind).filter(|end| !is_of_action(&end.name));
             own.map(|end| (end.name.clone(), end.type_name.clone())).collect()
         };
         // An action is known by the first of its services.
         let actions = |kind| {
-            let name = |end: &tautline::ServiceEndpoint| {
+            let name = |end: &Arc<tautline::ServiceEndpoint>| {
                 let action = end.name.strip_suffix("/_action/send_goal")?;
                 Some((action.to_owned(), end.type_name.strip_suffix("_SendGoal")?.to_owned()))
             };

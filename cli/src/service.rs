@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::process::ExitCode;
-use tautline::{Context, GraphSnapshot, ServiceKind};
-use tautline_transport::Participant;
+use tautline::{Context, GraphSnapshot, NodeName, ServiceKind};
+use tautline_transport::graph_of;
 
 /// Lists services.
 ///
@@ -43,7 +43,7 @@ pub enum ServiceError {
 
 /// Runs the verb.
 pub fn run(args: &ServiceArgs) -> Result<ExitCode, ServiceError> {
-    let graph = Participant::new(Context::domain_of_environment()?)?.graph()?;
+    let graph = graph_of(Context::domain_of_environment()?)?;
     let services = services(&graph);
     let mut out = io::stdout().lock();
     let Verb::List = args.verb;
@@ -70,7 +70,7 @@ struct Service<'g> {
 fn services(graph: &GraphSnapshot) -> Vec<Service<'_>> {
     let mut found: BTreeMap<(&str, &str), Vec<_>> = BTreeMap::new();
     for end in &graph.services {
-        found.entry((&end.name, &end.type_name)).or_default().push(end);
+        found.entry((&end.name, &end.type_name)).or_default().push(&**end);
     }
     found.into_iter().map(|((name, type_name), ends)| Service { name, type_name, ends }).collect()
 }
@@ -88,7 +88,7 @@ impl Service<'_> {
 
     fn to_json(&self) -> Value {
         let nodes = |kind| {
-            let end = |end: &tautline::ServiceEndpoint| json!({ "node": end.node.full_name(), "remote": end.is_remote });
+            let end = |end: &tautline::ServiceEndpoint| json!({ "node": end.node.as_ref().map(NodeName::full_name), "remote": end.is_remote });
             self.of(kind).map(end).collect::<Value>()
         };
         json!({

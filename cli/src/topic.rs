@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tautline::{Context, EndpointKind, Node, QosProfile, Realtime};
 use tautline_schema::DynamicMessage;
-use tautline_transport::{Durability, Participant, Qos, Reliability};
+use tautline_transport::{Durability, Participant, Qos, Reliability, graph_of};
 
 /// Lists topics; says who publishes and subscribes; prints messages.
 ///
@@ -77,14 +77,14 @@ pub enum TopicError {
 
 /// Runs the verb.
 pub fn run(args: TopicArgs) -> Result<ExitCode, TopicError> {
-    let participant = Participant::new(Context::domain_of_environment()?)?;
+    let domain = Context::domain_of_environment()?;
     let result = match &args.verb {
         Verb::List => {
-            let graph = participant.graph()?;
+            let graph = graph_of(domain)?;
             Ok(info::list(&info::topics(&graph), args.json, &mut io::stdout().lock())?)
         }
-        Verb::Info { topic, verbose } => print_info(&participant, topic, *verbose, args.json),
-        Verb::Echo { topic, once } => echo(&participant, topic, *once, args.json),
+        Verb::Info { topic, verbose } => print_info(domain, topic, *verbose, args.json),
+        Verb::Echo { topic, once } => echo(domain, topic, *once, args.json),
     };
     match result {
         // Whoever reads has seen enough.
@@ -93,9 +93,9 @@ pub fn run(args: TopicArgs) -> Result<ExitCode, TopicError> {
     }
 }
 
-fn print_info(participant: &Participant, topic: &str, verbose: bool, json: bool) -> Result<(), TopicError> {
+fn print_info(domain: u32, topic: &str, verbose: bool, json: bool) -> Result<(), TopicError> {
     let name = if topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") };
-    let graph = participant.graph()?;
+    let graph = graph_of(domain)?;
     let mut topics = info::topics(&graph);
     topics.retain(|topic| topic.name() == name);
     if topics.is_empty() {
@@ -110,19 +110,20 @@ fn print_info(participant: &Participant, topic: &str, verbose: bool, json: bool)
     Ok(topics.iter().try_for_each(|topic| topic.print(verbose, &mut out))?)
 }
 
-fn echo(participant: &Participant, topic: &str, once: bool, json: bool) -> Result<(), TopicError> {
+fn echo(domain: u32, topic: &str, once: bool, json: bool) -> Result<(), TopicError> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).map_err(TopicError::Signal)?;
     }
+    let participant = Participant::new(domain)?;
     let context = Context::builder().realtime(Realtime::Off).build()?;
     let mut node = Node::create(context, &format!("taut_topic_echo_{}", std::process::id()), "")?;
     let topic = node.resolve_topic_name(topic)?;
     let mut waits = false;
     let (topic_type, publishers) = loop {
         let seen = participant.graph_epoch();
-        let mut ends = participant.graph()?.endpoints;
-        ends.retain(|end| end.topic == topic);
+        let graph = participant.graph()?;
+        let mut ends: Vec<_> = graph.endpoints.iter().filter(|end| end.topic == topic).cloned().collect();
         if let Some(first) = ends.first() {
             let topic_type = first.topic_type.clone();
             ends.retain(|end| end.kind == EndpointKind::Publisher && end.topic_type == topic_type);

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use std::process::{Command, Output};
 use tautline_transport::{
     EndpointKind, Gid, Limits, NodeName, Participant, Qos, RemoteGraph, ServiceEndpoint, ServiceKind,
-    TopicEndpoint, TopicType,
+    ServiceType, TopicEndpoint, TopicType,
 };
 
 const DOMAIN: u32 = 112;
@@ -34,10 +34,17 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     let of_node = participant.for_node(&node);
     let publisher = of_node.create_raw_publisher("/image", &topic_type, qos, Limits::default()).unwrap();
     let hash = format!("RIHS01_{:064x}", 2);
-    let _service = node.register_service("/robot/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
-    let goal = "/robot/turn/_action/send_goal";
-    let _action = node.register_service(goal, "a_msgs/action/Turn_SendGoal", None).unwrap();
-    let _client = node.register_client("/theirs/stop", "a_msgs/srv/Stop", None).unwrap();
+    let service_type = |name: &'static str, hash: Option<&str>| {
+        let request = TopicType { hash: hash.map(|hash| hash.to_owned().into()), ..TopicType::new(name) };
+        ServiceType { response: request.clone(), request }
+    };
+    let server = |name: &str, service_type: &ServiceType| {
+        of_node.create_raw_server(name, service_type, 10, Limits::default()).unwrap()
+    };
+    let _service = server("/robot/add", &service_type("a_msgs/srv/Add", Some(&hash)));
+    let _action = server("/robot/turn/_action/send_goal", &service_type("a_msgs/action/Turn_SendGoal", None));
+    let stop = service_type("a_msgs/srv/Stop", None);
+    let _client = of_node.create_raw_client("/theirs/stop", &stop, Limits::default()).unwrap();
 
     // What a gateway would say.
     let gateway = Participant::new(DOMAIN).unwrap();
@@ -59,7 +66,7 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         type_name: "a_msgs/srv/Stop".into(),
         type_hash: None,
         gid: Gid([0xcd; 16]),
-        node: theirs,
+        node: Some(theirs),
         pid: None,
         is_remote: true,
     };

@@ -113,7 +113,8 @@ impl Executor {
         let members = group.take_members();
         self.start(options, members, move |total| {
             // No jobs of the thread itself: the group measures its members.
-            (None, Box::pin(GroupFuture { members: group.into_members(), running: None, total }))
+            let (members, kept) = group.into_members();
+            (None, Box::pin(GroupFuture { members, running: None, total, _kept: kept }))
         })
     }
 

@@ -58,7 +58,11 @@ pub struct CallbackGroup {
     /// Members are made in their thread, since a callback's future need not be `Send`.
     recipes: Vec<Box<dyn FnOnce() -> Box<dyn Member> + Send>>,
     members: Vec<MemberInfo>,
+    kept: Vec<Kept>,
 }
+
+/// What is dropped with a group, whatever it is.
+pub(crate) type Kept = Box<dyn std::any::Any + Send>;
 
 /// What the executor has to know of a member.
 pub(crate) struct MemberInfo {
@@ -72,6 +76,11 @@ impl CallbackGroup {
     /// A group without members.
     pub fn new() -> CallbackGroup {
         CallbackGroup::default()
+    }
+
+    /// Keeps `what` until the group has ended.
+    pub fn keep(&mut self, what: impl Send + 'static) {
+        self.kept.push(Box::new(what));
     }
 
     /// Adds a callback for the items of a stream. `release` gives an item's release in ns of `CLOCK_MONOTONIC`; a
@@ -123,9 +132,9 @@ impl CallbackGroup {
         std::mem::take(&mut self.members)
     }
 
-    /// Makes the members, in the thread that will run them.
-    pub(crate) fn into_members(self) -> Box<[Box<dyn Member>]> {
-        self.recipes.into_iter().map(|make| make()).collect()
+    /// Makes the members, in the thread that will run them; and what is kept as long as they are.
+    pub(crate) fn into_members(self) -> (Box<[Box<dyn Member>]>, Vec<Kept>) {
+        (self.recipes.into_iter().map(|make| make()).collect(), self.kept)
     }
 }
 

@@ -17,6 +17,7 @@ use futures::task::AtomicWaker;
 use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
 use tautline_trace::{Object, ObjectId};
 
+use crate::group::Kept;
 use crate::options::Watch;
 use crate::stats::{self, CallbackStats, QueueState};
 
@@ -354,6 +355,7 @@ pub(crate) struct GroupFuture {
     pub running: Option<usize>,
     /// Counts the jobs of all members.
     pub total: Measured,
+    pub _kept: Vec<Kept>,
 }
 
 impl Future for GroupFuture {

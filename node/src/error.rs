@@ -55,6 +55,9 @@ pub enum Error {
         /// What it may be.
         expected: &'static str,
     },
+    /// What was waited for ends with its node.
+    #[error("the node was dropped, and its timers with it: keep the node as long as they are used")]
+    NodeEnded,
     /// A timer that would be due without end.
     #[error("a timer cannot have a period of zero: give it the time between two releases")]
     ZeroPeriod,

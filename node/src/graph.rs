@@ -8,8 +8,9 @@ use crate::qos::QosProfile;
 use futures::StreamExt;
 use std::collections::HashMap;
 use std::future::Future;
+use std::sync::Arc;
 use tautline_transport::{
-    EndpointKind, GraphEvents, GraphSnapshot, NodeName, Participant, ServiceKind, TopicEndpoint,
+    EndpointKind, GraphEvents, GraphSnapshot, NodeInfo, NodeName, Participant, ServiceKind, TopicEndpoint,
 };
 
 /// What ROS 2 calls the node of an endpoint that has none.
@@ -37,7 +38,8 @@ pub struct TopicEndpointInfo {
     pub is_remote: bool,
 }
 
-/// Questions about the graph. They are for setting up: each reads files, allocates, and opens every topic of the domain.
+/// Questions about the graph. They are for setting up: each allocates, and reads what has changed since the last
+/// one, whatever else there is.
 ///
 /// ```
 /// use futures::executor::block_on;
@@ -61,16 +63,16 @@ impl Node {
     ///
     /// # Errors
     /// [`Error::Transport`](crate::Error::Transport) if the domain's topics cannot be listed.
-    pub fn graph(&self) -> Result<GraphSnapshot> {
+    pub fn graph(&self) -> Result<Arc<GraphSnapshot>> {
         Ok(self.participant.graph()?)
     }
 
     /// The fully qualified names of the domain's nodes, sorted by namespace. A name that two nodes have is there twice.
     ///
     /// # Errors
-    /// None; the result is as that of the other questions.
+    /// As [`graph`](Self::graph).
     pub fn get_node_names(&self) -> Result<Vec<String>> {
-        Ok(self.participant.nodes().iter().map(|node| node.name.full_name()).collect())
+        Ok(self.graph()?.nodes.iter().map(|node| node.name.full_name()).collect())
     }
 
     /// The names of the domain's nodes with their namespaces, sorted by namespace.
@@ -78,8 +80,8 @@ impl Node {
     /// # Errors
     /// As [`get_node_names`](Self::get_node_names).
     pub fn get_node_names_and_namespaces(&self) -> Result<Vec<(String, String)>> {
-        let nodes = self.participant.nodes();
-        Ok(nodes.into_iter().map(|node| (node.name.name, node.name.namespace)).collect())
+        let names = |node: &Arc<NodeInfo>| (node.name.name.clone(), node.name.namespace.clone());
+        Ok(self.graph()?.nodes.iter().map(names).collect())
     }
 
     /// The domain's topics with their types.
@@ -87,7 +89,7 @@ impl Node {
     /// # Errors
     /// As [`graph`](Self::graph).
     pub fn get_topic_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
-        Ok(topics(&self.graph()?, |_| true))
+        Ok(topics(&*self.graph()?, |_| true))
     }
 
     /// The domain's services that some node answers, with their types.
@@ -95,7 +97,7 @@ impl Node {
     /// # Errors
     /// As [`graph`](Self::graph).
     pub fn get_service_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
-        Ok(services(&self.graph()?, ServiceKind::Server, |_| true))
+        Ok(services(&*self.graph()?, ServiceKind::Server, |_| true))
     }
 
     /// The domain's actions that some node serves, with their types.
@@ -167,7 +169,7 @@ impl Node {
         namespace: &str,
     ) -> Result<HashMap<String, Vec<String>>> {
         let node = NodeName { namespace: namespace.into(), name: name.into() };
-        Ok(topics(&self.graph()?, |end| end.kind == kind && end.node.as_ref() == Some(&node)))
+        Ok(topics(&*self.graph()?, |end| end.kind == kind && end.node.as_ref() == Some(&node)))
     }
 
     fn services_of(
@@ -177,7 +179,7 @@ impl Node {
         namespace: &str,
     ) -> Result<HashMap<String, Vec<String>>> {
         let node = NodeName { namespace: namespace.into(), name: name.into() };
-        Ok(services(&self.graph()?, kind, |of| *of == node))
+        Ok(services(&*self.graph()?, kind, |of| of == Some(&node)))
     }
 
     /// The publishers of a topic. Nothing is mangled in Tautline, so `no_mangle` changes nothing.
@@ -208,8 +210,9 @@ impl Node {
 
     fn ends(&self, topic: &str, kind: EndpointKind) -> Result<Vec<TopicEndpointInfo>> {
         let topic = self.resolve_topic_name(topic)?;
-        let ends = self.graph()?.endpoints.into_iter();
-        Ok(ends.filter(|end| end.topic == topic && end.kind == kind).map(TopicEndpointInfo::from).collect())
+        let graph = self.graph()?;
+        let ends = graph.endpoints.iter().filter(|end| end.topic == topic && end.kind == kind);
+        Ok(ends.map(|end| TopicEndpointInfo::from(&**end)).collect())
     }
 
     /// How many publishers a topic has.
@@ -217,7 +220,7 @@ impl Node {
     /// # Errors
     /// As [`get_publishers_info_by_topic`](Self::get_publishers_info_by_topic).
     pub fn count_publishers(&self, topic_name: &str) -> Result<usize> {
-        Ok(count(&self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Publisher))
+        Ok(count(&*self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Publisher))
     }
 
     /// How many subscriptions a topic has.
@@ -225,7 +228,7 @@ impl Node {
     /// # Errors
     /// As [`get_publishers_info_by_topic`](Self::get_publishers_info_by_topic).
     pub fn count_subscribers(&self, topic_name: &str) -> Result<usize> {
-        Ok(count(&self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Subscription))
+        Ok(count(&*self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Subscription))
     }
 
     /// A stream that yields when something of the domain appeared or went since it last did, or since it was made.
@@ -307,22 +310,22 @@ async fn wait(
     mut events: GraphEvents,
     is_it: impl Fn(&GraphSnapshot) -> bool + Send,
 ) -> Result<()> {
-    while !is_it(&participant.graph()?) {
+    while !is_it(&*participant.graph()?) {
         // It does not end: the participant is alive.
         events.next().await;
     }
     Ok(())
 }
 
-impl From<TopicEndpoint> for TopicEndpointInfo {
-    fn from(end: TopicEndpoint) -> Self {
+impl From<&TopicEndpoint> for TopicEndpointInfo {
+    fn from(end: &TopicEndpoint) -> Self {
         let unknown = || NodeName { namespace: UNKNOWN_NAMESPACE.into(), name: UNKNOWN_NAME.into() };
-        let node = end.node.unwrap_or_else(unknown);
+        let node = end.node.clone().unwrap_or_else(unknown);
         TopicEndpointInfo {
             node_name: node.name,
             node_namespace: node.namespace,
-            topic_type: end.topic_type.name.into_owned(),
-            topic_type_hash: end.topic_type.hash.map(Into::into),
+            topic_type: end.topic_type.name.to_string(),
+            topic_type_hash: end.topic_type.hash.as_deref().map(Into::into),
             endpoint_gid: end.gid.0,
             qos_profile: QosProfile::from_transport(&end.qos),
             pid: end.pid,
@@ -339,9 +342,9 @@ fn topics(graph: &GraphSnapshot, is_meant: impl Fn(&TopicEndpoint) -> bool) -> H
 fn services(
     graph: &GraphSnapshot,
     kind: ServiceKind,
-    is_meant: impl Fn(&NodeName) -> bool,
+    is_meant: impl Fn(Option<&NodeName>) -> bool,
 ) -> HashMap<String, Vec<String>> {
-    let ends = graph.services.iter().filter(|end| end.kind == kind && is_meant(&end.node));
+    let ends = graph.services.iter().filter(|end| end.kind == kind && is_meant(end.node.as_ref()));
     names_and_types(ends.map(|end| (&*end.name, &*end.type_name)))
 }
 

@@ -82,7 +82,7 @@ pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, Rel
 pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
 };
-pub use r2r::{ROS_DISTRO, WrappedTypesupport};
+pub use r2r::{NativeMsg, ROS_DISTRO, WrappedTypesupport};
 pub use remap::RemapRules;
 pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
 #[cfg(feature = "untyped")]
@@ -120,12 +120,12 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Client as ClientLoaned, Counters, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, IncompatibleQos,
-    Limits, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost,
-    NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError, PublishError, Publisher,
-    PublisherCounters, QosPolicyKind, Request, RequestId, Response, Sample, ServiceEndpoint, ServiceError,
-    ServiceKind, ServiceRegistration, TakeError, TopicEndpoint, TopicMemory, TransportError, Unpublished,
-    Unsent, Unwritten, UnwrittenResponse, topic_memory,
+    Claim, Client as ClientLoaned, Counters, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot,
+    IncompatibleQos, IncompatibleType, Limits, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS,
+    Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError,
+    PublishError, Publisher, PublisherCounters, QosPolicyKind, Request, RequestId, Response, Sample,
+    ServiceEndpoint, ServiceError, ServiceKind, TakeError, TopicEndpoint, TopicMemory, TransportError,
+    Unpublished, Unsent, Unwritten, UnwrittenResponse, topic_memory,
 };
 
 /// What the macros' code calls.

@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result};
 
-/// ROS 2's limit for node names, and iceoryx2's for topics less what Tautline adds.
+/// ROS 2's limit for node names, and for topics, less what Tautline adds to those of services.
 const MAX_NODE_NAME: usize = 255;
 const MAX_TOPIC_NAME: usize = 240;
 

@@ -23,8 +23,9 @@ use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
 use tautline_transport::{Limits, NodeHandle, Participant, Publisher};
 
-/// A node. Its publishers, subscriptions and timers live on when it is dropped, and as long as one of the first two does,
-/// others see the node; its context lives as long as it does.
+/// A node. It ends when it is dropped and its callbacks, those that were spawned through it, have ended. What was made through it ends
+/// with it: streams give out what had come and end, timers end, nothing can be published or asked any more. Its context lives as long
+/// as it does.
 ///
 /// A program can be as one of r2r's: one thread that serves events and runs a pool.
 ///
@@ -60,6 +61,7 @@ use tautline_transport::{Limits, NodeHandle, Participant, Publisher};
 pub struct Node {
     pub(crate) context: Context,
     handle: NodeHandle,
+    life: Arc<Life>,
     /// Makes publishers and subscriptions of this node.
     pub(crate) participant: Participant,
     name: String,
@@ -152,7 +154,7 @@ impl Node {
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
         let participant = &ctx.shared.participant;
         let handle = participant.create_node(&name, &namespace)?;
-        if participant.nodes().iter().filter(|node| node.name == *handle.name()).count() > 1 {
+        if participant.graph()?.nodes.iter().filter(|node| node.name == *handle.name()).count() > 1 {
             tracing::warn!(
                 "there is another node called {}: who asks for it by its name may get either; rename one with __node or __ns",
                 handle.name()
@@ -182,6 +184,7 @@ impl Node {
         };
         Ok(Node {
             context: ctx,
+            life: Arc::new(Life(handle.clone())),
             handle,
             participant,
             name,
@@ -269,7 +272,7 @@ impl Node {
         self.remap.name(self.expand_topic_name(service)?, NameKind::Service, &self.name, &self.namespace)
     }
 
-    /// Sets the limits that this node gives `topic` if it is the first to open it. Call it before.
+    /// Sets the limits of the publishers and subscriptions of `topic` that this node makes from now on.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -282,7 +285,7 @@ impl Node {
     /// Creates a publisher.
     ///
     /// # Errors
-    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit, a QoS that cannot be kept.
+    /// [`Error::Name`]; [`Error::Transport`]: a QoS that cannot be kept, no memory left in /dev/shm.
     pub fn create_publisher<T: Message>(
         &mut self,
         topic: &str,
@@ -333,12 +336,6 @@ impl Node {
         Ok((topic, limits))
     }
 
-    /// Whether any were set for `topic`, a fully qualified name.
-    #[cfg(feature = "action_msgs")]
-    pub(crate) fn has_limits_of(&self, topic: &str) -> bool {
-        self.limits.contains_key(topic)
-    }
-
     /// Those that were set for `topic`, a fully qualified name.
     pub(crate) fn limits_of(&self, topic: &str) -> Limits {
         self.limits.get(topic).copied().unwrap_or_default()
@@ -347,21 +344,21 @@ impl Node {
     /// Creates a timer on the monotonic clock whose first release is one period from now.
     ///
     /// # Errors
-    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if the context has no slot left.
+    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if there is no memory for its slot.
     pub fn create_wall_timer(&mut self, period: Duration) -> Result<Timer> {
         check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(Timer::new(self.context.events().timer(period)?))
+        Ok(Timer::new(&self.handle, self.context.events().timer(period)?))
     }
 
     /// Creates a timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`.
     ///
     /// # Errors
-    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if the context has no slot left.
+    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if there is no memory for its slot.
     pub fn create_wall_timer_at(&mut self, first_release_ns: u64, period: Duration) -> Result<Timer> {
         check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(Timer::new(self.context.events().timer_at(first_release_ns, period)?))
+        Ok(Timer::new(&self.handle, self.context.events().timer_at(first_release_ns, period)?))
     }
 
     /// Gives a future a thread of its own, with the policy, priority and core of `options`. On return the kernel has
@@ -375,8 +372,7 @@ impl Node {
         options: CallbackOptions,
         future: impl Future<Output = ()> + Send + 'static,
     ) -> Result<CallbackHandle> {
-        self.prepare_thread(&options);
-        Ok(self.kept(self.context.shared.executor.spawn_callback(options, future)?))
+        self.spawn_local(options, move || future)
     }
 
     /// Gives a future a thread of its own and makes it there; it need not be `Send`.
@@ -389,6 +385,14 @@ impl Node {
         make: impl FnOnce() -> F + Send + 'static,
     ) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
+        let life = self.life.clone();
+        let make = move || {
+            let future = make();
+            async move {
+                future.await;
+                drop(life);
+            }
+        };
         Ok(self.kept(self.context.shared.executor.spawn_local(options, make)?))
     }
 
@@ -396,9 +400,21 @@ impl Node {
     ///
     /// # Errors
     /// As [`spawn_callback`](Self::spawn_callback).
-    pub fn spawn_group(&self, options: CallbackOptions, group: CallbackGroup) -> Result<CallbackHandle> {
+    pub fn spawn_group(&self, options: CallbackOptions, mut group: CallbackGroup) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
+        group.keep(self.life.clone());
         Ok(self.kept(self.context.shared.executor.spawn_group(options, group)?))
+    }
+
+    /// A callback of the node's own, which ends with it.
+    #[cfg(feature = "action_msgs")]
+    pub(crate) fn spawn_for_itself(
+        &self,
+        options: CallbackOptions,
+        future: impl Future<Output = ()> + Send + 'static,
+    ) -> Result<CallbackHandle> {
+        self.prepare_thread(&options);
+        Ok(self.kept(self.context.shared.executor.spawn_callback(options, future)?))
     }
 
     fn kept(&self, callback: CallbackHandle) -> CallbackHandle {
@@ -442,6 +458,15 @@ pub(crate) fn check_period(period: Duration) -> Result<()> {
         Duration::ZERO => Err(Error::ZeroPeriod),
         _ if period < SHORTEST_PERIOD => Err(Error::ShortPeriod { period, min: SHORTEST_PERIOD }),
         _ => Ok(()),
+    }
+}
+
+/// Ends a node when it and its callbacks have.
+struct Life(NodeHandle);
+
+impl Drop for Life {
+    fn drop(&mut self) {
+        self.0.end();
     }
 }
 

@@ -3,6 +3,7 @@
 
 use crate::error::Result;
 use std::fmt::Debug;
+use std::ops::{Deref, DerefMut};
 use tautline_msgs::Message;
 use tautline_msgs::serde::{Serialize, de::DeserializeOwned};
 
@@ -31,9 +32,60 @@ pub trait WrappedTypesupport: Message + Serialize + DeserializeOwned + Default +
     fn from_serialized_bytes(data: &[u8]) -> Result<Self> {
         Ok(Self::from_cdr(data)?)
     }
+
+    /// A copy of the message.
+    fn from_native(message: &NativeMsg<Self>) -> Self {
+        message.0.clone()
+    }
 }
 
 impl<T: Message + Serialize + DeserializeOwned + Default + Debug + Clone> WrappedTypesupport for T {}
+
+/// A message in the form in which r2r hands it to C. Here it is the message.
+///
+/// ```
+/// use tautline::{NativeMsg, std_msgs::msg::Int32};
+///
+/// let mut native = NativeMsg::<Int32>::new();
+/// native.data = 7;
+/// assert_eq!(Int32::from_native(&native).data, 7);
+/// # use tautline::WrappedTypesupport;
+/// ```
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NativeMsg<T>(T);
+
+impl<T: WrappedTypesupport> NativeMsg<T> {
+    /// A message of defaults.
+    pub fn new() -> Self {
+        NativeMsg(T::default())
+    }
+}
+
+impl<T: WrappedTypesupport> From<&T> for NativeMsg<T> {
+    fn from(message: &T) -> Self {
+        NativeMsg(message.clone())
+    }
+}
+
+impl<T> Deref for NativeMsg<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl<T> DerefMut for NativeMsg<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.0
+    }
+}
+
+impl<T> AsRef<T> for NativeMsg<T> {
+    fn as_ref(&self) -> &T {
+        &self.0
+    }
+}
 
 /// The ROS 2 whose message definitions are bundled.
 pub const ROS_DISTRO: &str = "jazzy";

@@ -29,5 +29,5 @@ pub fn shared_statistics(domain: u32) -> Result<(Vec<ForeignStatistics>, usize)>
 
 /// Starts the names of a domain's statistics files.
 pub(crate) fn statistics_prefix(domain: u32) -> String {
-    format!("{}stats_", tautline_transport::file_prefix(domain))
+    format!("{}/stats_", tautline_rt::domain::shared_folder(domain))
 }

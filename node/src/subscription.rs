@@ -70,9 +70,9 @@ impl<T: Message> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; the message is checked: see [`Message::view`]; on a callback thread that measures execution times one syscall per message. Never ends.
+    /// Wait-free; no allocation; the message is checked: see [`Message::view`]; on a callback thread that measures execution times one syscall per message. Ends with the node.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
-        self.samples.poll_next(context).map(Some)
+        self.samples.poll_next(context)
     }
 }
 
@@ -177,8 +177,9 @@ impl<S: Source> Samples<S> {
         self.counters.clone()
     }
 
-    /// Ends the job of the sample before, and begins that of the next one, if there is one.
-    pub(crate) fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<S::Sample> {
+    /// Ends the job of the sample before, and begins that of the next one, if there is one. `None`: the node has ended, and all that
+    /// had come was given out.
+    pub(crate) fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<S::Sample>> {
         if let Some(job) = self.job.take() {
             job.finish();
         }
@@ -195,10 +196,15 @@ impl<S: Source> Samples<S> {
         if poll.is_ready() || self.counters.lost() != self.noted_lost {
             self.note_queue();
         }
-        if let Poll::Ready(sample) = &poll {
-            self.job = Some(job::begin_for(self.trace.id(), S::released_ns(sample)));
+        match poll {
+            Poll::Ready(sample) => {
+                self.job = Some(job::begin_for(self.trace.id(), S::released_ns(&sample)));
+                Poll::Ready(Some(sample))
+            }
+            // The waker is registered: whoever ends the node after this look wakes the task.
+            Poll::Pending if self.source.raw().has_ended() => Poll::Ready(None),
+            Poll::Pending => Poll::Pending,
         }
-        poll
     }
 
     /// Looks without registering for a wake-up.

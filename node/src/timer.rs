@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A timer as in r2r, which measures its callback.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 #[cfg(feature = "rosgraph_msgs")]
 use crate::time::RosTimer;
 use futures::Stream;
@@ -11,6 +11,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_executor::{job, stop_requested};
 use tautline_sampler::Tick;
+use tautline_transport::NodeHandle;
 
 /// A periodic timer: absolute releases, no drift, missed ones counted. A stream of [`Tick`]s, or [`tick`](Timer::tick).
 ///
@@ -20,6 +21,7 @@ use tautline_sampler::Tick;
 #[must_use = "nothing happens unless it is polled; dropping it ends it"]
 pub struct Timer {
     inner: Inner,
+    node: NodeHandle,
     job: Option<job::Job>,
     trace: tautline_trace::Object,
     _timer: tautline_trace::Object,
@@ -60,20 +62,21 @@ impl Inner {
 }
 
 impl Timer {
-    pub(crate) fn new(inner: tautline_sampler::Timer) -> Self {
-        Timer::of(Inner::Wall(inner))
+    pub(crate) fn new(node: &NodeHandle, inner: tautline_sampler::Timer) -> Self {
+        node.adopt(inner.slot());
+        Timer::of(node, Inner::Wall(inner))
     }
 
     #[cfg(feature = "rosgraph_msgs")]
-    pub(crate) fn on_ros_clock(inner: RosTimer) -> Self {
-        Timer::of(Inner::Ros(inner))
+    pub(crate) fn on_ros_clock(node: &NodeHandle, inner: RosTimer) -> Self {
+        Timer::of(node, Inner::Ros(inner))
     }
 
-    fn of(inner: Inner) -> Self {
+    fn of(node: &NodeHandle, inner: Inner) -> Self {
         let timer = tautline_trace::timer_init(inner.period_ns());
         let name = format!("timer {:?}", Duration::from_nanos(inner.period_ns()));
         let trace = tautline_trace::timer_callback_init(timer.id(), &name);
-        Timer { inner, job: None, trace, _timer: timer, last_release_ns: None }
+        Timer { inner, node: node.clone(), job: None, trace, _timer: timer, last_release_ns: None }
     }
 
     /// Waits for the next release and returns the time since the one before, as r2r does: one period, or several if
@@ -83,21 +86,25 @@ impl Timer {
     /// Each poll wait-free; no allocation.
     ///
     /// # Errors
-    /// None so far; the result is r2r's.
+    /// [`Error::NodeEnded`]: the node was dropped.
     pub async fn tick(&mut self) -> Result<Duration> {
         let period_ns = self.inner.period_ns();
         let last = self.last_release_ns;
-        let tick = self.next_tick().await;
+        let tick = poll_fn(|context| self.poll_tick(context)).await.ok_or(Error::NodeEnded)?;
         let elapsed_ns = last.map_or(period_ns, |last| tick.release_ns.saturating_sub(last));
         Ok(Duration::from_nanos(elapsed_ns))
     }
 
-    /// Waits for the next release.
+    /// Waits for the next release. There is none when the node was dropped.
     ///
     /// # Real-time
     /// Each poll wait-free; no allocation.
     pub async fn next_tick(&mut self) -> Tick {
-        poll_fn(|context| self.poll_tick(context)).await
+        let next = |timer: &mut Timer, context: &mut Context<'_>| match timer.poll_tick(context) {
+            Poll::Ready(Some(tick)) => Poll::Ready(tick),
+            Poll::Ready(None) | Poll::Pending => Poll::Pending,
+        };
+        poll_fn(|context| next(self, context)).await
     }
 
     /// Releases that nobody took.
@@ -105,7 +112,7 @@ impl Timer {
         self.inner.missed()
     }
 
-    fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
+    fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Option<Tick>> {
         if let Some(job) = self.job.take() {
             job.finish();
         }
@@ -114,13 +121,17 @@ impl Timer {
             return Poll::Pending;
         }
         let poll = self.inner.poll_tick(context);
-        if let Poll::Ready((tick, since_ns)) = poll {
+        // After the waker was registered: whoever ends the node after this look wakes the task.
+        if self.node.has_ended() {
+            return Poll::Ready(None);
+        }
+        poll.map(|(tick, since_ns)| {
             self.last_release_ns = Some(tick.release_ns);
             // A timer queues nothing: what is released while its callback is busy is missed, but for the latest.
             job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
             self.job = Some(job::begin_for(self.trace.id(), since_ns));
-        }
-        poll.map(|(tick, _)| tick)
+            Some(tick)
+        })
     }
 }
 
@@ -134,8 +145,8 @@ impl Stream for Timer {
     type Item = Tick;
 
     /// # Real-time
-    /// Wait-free; no allocation. Never ends.
+    /// Wait-free; no allocation. Ends with the node.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Tick>> {
-        self.poll_tick(context).map(Some)
+        self.poll_tick(context)
     }
 }

@@ -8,7 +8,10 @@ use std::collections::HashSet;
 use common::{Log, Number, context, cores, realtime, run_again, spin};
 use futures::StreamExt;
 use static_assertions::{assert_impl_all, assert_not_impl_any};
-use tautline::{CallbackOptions, Context, Message, Node, Publisher, QosProfile, Sample, Subscription, Timer};
+use tautline::{
+    CallbackOptions, Context, LoanError, Message, Node, PublishError, Publisher, QosProfile, Sample,
+    Subscription, Timer,
+};
 
 #[derive(Message, Clone, Copy)]
 #[repr(C)]
@@ -107,18 +110,47 @@ fn publishers_and_samples_may_end_on_other_threads() {
     let mut node = Node::create(context(203), "mover", "").unwrap();
     let publisher = node.create_publisher::<Number>("/moved", QosProfile::default()).unwrap();
     let subscription = node.subscribe_loaned::<Number>("/moved", QosProfile::default()).unwrap();
-    // The node is not needed any more, the context is kept by what it made.
-    drop(node);
     let publisher = std::thread::spawn(move || {
         publisher.publish(&Number { value: 7 }).unwrap();
         publisher
     });
     let publisher = publisher.join().unwrap();
+    // What came is there, and nothing more: the context is kept by what it made.
+    drop(node);
+    assert_eq!(publisher.publish(&Number { value: 8 }), Err(PublishError::Loan(LoanError::Ended)));
     let sample = subscription.try_take().unwrap().unwrap();
     assert_eq!(sample.info().publisher_gid, publisher.gid());
+    assert!(subscription.try_take().unwrap().is_none());
     drop((publisher, subscription));
     let read = std::thread::spawn(move || (sample.value, sample.info().sequence_number));
     assert_eq!(read.join().unwrap(), (7, 1));
+}
+
+/// Whoever waits for something of a node is told of its end: streams and timers.
+#[test]
+fn what_is_made_through_a_node_ends_with_it() {
+    let context = context(204);
+    let mut node = Node::create(context.clone(), "brief", "").unwrap();
+    let qos = QosProfile::default();
+    let publisher = node.create_publisher::<Number>("/brief", qos).unwrap();
+    let numbers = node.subscribe::<Number>("/brief", qos).unwrap();
+    let mut silent = node.subscribe_loaned::<Number>("/silent", qos).unwrap();
+    let mut events = node.subscription_events(&silent).unwrap();
+    let mut timer = node.create_wall_timer(std::time::Duration::from_secs(3600)).unwrap();
+    (1..=3).for_each(|value| publisher.publish(&Number { value }).unwrap());
+    // On another thread, where nothing but the end wakes it.
+    let waits = std::thread::spawn(move || {
+        futures::executor::block_on(async {
+            let all = numbers.map(|number| number.value).collect::<Vec<_>>();
+            let ends = futures::join!(all, silent.next(), timer.tick());
+            while events.next().await.is_some() {}
+            (ends.0, ends.1.is_none(), ends.2.unwrap_err().to_string())
+        })
+    });
+    drop(node);
+    let (all, is_over, error) = waits.join().unwrap();
+    assert_eq!((all, is_over), (vec![1, 2, 3], true));
+    assert!(error.contains("the node was dropped"), "{error}");
 }
 
 #[test]

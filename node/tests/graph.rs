@@ -7,7 +7,31 @@ use common::{Number, context};
 use futures::executor::block_on;
 use futures::{FutureExt, StreamExt};
 use std::collections::HashMap;
-use tautline::{Context, HistoryPolicy, Node, NodeOptions, QosProfile, Realtime, RemapRules};
+use tautline::{
+    Context, HistoryPolicy, LoanError, Node, NodeOptions, PublishError, QosProfile, Realtime, RemapRules,
+    Service,
+};
+
+/// A service of whatever type.
+struct Turn;
+
+impl Service for Turn {
+    type Request = Number;
+    type Response = Number;
+    type Event = Number;
+    const TYPE_NAME: &'static str = "a_msgs/action/Turn_SendGoal";
+    const TYPE_HASH: &'static str = "RIHS01_0000000000000000000000000000000000000000000000000000000000000000";
+}
+
+struct Add;
+
+impl Service for Add {
+    type Request = Number;
+    type Response = Number;
+    type Event = Number;
+    const TYPE_NAME: &'static str = "a_msgs/srv/Add";
+    const TYPE_HASH: &'static str = "RIHS01_0000000000000000000000000000000000000000000000000000000000000001";
+}
 
 fn map(pairs: &[(&str, &str)]) -> HashMap<String, Vec<String>> {
     pairs.iter().map(|(name, of_type)| ((*name).into(), vec![(*of_type).into()])).collect()
@@ -22,10 +46,10 @@ fn a_node_sees_what_others_have() {
     let publisher = talker.create_publisher::<Number>("count", qos).unwrap();
     let _subscription = listener.subscribe_loaned::<Number>("/robot/count", QosProfile::default()).unwrap();
     let service = "/robot/turn/_action/send_goal";
-    let _server = talker.handle().register_service(service, "a_msgs/action/Turn_SendGoal", None).unwrap();
-    let _add = talker.handle().register_service("/robot/add", "a_msgs/srv/Add", None).unwrap();
-    let _client = listener.handle().register_client("/robot/add", "a_msgs/srv/Add", None).unwrap();
-    let _other = listener.handle().register_client("/nobody", "a_msgs/srv/Add", None).unwrap();
+    let _turn = talker.create_service_loaned::<Turn>(service, qos).unwrap();
+    let _add = talker.create_service_loaned::<Add>("add", qos).unwrap();
+    let _client = listener.create_client_loaned::<Add>("/robot/add", qos).unwrap();
+    let _other = listener.create_client_loaned::<Add>("/nobody", qos).unwrap();
 
     assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
     let pair = |name: &str, namespace: &str| (name.to_owned(), namespace.to_owned());
@@ -64,8 +88,9 @@ fn a_node_sees_what_others_have() {
     let actions = map(&[("/robot/turn", "a_msgs/action/Turn")]);
     assert_eq!(listener.get_action_names_and_types().unwrap(), actions);
 
-    // It is there as long as a publisher of it.
-    drop((talker, _server, _add));
+    // It is there as long as a publisher of it, which sends nothing more.
+    drop((talker, _turn, _add));
+    assert_eq!(publisher.publish(&Number { value: 1 }), Err(PublishError::Loan(LoanError::Ended)));
     assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
     drop(publisher);
     assert_eq!(listener.get_node_names().unwrap(), ["/listener"]);
@@ -86,7 +111,7 @@ fn a_node_waits_for_others() {
         let publishers =
             [(); 2].map(|()| node.create_publisher::<Number>("count", QosProfile::default()).unwrap());
         let subscription = node.subscribe_loaned::<Number>("count", QosProfile::default()).unwrap();
-        let service = node.handle().register_service("/robot/add", "a_msgs/srv/Add", None).unwrap();
+        let service = node.create_service_loaned::<Add>("/robot/add", QosProfile::default()).unwrap();
         (node, publishers, subscription, service)
     });
     block_on(all);

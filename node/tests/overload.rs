@@ -64,10 +64,8 @@ fn a_stream_that_is_never_empty_lets_its_callback_end() {
         LOG.add(sample.value);
     };
     let callback = node.spawn_callback(CallbackOptions::other(), numbers.for_each(work)).unwrap();
-    let publisher = {
-        let mut node = Node::create(fast.clone(), "fast", "").unwrap();
-        node.create_publisher::<Number>("/flood", QosProfile::default()).unwrap()
-    };
+    let mut fast = Node::create(fast.clone(), "fast", "").unwrap();
+    let publisher = fast.create_publisher::<Number>("/flood", QosProfile::default()).unwrap();
     let over = &AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(move || {

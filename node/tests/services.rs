@@ -259,20 +259,18 @@ fn more_pending_requests_than_a_client_can_have() {
 }
 
 #[test]
-fn another_type_is_an_error_that_names_both() {
+fn another_type_is_another_service() {
     let ctx = context(44);
     let mut node = node(&ctx, "types");
     let _requests = node.create_service::<AddTwoInts::Service>("typed", QOS()).unwrap();
-    let error = node.create_client::<SetBool::Service>("typed", QOS()).unwrap_err().to_string();
-    for part in ["service '/typed'", "example_interfaces/srv/AddTwoInts", "std_srvs/srv/SetBool"] {
-        assert!(error.contains(part), "{error}");
-    }
+    let client = node.create_client::<SetBool::Service>("typed", QOS()).unwrap();
+    let error = client.request(&SetBool::Request { data: true }).map(drop).unwrap_err().to_string();
+    assert!(error.contains("service '/typed' has no server"), "{error}");
     assert!(node.create_client::<SetBool::Service>("a b", QOS()).is_err());
-    let participant = tautline_transport::Participant::new(44).unwrap();
-    assert!(participant.topics().unwrap().is_empty(), "services are no topics");
-    let services = participant.services().unwrap();
-    assert_eq!(services.len(), 1);
-    assert_eq!((services[0].name.as_str(), services[0].servers.len()), ("/typed", 1));
+    assert!(node.get_topic_names_and_types().unwrap().is_empty(), "services are no topics");
+    assert_eq!(node.get_service_names_and_types().unwrap()["/typed"], ["example_interfaces/srv/AddTwoInts"]);
+    let clients = node.get_client_names_and_types_by_node("types", "/").unwrap();
+    assert_eq!(clients["/typed"], ["std_srvs/srv/SetBool"]);
 }
 
 #[test]

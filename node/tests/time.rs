@@ -16,12 +16,12 @@ use tautline::{
 };
 
 /// A context whose nodes show simulated time, and who tells it.
-fn simulation(domain: u32) -> (Context, Publisher<ClockMessage>) {
+fn simulation(domain: u32) -> (Context, Node, Publisher<ClockMessage>) {
     let args = ["--ros-args", "-p", "use_sim_time:=true"];
     let ctx = Context::builder().domain(domain).realtime(Realtime::Off).args(args).build().unwrap();
     let mut simulator = Node::create(ctx.clone(), "simulator", "").unwrap();
     let publisher = simulator.create_publisher("/clock", QosProfile::default().keep_last(1)).unwrap();
-    (ctx, publisher)
+    (ctx, simulator, publisher)
 }
 
 fn tell(publisher: &Publisher<ClockMessage>, ms: u64) {
@@ -34,7 +34,7 @@ fn ms(ms: u64) -> Duration {
 
 #[test]
 fn a_period_may_be_as_long_as_there_is_time() {
-    let (ctx, publisher) = simulation(77);
+    let (ctx, _simulator, publisher) = simulation(77);
     let mut node = Node::create(ctx, "patient", "").unwrap();
     let mut timers =
         [Duration::MAX, Duration::from_nanos(u64::MAX), Duration::from_nanos(i64::MAX as u64 + 1)]
@@ -66,7 +66,7 @@ fn clocks_show_what_they_are() {
 
 #[test]
 fn a_ros_clock_shows_simulated_time() {
-    let (ctx, publisher) = simulation(200);
+    let (ctx, _simulator, publisher) = simulation(200);
     let node = Node::create(ctx, "robot", "").unwrap();
     let clock = node.clock();
     assert_eq!((clock.is_simulated(), clock.now()), (true, ms(0)));
@@ -102,7 +102,7 @@ fn a_ros_clock_shows_simulated_time() {
 
 #[test]
 fn timers_follow_simulated_time() {
-    let (ctx, publisher) = simulation(217);
+    let (ctx, _simulator, publisher) = simulation(217);
     let mut node = Node::create(ctx, "robot", "").unwrap();
     let mut timer = node.create_timer(ms(100)).unwrap();
     let mut task = std::task::Context::from_waker(std::task::Waker::noop());
@@ -164,7 +164,7 @@ fn timers_change_over_when_the_clock_does() {
 #[test]
 fn sleeps_end_when_the_clock_is_there() {
     static ENDED: Log<&str> = Log::new();
-    let (ctx, publisher) = simulation(159);
+    let (ctx, _simulator, publisher) = simulation(159);
     let _spinning = spin(&ctx);
     let node = Node::create(ctx.clone(), "robot", "").unwrap();
     for (name, clock) in [

@@ -5,9 +5,7 @@ mod common;
 
 use common::{Number, context, spin};
 use futures::StreamExt;
-use tautline::{
-    Error, Limits, LoanError, Node, PublishError, QosProfile, Subscription, TakeError, TransportError,
-};
+use tautline::{Limits, LoanError, Node, PublishError, QosProfile, Subscription, TakeError};
 
 fn node(domain: u32, name: &str, namespace: &str) -> Node {
     Node::create(context(domain), name, namespace).unwrap()
@@ -109,28 +107,17 @@ fn a_transient_local_late_joiner_gets_the_last_and_a_volatile_one_does_not() {
 }
 
 #[test]
-fn limits_are_set_by_the_first_and_exceeding_one_names_it() {
+fn limits_are_each_ends_own_and_exceeding_one_names_it() {
     let mut node = node(216, "limited", "/ns");
-    let limits = Limits { publishers: 1, subscribers: 1, depth: 4, held: 2, loans: 2, ..Limits::default() };
+    let limits = Limits { held: 2, loans: 2, ..Limits::default() };
     let qos = QosProfile::default().keep_last(4);
     // By any of the topic's names.
     node.set_topic_limits("t", limits).unwrap();
     let publisher = node.create_publisher::<Number>("/ns/t", qos).unwrap();
     assert_eq!(publisher.limits(), Limits { message_bytes: 8, may_grow: false, ..limits }, "of a fixed size");
-
-    let limit = |error: Error| match error {
-        Error::Transport(TransportError::Limit { topic, limit, existing, requested }) => {
-            assert_eq!(topic, "/ns/t");
-            (limit, existing, requested)
-        }
-        other => panic!("{other}"),
-    };
-    let deep = node.subscribe_loaned::<Number>("t", qos.keep_last(5)).err().unwrap();
-    assert!(deep.to_string().contains("raise `Limits::depth` where it is opened first"), "{deep}");
-    assert_eq!(limit(deep), ("depth", 4, 5));
+    let deep = node.subscribe_loaned::<Number>("t", qos.keep_last(5)).unwrap();
     let subscription = node.subscribe_loaned::<Number>("t", qos).unwrap();
-    assert_eq!(limit(node.subscribe_loaned::<Number>("t", qos).err().unwrap()), ("subscribers", 1, 2));
-    assert_eq!(limit(node.create_publisher::<Number>("t", qos).err().unwrap()), ("publishers", 1, 2));
+    let _another = node.create_publisher::<Number>("t", qos.keep_last(7)).unwrap();
 
     let loans = [publisher.loan().unwrap(), publisher.loan().unwrap()];
     assert_eq!(publisher.loan().err(), Some(LoanError::Exhausted));
@@ -145,11 +132,9 @@ fn limits_are_set_by_the_first_and_exceeding_one_names_it() {
     assert_eq!(held.each_ref().map(|sample| sample.value), [1, 2]);
     drop(held);
     assert_eq!(take_all(&subscription), [3]);
+    assert_eq!(take_all(&deep), [1, 2, 3]);
 
-    node.set_topic_limits("u", Limits { publishers: 65, ..limits }).unwrap();
+    node.set_topic_limits("u", Limits { held: 0, ..limits }).unwrap();
     let message = node.create_publisher::<Number>("u", qos).err().unwrap().to_string();
-    assert!(
-        message.contains("'/ns/u'") && message.contains("publishers = 65 is outside 1 to 64"),
-        "{message}"
-    );
+    assert!(message.contains("'/ns/u'") && message.contains("held = 0 is outside 1 to "), "{message}");
 }

@@ -79,6 +79,20 @@ pub fn steal_ticks(core: Option<usize>) -> u64 {
     fs::read_to_string("/proc/stat").map_or(0, |stat| parse_steal(&stat, core))
 }
 
+/// Raises this process's limit of open files to what it may have, so that the limit which a shell sets is none. Returns the limit.
+///
+/// # Real-time
+/// Setup only.
+pub fn raise_open_files() -> u64 {
+    use rustix::process::{Resource, getrlimit, setrlimit};
+    let limits = getrlimit(Resource::Nofile);
+    if limits.current != limits.maximum {
+        // Refused where a sandbox forbids it: then it stays as it is.
+        let _ = setrlimit(Resource::Nofile, rustix::process::Rlimit { current: limits.maximum, ..limits });
+    }
+    getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
+}
+
 fn preemption(version: &str) -> Preemption {
     let has = |word| version.split_whitespace().any(|w| w == word);
     match () {
@@ -128,6 +142,14 @@ mod tests {
         let stat =
             "cpu  1 2 3 4 5 6 7 88 9 10\ncpu0 1 2 3 4 5 6 7 40 9 10\ncpu1 1 2 3 4 5 6 7 48 9 10\nintr 5\n";
         assert_eq!([None, Some(0), Some(1), Some(2)].map(|core| parse_steal(stat, core)), [88, 40, 48, 0]);
+    }
+
+    #[test]
+    fn the_limit_of_open_files_is_raised() {
+        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+        let before = getrlimit(Resource::Nofile);
+        setrlimit(Resource::Nofile, Rlimit { current: Some(100), ..before }).unwrap();
+        assert_eq!(raise_open_files(), before.maximum.unwrap_or(u64::MAX));
     }
 
     #[test]

@@ -102,6 +102,17 @@ impl<T> LatestReader<T> {
         })
     }
 
+    /// The value that [`read`](Self::read) gave last, though there may be a newer one.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn current(&self) -> &T {
+        self.shared.slot(self.slot).with(|slot| {
+            // SAFETY: this slot is the reader's, and `read`, which exchanges it, needs `&mut self`.
+            unsafe { &*slot }
+        })
+    }
+
     /// Whether [`read`](Self::read) would give a value that it has not given before.
     ///
     /// # Real-time

@@ -7,7 +7,8 @@
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
-//! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in, but for iceoryx2's.
+//! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in; [`domain`] says where they are.
+//! - [`PiMutex`] protects what threads of different priorities use; [`FutexWord`] is a word to sleep on.
 //! - [`latest`] passes the newest of many values on, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
 //!
@@ -30,9 +31,11 @@
 
 mod cores;
 mod error;
+mod futex;
 mod idle;
 mod latest;
 mod memory;
+mod mutex;
 mod noise;
 mod policy;
 mod seat;
@@ -41,17 +44,20 @@ mod thread;
 mod words;
 
 pub mod clock;
+pub mod domain;
 pub mod host;
 pub mod permission;
 pub mod shm;
 
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;
+pub use futex::FutexWord;
 pub use idle::IdleHold;
 pub use latest::{LatestReader, LatestWriter, latest};
 pub use memory::{
     MemoryLock, PageFaults, keep_freed_memory, lock_memory, page_faults, prefault_stack, tune_malloc,
 };
+pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use seat::{Seat, SeatError};

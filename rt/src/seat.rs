@@ -7,6 +7,10 @@ use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Who removes the file of a process that was killed locks it for a moment: that is no other that has the seat.
+const PATIENCE: Duration = Duration::from_millis(50);
 
 /// A seat that one process has; dropping it makes room for another.
 #[derive(Debug)]
@@ -48,6 +52,7 @@ impl Seat {
     pub fn take(name: &str) -> Result<Self, SeatError> {
         let path = Path::new(DIRECTORY).join(name);
         let refuse = |source: io::Error| SeatError::File { path: path.clone(), source };
+        let start = Instant::now();
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file =
@@ -55,6 +60,10 @@ impl Seat {
             let mut file = std::fs::File::from(file);
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) => {}
+                Err(Errno::WOULDBLOCK) if start.elapsed() < PATIENCE => {
+                    std::thread::sleep(Duration::from_millis(1));
+                    continue;
+                }
                 Err(Errno::WOULDBLOCK) => {
                     let pid = read_pid(&mut file);
                     return Err(SeatError::Taken { path, pid });
@@ -110,5 +119,22 @@ mod tests {
         holder.wait().unwrap();
         drop(Seat::take(&name).unwrap());
         assert!(!path.exists());
+    }
+
+    #[test]
+    fn a_file_that_is_just_being_removed_is_nobodys_seat() {
+        let name = format!("taut_seat_removed_{}", std::process::id());
+        let path = Path::new(DIRECTORY).join(&name);
+        for _ in 0..100 {
+            let left = std::fs::File::create(&path).unwrap();
+            rustix::fs::flock(&left, FlockOperation::NonBlockingLockExclusive).unwrap();
+            let taken = std::thread::scope(|scope| {
+                let taker = scope.spawn(|| Seat::take(&name));
+                std::fs::remove_file(&path).unwrap();
+                drop(left);
+                taker.join().unwrap()
+            });
+            drop(taken.unwrap());
+        }
     }
 }

@@ -12,7 +12,9 @@ use std::path::{Path, PathBuf};
 use std::ptr::{NonNull, null_mut};
 
 use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags};
-use rustix::mm::{MapFlags, ProtFlags};
+use rustix::io::Errno;
+use rustix::mm::{Advice, MapFlags, ProtFlags};
+use std::sync::Arc;
 
 /// Where shared memory has names.
 pub const DIRECTORY: &str = "/dev/shm";
@@ -39,6 +41,29 @@ impl From<ShmError> for io::Error {
     }
 }
 
+/// Makes a folder of this user's own in /dev/shm, unless it is there.
+///
+/// # Errors
+/// [`ShmError`]: it cannot be made, or is no folder that this user alone can write to.
+pub fn make_folder(name: &str) -> Result<(), ShmError> {
+    let path = Path::new(DIRECTORY).join(name);
+    let make = || -> io::Result<()> {
+        match rustix::fs::mkdir(&path, Mode::RWXU) {
+            Ok(()) | Err(Errno::EXIST) => {}
+            Err(errno) => return Err(errno.into()),
+        }
+        let flags = OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::RDONLY | OFlags::CLOEXEC;
+        let folder = rustix::fs::open(&path, flags, Mode::empty())?;
+        check_owner(&folder)?;
+        let mode = Mode::from_raw_mode(rustix::fs::fstat(&folder)?.st_mode);
+        if mode.intersects(Mode::WGRP | Mode::WOTH) {
+            return Err(io::Error::other("others can write to it"));
+        }
+        Ok(())
+    };
+    make().map_err(ShmError::of(&path))
+}
+
 /// A file that this process made. It stays when this is dropped: see [`retire`](Self::retire).
 #[derive(Debug)]
 pub struct OwnFile {
@@ -48,10 +73,10 @@ pub struct OwnFile {
 }
 
 impl OwnFile {
-    /// Makes an empty file whose name is `prefix` and a random number in 16 hexadecimal digits.
+    /// Makes an empty file whose name is `prefix`, which may begin with a folder, and a random number in 16 hexadecimal digits.
     ///
     /// # Real-time
-    /// Setup only: may wait for a reader that looks whether the owner lives.
+    /// Setup only.
     ///
     /// # Errors
     /// [`ShmError`].
@@ -59,15 +84,21 @@ impl OwnFile {
         loop {
             let id = random();
             let path = Path::new(DIRECTORY).join(format!("{prefix}{id:016x}"));
-            let make = || -> io::Result<OwnedFd> {
+            let make = || -> io::Result<Option<OwnedFd>> {
                 let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
                 let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-                rustix::fs::flock(&file, FlockOperation::LockExclusive)?;
-                Ok(file)
+                match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                    // Not if it was taken for a dead owner's before it was locked.
+                    Ok(()) if has_name(&file) => Ok(Some(file)),
+                    // Somebody looks right now whether its owner lives, and may be stopped in that: another one then.
+                    Ok(()) | Err(Errno::WOULDBLOCK) => {
+                        let _ = rustix::fs::unlink(&path);
+                        Ok(None)
+                    }
+                    Err(errno) => Err(errno.into()),
+                }
             };
-            let file = make().map_err(ShmError::of(&path))?;
-            // Not if it was taken for a dead owner's before it was locked.
-            if has_name(&file) {
+            if let Some(file) = make().map_err(ShmError::of(&path))? {
                 return Ok(OwnFile { path, id, file });
             }
         }
@@ -93,6 +124,16 @@ impl OwnFile {
     /// [`ShmError`].
     pub fn claim(&self, offset: u64, len: u64) -> Result<(), ShmError> {
         claim(&self.file, offset, len).map_err(ShmError::of(&self.path))
+    }
+
+    /// Gives the memory of `len` bytes from `offset` on back; they read as zeros then. Whole pages only.
+    ///
+    /// # Errors
+    /// [`ShmError`].
+    pub fn give_back(&self, offset: u64, len: u64) -> Result<(), ShmError> {
+        let flags = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
+        let punched = rustix::fs::fallocate(&self.file, flags, offset, len);
+        punched.map_err(|errno| ShmError::of(&self.path)(errno.into()))
     }
 
     /// Makes the file `len` bytes long without claiming memory for it.
@@ -182,13 +223,19 @@ impl AsFd for PeerFile {
     }
 }
 
-/// The files whose names begin with `prefix`, in the order of their names.
+/// The files whose names begin with `prefix`, which may begin with a folder, in the order of their names; none if there is no
+/// such folder.
 ///
 /// # Errors
-/// [`ShmError`] if /dev/shm cannot be read.
+/// [`ShmError`] if the folder cannot be read.
 pub fn list(prefix: &str) -> Result<Vec<PathBuf>, ShmError> {
-    let mut paths: Vec<PathBuf> = std::fs::read_dir(DIRECTORY)
-        .map_err(ShmError::of(Path::new(DIRECTORY)))?
+    let (folder, prefix) = prefix.rsplit_once('/').unwrap_or(("", prefix));
+    let folder = Path::new(DIRECTORY).join(folder);
+    let entries = match std::fs::read_dir(&folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(ShmError::of(&folder))?,
+    };
+    let mut paths: Vec<PathBuf> = entries
         .flatten()
         .filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix))
         .map(|entry| entry.path())
@@ -251,9 +298,76 @@ impl Mapping {
         Ok(Mapping { start, len_bytes })
     }
 
+    /// Zeros of this process alone, which take memory where they are written.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// What the system said: a length of zero, too many mappings.
+    pub fn scratch(len_bytes: usize) -> io::Result<Mapping> {
+        let flags = MapFlags::PRIVATE | MapFlags::NORESERVE;
+        let access = ProtFlags::READ | ProtFlags::WRITE;
+        // SAFETY: a new mapping at an address of the kernel's choice.
+        let address = unsafe { rustix::mm::mmap_anonymous(null_mut(), len_bytes, access, flags) }?;
+        let start = NonNull::new(address).ok_or_else(|| io::Error::other("mapped at address zero"))?;
+        Ok(Mapping { start, len_bytes })
+    }
+
     /// Where it starts: the start of a page. Mapped as long as this lives.
     pub fn start(&self) -> NonNull<c_void> {
         self.start
+    }
+
+    /// How many bytes are mapped.
+    pub fn len_bytes(&self) -> usize {
+        self.len_bytes
+    }
+
+    /// Brings in the pages of `len_bytes` from `offset_bytes` on, so that using them faults none: for writing if `writable`, which
+    /// the mapping must be. The file's memory was claimed before.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// What the system said: beyond the end of the mapping or of the file.
+    pub fn populate(&self, offset_bytes: usize, len_bytes: usize, writable: bool) -> io::Result<()> {
+        let end = offset_bytes.checked_add(len_bytes).filter(|end| *end <= self.len_bytes);
+        let Some(end) = end else { return Err(io::Error::other("beyond the end of the mapping")) };
+        let page = rustix::param::page_size();
+        let (from, to) = (offset_bytes / page * page, end.next_multiple_of(page).min(self.len_bytes));
+        let advice = if writable { Advice::LinuxPopulateWrite } else { Advice::LinuxPopulateRead };
+        // SAFETY: within the mapping, as checked; bringing pages in changes nothing that lies there.
+        unsafe { rustix::mm::madvise(self.start.as_ptr().byte_add(from), to - from, advice) }?;
+        Ok(())
+    }
+}
+
+/// Part of a mapping, which it keeps mapped.
+#[derive(Clone, Debug)]
+pub struct Region {
+    map: Arc<Mapping>,
+    offset_bytes: usize,
+    len_bytes: usize,
+}
+
+impl Region {
+    /// `len_bytes` from `offset_bytes` on; `None` if that is beyond the mapping's end.
+    pub fn new(map: &Arc<Mapping>, offset_bytes: usize, len_bytes: usize) -> Option<Region> {
+        let end = offset_bytes.checked_add(len_bytes)?;
+        (end <= map.len_bytes()).then(|| Region { map: map.clone(), offset_bytes, len_bytes })
+    }
+
+    /// Where it starts. Mapped as long as this or a clone of it lives.
+    pub fn start(&self) -> NonNull<c_void> {
+        // SAFETY: within the mapping, as `new` checked.
+        unsafe { self.map.start().byte_add(self.offset_bytes) }
+    }
+
+    /// How long it is.
+    pub fn len_bytes(&self) -> usize {
+        self.len_bytes
     }
 }
 

@@ -34,7 +34,7 @@ impl Alarm {
             return;
         }
         self.at_ns = at_ns;
-        let words = &self.shared.timers[self.slot.index()];
+        let words = &self.shared.timers.at(self.slot.index());
         match at_ns {
             Some(at_ns) => drop(words.arm(at_ns, u64::MAX, None)),
             None => words.disarm(),
@@ -56,7 +56,7 @@ impl Drop for Alarm {
     /// # Real-time
     /// As [`set`](Self::set).
     fn drop(&mut self) {
-        self.shared.timers[self.slot.index()].disarm();
+        self.shared.timers.at(self.slot.index()).disarm();
         self.slot.ring();
     }
 }

@@ -2,7 +2,8 @@
 //! What a sampler serves besides samples: timers and guard conditions, made from any thread.
 
 use crate::alarm::Alarm;
-use crate::timer::{Timer, TimerWords, nanoseconds};
+use crate::timer::{Timer, nanoseconds};
+use crate::timers::{Room, Timers};
 use crate::watchdog::Watchdog;
 use std::future::poll_fn;
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
-use tautline_transport::{Doorbell, Participant, Pulse, SLOTS, Slot, TransportError};
+use tautline_transport::{Doorbell, Participant, Pulse, Slot, TransportError};
 
 /// The part of a sampler that other threads hold: they make timers and guard conditions here, and stop the sampler.
 #[derive(Clone)]
@@ -20,20 +21,22 @@ pub struct Events {
 
 pub(crate) struct Shared {
     pub(crate) doorbell: Arc<Doorbell>,
-    pub(crate) timers: Box<[TimerWords]>,
+    pub(crate) timers: Timers,
     stop: AtomicBool,
     stop_slot: Slot,
 }
 
 impl Events {
-    pub(crate) fn new(participant: &Participant) -> Result<Self, TransportError> {
+    /// The second is for the sampler.
+    pub(crate) fn new(participant: &Participant) -> Result<(Self, Room), TransportError> {
+        let (timers, room) = Timers::new();
         let shared = Shared {
             doorbell: participant.doorbell().clone(),
-            timers: (0..SLOTS).map(|_| TimerWords::default()).collect(),
+            timers,
             stop: AtomicBool::new(false),
             stop_slot: participant.claim_slot()?,
         };
-        Ok(Events { shared: Arc::new(shared) })
+        Ok((Events { shared: Arc::new(shared) }, room))
     }
 
     /// A timer whose first release is one period from now.
@@ -42,7 +45,7 @@ impl Events {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError::Slots`] if the context has no slot left.
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn timer(&self, period: Duration) -> Result<Timer, TransportError> {
         let period_ns = nanoseconds(period).max(1);
         self.timer_at(monotonic_ns().saturating_add(period_ns), period)
@@ -54,9 +57,9 @@ impl Events {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError::Slots`] if the context has no slot left.
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn timer_at(&self, first_release_ns: u64, period: Duration) -> Result<Timer, TransportError> {
-        let slot = self.shared.doorbell.claim()?;
+        let slot = self.timer_slot()?;
         Ok(Timer::arm(self.shared.clone(), slot, first_release_ns, nanoseconds(period).max(1)))
     }
 
@@ -67,21 +70,28 @@ impl Events {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError::Slots`] if the context has no slot left.
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn watchdog(&self, pulse: Pulse, period: Duration) -> Result<Watchdog, TransportError> {
-        let slot = self.shared.doorbell.claim()?;
+        let slot = self.timer_slot()?;
         Ok(Watchdog::arm(self.shared.clone(), slot, pulse, nanoseconds(period).max(1)))
     }
 
     /// An alarm that is not set.
     ///
     /// # Real-time
-    /// Wait-free, O([`SLOTS`]); no allocation; no lock; no syscall.
+    /// As [`Doorbell::claim`]: wait-free, without allocation or syscall, unless more slots are taken than ever before.
     ///
     /// # Errors
-    /// [`TransportError::Slots`] if the context has no slot left.
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn alarm(&self) -> Result<Alarm, TransportError> {
-        Ok(Alarm::new(self.shared.clone(), self.shared.doorbell.claim()?))
+        Ok(Alarm::new(self.shared.clone(), self.timer_slot()?))
+    }
+
+    /// A slot at which the sampler may release something.
+    fn timer_slot(&self) -> Result<Slot, TransportError> {
+        let slot = self.shared.doorbell.claim()?;
+        self.shared.timers.cover(slot.index());
+        Ok(slot)
     }
 
     /// A condition that any thread can trigger and one task waits for.
@@ -90,7 +100,7 @@ impl Events {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError::Slots`] if the context has no slot left.
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn guard_condition(&self) -> Result<GuardCondition, TransportError> {
         let condition = Condition { slot: self.shared.doorbell.claim()?, triggered: AtomicU64::new(0) };
         Ok(GuardCondition { condition: Arc::new(condition), seen: 0 })

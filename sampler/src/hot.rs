@@ -6,21 +6,24 @@
 use crate::events::Shared;
 use crate::sampler::{Sampler, Wait};
 use crate::timer::{TimerWords, nanoseconds};
+use crate::timers::{Due, Room};
 use core::cmp::Reverse;
 use core::sync::atomic::{Ordering, fence};
 use core::time::Duration;
-use std::collections::BinaryHeap;
 use tautline_rt::clock::monotonic_ns;
-use tautline_transport::{Pulse, SLOTS};
+use tautline_transport::Pulse;
 
-/// The timers by their next release. As many entries as there are slots, so pushing never allocates.
+/// The timers by their next release. It has room for as many as there are slots where one may be armed, so pushing never allocates.
 pub(crate) struct Agenda {
-    due: BinaryHeap<Reverse<(u64, usize)>>,
+    due: Due,
+    room: Room,
 }
 
 impl Agenda {
-    pub(crate) fn new() -> Self {
-        Agenda { due: BinaryHeap::with_capacity(SLOTS) }
+    pub(crate) fn new(mut room: Room) -> Self {
+        let mut due = Due::new();
+        room.move_to_larger(&mut due);
+        Agenda { due, room }
     }
 
     /// A timer was armed or dropped at `slot`: O(timers), to find its entry.
@@ -29,6 +32,7 @@ impl Agenda {
         if !words.changed.load(Ordering::Relaxed) || !words.changed.swap(false, Ordering::Acquire) {
             return;
         }
+        self.room.move_to_larger(&mut self.due);
         self.due.retain(|Reverse((_, other))| *other != slot);
         words.begun.store(0, Ordering::Relaxed);
         words.released.store(0, Ordering::Relaxed);

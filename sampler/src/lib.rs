@@ -38,6 +38,7 @@ mod events;
 mod hot;
 mod sampler;
 mod timer;
+mod timers;
 mod watchdog;
 
 pub use alarm::Alarm;

@@ -35,22 +35,16 @@ impl Sampler {
     /// The sampler of `participant`.
     ///
     /// # Real-time
-    /// Setup only: allocates all that it will ever need.
+    /// Setup only: allocates what it needs; who makes more timers than there was ever room for brings the room.
     ///
     /// # Errors
-    /// [`TransportError::SecondSampler`] if the participant has one already; [`TransportError::Slots`] if it has no slot
-    /// left.
+    /// [`TransportError::Doorbell`] if the participant has one already; the same of another kind if there is no memory for
+    /// its slot.
     pub fn new(participant: &Participant) -> Result<Self, TransportError> {
         let seat = participant.doorbell().claim_sampler()?;
         let trace = tautline_trace::sampler_init(participant.trace_id());
-        Ok(Sampler {
-            events: Events::new(participant)?,
-            agenda: Agenda::new(),
-            wait: Wait::Block,
-            seat,
-            trace,
-            awake: false,
-        })
+        let (events, room) = Events::new(participant)?;
+        Ok(Sampler { events, agenda: Agenda::new(room), wait: Wait::Block, seat, trace, awake: false })
     }
 
     /// The same, waiting another way.

@@ -82,7 +82,7 @@ pub struct Tick {
 /// A task that is late gets the newest release and the number of those it missed, not all of them in a bunch.
 pub struct Timer {
     shared: Arc<Shared>,
-    slot: Slot,
+    slot: Arc<Slot>,
     first_release_ns: u64,
     period_ns: u64,
     number: u64,
@@ -92,9 +92,9 @@ pub struct Timer {
 
 impl Timer {
     pub(crate) fn arm(shared: Arc<Shared>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
-        let number = shared.timers[slot.index()].arm(first_release_ns, period_ns, None);
+        let number = shared.timers.at(slot.index()).arm(first_release_ns, period_ns, None);
         slot.ring();
-        Timer { shared, slot, first_release_ns, period_ns, number, seen: 0, missed: 0 }
+        Timer { shared, slot: Arc::new(slot), first_release_ns, period_ns, number, seen: 0, missed: 0 }
     }
 
     /// Period in nanoseconds.
@@ -105,6 +105,11 @@ impl Timer {
     /// Releases that this timer's task missed so far.
     pub fn missed(&self) -> u64 {
         self.missed
+    }
+
+    /// The slot behind it.
+    pub fn slot(&self) -> &Arc<Slot> {
+        &self.slot
     }
 
     /// Waits for the next release.
@@ -121,7 +126,7 @@ impl Timer {
     /// Wait-free; no allocation; no syscall.
     pub fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
         self.slot.waker().register(context.waker());
-        let words = &self.shared.timers[self.slot.index()];
+        let words = &self.shared.timers.at(self.slot.index());
         let Some(released) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let missed = released - self.seen - 1;
         self.seen = released;
@@ -148,7 +153,7 @@ pub(crate) fn nanoseconds(time: Duration) -> u64 {
 
 impl Drop for Timer {
     fn drop(&mut self) {
-        self.shared.timers[self.slot.index()].disarm();
+        self.shared.timers.at(self.slot.index()).disarm();
         self.slot.ring();
     }
 }
@@ -170,7 +175,7 @@ mod tests {
         let start = monotonic_ns();
         let mut timer = sampler.events().timer_at(start, hour).unwrap();
         let shared = timer.shared.clone();
-        let words = &shared.timers[timer.slot.index()];
+        let words = &shared.timers.at(timer.slot.index());
         let mut poll = || timer.poll_tick(&mut Context::from_waker(Waker::noop()));
         sampler.spin_once(Some(Duration::ZERO));
         assert_eq!(poll(), Poll::Ready(Tick { release_ns: start, index: 1, missed: 0 }));

@@ -36,7 +36,7 @@ impl Watchdog {
             0 => now_ns.saturating_add(period_ns),
             pulse_ns => now_ns.max(pulse_ns.saturating_add(period_ns)),
         };
-        let number = shared.timers[slot.index()].arm(first_ns, period_ns, Some(pulse));
+        let number = shared.timers.at(slot.index()).arm(first_ns, period_ns, Some(pulse));
         slot.ring();
         Watchdog { shared, slot, number, seen: 0 }
     }
@@ -55,7 +55,7 @@ impl Watchdog {
     /// Wait-free; no allocation; no syscall.
     pub fn poll_expired(&mut self, context: &mut Context<'_>) -> Poll<Expiry> {
         self.slot.waker().register(context.waker());
-        let words = &self.shared.timers[self.slot.index()];
+        let words = &self.shared.timers.at(self.slot.index());
         let Some(count) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let due_ns = words.last_due_ns.load(Ordering::Relaxed);
         // Pairs with the Release fence of the sampler, which may be at the next expiry already.
@@ -72,7 +72,7 @@ impl Watchdog {
 
 impl Drop for Watchdog {
     fn drop(&mut self) {
-        self.shared.timers[self.slot.index()].disarm();
+        self.shared.timers.at(self.slot.index()).disarm();
         self.slot.ring();
     }
 }
@@ -95,7 +95,7 @@ mod tests {
         let mut watchdog = sampler.events().watchdog(slot.pulse(PulseOf::Sample), hour).unwrap();
         sampler.spin_once(Some(Duration::ZERO));
         let shared = watchdog.shared.clone();
-        let words = &shared.timers[watchdog.slot.index()];
+        let words = &shared.timers.at(watchdog.slot.index());
         let mut poll = || watchdog.poll_expired(&mut Context::from_waker(Waker::noop()));
         let write = |begun, due_ns, released| {
             words.begun.store(begun, Ordering::Relaxed);

@@ -10,7 +10,8 @@ use std::io;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
-use tautline_rt::shm::{self, PeerFile, has_name};
+use tautline_rt::domain::shared_folder;
+use tautline_rt::shm::{self, PeerFile, ShmError, has_name};
 
 const ON: &[u8] = b"1";
 const OFF: &[u8] = b"0";
@@ -26,18 +27,37 @@ pub(crate) enum Asked {
     Record,
 }
 
-/// Starts the names of a domain's trace files, which are private to their user.
-fn file_prefix(domain: u32) -> String {
-    format!("taut_{domain}_{}_trace_", rustix::process::getuid().as_raw())
+/// Starts the names of trace files in the folder of their domain.
+const PREFIX: &str = "trace_";
+
+/// Whether this is the name of the trace file of a process.
+pub fn is_trace_file(name: &str) -> bool {
+    name.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('p'))
 }
 
 /// Starts the names of the files of processes.
 pub(crate) fn process_prefix(domain: u32) -> String {
-    format!("{}p", file_prefix(domain))
+    format!("{}/{PREFIX}p", shared_folder(domain))
+}
+
+/// Makes a file in the folder of a domain, which is made with it: the last process of the domain may remove it at any moment.
+pub(crate) fn in_folder<T>(domain: u32, make: impl Fn() -> Result<T, ShmError>) -> Result<T, ShmError> {
+    loop {
+        shm::make_folder(&shared_folder(domain))?;
+        match make() {
+            Err(error) if error.source.kind() == io::ErrorKind::NotFound => {}
+            made => return made,
+        }
+    }
+}
+
+/// Removes the folder of a domain, unless something is in it.
+pub(crate) fn leave_folder(domain: u32) {
+    let _ = rustix::fs::rmdir(Path::new(shm::DIRECTORY).join(shared_folder(domain)));
 }
 
 fn path(domain: u32) -> PathBuf {
-    Path::new(shm::DIRECTORY).join(format!("{}control", file_prefix(domain)))
+    Path::new(shm::DIRECTORY).join(shared_folder(domain)).join(format!("{PREFIX}control"))
 }
 
 /// Looks whether a recorder is there.
@@ -62,6 +82,7 @@ pub(crate) fn asked(domain: u32) -> Asked {
 /// The lock of a domain's recorder; its file goes when it is dropped.
 #[derive(Debug)]
 pub(crate) struct Control {
+    domain: u32,
     path: PathBuf,
     file: OwnedFd,
 }
@@ -74,11 +95,15 @@ impl Control {
         let refuse = |errno: Errno| TraceError::File { path: path.clone(), source: io::Error::from(errno) };
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR).map_err(refuse)?;
+            let open = || {
+                let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR);
+                file.map_err(|errno| ShmError { path: path.clone(), source: errno.into() })
+            };
+            let file = in_folder(domain, open)?;
             shm::check_owner(&file).map_err(|source| TraceError::File { path: path.clone(), source })?;
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) if has_name(&file) => {
-                    let control = Control { path: path.clone(), file };
+                    let control = Control { domain, path: path.clone(), file };
                     control.write(ON).map_err(refuse)?;
                     return Ok(control);
                 }
@@ -102,5 +127,6 @@ impl Control {
 impl Drop for Control {
     fn drop(&mut self) {
         let _ = rustix::fs::unlink(&self.path);
+        leave_folder(self.domain);
     }
 }

@@ -49,6 +49,7 @@ mod settings;
 mod sync;
 mod thread;
 
+pub use control::is_trace_file;
 pub use error::TraceError;
 pub use event::{Event, Kind, ObjectId, gid_key};
 pub use hot::{

@@ -15,6 +15,7 @@ use crate::settings::{TraceMode, TraceSettings};
 use crate::sync::Ordering;
 use crate::thread;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 use tautline_rt::shm::{OwnFile, ShmError};
 
 static PROCESS: Mutex<Process> = Mutex::new(Process {
@@ -93,18 +94,26 @@ impl Drop for Membership {
     }
 }
 
-/// Gives one more ring memory, for a thread that is about to claim one.
-pub(crate) fn prepare_ring() {
-    if let Some(own) = &process().file {
+/// Gives one more ring memory, for the current thread, which claims it with `claim` before anybody else comes.
+pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
+    let process = process();
+    if let Some(own) = &process.file {
+        if own.free_rings() <= SPARE_RINGS {
+            own.give_back_rings(control::asked(own.domain));
+        }
         own.prepare_rings(SPARE_RINGS + 1);
     }
+    claim();
 }
 
-/// Looks whether a recorder is there, and gives rings of ended threads back. For a low-priority thread, now and then.
-pub fn attend() {
-    if let Some(own) = &process().file {
-        own.attend();
-    }
+/// How often to look while there is a recorder: it may be killed, and threads end.
+const PERIOD: Duration = Duration::from_millis(250);
+
+/// Looks whether a recorder is there, and gives rings of ended threads back. For a low-priority thread, when a recorder has come.
+/// Returns after how long it is to look again; `None`: not before the next one comes.
+pub fn attend() -> Option<Duration> {
+    let is_recorded = process().file.as_ref().is_some_and(Own::attend);
+    is_recorded.then_some(PERIOD)
 }
 
 impl Process {
@@ -127,7 +136,7 @@ impl Process {
 
 impl Own {
     fn create(domain: u32, settings: TraceSettings, region: Option<Map>) -> Result<Own, TraceError> {
-        let file = OwnFile::create(&control::process_prefix(domain))?;
+        let file = control::in_folder(domain, || OwnFile::create(&control::process_prefix(domain)))?;
         let made = (|| -> Result<Map, ShmError> {
             file.set_len(Map::bytes(settings.ring_events) as u64)?;
             for (offset, len) in Map::fixed_ranges() {
@@ -148,7 +157,8 @@ impl Own {
         Ok(Own { domain, file, map, mode: settings.mode })
     }
 
-    fn attend(&self) {
+    /// Whether a recorder is there.
+    fn attend(&self) -> bool {
         let asked = control::asked(self.domain);
         if self.mode != TraceMode::On {
             let wanted = if asked == Asked::Record { state::ASKED } else { state::OFF };
@@ -168,6 +178,7 @@ impl Own {
         }
         self.give_back_rings(asked);
         self.prepare_rings(SPARE_RINGS);
+        asked != Asked::Nothing
     }
 
     fn discard(&self) {
@@ -177,10 +188,14 @@ impl Own {
         }
     }
 
+    fn free_rings(&self) -> usize {
+        (0..RINGS).filter(|index| self.map.ring(*index).head.tid.load(Ordering::Relaxed) == 0).count()
+    }
+
     /// A ring whose thread has ended is free when a recorder has everything; without a recorder also when rings run short.
     fn give_back_rings(&self, asked: Asked) {
         let owners = |index: &usize| self.map.ring(*index).head.tid.load(Ordering::Relaxed);
-        let free = (0..RINGS).filter(|index| owners(index) == 0).count();
+        let free = self.free_rings();
         for index in 0..RINGS {
             let (ring, tid) = (self.map.ring(index), owners(&index));
             if tid == 0 || std::path::Path::new(&format!("/proc/self/task/{tid}")).exists() {
@@ -222,6 +237,7 @@ impl Own {
         let wanted = self.mode == TraceMode::On || control::asked(self.domain) != Asked::Nothing;
         if !wanted || self.map.is_drained() {
             self.file.retire();
+            control::leave_folder(self.domain);
         }
         // Should this fail, the pages stay until the process ends.
         let _ = self.map.forget_file();

@@ -110,8 +110,8 @@ impl Recorder {
     /// How often it looks for new processes.
     const SCAN_PERIOD: Duration = Duration::from_millis(100);
 
-    /// Tells the processes of `domain` to record. They see it within about a quarter of a second; those that start from now
-    /// on record at once.
+    /// Tells the processes of `domain` to record: they see it when they next [attend](crate::attend). Those that start from now on
+    /// record at once.
     ///
     /// # Errors
     /// [`TraceError::SecondRecorder`] if there is one already.
@@ -319,7 +319,8 @@ impl Drop for Peer {
 /// that itself.
 pub fn remove_dead_files(domain: u32) {
     let mut files = shm::list(&control::process_prefix(domain)).unwrap_or_default();
-    files.retain(|path| PeerFile::open(path.clone(), true).is_ok_and(|file| !file.is_owned()));
+    // Not for writing: whoever watches the folder would hear of it, and look again.
+    files.retain(|path| PeerFile::open(path.clone(), false).is_ok_and(|file| !file.is_owned()));
     if files.is_empty() || control::asked(domain) != Asked::Nothing {
         return;
     }
@@ -331,4 +332,5 @@ pub fn remove_dead_files(domain: u32) {
             peer.file.remove_if_orphaned();
         }
     }
+    control::leave_folder(domain);
 }

@@ -61,7 +61,7 @@ pub fn register_thread() {
 /// As [`register_thread`].
 pub fn register_thread_as(name: &str) {
     if !matches!(cached(), Some(Place::Ring(_))) {
-        process::prepare_ring();
+        process::with_spare_ring(|| _ = place());
     }
     if let Place::Ring(ring) = place()
         && !name.is_empty()

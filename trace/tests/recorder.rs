@@ -58,13 +58,13 @@ fn publish(publisher: &tautline_trace::Object, number: u64) {
     tautline_trace::publish(publisher.id(), &message);
 }
 
+fn folder(domain: u32) -> PathBuf {
+    PathBuf::from("/dev/shm").join(tautline_rt::domain::shared_folder(domain))
+}
+
 fn files(domain: u32) -> Vec<PathBuf> {
-    let prefix = format!("taut_{domain}_");
-    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
-    entries
-        .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))
-        .map(|entry| entry.path())
-        .collect()
+    let entries = std::fs::read_dir(folder(domain)).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).collect()
 }
 
 const CHILD: &str = "TAUT_TEST_CHILD";
@@ -326,8 +326,8 @@ fn a_killed_recorder_leaves_nothing_switched_on() {
 #[test]
 fn files_that_lie_are_left_out_by_name() {
     const DOMAIN: u32 = 1199;
-    let uid = std::fs::metadata("/proc/self").map(|of| std::os::unix::fs::MetadataExt::uid(&of)).unwrap();
-    let path = |name: &str| PathBuf::from(format!("/dev/shm/taut_{DOMAIN}_{uid}_trace_p{name}"));
+    tautline_rt::shm::make_folder(&tautline_rt::domain::shared_folder(DOMAIN)).unwrap();
+    let path = |name: &str| folder(DOMAIN).join(format!("trace_p{name}"));
     std::fs::write(path("garbage"), [0xAB; 5000]).unwrap();
     std::fs::write(path("short"), b"tauttrac\x01\0\0\0\x40\0\0\0").unwrap();
     std::fs::write(path("empty"), b"").unwrap();
@@ -346,13 +346,14 @@ fn files_that_lie_are_left_out_by_name() {
     for name in ["garbage", "short"] {
         std::fs::remove_file(path(name)).unwrap();
     }
+    std::fs::remove_dir(folder(DOMAIN)).unwrap();
 }
 
 #[test]
 fn files_of_others_are_not_mapped() {
     const DOMAIN: u32 = 1207;
-    let uid = std::fs::metadata("/proc/self").map(|of| std::os::unix::fs::MetadataExt::uid(&of)).unwrap();
-    let path = |name: &str| PathBuf::from(format!("/dev/shm/taut_{DOMAIN}_{uid}_trace_{name}"));
+    tautline_rt::shm::make_folder(&tautline_rt::domain::shared_folder(DOMAIN)).unwrap();
+    let path = |name: &str| folder(DOMAIN).join(format!("trace_{name}"));
     let (file, control) = (path("pforeign"), path("control"));
     std::fs::write(&file, [0; 64]).unwrap();
     std::fs::write(&control, b"1").unwrap();
@@ -366,12 +367,14 @@ fn files_of_others_are_not_mapped() {
         let mut recorder = Recorder::start(DOMAIN).unwrap();
         recorder.poll(&mut |record| panic!("{record:?}"));
         let complaints = recorder.complaints();
+        drop(recorder);
         assert!(complaints[0].ends_with("it belongs to user 65534"), "{complaints:?}");
     } else {
         println!("skipped: only root can give a file away");
         std::fs::remove_file(&control).unwrap();
     }
     std::fs::remove_file(&file).unwrap();
+    std::fs::remove_dir(folder(DOMAIN)).unwrap();
 }
 
 #[test]

@@ -2,19 +2,19 @@
 //! Topics over shared memory, and the doorbell that announces their samples.
 //!
 //! A [`Participant`] joins a domain and creates publishers and subscriptions. A [`Publisher`] loans a sample, which is
-//! written in place and published without waiting; a [`Subscription`] takes it and reads it in place. The samples travel
-//! through iceoryx2; that one is there is announced by Tautline's own [`Doorbell`], one per sampler: iceoryx2's event
-//! service can lose a wake-up for ever.
+//! written in place and published without waiting; a [`Subscription`] takes it and reads it in place. The samples lie in iceoryx2's
+//! pools and travel through iceoryx2's queues; that one is there is announced by Tautline's own [`Doorbell`], one per sampler.
 //!
 //! - **Zero copy.** What lies in shared memory is the message's CDR, of a fixed size or not: written there field by field, or
 //!   as a `&mut T` if the type is [plain](tautline_msgs::Plain), and read there through its
 //!   [view](tautline_msgs::Message::View).
 //! - **Bytes below, types above.** [`RawPublisher`] and [`RawSubscription`] carry bodies of any length and look at none;
-//!   [`Publisher`] and [`Subscription`] are a thin layer over them. All ends of a topic agree on the [`TopicType`].
+//!   [`Publisher`] and [`Subscription`] are a thin layer over them. Ends of a topic whose [`TopicType`]s differ do not match.
+//! - **Each end by itself.** Depth, message size and whatever else an end asks for is its own; there is no limit of the topic.
 //! - **Nothing waits in publish.** A slow keep-last subscription loses its oldest samples and counts them; a full
 //!   keep-all one makes publish return `Full` with the loan.
 //! - **No lock between threads of different priority** on the way of a sample, in this process or another.
-//! - **Crashes.** A process may be killed at any instant: others go on, the janitor removes what it left.
+//! - **Crashes.** A process may be killed at any instant: others go on, and one of them removes what it left.
 //!
 //! ```
 //! # use tautline_transport::{Limits, Participant, Qos};
@@ -34,55 +34,42 @@
 //! # Ok::<(), tautline_transport::TransportError>(())
 //! ```
 
-mod address;
-mod compatibility;
-mod dead_nodes;
-mod doorbell;
+extern crate iceoryx2_bb_loggers as _;
+
+mod cleanup;
 mod error;
 mod graph;
-mod header;
-mod history;
-mod janitor;
-mod lending;
-mod memory;
-mod monitor;
-mod nodes;
 mod participant;
-mod ports;
-mod publisher;
 mod qos;
 mod schema_store;
 mod service;
-mod subscription;
 mod sync;
+#[cfg(all(test, not(taut_loom)))]
+mod tests;
 mod topic;
-mod topic_type;
-mod topics;
-mod typed;
 
-pub use compatibility::QosPolicyKind;
-pub use doorbell::{Doorbell, Pulse, PulseOf, SLOTS, SamplerSeat, Slot, ThreadBell};
+pub use cleanup::start_recorder;
 pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
-pub use header::{Gid, MessageInfo};
-pub use memory::{TopicMemory, topic_memory};
-pub use monitor::{
-    IncompatibleQos, LivelinessChanged, Matched, MessageLost, PublisherChanges, PublisherMonitor,
-    SubscriptionChanges, SubscriptionMonitor,
-};
-pub use nodes::{
+pub use graph::{
     EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, RemoteGraph, ServiceEndpoint,
-    ServiceKind, ServiceRegistration, TopicEndpoint,
+    ServiceKind, TopicEndpoint, TopicInfo, graph_of,
 };
-pub use participant::{MAX_DOMAIN, Participant, file_prefix};
-pub use publisher::{Gate, PublisherCounters, RawLoan, RawPublisher, Unpublished};
-pub use qos::{Durability, History, Limits, Liveliness, Qos, Reliability};
+pub use participant::{MAX_DOMAIN, Participant};
+pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};
 pub use schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
 pub use service::{
     Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, RawClient, RawPending, RawResponse,
-    RawServer, Request, RequestId, Responders, Response, Server, ServiceError, ServiceInfo, ServiceType,
-    Unsent, UnwrittenResponse,
+    RawServer, Request, RequestId, Response, Server, ServiceError, ServiceType, Unsent, UnwrittenResponse,
 };
-pub use subscription::{Counters, RawSample, RawSubscription};
-pub use topic_type::TopicType;
-pub use topics::{EndpointInfo, TopicInfo};
-pub use typed::{Loan, Publisher, Sample, Subscription, Unwritten};
+pub use tautline_doorbell::{Doorbell, DoorbellError, Pulse, PulseOf, SamplerSeat, Slot, ThreadBell};
+pub use topic::compatibility::QosPolicyKind;
+pub use topic::header::{Gid, MessageInfo};
+pub use topic::memory::{TopicMemory, topic_memory};
+pub use topic::monitor::{
+    IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost, PublisherChanges,
+    PublisherMonitor, SubscriptionChanges, SubscriptionMonitor,
+};
+pub use topic::publisher::{Gate, MatchedCount, PublisherCounters, RawLoan, RawPublisher, Unpublished};
+pub use topic::subscription::{Counters, RawSample, RawSubscription};
+pub use topic::topic_type::TopicType;
+pub use topic::typed::{Loan, Publisher, Sample, Subscription, Unwritten};

@@ -31,10 +31,6 @@ pub enum History {
     #[default]
     KeepLast,
     /// Nothing is overwritten: with `depth` samples waiting, publish() returns `Full` at once. Both ends must keep all.
-    ///
-    /// A sample that is being published while a subscription joins may reach it before the publisher knows of it: that one is not in
-    /// the publisher's count of what waits there, so it alone may be overwritten by the `depth` samples after it, and is not counted
-    /// as lost. What is published later is safe.
     KeepAll,
 }
 
@@ -126,40 +122,41 @@ impl Default for Qos {
     }
 }
 
-/// Limits of a topic, fixed by whoever opens it first; exceeding one is an error that names it.
+/// When the memory of a publisher's samples is claimed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Claim {
+    /// When it is made, and when a subscription joins: for as many samples as can be in flight, each of
+    /// [`Limits::message_bytes`]. Loaning, publishing and taking then fault no page and make no system call.
+    #[default]
+    Ahead,
+    /// When it is first needed: a loan may make system calls and fault pages, and takes no memory before. For messages that are
+    /// seldom sent and that no real-time thread sends.
+    OnUse,
+}
+
+/// What a publisher or a subscription has room for. Each end has its own; nobody else's matter.
 ///
-/// They reserve address space, not memory: a publisher reserves
-/// `depth + (subscribers + publishers) x held + loans` samples, and a page becomes resident when a sample in it is first
-/// written ([`topic_memory`](crate::topic_memory) computes both). Each publisher and subscription that are connected also need
-/// open files: one in the publisher's process, two in the subscription's.
+/// A publisher has memory for `depth + held + loans` samples, where `depth` is the greatest of its subscriptions' (and its own, if it
+/// is transient local), and `held` the sum of theirs; [`topic_memory`](crate::topic_memory) computes the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
-    /// Most publishers of the topic. At most 64; 8 by default.
-    pub publishers: usize,
-    /// Most subscriptions of the topic. At most 128; 16 by default.
-    pub subscribers: usize,
-    /// Greatest depth that a subscription can ask for. 100 by default, or the first opener's depth where that is more.
-    pub depth: usize,
-    /// Most samples that a subscription can hold at once. 4 by default.
+    /// Of a subscription: most samples that it can hold at once. 4 by default.
     pub held: usize,
-    /// Most loans that a publisher can have out at once. 4 by default.
+    /// Of a publisher: most loans that it can have out at once. 4 by default.
     pub loans: usize,
-    /// The largest message in bytes of CDR that a publisher sends without growing its memory, for types whose size is not
-    /// fixed. A larger one is published too, but takes a new segment: not real-time, counted, and said once in the log.
-    /// Each publisher has its own. 4,096 by default.
+    /// Of a publisher of a type whose size is not fixed: the largest message in bytes of CDR that it sends without growing its
+    /// memory. A larger one is published too, but takes a new segment: not real-time, counted, and said once in the log. 4,096 by
+    /// default.
     pub message_bytes: usize,
     /// Whether a publisher of a type without a fixed size takes a larger segment for a message longer than `message_bytes`. If
-    /// not, such a message is refused ([`LoanError::TooLarge`](crate::LoanError::TooLarge)), and iceoryx2's books take a
-    /// megabyte less. True by default.
+    /// not, such a message is refused ([`LoanError::TooLarge`](crate::LoanError::TooLarge)). True by default.
     pub may_grow: bool,
+    /// When a publisher's memory is claimed. Ahead by default.
+    pub claim: Claim,
 }
 
 impl Limits {
-    /// Greatest value of [`Limits::publishers`].
-    pub const MAX_PUBLISHERS: usize = 64;
-    /// Greatest value of [`Limits::subscribers`].
-    pub const MAX_SUBSCRIBERS: usize = 128;
-    /// Greatest value of [`Limits::depth`].
+    /// Greatest [`Qos::depth`].
     pub const MAX_DEPTH: usize = 65_536;
     /// Greatest value of [`Limits::held`] and [`Limits::loans`].
     pub const MAX_HELD: usize = 4_096;
@@ -167,9 +164,6 @@ impl Limits {
     pub const MAX_MESSAGE_BYTES: usize = 1 << 32;
 
     pub(crate) fn check(&self, topic: &str) -> Result<(), TransportError> {
-        in_range(topic, "publishers", self.publishers, Self::MAX_PUBLISHERS)?;
-        in_range(topic, "subscribers", self.subscribers, Self::MAX_SUBSCRIBERS)?;
-        in_range(topic, "depth", self.depth, Self::MAX_DEPTH)?;
         in_range(topic, "held", self.held, Self::MAX_HELD)?;
         in_range(topic, "loans", self.loans, Self::MAX_HELD)?;
         in_range(topic, "message_bytes", self.message_bytes, Self::MAX_MESSAGE_BYTES)
@@ -178,15 +172,7 @@ impl Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Limits {
-            publishers: 8,
-            subscribers: 16,
-            depth: 100,
-            held: 4,
-            loans: 4,
-            message_bytes: 4096,
-            may_grow: true,
-        }
+        Limits { held: 4, loans: 4, message_bytes: 4096, may_grow: true, claim: Claim::Ahead }
     }
 }
 

@@ -5,8 +5,7 @@
 //! Whoever opens a topic with hash and definition leaves the definition here, in files that only this user can read or
 //! write. What is read is a claim: whoever can compute the hash checks it before use.
 
-use crate::participant::root_directory;
-use crate::topic_type::{TopicType, is_hash};
+use crate::topic::topic_type::{TopicType, is_hash};
 use rustix::fs::{self, AtFlags, Mode, OFlags};
 use rustix::io::Errno;
 use std::fs::File;
@@ -40,9 +39,9 @@ pub struct ClaimedSchema {
 }
 
 impl SchemaStore {
-    /// That of the user who runs this process: `/tmp/tautline_<uid>/schemas`.
+    /// That of the user who runs this process, and of its scope: `/tmp/tautline_<uid>[.<scope>]/schemas`.
     pub fn of_user() -> Self {
-        Self::at(root_directory())
+        Self::at(tautline_rt::domain::kept_folder())
     }
 
     /// In this folder, which is made if its parent exists.

@@ -78,7 +78,7 @@ fn two_hundred_publishers_come_and_go() {
 
 #[test]
 fn one_that_lives_on_is_remembered_however_many_come_and_go() {
-    let participant = Participant::new(DOMAIN).unwrap();
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
     let topic = "/ended/remembered";
     let subscription =
         participant.create_subscription::<Count>(topic, Qos::default(), Limits::default()).unwrap();

@@ -3,11 +3,16 @@
 
 mod support;
 
-use support::{IMAGE_BYTES, Image, Part, say, shared_memory};
+use support::{IMAGE_BYTES, Image, Part, claimed, say};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, Participant, Qos, TopicType, topic_memory};
+use tautline_transport::{Claim, Limits, Participant, Qos, TopicType, topic_memory};
 
 const MIB: u64 = 1 << 20;
+const PAGE: u64 = 4096;
+/// For a topic of images.
+const FEW: Limits = Limits { held: 1, loans: 1, message_bytes: 4096, may_grow: true, claim: Claim::Ahead };
+/// Each of a publisher's segments begins with a page, and there are the queues of its subscriptions.
+const MARGIN: u64 = 64 * PAGE;
 
 #[derive(Message, Clone, Copy)]
 #[message(name = "test_msgs/msg/Eight", crate = "tautline_msgs")]
@@ -23,9 +28,10 @@ fn child_main() {
     match part.as_str() {
         "idle" => idle_topics(domain, &TopicType::of::<Eight>()),
         "idle texts" => idle_topics(domain, &TopicType::new("test_msgs/msg/Text")),
-        "images" => images(domain),
+        "images" => images(domain, FEW),
+        "images on use" => images(domain, Limits { claim: Claim::OnUse, ..FEW }),
         "locked images" => match tautline_rt::lock_memory(tautline_rt::MemoryLock::OnFault) {
-            Ok(()) => images(domain),
+            Ok(()) => images(domain, FEW),
             Err(error) => say(&format!("skipped: {error}")),
         },
         other => panic!("no part {other}"),
@@ -41,10 +47,6 @@ fn resident() -> u64 {
     (kib("RssAnon:") + kib("RssFile:")) * 1024
 }
 
-fn blocks(domain: u32) -> u64 {
-    shared_memory(domain).values().sum()
-}
-
 fn idle_topics(domain: u32, topic_type: &TopicType) {
     let participant = Participant::new(domain).unwrap();
     let create = |n: usize| {
@@ -56,19 +58,21 @@ fn idle_topics(domain: u32, topic_type: &TopicType) {
     };
     // The first one brings in code and the allocator's first pages.
     let first = create(0);
-    let before = (blocks(domain), resident());
+    let before = (claimed(domain), resident());
     let topics: Vec<_> = (1..=20).map(create).collect();
-    let after = (blocks(domain), resident());
+    let after = (claimed(domain), resident());
     say(&format!("{} {}", after.0 - before.0, after.1.saturating_sub(before.1)));
     drop((first, topics));
 }
 
-fn images(domain: u32) {
+/// Says what the publisher claims before a thousand messages, and after them.
+fn images(domain: u32, limits: Limits) {
     let participant = Participant::new(domain).unwrap();
-    let limits = Limits::default();
+    let none = claimed(domain);
     let publisher = participant.create_publisher::<Image>("/image", Qos::default(), limits).unwrap();
     let subscriptions = [(); 3]
         .map(|()| participant.create_subscription::<Image>("/image", Qos::keep_last(10), limits).unwrap());
+    let before = claimed(domain) - none;
     let mut held = [None, None, None];
     for n in 0..1000 {
         let mut loan = publisher.loan().unwrap();
@@ -83,35 +87,41 @@ fn images(domain: u32) {
             }
         }
     }
-    let segment = shared_memory(domain).into_iter().find(|(name, _)| name.ends_with(".data")).unwrap();
-    say(&format!("{}", segment.1));
+    say(&format!("{before} {}", claimed(domain) - none));
+    drop(held);
+    drop((publisher, subscriptions));
+    assert!(claimed(domain) < none + MARGIN, "all of it is given back");
+}
+
+/// The numbers that a child says.
+fn numbers(said: &str) -> Vec<u64> {
+    said.split(' ').map(|number| number.parse().unwrap()).collect()
 }
 
 #[test]
 fn twenty_idle_topics_cost_less_than_4_mib() {
-    let mut part = Part::start("idle", 167);
-    let said = part.hear();
-    assert!(part.end().success());
-    println!("bytes in /dev/shm, bytes resident in the process: {said}");
-    let sum: u64 = said.split(' ').map(|bytes| bytes.parse::<u64>().unwrap()).sum();
-    assert!(sum < 4 * MIB, "{said}");
+    for (part, domain, body_bytes) in [("idle", 167, size_of::<Eight>()), ("idle texts", 181, 4096)] {
+        let mut child = Part::start(part, domain);
+        let said = child.hear();
+        assert!(child.end().success());
+        let computed =
+            topic_memory(body_bytes, Qos::default(), Limits::default(), 1, 10).claimed_bytes as u64;
+        println!(
+            "{part}: bytes in /dev/shm, bytes resident in the process: {said}; {computed} computed each"
+        );
+        let [shared, resident] = numbers(&said)[..] else { panic!("{said}") };
+        assert!(shared + resident < 4 * MIB, "{said}");
+        // Besides the samples: what samples and queues begin with, and the record.
+        assert!((20 * computed..20 * (computed + 6 * PAGE)).contains(&shared), "{said}");
+    }
 }
 
 #[test]
-fn twenty_idle_topics_that_may_grow_cost_what_is_computed() {
-    let mut part = Part::start("idle texts", 181);
-    let said = part.hear();
-    assert!(part.end().success());
-    println!("bytes in /dev/shm, bytes resident in the process: {said}");
-    let sum: u64 = said.split(' ').map(|bytes| bytes.parse::<u64>().unwrap()).sum();
-    let books = topic_memory(4096, Limits::default(), 1, 10).growth_books_bytes as u64;
-    assert!(sum < 20 * books + 4 * MIB, "{said}; books of {books} bytes each");
-    assert!(sum > 20 * books, "nor is it less: {said}; {books}");
-}
-
-#[test]
-fn images_keep_no_more_than_is_in_flight() {
-    for (part, domain) in [("images", 168), ("locked images", 169)] {
+fn images_claim_what_is_computed_and_no_more() {
+    let computed = topic_memory(IMAGE_BYTES, Qos::default(), FEW, 3, 10);
+    assert_eq!(computed.samples, 14, "ten queued, one in each of three hands, one loaned");
+    let computed = computed.claimed_bytes as u64;
+    for (part, domain) in [("images", 168), ("images on use", 182), ("locked images", 169)] {
         let mut child = Part::start(part, domain);
         let said = child.hear();
         assert!(child.end().success());
@@ -120,14 +130,14 @@ fn images_keep_no_more_than_is_in_flight() {
             println!("{said}");
             continue;
         }
-        let measured: u64 = said.parse().unwrap();
-        let computed = topic_memory(IMAGE_BYTES, Limits::default(), 3, 10).resident_bytes as u64;
-        println!("{part}: {} MiB measured, {} MiB computed", measured / MIB, computed / MIB);
-        // Ten queued, one in each of three hands, one loaned.
-        let in_flight = 14 * IMAGE_BYTES as u64;
-        assert!(measured <= in_flight * 3 / 2, "{measured} of {in_flight}");
-        assert!(measured <= computed, "topic_memory must not promise less than is used");
-        assert!(computed <= measured * 3 / 2, "nor much more");
+        let [before, after] = numbers(&said)[..] else { panic!("{said}") };
+        println!("{part}: {before} bytes before, {after} after, {computed} computed");
+        if part == "images on use" {
+            assert!(before < MARGIN && after > 12 * IMAGE_BYTES as u64, "{said}: what was needed by then");
+        } else {
+            assert!(before >= computed && before == after, "{said}: what is needed is there before");
+        }
+        assert!(after < computed + MARGIN, "{said}");
     }
 }
 
@@ -146,9 +156,11 @@ fn in_words(bytes: usize) -> String {
 fn the_documents_table_is_what_the_formula_says() {
     let text = include_str!("../../docs/memory.md");
     for (name, bytes) in [("64 B", 64), ("4 KiB", 4 << 10), ("1 MiB", 1 << 20), ("8 MiB", 8 << 20)] {
-        let memory = topic_memory(bytes, Limits::default(), 3, 10);
-        let (reserved, resident) = (in_words(memory.reserved_bytes), in_words(memory.resident_bytes));
-        let row = format!("| {name} | 10 | 3 | {reserved} | {resident} |");
+        let few = Limits { held: 1, loans: 1, ..Limits::default() };
+        let [default, few] =
+            [Limits::default(), few].map(|limits| topic_memory(bytes, Qos::default(), limits, 3, 10));
+        let (claimed, least) = (in_words(default.claimed_bytes), in_words(few.claimed_bytes));
+        let row = format!("| {name} | 10 | 3 | {claimed} | {least} |");
         assert!(text.contains(&row), "docs/memory.md lacks: {row}");
     }
 }

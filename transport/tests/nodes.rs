@@ -5,11 +5,13 @@ mod support;
 
 use futures::{FutureExt, StreamExt};
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::time::Duration;
-use support::{Count, Part, clean, domain, say, shared_memory, wait_for_the_end};
+use support::{Count, Part, clean, domain, participants, say, wait_for, wait_for_the_end};
 use tautline_transport::{
-    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Participant, Qos, RemoteGraph,
-    ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
+    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Participant, Qos, RawClient, RawServer,
+    RemoteGraph, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint, TopicType, TransportError,
+    graph_of,
 };
 
 /// The child's part; without its variable it is no test.
@@ -24,7 +26,7 @@ fn child_main() {
             let _publisher = of_node
                 .create_publisher::<Count>("/count", Qos::keep_last(7).best_effort(), Limits::default())
                 .unwrap();
-            let _service = node.register_service("/robot/add", "a_msgs/srv/Add", None).unwrap();
+            let _server = server(&of_node, None);
             say("ready");
             wait_for_the_end();
         }
@@ -34,11 +36,29 @@ fn child_main() {
             let parent = rustix::process::getppid();
             while rustix::process::getppid() == parent {
                 let node = participant.create_node("coming", "/").unwrap();
-                let _service = node.register_client("/add", "a_msgs/srv/Add", None).unwrap();
+                let _publisher = participant
+                    .for_node(&node)
+                    .create_publisher::<Count>("/coming", Qos::default(), Limits::default())
+                    .unwrap();
             }
         }
         other => panic!("no part {other}"),
     }
+}
+
+fn server(participant: &Participant, hash: Option<&str>) -> RawServer {
+    let service_type = ServiceType::new("a_msgs/srv/Add", hash);
+    participant.create_raw_server("/robot/add", &service_type, 10, Limits::default()).unwrap()
+}
+
+fn client(participant: &Participant, hash: Option<&str>) -> RawClient {
+    let service_type = ServiceType::new("a_msgs/srv/Add", hash);
+    participant.create_raw_client("/robot/add", &service_type, Limits::default()).unwrap()
+}
+
+/// The nodes that there are.
+fn nodes(participant: &Participant) -> Vec<NodeInfo> {
+    participant.graph().unwrap().nodes.iter().map(|node| (**node).clone()).collect()
 }
 
 fn name(namespace: &str, name: &str) -> NodeName {
@@ -55,13 +75,13 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
     clean(domain);
     let participant = Participant::new(domain).unwrap();
     let observer = Participant::new(domain).unwrap();
-    assert!(observer.nodes().is_empty() && !shared_memory(domain).keys().any(|file| file.contains("nodes")));
+    assert!(nodes(&observer).is_empty());
 
     let epoch = observer.graph_epoch();
     let node = participant.create_node("listener", "/robot").unwrap();
     assert_ne!(observer.graph_epoch(), epoch);
     let me = NodeInfo { name: name("/robot", "listener"), pid: Some(std::process::id()), is_remote: false };
-    assert_eq!(observer.nodes(), [me]);
+    assert_eq!(nodes(&observer), [me]);
     assert!(observer.graph().unwrap().endpoints.is_empty());
 
     let of_node = participant.for_node(&node);
@@ -82,40 +102,47 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
 
     let epoch = observer.graph_epoch();
     let hash = format!("RIHS01_{:064x}", 1);
-    let service = node.register_service("/robot/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
-    let client = node.register_client("/robot/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
+    let server = server(&of_node, Some(&hash));
+    let client = client(&of_node, Some(&hash));
     assert_ne!(observer.graph_epoch(), epoch);
     let graph = observer.graph().unwrap();
+    assert_eq!(graph.endpoints.len(), 2, "how services are made of topics is nobody's business");
     let full_name = node.name().clone();
     let gids: HashSet<Gid> = graph.services.iter().map(|service| service.gid).collect();
     assert_eq!(gids.len(), 2);
-    let expected = |kind| ServiceEndpoint {
-        gid: graph.services[usize::from(kind == ServiceKind::Client)].gid,
-        kind,
-        name: "/robot/add".into(),
-        type_name: "a_msgs/srv/Add".into(),
-        type_hash: Some(hash.clone()),
-        node: full_name.clone(),
-        pid: Some(std::process::id()),
-        is_remote: false,
+    let expected = |kind| {
+        Arc::new(ServiceEndpoint {
+            gid: graph.services[usize::from(kind == ServiceKind::Client)].gid,
+            kind,
+            name: "/robot/add".into(),
+            type_name: "a_msgs/srv/Add".into(),
+            type_hash: Some(hash.clone()),
+            node: Some(full_name.clone()),
+            pid: Some(std::process::id()),
+            is_remote: false,
+        })
     };
     assert_eq!(graph.services, [expected(ServiceKind::Server), expected(ServiceKind::Client)]);
 
+    assert_eq!(graph.services[1].gid, client.gid());
+    let service_type = observer.service_type("/robot/add").unwrap().unwrap();
+    assert_eq!((&*service_type.name, service_type.hash.as_deref()), ("a_msgs/srv/Add", Some(hash.as_str())));
+
     // A node is there as long as something of it is.
-    drop((node, of_node, service));
+    drop((node, of_node, server));
     let left = observer.graph().unwrap();
     assert_eq!(
-        (names(&left), left.services),
-        (vec!["/robot/listener".into()], vec![expected(ServiceKind::Client)])
+        (names(&left), &left.services),
+        (vec!["/robot/listener".into()], &vec![expected(ServiceKind::Client)])
     );
     drop(subscription);
-    assert_eq!(observer.nodes().len(), 1);
+    assert_eq!(nodes(&observer).len(), 1);
     let epoch = observer.graph_epoch();
     drop(client);
     assert_ne!(observer.graph_epoch(), epoch);
-    assert!(observer.nodes().is_empty());
+    assert!(nodes(&observer).is_empty() && observer.graph().unwrap().services.is_empty());
     drop((participant, loose));
-    assert!(!shared_memory(domain).keys().any(|file| file.contains("nodes")));
+    assert_eq!(participants(domain).len(), 1, "that of who observes");
 }
 
 #[test]
@@ -125,17 +152,7 @@ fn what_no_node_can_be_called_is_refused() {
         let error = participant.create_node(name, namespace).unwrap_err();
         assert!(matches!(error, TransportError::NodeName { .. }), "{namespace} {name}: {error}");
     }
-    let node = participant.create_node("n", "/").unwrap();
-    for (service, type_name, hash) in [
-        ("add", "a/srv/B", None),
-        ("/a b", "a/srv/B", None),
-        ("/add", "", None),
-        ("/add", "a/srv/B", Some("x")),
-    ] {
-        let error = node.register_service(service, type_name, hash).unwrap_err();
-        assert!(matches!(error, TransportError::ServiceName { .. }), "{service}: {error}");
-    }
-    assert!(participant.graph().unwrap().services.is_empty());
+    assert!(participant.graph().unwrap().nodes.is_empty());
 }
 
 #[test]
@@ -152,19 +169,18 @@ fn nodes_of_a_killed_process_are_gone_and_those_of_others_stay() {
     let [publisher] = graph.endpoints.as_slice() else { panic!("{graph:?}") };
     assert_eq!(publisher.node, Some(name("/robot", "child")));
     assert_eq!(publisher.qos, Qos::keep_last(7).best_effort());
-    assert_eq!(graph.services[0].node, name("/robot", "child"));
+    assert_eq!((graph.services.len(), &graph.services[0].node), (1, &Some(name("/robot", "child"))));
 
     let mut events = participant.graph_events().unwrap();
-    let files = || shared_memory(domain).keys().filter(|file| file.contains("nodes")).count();
-    assert_eq!(files(), 2);
+    assert_eq!(participants(domain).len(), 2);
     child.kill();
-    // At once: nobody has to clean up before.
-    assert_eq!(names(&participant.graph().unwrap()), ["/here"]);
-    // The janitor removes the file, and says so to those who wait.
-    while files() == 2 || !participant.graph().unwrap().services.is_empty() {
+    // The warden notices, and says so to those who wait; then all of it is gone at once.
+    while names(&participant.graph().unwrap()) != ["/here"] {
         futures::executor::block_on(events.next()).unwrap();
     }
-    assert_eq!(names(&participant.graph().unwrap()), ["/here"]);
+    let graph = participant.graph().unwrap();
+    assert!(graph.endpoints.is_empty() && graph.services.is_empty(), "{graph:?}");
+    wait_for("its file to be removed", || participants(domain).len() == 1);
 }
 
 #[test]
@@ -177,15 +193,17 @@ fn what_is_read_while_it_changes_is_whole() {
         assert_eq!(child.hear(), "ready");
         let (mut with, mut without) = (0, 0);
         while with < 20 || without < 20 {
-            match participant.nodes().len() {
-                1 => without += 1,
-                2 => with += 1,
-                other => panic!("{other} nodes"),
+            let graph = participant.graph().unwrap();
+            let coming = names(&graph).iter().filter(|name| *name == "/coming").count();
+            assert_eq!(graph.nodes.len(), 1 + coming, "{graph:?}");
+            *if coming == 0 { &mut without } else { &mut with } += 1;
+            for end in &graph.endpoints {
+                assert_eq!((end.topic.as_str(), &end.node), ("/coming", &Some(name("/", "coming"))));
             }
         }
         // Whatever it was writing.
         child.kill();
-        assert!(participant.nodes().is_empty());
+        wait_for("its end to be noticed", || nodes(&participant).is_empty());
     }
 }
 
@@ -195,18 +213,18 @@ fn events_come_for_every_change_and_end_with_the_participant() {
     let participant = Participant::new(domain).unwrap();
     let other = Participant::new(domain).unwrap();
     let mut events = participant.graph_events().unwrap();
-    // What the janitor finds of earlier runs is a change, too.
+    // That the other one came is a change, too.
     while events.next().now_or_never().is_some() {}
     let changes = std::thread::spawn(move || {
         let node = other.create_node("n", "/").unwrap();
-        let client = node.register_client("/add", "a/srv/B", None).unwrap();
+        let client = client(&other.for_node(&node), None);
         (other, node, client)
     });
     while participant.graph().unwrap().services.is_empty() {
         futures::executor::block_on(events.next()).unwrap();
     }
     drop(changes.join().unwrap());
-    while !participant.nodes().is_empty() {
+    while !nodes(&participant).is_empty() {
         futures::executor::block_on(events.next()).unwrap();
     }
     drop(participant);
@@ -247,7 +265,7 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
         type_name: "a/srv/B".into(),
         type_hash: None,
         gid: Gid([3; 16]),
-        node: name("/theirs", "talker"),
+        node: Some(name("/theirs", "talker")),
         pid: None,
         is_remote: true,
     };
@@ -270,14 +288,16 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
     assert_eq!(names(&graph), ["/here", "/theirs/silent", "/theirs/talker"]);
     assert!(!graph.nodes[0].is_remote && graph.nodes[1].is_remote && graph.nodes[1].pid.is_none());
     let [there, here, only_there] = graph.endpoints.as_slice() else { panic!("{graph:?}") };
-    assert_eq!((there, only_there), (&remote.endpoints[0], &remote.endpoints[1]));
+    assert_eq!((&**there, &**only_there), (&remote.endpoints[0], &remote.endpoints[1]));
     assert!(here.node.as_ref() == Some(node.name()) && !here.is_remote);
-    assert_eq!(graph.services, [service]);
+    assert_eq!(graph.services, [Arc::new(service)]);
     assert_eq!(graph.relays, [_stand_in.gid()], "from the same look as the endpoints");
 
     gateway.set_remote(&RemoteGraph::default()).unwrap();
     assert_eq!(names(&observer.graph().unwrap()), ["/here"]);
     gateway.set_remote(&remote).unwrap();
+    let seen_from_outside = graph_of(domain).unwrap();
+    assert_eq!(names(&seen_from_outside), ["/here", "/theirs/silent", "/theirs/talker"]);
     drop((gateway, _stand_in));
     assert_eq!(names(&observer.graph().unwrap()), ["/here"]);
 }

@@ -10,20 +10,18 @@ use std::time::Duration;
 use support::{Count, Part, clean, domain, say, take_all, wait_for, wait_for_the_end};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{
-    EndpointInfo, EndpointKind, Gid, IncompatibleQos, Limits, Liveliness, LivelinessChanged, Matched,
+    EndpointKind, Gid, IncompatibleQos, Limits, Liveliness, LivelinessChanged, Matched, MessageInfo,
     MessageLost, NodeName, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription,
     TopicEndpoint, TopicType,
 };
 
 const HOUR: Option<Duration> = Some(Duration::from_secs(3600));
 const LIMITS: Limits = Limits {
-    publishers: 8,
-    subscribers: 16,
-    depth: 100,
     held: 4,
     loans: 4,
     message_bytes: 4096,
     may_grow: true,
+    claim: tautline_transport::Claim::Ahead,
 };
 
 /// How often a task was woken.
@@ -123,12 +121,12 @@ fn all_of_it_is_listed() {
         lifespan: times(2),
         liveliness: Liveliness::ManualByTopic,
         liveliness_lease_duration: times(3),
-        ..Qos::keep_all(Limits::default().depth).best_effort().transient_local()
+        ..Qos::keep_all(10).best_effort().transient_local()
     };
     let _ends = (publisher(&one, "/listed", qos), subscription(&one, "/listed", qos));
     let topics = other.topics().unwrap();
     let topic = topics.iter().find(|topic| topic.name == "/listed").unwrap();
-    let listed = |ends: &[EndpointInfo]| ends.iter().map(|end| end.qos).collect::<Vec<_>>();
+    let listed = |ends: &[Arc<TopicEndpoint>]| ends.iter().map(|end| end.qos).collect::<Vec<_>>();
     assert_eq!((listed(&topic.publishers), listed(&topic.subscriptions)), (vec![qos], vec![qos]));
 }
 
@@ -161,19 +159,21 @@ fn a_take_looks_at_so_many_and_no_more_and_says_when_there_may_be_more() {
     const LOOKS: u64 = 16;
     let participant = Participant::new(domain(62)).unwrap();
     let seat = participant.doorbell().claim_sampler().unwrap();
-    let short = Qos { lifespan: Some(Duration::from_nanos(1)), ..Qos::default() };
-    let short = publisher(&participant, "/passed", short);
-    let long = publisher(&participant, "/passed", Qos::default());
-    let subscription = subscription(&participant, "/passed", Qos::keep_last(LIMITS.depth));
+    let publisher = publisher(&participant, "/passed", Qos::default());
+    // Too old as soon as it is looked at.
+    let publish_short = |n: u64| {
+        let mut loan = publisher.raw().loan(8).unwrap();
+        loan.copy_from_slice(&n.to_le_bytes());
+        loan.publish_as_for(MessageInfo::default(), Duration::from_nanos(1)).unwrap();
+    };
+    let subscription = subscription(&participant, "/passed", Qos::keep_last(100));
     let counters = subscription.counters();
     let is_rung = || seat.drain(|_| {}) > 0;
     // Once more than a call looks at, and one that is not too old behind them.
     let publish = || {
-        for n in 0..2 * LOOKS + 1 {
-            short.publish(&Count { n }).unwrap();
-        }
+        (0..2 * LOOKS + 1).for_each(publish_short);
         sleep_until_monotonic(monotonic_ns() + 1);
-        long.publish(&Count { n: 77 }).unwrap();
+        publisher.publish(&Count { n: 77 }).unwrap();
         assert!(is_rung(), "they were published");
     };
     publish();
@@ -209,7 +209,7 @@ fn a_take_looks_at_so_many_and_no_more_and_says_when_there_may_be_more() {
     // Invalid ones count like those that are too old.
     let raw = participant.create_raw_publisher("/passed", &TopicType::of::<Count>(), Qos::default(), LIMITS);
     let raw = raw.unwrap();
-    (0..LOOKS / 2).for_each(|n| short.publish(&Count { n }).unwrap());
+    (0..LOOKS / 2).for_each(publish_short);
     (0..LOOKS).for_each(|_| raw.publish(&[1, 2, 3]).unwrap());
     sleep_until_monotonic(monotonic_ns() + 1);
     let (expired, invalid) = (counters.expired(), counters.invalid());

@@ -4,20 +4,56 @@
 mod support;
 
 use futures::FutureExt;
-use support::{domain, wait_for};
+use support::{Part, clean, domain, folder, participants, say, wait_for, wait_for_the_end};
 use tautline_transport::{
-    Limits, Participant, Qos, RawClient, RawPending, RawSample, RawServer, RequestId, ServiceError,
-    ServiceType,
+    Limits, Participant, RawClient, RawPending, RawSample, RawServer, RequestId, ServiceError, ServiceType,
+    TransportError,
 };
+
+/// The child's part; without its variable it is no test.
+#[test]
+fn child_main() {
+    let Some((part, domain)) = support::part() else { return };
+    assert_eq!(part, "server without memory");
+    let before = participants(domain);
+    let participant = Participant::new(domain).unwrap();
+    let own = participants(domain).into_iter().find(|name| !before.contains(name)).unwrap();
+    let server = server(&participant, "/crowded");
+    // From here on its file cannot grow: there is no memory for the responses of a client that comes.
+    let len = std::fs::metadata(folder(domain).join(own)).unwrap().len();
+    // SAFETY: ignoring a signal touches no memory.
+    assert_ne!(unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) }, libc::SIG_ERR);
+    limit_files(Some(len));
+    say("serves");
+    let first = take(&server);
+    let error = server.loan(RequestId::of(first.info()), 0).unwrap_err();
+    assert!(matches!(error, ServiceError::ClientUnreachable { .. }), "{error}");
+    assert!(!server.can_answer(first.info().publisher_gid) && server.client_count() == 0);
+    limit_files(None);
+    // Nothing calls for it: it is tried again.
+    wait_for("the client to be reached", || server.can_answer(first.info().publisher_gid));
+    respond(&server, &first, b"answer");
+    say("answered");
+    let second = take(&server);
+    respond(&server, &second, b"answer");
+    wait_for_the_end();
+}
+
+/// The greatest length that files of this process get; as long as they like without one.
+fn limit_files(len: Option<u64>) {
+    use rustix::process::{Resource, getrlimit, setrlimit};
+    let limit = rustix::process::Rlimit { current: len, ..getrlimit(Resource::Fsize) };
+    setrlimit(Resource::Fsize, limit).unwrap();
+}
 
 fn server(participant: &Participant, name: &str) -> RawServer {
     let service_type = ServiceType::new("test_srvs/srv/Bytes", None);
-    participant.create_raw_server(name, &service_type, 10, Limits::SERVICE).unwrap()
+    participant.create_raw_server(name, &service_type, 10, Limits::default()).unwrap()
 }
 
 fn client(participant: &Participant, name: &str) -> RawClient {
     let service_type = ServiceType::new("test_srvs/srv/Bytes", None);
-    participant.create_raw_client(name, &service_type, Limits::SERVICE).unwrap()
+    participant.create_raw_client(name, &service_type, Limits::default()).unwrap()
 }
 
 fn ask(client: &RawClient, body: &[u8]) -> RawPending {
@@ -26,7 +62,7 @@ fn ask(client: &RawClient, body: &[u8]) -> RawPending {
     client.send(loan).unwrap()
 }
 
-fn take(server: &mut RawServer) -> RawSample {
+fn take(server: &RawServer) -> RawSample {
     let mut request = None;
     wait_for("a request", || {
         request = server.try_take().unwrap();
@@ -36,7 +72,7 @@ fn take(server: &mut RawServer) -> RawSample {
 }
 
 fn respond(server: &RawServer, request: &RawSample, body: &[u8]) {
-    let mut response = server.responders().loan(RequestId::of(request.info()), body.len()).unwrap();
+    let mut response = server.loan(RequestId::of(request.info()), body.len()).unwrap();
     response.copy_from_slice(body);
     response.send().unwrap();
 }
@@ -45,73 +81,65 @@ fn respond(server: &RawServer, request: &RawSample, body: &[u8]) {
 fn an_answer_outlives_its_server_though_nobody_has_looked_for_it() {
     let [here, there] = [(); 2].map(|()| Participant::new(domain(63)).unwrap());
     let client = client(&here, "/met");
-    let mut server = server(&there, "/met");
-    wait_for("the server to meet the client", || {
-        assert!(server.try_take().unwrap().is_none());
-        server.responders().len() == 1
-    });
+    let server = server(&there, "/met");
+    wait_for("the server to meet the client", || server.client_count() == 1);
+    wait_for("the client to meet the server", || client.server_count() == 1);
     let pending = ask(&client, b"first");
-    let request = take(&mut server);
+    let request = take(&server);
     assert_eq!(request.body(), b"first");
     respond(&server, &request, b"answer");
     drop(request);
     drop(server);
     assert_eq!(pending.now_or_never().unwrap().unwrap().body(), b"answer");
+    wait_for("the server's end", || client.server_count() == 0);
     let unsent = client.send(client.loan(0).unwrap()).unwrap_err();
     assert!(matches!(unsent.error, ServiceError::NoServer { .. }), "{unsent}");
 }
 
 #[test]
 fn a_client_that_waits_and_cannot_be_reached_is_not_taken_for_gone() {
-    let participant = Participant::new(domain(63)).unwrap();
+    let number = domain(64);
+    clean(number);
+    let participant = Participant::new(number).unwrap();
+    // One that can answer, so that it is asked at all.
+    let silent = server(&participant, "/crowded");
+    let mut part = Part::start("server without memory", number);
+    assert_eq!(part.hear(), "serves");
     let client = client(&participant, "/crowded");
-    // All that its answers' topic has room for.
-    let topic = format!("response:{:?}", client.gid());
-    let response_type = ServiceType::new("test_srvs/srv/Bytes", None).response;
-    let publisher = || {
-        participant.create_raw_publisher(&topic, &response_type, Qos::keep_all(1), Limits::SERVICE).unwrap()
-    };
-    let crowd: Vec<_> = (0..Limits::SERVICE.subscribers).map(|_| publisher()).collect();
-    let mut server = server(&participant, "/crowded");
-    let first = ask(&client, b"first");
-    let first_request = take(&mut server);
-    let error = server.responders().loan(RequestId::of(first_request.info()), 0).unwrap_err();
-    assert!(matches!(error, ServiceError::ClientUnreachable { .. }), "{error}");
-    assert!(!server.responders().contains(client.gid()));
-    // Its next request tries again; what it asked before can be answered then.
-    drop(crowd);
-    let second = ask(&client, b"second");
-    let second_request = take(&mut server);
-    assert!(server.responders().contains(client.gid()));
-    for (pending, request) in [(first, first_request), (second, second_request)] {
-        respond(&server, &request, b"answer");
-        assert_eq!(pending.now_or_never().unwrap().unwrap().body(), b"answer");
-    }
-    let id = RequestId { client: publisher().gid(), sequence_number: 1 };
-    let error = server.responders().loan(id, 0).unwrap_err();
+    assert_eq!(client.server_count(), 1, "the other one cannot answer");
+    let mut first = ask(&client, b"first");
+    drop(take(&silent));
+    assert_eq!(part.hear(), "answered");
+    wait_for("the answer", || {
+        (&mut first).now_or_never().is_some_and(|answer| answer.unwrap().body() == b"answer")
+    });
+    wait_for("the server that can answer by now", || client.server_count() == 2);
+    let mut second = ask(&client, b"second");
+    wait_for("the answer", || {
+        (&mut second).now_or_never().is_some_and(|answer| answer.unwrap().body() == b"answer")
+    });
+    let request = take(&silent);
+    drop((client, first, second));
+    let error = silent.loan(RequestId::of(request.info()), 0).unwrap_err();
     assert!(matches!(error, ServiceError::ClientGone { .. }), "{error}");
+    assert!(part.end().success());
 }
 
 #[test]
 fn clients_come_and_go() {
     let participant = Participant::new(domain(63)).unwrap();
-    let mut server = server(&participant, "/visited");
-    let mut met = |n| {
-        wait_for("the clients there are", || {
-            assert!(server.try_take().unwrap().is_none());
-            server.responders().len() == n
-        });
-    };
+    let server = server(&participant, "/visited");
     for _ in 0..3 {
         let clients: Vec<_> = (0..4).map(|_| client(&participant, "/visited")).collect();
-        met(4);
+        assert_eq!(server.client_count(), 4);
+        assert!(clients.iter().all(|client| server.can_answer(client.gid())));
         drop(clients);
-        met(0);
+        assert_eq!(server.client_count(), 0);
     }
-    // One that asks before it was met.
+    // One that asks before the server has looked for it.
     let client = client(&participant, "/visited");
     let pending = ask(&client, b"?");
-    let request = take(&mut server);
+    let request = take(&server);
     respond(&server, &request, b"!");
     assert_eq!(pending.now_or_never().unwrap().unwrap().body(), b"!");
 }
@@ -119,35 +147,32 @@ fn clients_come_and_go() {
 #[test]
 fn a_request_that_is_refused_has_no_answer_and_others_have_theirs() {
     let participant = Participant::new(domain(63)).unwrap();
-    let mut server = server(&participant, "/refusing");
+    let server = server(&participant, "/refusing");
     let client = client(&participant, "/refusing");
     let [refused, answered] = [(); 2].map(|()| ask(&client, b"?"));
-    let [first, second] = [(); 2].map(|()| take(&mut server));
-    server.responders().refuse(RequestId::of(first.info())).unwrap();
+    let [first, second] = [(); 2].map(|()| take(&server));
+    server.refuse(RequestId::of(first.info())).unwrap();
     respond(&server, &second, b"!");
     assert_eq!(answered.now_or_never().unwrap().unwrap().body(), b"!");
     let error = refused.now_or_never().unwrap().unwrap_err();
     assert!(matches!(error, ServiceError::ServerGone { .. }), "{error}");
     // Too late, and nobody's.
-    server.responders().refuse(RequestId::of(second.info())).unwrap();
+    server.refuse(RequestId::of(second.info())).unwrap();
     drop(client);
-    wait_for("the client to be forgotten", || {
-        assert!(server.try_take().unwrap().is_none());
-        server.responders().is_empty()
-    });
-    let error = server.responders().refuse(RequestId::of(first.info())).unwrap_err();
+    assert_eq!(server.client_count(), 0);
+    let error = server.refuse(RequestId::of(first.info())).unwrap_err();
     assert!(matches!(error, ServiceError::ClientGone { .. }), "{error}");
 }
 
 #[test]
 fn an_answer_that_has_no_place_yet_is_waited_for_though_its_server_has_gone() {
     let participant = Participant::new(domain(63)).unwrap();
-    let mut server = server(&participant, "/hoarding");
+    let server = server(&participant, "/hoarding");
     let client = client(&participant, "/hoarding");
     let mut held = Vec::new();
     let mut pending = loop {
         let mut pending = ask(&client, b"?");
-        let request = take(&mut server);
+        let request = take(&server);
         respond(&server, &request, b"!");
         match (&mut pending).now_or_never() {
             Some(response) => held.push(response.unwrap()),
@@ -165,4 +190,28 @@ fn an_answer_that_has_no_place_yet_is_waited_for_though_its_server_has_gone() {
         (true, 0),
         "by then it is known that the server has gone"
     );
+}
+
+#[test]
+fn what_no_service_can_be_called_is_refused() {
+    let participant = Participant::new(domain(63)).unwrap();
+    let bytes = ServiceType::new("test_srvs/srv/Bytes", None);
+    let (untyped, wrong) = (ServiceType::new("", None), ServiceType::new("test_srvs/srv/Bytes", Some("x")));
+    let is_name = |error: &TransportError| matches!(error, TransportError::ServiceName { .. });
+    let is_type = |error: &TransportError| matches!(error, TransportError::TopicType { .. });
+    let create = |name: &str, service_type: &ServiceType| {
+        let client = participant.create_raw_client(name, service_type, Limits::default());
+        let server = participant.create_raw_server(name, service_type, 10, Limits::default());
+        [client.map(drop), server.map(drop)].map(Result::unwrap_err)
+    };
+    for name in ["add", "/a b", "/add/", "", "/x:y", "/\u{1b}[2J"] {
+        let errors = create(name, &bytes);
+        assert!(errors.iter().all(is_name), "{name}: {errors:?}");
+        assert!(errors.iter().all(|error| !error.to_string().contains('\u{1b}')), "{errors:?}");
+    }
+    for service_type in [&untyped, &wrong] {
+        let errors = create("/refused", service_type);
+        assert!(errors.iter().all(is_type), "{errors:?}");
+    }
+    assert!(participant.graph().unwrap().services.iter().all(|end| end.name != "/refused"));
 }

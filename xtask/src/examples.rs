@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Runs each example and compares what it prints on standard output with `examples/expected/<name>.txt`.
 
-use crate::machine::{self, Domain};
+use crate::machine;
 use crate::steps::{Outcome, Steps, announce};
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -44,7 +44,6 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Runs each example, if they were `built`, as a step; with `bless` writes down what it prints.
 pub fn run(steps: &mut Steps, built: bool, bless: bool) {
-    let domain = Domain::unused();
     for programs in RUNS {
         let name = programs.iter().map(|program| name_of(program)).collect::<Vec<_>>().join(" + ");
         let name = format!("example {name}");
@@ -55,7 +54,7 @@ pub fn run(steps: &mut Steps, built: bool, bless: bool) {
         {
             steps.skip(&name, "TAUT_REALTIME=off");
         } else {
-            steps.step(&name, || run_together(programs, &domain, bless));
+            steps.step(&name, || run_together(programs, bless));
         }
     }
 }
@@ -64,11 +63,11 @@ fn name_of(program: &str) -> &str {
     program.split(' ').next().unwrap_or(program)
 }
 
-fn run_together(programs: &[&str], domain: &Domain, bless: bool) -> Outcome {
+fn run_together(programs: &[&str], bless: bool) -> Outcome {
     let deadline = Instant::now() + PATIENCE;
     let mut running = Vec::new();
     for program in programs {
-        match Running::start(program, domain) {
+        match Running::start(program) {
             Ok(mut started) => {
                 started.await_first_line();
                 running.push(started);
@@ -95,14 +94,14 @@ struct Running {
 }
 
 impl Running {
-    fn start(program: &str, domain: &Domain) -> std::io::Result<Running> {
+    fn start(program: &str) -> std::io::Result<Running> {
         let name = name_of(program);
         let release = machine::target_dir().join("release");
         // An example, or the program of an example that is a crate.
         let folders = [release.join("examples"), release];
         let [example, program_path] = folders.map(|folder| folder.join(name));
         let mut command = Command::new(if example.exists() { example } else { program_path });
-        command.args(program.split(' ').skip(1)).env("TAUT_DOMAIN", domain.number.to_string());
+        command.args(program.split(' ').skip(1));
         announce(&command);
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
         let (sender, lines) = channel();

@@ -51,60 +51,57 @@ pub fn cargo_has(arguments: &str) -> Result<(), String> {
     }
 }
 
-/// A Tautline domain for a run that disturbs no other: one of the last 33, of which shared memory has no trace.
-pub struct Domain {
-    pub number: u32,
-    was_unused: bool,
+/// The scope that everything runs in which a verb starts: it meets nothing of this user's running systems. What is left there is
+/// removed when this is dropped.
+pub struct Scope {
+    name: String,
+    is_own: bool,
 }
 
-impl Domain {
-    pub fn unused() -> Domain {
-        let first = std::process::id() % 33;
-        let mut numbers = (first..first + 33).map(|number| 200 + number % 33);
-        match numbers.find(|&number| files_of(number).is_empty()) {
-            Some(number) => Domain { number, was_unused: true },
-            None => Domain { number: 200 + first, was_unused: false },
+impl Scope {
+    /// That of `TAUT_SCOPE`, or a new one, which is the children's too.
+    ///
+    /// # Safety
+    /// No other thread runs yet.
+    pub unsafe fn enter() -> Scope {
+        const VARIABLE: &str = "TAUT_SCOPE";
+        if let Some(name) = std::env::var(VARIABLE).ok().filter(|name| !name.is_empty()) {
+            return Scope { name, is_own: false };
         }
+        let name = format!("xtask{}", std::process::id());
+        // SAFETY: the caller's promise.
+        unsafe { std::env::set_var(VARIABLE, &name) };
+        Scope { name, is_own: true }
+    }
+
+    /// What is there: files in shared memory, of domains that nobody may be in any more.
+    pub fn left(&self) -> Vec<PathBuf> {
+        let folders = entries(Path::new("/dev/shm")).filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.starts_with("taut_") && name.ends_with(&format!(".{}", self.name))
+        });
+        folders.flat_map(|folder| entries(&folder).chain([folder.clone()]).collect::<Vec<_>>()).collect()
     }
 }
 
-impl Drop for Domain {
-    /// Removes what the run left behind, unless others may use it.
+impl Drop for Scope {
     fn drop(&mut self) {
-        if self.was_unused {
-            for file in files_of(self.number) {
-                let _ = fs::remove_file(file);
+        if !self.is_own {
+            return;
+        }
+        for path in self.left() {
+            let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+        }
+        let ending = format!(".{}", self.name);
+        for folder in entries(&std::env::temp_dir()) {
+            let name = folder.file_name().unwrap_or_default().to_string_lossy();
+            if name.starts_with("tautline_") && name.ends_with(&ending) {
+                let _ = fs::remove_dir_all(&folder);
             }
         }
     }
 }
 
-/// Removes the two small files that every domain has for good (iceoryx2's and the graph's epoch), from the domains that tests
-/// use (120 and up) and that have no other file: nobody is in them. And the events that a test left for a recorder when it
-/// failed, also in domains that ROS 2 does not have: tests without topics use these.
-pub fn sweep() {
-    for domain in (120..=232).chain(1190..=1300) {
-        let mut files = files_of(domain);
-        files.retain(|file| !(is_abandoned_trace(file) && fs::remove_file(file).is_ok()));
-        let lasts = |file: &PathBuf| {
-            let name = file.to_string_lossy();
-            name.ends_with(".global_mgmt") || name.ends_with("_graph1")
-        };
-        if files.iter().all(lasts) {
-            files.iter().for_each(|file| drop(fs::remove_file(file)));
-        }
-    }
-}
-
-/// A trace file is locked as long as its owner lives.
-fn is_abandoned_trace(file: &Path) -> bool {
-    file.to_string_lossy().contains("_trace_p")
-        && fs::File::open(file).is_ok_and(|file| file.try_lock().is_ok())
-}
-
-fn files_of(domain: u32) -> Vec<PathBuf> {
-    let prefix = format!("taut_{domain}_");
-    let entries = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
-    let of_domain = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
-    of_domain.map(|entry| entry.path()).collect()
+fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
 }

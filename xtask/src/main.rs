@@ -19,6 +19,7 @@
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
+//! | `r2r_tests` | r2r's own tests and examples, on Tautline |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
@@ -35,6 +36,7 @@ mod paper;
 mod peers;
 mod programs;
 mod r2r;
+mod r2r_tests;
 mod readme;
 mod reference;
 mod reports;
@@ -78,6 +80,8 @@ enum Verb {
     Peers,
     /// Runs the programs of the test r2r_programs on r2r, with the ROS 2 that is sourced or that under target/ros
     R2r,
+    /// Builds r2r's own tests and examples, unchanged, on Tautline, and runs them; some minutes
+    R2rTests,
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
@@ -185,8 +189,10 @@ enum Stress {
 }
 
 fn main() -> ExitCode {
+    // SAFETY: the first thing that happens.
+    let scope = unsafe { machine::Scope::enter() };
     match Cli::parse().verb {
-        Verb::Test { quick } => test::run(quick),
+        Verb::Test { quick } => test::run(&scope, quick),
         Verb::Examples { bless } => {
             let mut steps = Steps::new();
             let mut build =
@@ -199,6 +205,7 @@ fn main() -> ExitCode {
         Verb::Bridge => bridge::run(),
         Verb::Peers => peers::run(),
         Verb::R2r => programs::run(),
+        Verb::R2rTests => r2r_tests::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
             steps::run(bench("wake", quick, json.as_deref()).args(arguments))
         }
@@ -230,7 +237,7 @@ fn main() -> ExitCode {
 }
 
 fn stress_doorbell(rings: u64) -> Command {
-    let mut command = steps::cargo("test --release -p tautline-transport --lib stress -- --nocapture");
+    let mut command = steps::cargo("test --release -p tautline-doorbell --lib stress -- --nocapture");
     command.env("TAUT_STRESS_RINGS", rings.to_string());
     command
 }

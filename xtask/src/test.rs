@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
 
-use crate::machine::{self, Domain};
+use crate::machine::{self, Scope};
 use crate::reports::{
     check_ablation, check_compare, check_demo, check_messages, check_network, check_paper, check_reference,
     check_reference_beside, check_wake,
@@ -17,7 +17,7 @@ use std::process::{Command, ExitCode};
 const RINGS: u64 = 1_000_000;
 
 /// Runs every step, whatever fails. `quick` leaves out what takes minutes.
-pub fn run(quick: bool) -> ExitCode {
+pub fn run(scope: &Scope, quick: bool) -> ExitCode {
     let mut steps = Steps::new();
     lints(&mut steps);
     ros(&mut steps);
@@ -63,8 +63,22 @@ pub fn run(quick: bool) -> ExitCode {
             run(&mut steps);
         }
     }
-    machine::sweep();
+    steps.step("nothing is left", || leftovers(scope));
     steps.finish()
+}
+
+/// All processes have ended: their domains have gone from shared memory with them. Where a traced process was killed, what it had
+/// recorded stays for a recorder.
+fn leftovers(scope: &Scope) -> Outcome {
+    let is_trace = |path: &std::path::Path| {
+        path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("trace_p"))
+    };
+    let (traces, left): (Vec<_>, Vec<_>) = scope.left().into_iter().partition(|path| is_trace(path));
+    let of_traces = |path: &&std::path::PathBuf| traces.iter().any(|trace| trace.parent() == Some(path));
+    match left.iter().find(|path| !of_traces(path)) {
+        Some(path) => Outcome::Failed(format!("{} and others, {} in all", path.display(), left.len())),
+        None => Outcome::Ok,
+    }
 }
 
 fn lints(steps: &mut Steps) {
@@ -129,14 +143,13 @@ fn tests(steps: &mut Steps) {
 fn demo(steps: &mut Steps) {
     let target = machine::target_dir();
     let (json, svg) = (target.join("demo.json"), target.join("demo.svg"));
-    let domain = Domain::unused();
     let mut run = |name, priority, check: &dyn Fn() -> Outcome| {
         let _ = std::fs::remove_file(&json);
         steps.step(name, || {
             let mut command = Command::new(target.join("release/taut"));
             command.args(["demo", "--seconds", "3", "--sampler-priority", priority]);
             command.arg("--json").arg(&json).arg("--svg").arg(&svg);
-            match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+            match execute(&mut command) {
                 Outcome::Ok => check(),
                 other => other,
             }
@@ -161,7 +174,6 @@ fn reference_system(steps: &mut Steps, built: bool) {
     let target = machine::target_dir();
     let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
     let realtime = machine::is_ci() || machine::realtime_permitted();
-    let domain = Domain::unused();
     let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
         let _ = std::fs::remove_file(&json);
         let mut command = Command::new(target.join("release/reference_system"));
@@ -169,7 +181,7 @@ fn reference_system(steps: &mut Steps, built: bool) {
         if !realtime {
             command.arg("--no-rt");
         }
-        match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+        match execute(&mut command) {
             Outcome::Ok => check(),
             other => other,
         }
@@ -329,9 +341,8 @@ fn trace(steps: &mut Steps) {
 
 /// As [`trace`].
 fn parameters(steps: &mut Steps) {
-    let domain = Domain::unused();
     let mut command = bench("parameters", true, None);
-    steps.command("bench: parameters", command.env("TAUT_DOMAIN", domain.number.to_string()));
+    steps.command("bench: parameters", &mut command);
 }
 
 /// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
@@ -341,7 +352,6 @@ fn paper(steps: &mut Steps) {
     let (json, html) = (target.join("paper.json"), target.join("paper.html"));
     let _ = std::fs::remove_file(&json);
     let realtime = machine::is_ci() || machine::realtime_permitted();
-    let domain = Domain::unused();
     steps.step("bench: paper", || {
         let mut arguments = vec!["--repeats".to_owned(), "0".to_owned()];
         if !realtime {
@@ -356,7 +366,7 @@ fn paper(steps: &mut Steps) {
             arguments,
             ..Default::default()
         });
-        match execute(command.env("TAUT_DOMAIN", domain.number.to_string())) {
+        match execute(&mut command) {
             Outcome::Ok => check_paper(&json, realtime),
             other => other,
         }
@@ -369,8 +379,9 @@ fn stress(steps: &mut Steps) {
 
 /// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
 fn loom(steps: &mut Steps) {
-    let mut command =
-        cargo("test --release -p tautline-rt -p tautline-transport -p tautline-trace --lib loom");
+    let mut command = cargo(
+        "test --release -p tautline-rt -p tautline-doorbell -p tautline-transport -p tautline-trace --lib loom",
+    );
     command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
     steps.command("loom", &mut command);
 }
@@ -384,7 +395,7 @@ pub fn miri(steps: &mut Steps) {
     let messages = "+nightly miri test -p tautline-msgs --test cdr --test validate --test owned -- \
                     --skip lengths_are_not_believed --skip encoding_does_not_allocate";
     steps.command("miri: messages", &mut cargo(messages));
-    let samples = "+nightly miri test -p tautline-transport --lib -- lending tracker pending";
+    let samples = "+nightly miri test -p tautline-transport --lib -- lending pending";
     steps.command("miri: samples", &mut cargo(samples));
     let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
     steps.command("miri: rings", &mut cargo(rings));

@@ -41,7 +41,7 @@ pub fn run(job: &Job) -> Result<()> {
         Exchange::Stream { window: Some(window) } => usize::try_from(window)? * 2,
         _ => 10,
     };
-    let limits = Limits { message_bytes: job.payload_bytes + 64, depth, ..Limits::default() };
+    let limits = Limits { message_bytes: job.payload_bytes + 64, ..Limits::default() };
     for topic in [&to, &from] {
         node.set_topic_limits(topic, limits)?;
     }

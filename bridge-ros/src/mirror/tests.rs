@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 use super::*;
 use crate::rules::{QosOverride, Rule};
+use tautline_transport::TopicType;
 
 const STRING: &str = "std_msgs/msg/String";
 
@@ -70,7 +71,7 @@ fn to_ros_while_it_is_read_there() {
     assert_eq!(told(&mirror.update(&here, &[])), ["open /x 1"], "seen in ROS, not taken");
     assert!(mirror.update(&here, &[publisher("/x", 9)]).is_empty());
     let there = [subscription("/x", 9)];
-    assert_eq!(told(&mirror.update(&here, &there)), ["take /x 100"]);
+    assert_eq!(told(&mirror.update(&here, &there)), ["take /x 10"]);
     assert!(mirror.update(&here, &there).is_empty());
     let more = [publisher("/x", 1), end(EndpointKind::Publisher, "/x", 2, Qos::keep_last(500))];
     assert_eq!(told(&mirror.update(&more, &there)), ["open /x 2", "take /x 500"]);
@@ -83,7 +84,7 @@ fn to_ros_while_it_is_read_there() {
 fn what_an_action_tells_goes_to_ros_before_anybody_is_seen_to_listen() {
     let here = [publisher("/dock/_action/feedback", 1)];
     let actions = auto().update(&here, &[]);
-    assert_eq!(told(&actions), ["open /dock/_action/feedback 1", "take /dock/_action/feedback 100"]);
+    assert_eq!(told(&actions), ["open /dock/_action/feedback 1", "take /dock/_action/feedback 10"]);
 }
 
 #[test]
@@ -190,8 +191,8 @@ fn what_failed_is_not_tried_again_after_what_came_later() {
     };
     assert_eq!(replaced(open), ["open /x 1"]);
     assert_eq!(replaced(close), ["open /x 1"]);
-    assert_eq!(replaced(out), ["take /x 100"]);
-    assert_eq!(replaced(stop_out), ["take /x 100"]);
+    assert_eq!(replaced(out), ["take /x 10"]);
+    assert_eq!(replaced(stop_out), ["take /x 10"]);
     // A change of what could not be begun is that beginning's.
     assert_eq!(replaced(change), ["change /x default [7, 9]"]);
     assert_eq!(replaced(start), ["in /x default [7]", "change /x default [7, 9]"]);
@@ -203,11 +204,11 @@ fn what_rules_say() {
     let (here, there) =
         ([publisher("/x", 1), subscription("/x", 2)], [publisher("/y", 7), subscription("/y", 8)]);
     let mut renamed = ruled(Rule { ros_topic: Some("/y".parse().unwrap()), ..rule("/x") });
-    assert_eq!(told(&renamed.update(&here, &there)), ["open /y 1", "take /x 100", "in /y default [7]"]);
+    assert_eq!(told(&renamed.update(&here, &there)), ["open /y 1", "take /x 10", "in /y default [7]"]);
     let one_way =
         |direction| Rule { direction: Some(direction), ros_topic: Some("/y".parse().unwrap()), ..rule("/x") };
     assert_eq!(told(&ruled(one_way(Direction::FromRos)).update(&here, &there)), ["in /y default [7]"]);
-    assert_eq!(told(&ruled(one_way(Direction::ToRos)).update(&here, &there)), ["open /y 1", "take /x 100"]);
+    assert_eq!(told(&ruled(one_way(Direction::ToRos)).update(&here, &there)), ["open /y 1", "take /x 10"]);
     assert!(ruled(rule("/z")).update(&here, &there).is_empty());
 
     let qos =
@@ -251,6 +252,21 @@ fn types_that_differ_are_told_and_the_rest_goes_on() {
     let mut mirror = auto();
     mirror.update(&[hashed(subscription("/x", 1), "1")], &[hashed(publisher("/x", 7), "2")]);
     assert!(mirror.problems()["/x"].contains("defined differently"), "{:?}", mirror.problems());
+    // Of two types here the one that ROS has, and of two definitions of that.
+    let mut mirror = auto();
+    let int = |end| typed(end, "std_msgs/msg/Int32");
+    let here = [hashed(publisher("/x", 1), "1"), hashed(publisher("/x", 2), "2"), int(publisher("/x", 3))];
+    let there = [hashed(subscription("/x", 7), "2")];
+    let actions = mirror.update(&here, &there);
+    assert_eq!(told(&actions), ["open /x 2", "take /x 10"]);
+    let Action::OpenWriter(_, _, _, Some(hash)) = &actions[0] else { panic!("{actions:?}") };
+    assert!(hash.ends_with("2222") && mirror.problems().is_empty());
+    let both = [there[0].clone(), int(subscription("/x", 8))];
+    assert!(mirror.update(&here, &both).is_empty(), "it stays the same");
+    assert!(mirror.problems()["/x"].contains("one type of a topic"), "{:?}", mirror.problems());
+    let actions = mirror.update(&here, &both[1..]);
+    assert_eq!(told(&actions), ["stop /x", "close /x 2", "open /x 3", "take /x 10"]);
+    assert!(mirror.problems().is_empty());
     let mut expecting = ruled(Rule { type_name: Some("a/msg/B".into()), ..rule("/x") });
     assert!(expecting.update(&[subscription("/x", 1)], &[publisher("/x", 7)]).is_empty());
     assert!(expecting.problems()["/x"].contains("the configuration says a/msg/B"));

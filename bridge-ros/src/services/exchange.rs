@@ -122,7 +122,7 @@ impl Services {
         problems
     }
 
-    /// What could not be opened may be possible now: a limit, memory, a package that was installed.
+    /// What could not be opened may be possible now: there is memory, a package was installed.
     pub(crate) fn try_again(&mut self, nodes: impl FnOnce() -> Nodes) {
         if !self.shared.problems().is_empty() {
             let routes = std::mem::take(&mut self.routes);
@@ -233,7 +233,8 @@ impl Exchange {
         self.shared.problems().clear();
         for (key, service) in &routes.offered {
             if !self.offered.contains_key(key) {
-                let node = nodes.get(&service.node).unwrap_or(&self.node).clone();
+                let node =
+                    service.node.as_ref().and_then(|name| nodes.get(name)).unwrap_or(&self.node).clone();
                 let counters = self.shared.book.counters(key, Direction::ToRos);
                 let types = self.types.find(&key.type_name, service.type_hash.as_deref());
                 match types.and_then(|types| Offered::open(key, &types, &self.participant, &node, counters)) {

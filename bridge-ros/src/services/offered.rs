@@ -3,7 +3,7 @@
 
 use super::routes::ServiceKey;
 use super::stats::Counters;
-use super::types::{BridgedService, NotBridged, from_body, to_body};
+use super::types::{BridgedService, NotBridged, from_body, limits, to_body};
 use crate::rcl::{Node, RosRequestId, RosServer, RosStruct, SerializedMessage};
 use futures::future::BoxFuture;
 use futures::stream::FuturesUnordered;
@@ -11,7 +11,7 @@ use futures::{FutureExt, StreamExt};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use tautline_transport::{Limits, Participant, RawClient, RawPending, RawSample, ServiceError};
+use tautline_transport::{Participant, RawClient, RawPending, RawSample, ServiceError};
 
 /// Requests taken of one service before the next one has its turn.
 const TURN: usize = 16;
@@ -43,7 +43,7 @@ impl Offered {
         node: &Arc<Node>,
         counters: Arc<Counters>,
     ) -> Result<Self, NotBridged> {
-        let client = participant.create_raw_client(&key.service, &types.service_type(), Limits::SERVICE)?;
+        let client = participant.create_raw_client(&key.service, &types.service_type(), limits())?;
         let (request, response) = (types.support.new_request()?, types.support.new_response()?);
         // Last, for ROS asks from then on.
         let server = RosServer::new(node, &key.ros_service, &types.support)?;

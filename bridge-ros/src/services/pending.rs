@@ -85,7 +85,7 @@ mod tests {
     }
 
     fn server(gid: u8) -> ServerId {
-        ServerId { node: NodeName { namespace: "/".into(), name: "node".into() }, gid: Gid([gid; 16]) }
+        ServerId { node: Some(NodeName { namespace: "/".into(), name: "node".into() }), gid: Gid([gid; 16]) }
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub(crate) struct OfferedService {
     /// What its server says of its type.
     pub(crate) type_hash: Option<String>,
     /// The server's node.
-    pub(crate) node: NodeName,
+    pub(crate) node: Option<NodeName>,
 }
 
 /// A service that ROS has.
@@ -37,7 +37,7 @@ pub(crate) struct SoughtService {
 /// A server in ROS.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct ServerId {
-    pub(crate) node: NodeName,
+    pub(crate) node: Option<NodeName>,
     /// Where it takes requests; zero if that is not known (yet): not every RMW tells.
     pub(crate) gid: Gid,
 }
@@ -64,16 +64,18 @@ pub(crate) struct Routes {
 impl Routes {
     /// What follows from what exists: `here` in Tautline, `there` in ROS, both without what this bridge made. What was offered
     /// `before` stays so though ROS gets a server of it, perhaps another bridge's: two would make way for each other for ever.
-    pub(crate) fn of(
+    pub(crate) fn of<'e>(
         rules: &Rules,
-        here: &[ServiceEndpoint],
+        here: impl IntoIterator<Item = &'e ServiceEndpoint>,
         there: &[ServiceEndpoint],
         before: &Routes,
     ) -> Self {
         let mut routes = Routes::default();
-        let names: BTreeSet<&str> = here.iter().map(|end| &*end.name).collect();
-        for name in names {
-            let ends: Vec<&ServiceEndpoint> = here.iter().filter(|end| end.name == name).collect();
+        let mut services: BTreeMap<&str, Vec<&ServiceEndpoint>> = BTreeMap::new();
+        for end in here {
+            services.entry(&end.name).or_default().push(end);
+        }
+        for (name, ends) in services {
             routes.add(rules, name, &ends, there, before);
         }
         routes
@@ -91,7 +93,12 @@ impl Routes {
         let servers =
             there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.ros_topic);
         let server = here.iter().find(|end| end.kind == ServiceKind::Server);
-        let Some(end) = server.or_else(|| here.first()) else { return };
+        // Of clients that ask for different types, those go on that ROS can answer.
+        let is_there =
+            |end: &&&ServiceEndpoint| servers.clone().any(|server| server.type_name == end.type_name);
+        let Some(end) = server.or_else(|| here.iter().find(is_there)).or_else(|| here.first()) else {
+            return;
+        };
         if let Some(expected) = choice.type_name.as_ref().filter(|expected| **expected != end.type_name) {
             let reason = format!(
                 "it is a {}, but the configuration says {expected}: correct 'type', or leave it out",
@@ -151,7 +158,7 @@ mod tests {
             type_name: type_name.into(),
             type_hash: None,
             gid: Gid::default(),
-            node: NodeName { namespace: "/".into(), name: "node".into() },
+            node: Some(NodeName { namespace: "/".into(), name: "node".into() }),
             pid: None,
             is_remote: false,
         }
@@ -198,6 +205,9 @@ mod tests {
         let trigger = end(ServiceKind::Server, "/b", "std_srvs/srv/Trigger");
         let routes = of(&rules(&rule), &[client("/a")], std::slice::from_ref(&trigger));
         assert!(routes.sought.is_empty() && routes.problems["/a"].contains("std_srvs/srv/Trigger"));
+        let asking = [client("/a"), end(ServiceKind::Client, "/a", "std_srvs/srv/Trigger")];
+        let routes = of(&rules(&rule), &asking, std::slice::from_ref(&trigger));
+        assert_eq!((names(&routes.sought), routes.problems.len()), (vec![("/a", "/b")], 0));
         rule.direction = Some(Direction::FromRos);
         assert_eq!(of(&rules(&rule), &[server("/a")], &[]), Routes::default());
         rule.direction = Some(Direction::ToRos);

@@ -4,15 +4,13 @@
 use super::pending::Pending;
 use super::routes::{ServerId, ServiceKey};
 use super::stats::Counters;
-use super::types::{BridgedService, NotBridged, from_body, to_body};
+use super::types::{BridgedService, NotBridged, from_body, limits, to_body};
 use crate::rcl::{Node, RosClient, RosStruct, SerializedMessage};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Instant;
-use tautline_transport::{
-    Limits, Participant, RawSample, RawServer, RequestId, ServiceError, TransportError,
-};
+use tautline_transport::{Participant, RawSample, RawServer, RequestId, ServiceError, TransportError};
 
 /// Requests taken of one service before the next one has its turn.
 const TURN: usize = 16;
@@ -90,7 +88,7 @@ impl Sought {
     fn refuse(&mut self, id: RequestId, reason: impl ToString) {
         self.counters.failed(reason);
         let Some(server) = &self.server else { return };
-        match server.responders().refuse(id) {
+        match server.refuse(id) {
             Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
             // With its server it ends in any case.
             Err(_) => self.let_go(),
@@ -117,9 +115,8 @@ impl Sought {
         }
         if is_available && self.server.is_none() {
             let (service, service_type) = (&self.service, self.types.service_type());
-            let server =
-                self.participant.create_raw_server(service, &service_type, DEPTH, Limits::SERVICE)?;
-            self.server = Some(server);
+            self.server =
+                Some(self.participant.create_raw_server(service, &service_type, DEPTH, limits())?);
             self.counters.set_active(true);
         }
         for _ in 0..TURN {
@@ -136,7 +133,7 @@ impl Sought {
     }
 
     fn take(&mut self, context: &mut Context<'_>) -> Option<RawSample> {
-        match self.server.as_mut()?.poll_take(context) {
+        match self.server.as_ref()?.poll_take(context) {
             Poll::Ready(request) => Some(request),
             Poll::Pending => None,
         }
@@ -168,7 +165,7 @@ impl Sought {
     /// Requests whose clients have gone.
     fn forget_gone(&mut self) {
         if let Some(server) = &self.server {
-            self.pending.retain(|id| server.responders().loan(id, 0).is_ok());
+            self.pending.retain(|id| server.can_answer(id.client));
         }
     }
 
@@ -194,7 +191,7 @@ impl Sought {
         let body =
             to_body(&self.response, &self.types.response, buffer).map_err(|error| error.to_string())?;
         let Some(server) = &self.server else { return Err("its server here has gone".to_owned()) };
-        let mut loan = server.responders().loan(id, body.len()).map_err(|error| error.to_string())?;
+        let mut loan = server.loan(id, body.len()).map_err(|error| error.to_string())?;
         loan.copy_from_slice(body);
         loan.send().map_err(|unsent| unsent.to_string())?;
         Ok(())

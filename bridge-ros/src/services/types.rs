@@ -5,7 +5,7 @@ use crate::rcl::{RclError, RosStruct, SerializedMessage, ServiceSupport, TypeSup
 use std::collections::HashMap;
 use std::sync::Arc;
 use tautline_schema::{DynamicMessage, Endian, Packages, Schema, SchemaError};
-use tautline_transport::{ServiceType, TransportError};
+use tautline_transport::{Claim, Limits, ServiceType, TransportError};
 
 /// XCDR1, little endian.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
@@ -101,6 +101,11 @@ impl BridgedService {
     pub(super) fn service_type(&self) -> ServiceType {
         ServiceType::new(&self.name, Some(&self.hash))
     }
+}
+
+/// Of an end here: most services are asked seldom, and how long requests and responses are is not known before they come.
+pub(super) fn limits() -> Limits {
+    Limits { claim: Claim::OnUse, ..Limits::default() }
 }
 
 /// The struct as a body. What follows the last field is nobody's.

@@ -6,15 +6,37 @@ pub mod node;
 
 use rustix::process::Signal;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
-use std::sync::{Arc, Mutex, mpsc};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, RawSubscription, TopicType};
 
 /// Nothing takes so long unless it is broken: the end of every wait.
 pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// The scope of whoever runs the tests, or one that no user's programs are in.
+pub fn scope() -> &'static str {
+    if std::env::var_os("TAUT_SCOPE").is_none() {
+        tautline_rt::domain::set_scope("test").unwrap();
+    }
+    tautline_rt::domain::scope().unwrap().unwrap()
+}
+
+/// Puts this process into [`scope`] and has the domain with this number, of both sides, for it alone until it ends: other tests wait.
+pub fn reserve(domain: u32) {
+    static RESERVED: Mutex<BTreeMap<u32, File>> = Mutex::new(BTreeMap::new());
+    let mut reserved = RESERVED.lock().unwrap_or_else(PoisonError::into_inner);
+    let name = format!("taut_test_{}_{}_bridge_{domain}.lock", rustix::process::getuid().as_raw(), scope());
+    reserved.entry(domain).or_insert_with(|| {
+        let file = File::create(std::env::temp_dir().join(name)).unwrap();
+        rustix::fs::flock(&file, rustix::fs::FlockOperation::LockExclusive).unwrap();
+        file
+    });
+}
 
 /// Looks until it is so.
 pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
@@ -203,8 +225,10 @@ impl BridgeProcess {
         arguments: &[&str],
         change: impl FnOnce(&mut Command),
     ) -> Self {
+        [domain, ros_domain].into_iter().for_each(reserve);
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros"));
         command.args(["--domain", &domain.to_string(), "--ros-domain", &ros_domain.to_string()]);
+        command.env("TAUT_SCOPE", scope());
         command.args(["--json", "--interval", "0.1"]).args(arguments);
         // What may be said on the terminal that runs the tests is no concern of theirs.
         command.env_remove("RUST_LOG").env_remove("ROS_DOMAIN_ID").env_remove("TAUT_DOMAIN");
@@ -283,7 +307,7 @@ impl Drop for BridgeProcess {
 /// What a bridge that cannot run says, and whether it failed.
 pub fn failure_of(arguments: &[&str], change: impl FnOnce(&mut Command)) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros"));
-    command.args(arguments).env_remove("RUST_LOG").env_remove("ROS_DOMAIN_ID");
+    command.args(arguments).env_remove("RUST_LOG").env_remove("ROS_DOMAIN_ID").env("TAUT_SCOPE", scope());
     change(&mut command);
     failure(command)
 }
@@ -320,14 +344,13 @@ pub fn text_of(body: &[u8]) -> String {
 
 pub fn publisher(participant: &Participant, topic: &str, type_name: &str, qos: Qos) -> RawPublisher {
     let topic_type = TopicType::new(type_name.to_owned());
-    let limits = Limits { depth: qos.depth.max(100), message_bytes: 64 << 10, ..Limits::default() };
+    let limits = Limits { message_bytes: 64 << 10, ..Limits::default() };
     participant.create_raw_publisher(topic, &topic_type, qos, limits).unwrap()
 }
 
 pub fn subscription(participant: &Participant, topic: &str, type_name: &str, qos: Qos) -> RawSubscription {
     let topic_type = TopicType::new(type_name.to_owned());
-    let limits = Limits { depth: qos.depth.max(100), ..Limits::default() };
-    participant.create_raw_subscription(topic, &topic_type, qos, limits).unwrap()
+    participant.create_raw_subscription(topic, &topic_type, qos, Limits::default()).unwrap()
 }
 
 /// Waits until the bridge listens.

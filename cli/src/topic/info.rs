@@ -15,11 +15,11 @@ pub struct Topic<'g> {
     ends: Vec<&'g TopicEndpoint>,
 }
 
-/// One for each name and type: hosts may differ.
+/// One for each name and type: ends of one name may differ, and do not match then.
 pub fn topics(graph: &GraphSnapshot) -> Vec<Topic<'_>> {
     let mut found: BTreeMap<(&str, &str), Vec<_>> = BTreeMap::new();
     for end in &graph.endpoints {
-        found.entry((&end.topic, &end.topic_type.name)).or_default().push(end);
+        found.entry((&end.topic, &end.topic_type.name)).or_default().push(&**end);
     }
     found.into_iter().map(|((name, type_name), ends)| Topic { name, type_name, ends }).collect()
 }

@@ -69,7 +69,7 @@ enum Format {
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
     #[error("{0}")]
-    Record(#[from] tautline_trace::TraceError),
+    Record(#[from] tautline_transport::TransportError),
     #[error(transparent)]
     Domain(tautline::Error),
     #[error("`{}` cannot be read: {source}", path.display())]

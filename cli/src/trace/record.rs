@@ -14,14 +14,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline::rt::{self, Policy};
-use tautline_trace::{Record, Recorder};
+use tautline_trace::Record;
 
 /// How often the rings are emptied: the ring of a thread lasts for 200,000 events per second.
 const PERIOD: Duration = Duration::from_millis(10);
 
 /// Records every process of a domain into a file, until Ctrl-C or for a time
 ///
-/// Running processes begin to record within about a quarter of a second, new ones at once. What ended processes left in
+/// Running processes begin to record a moment later, new ones at once. What ended processes left in
 /// their rings (TAUT_TRACE=on) is fetched too. Runs at low priority; events that it fetches too late are counted.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
@@ -69,7 +69,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
         signal_hook::flag::register(signal, stop.clone()).map_err(TraceError::Signal)?;
     }
     lower_priority()?;
-    let mut recorder = Recorder::start(domain)?;
+    let mut recorder = tautline_transport::start_recorder(domain)?;
     let refuse = |source| TraceError::Write { path: args.out.clone(), source };
     let file = File::create(&args.out).map_err(refuse)?;
     let mut writer = Writer::new(BufWriter::new(file)).map_err(refuse)?;

@@ -59,7 +59,7 @@ pub enum ComponentError {
         /// The system's word for it.
         reason: String,
     },
-    /// The library and this process do not use the same copy of Tautline: each would take the other's nodes for dead.
+    /// The library and this process do not use the same copy of Tautline: each would have a log, a trace and a scope of its own.
     #[error(
         "{} and this process each have a Tautline of their own: link both against tautline-dylib, as taut-container is",
         path.display()

@@ -6,8 +6,8 @@
 //! compiler, with the same version of Tautline, for the same target.
 //!
 //! **One copy.** Process and components link against `tautline-dylib`, which has all of Tautline in it. Two copies in one process
-//! would each keep account of the process's locks, and take the other's nodes for dead; a library with a copy of its own is
-//! refused.
+//! would each have a log, a trace and a scope of their own, and types that are not the other's; a library with a copy of its own
+//! is refused.
 
 mod container;
 mod entry;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The derive macro behind `tautline::RosParams`; its documentation is at the trait.
 
+use proc_macro_crate::FoundCrate;
 use proc_macro2::TokenStream;
 use quote::{format_ident, quote, quote_spanned};
 use syn::spanned::Spanned;
@@ -29,51 +30,60 @@ fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let get = arms(fields.iter(), &quote!(get_parameter(rest)));
     let set = arms(fields.iter(), &quote!(set_parameter(rest, param_val)));
     let check = arms(fields.iter(), &quote!(check_parameter(rest, param_val)));
+    // The crate may have another name where the struct is.
+    let name_of_crate = match proc_macro_crate::crate_name("tautline") {
+        Ok(FoundCrate::Name(name)) => format_ident!("{name}"),
+        Ok(FoundCrate::Itself) | Err(_) => format_ident!("tautline"),
+    };
     Ok(quote! {
-        impl #generics ::tautline::RosParams for #name #types #bounds {
+        const _: () = {
+        extern crate #name_of_crate as tautline;
+
+        impl #generics tautline::RosParams for #name #types #bounds {
             fn register_parameters(
                 &mut self,
                 prefix: &str,
-                _param: ::std::option::Option<::tautline::Parameter>,
-                params: &mut ::tautline::indexmap::IndexMap<::std::string::String, ::tautline::Parameter>,
-            ) -> ::tautline::Result<()> {
+                _param: ::std::option::Option<tautline::Parameter>,
+                params: &mut tautline::indexmap::IndexMap<::std::string::String, tautline::Parameter>,
+            ) -> tautline::Result<()> {
                 let prefix = if prefix.is_empty() { ::std::string::String::new() } else { ::std::format!("{prefix}.") };
                 #(#register)*
                 ::std::result::Result::Ok(())
             }
 
-            fn get_parameter(&mut self, param_name: &str) -> ::tautline::Result<::tautline::ParameterValue> {
+            fn get_parameter(&mut self, param_name: &str) -> tautline::Result<tautline::ParameterValue> {
                 let (first, rest) = param_name.split_once('.').unwrap_or((param_name, ""));
                 match first {
                     #(#get)*
-                    _ => ::tautline::__private::field(::tautline::__private::no_field(), param_name),
+                    _ => tautline::__private::field(tautline::__private::no_field(), param_name),
                 }
             }
 
             fn set_parameter(
                 &mut self,
                 param_name: &str,
-                param_val: &::tautline::ParameterValue,
-            ) -> ::tautline::Result<()> {
+                param_val: &tautline::ParameterValue,
+            ) -> tautline::Result<()> {
                 let (first, rest) = param_name.split_once('.').unwrap_or((param_name, ""));
                 match first {
                     #(#set)*
-                    _ => ::tautline::__private::field(::tautline::__private::no_field(), param_name),
+                    _ => tautline::__private::field(tautline::__private::no_field(), param_name),
                 }
             }
 
             fn check_parameter(
                 &self,
                 param_name: &str,
-                param_val: &::tautline::ParameterValue,
-            ) -> ::tautline::Result<()> {
+                param_val: &tautline::ParameterValue,
+            ) -> tautline::Result<()> {
                 let (first, rest) = param_name.split_once('.').unwrap_or((param_name, ""));
                 match first {
                     #(#check)*
-                    _ => ::tautline::__private::field(::tautline::__private::no_field(), param_name),
+                    _ => tautline::__private::field(tautline::__private::no_field(), param_name),
                 }
             }
         }
+        };
     })
 }
 
@@ -82,7 +92,7 @@ fn arms<'f>(fields: impl Iterator<Item = &'f Field>, call: &TokenStream) -> Vec<
         let ident = field.ident.as_ref();
         let name = field_name(field);
         let trait_call = quote_spanned!(field.ty.span() => self.#ident.#call);
-        quote!(#name => { use ::tautline::RosParams as _; ::tautline::__private::field(#trait_call, #name) })
+        quote!(#name => { use tautline::RosParams as _; tautline::__private::field(#trait_call, #name) })
     };
     fields.map(arm).collect()
 }
@@ -98,10 +108,10 @@ fn register(field: &Field) -> Result<TokenStream> {
     let name = field_name(field);
     let descriptor = descriptor(field)?;
     Ok(quote_spanned! {field.ty.span() =>
-        ::tautline::RosParams::register_parameters(
+        tautline::RosParams::register_parameters(
             &mut self.#ident,
             &::std::format!("{prefix}{}", #name),
-            ::std::option::Option::Some(::tautline::Parameter::with_descriptor(#descriptor)),
+            ::std::option::Option::Some(tautline::Parameter::with_descriptor(#descriptor)),
             params,
         )?;
     })
@@ -142,7 +152,7 @@ fn descriptor(field: &Field) -> Result<TokenStream> {
     if let (Some(step), false) = (&step, has_range) {
         return Err(Error::new(step.span(), "a step needs a range"));
     }
-    Ok(quote!(::tautline::ParameterDescriptor::new().description(#description)#calls #step))
+    Ok(quote!(tautline::ParameterDescriptor::new().description(#description)#calls #step))
 }
 
 /// The lines of the field's documentation, as one.

@@ -3,7 +3,7 @@
 
 use super::goals::cancel_code;
 use super::state::{GoalStatus, SharedStatus};
-use super::{FEEDBACK_DEPTH, Names, qos, status_qos, subscribe_feedback};
+use super::{FEEDBACK_DEPTH, Names, feedback_qos, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Client, IsAvailablePollable};
@@ -123,7 +123,7 @@ impl<P: Protocol> Shared<P> {
                 }
             }
         };
-        node.spawn_callback(CallbackOptions::other().name(format!("{action}/_action client")), listen)?;
+        node.spawn_for_itself(CallbackOptions::other().name(format!("{action}/_action client")), listen)?;
         Ok(shared)
     }
 
@@ -444,8 +444,7 @@ impl<T: Action> ActionClient<T> {
         let names = Names::of(action);
         let send_goal = node.create_client::<T::SendGoal>(&names.send_goal, qos())?;
         let get_result = node.create_client::<T::GetResult>(&names.get_result, qos())?;
-        let messages =
-            subscribe_feedback(|qos| node.subscribe_loaned::<T::FeedbackMessage>(&names.feedback, qos))?;
+        let messages = node.subscribe_loaned::<T::FeedbackMessage>(&names.feedback, feedback_qos())?;
         let counters = messages.counters();
         let messages = messages.map(|sample| T::destructure_feedback_msg(sample.to_owned())).boxed();
         let feedback = Feedback { messages, counters };

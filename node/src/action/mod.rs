@@ -15,12 +15,13 @@ pub use state::GoalStatus;
 #[cfg(feature = "untyped")]
 pub use untyped::{ActionClientGoalUntyped, ActionClientUntyped};
 
-use crate::error::{Error, Result};
+#[allow(unused_imports, reason = "for the documentation")]
+use crate::error::Error;
+use crate::error::Result;
 use crate::node::Node;
 use crate::qos::QosProfile;
 use futures::Stream;
 use tautline_msgs::Action;
-use tautline_transport::{Limits, TransportError};
 
 /// Each action server and each action client is a callback of its own, on a thread of ordinary priority named after the
 /// action, which answers and listens while goals are pursued elsewhere.
@@ -121,25 +122,9 @@ impl Names {
 /// Feedback that waits for the client that listens, and feedback of a goal that waits for its reader.
 const FEEDBACK_DEPTH: usize = 1000;
 
-/// Lets the topic of feedback have queues as deep as clients ask for, if it is made here and nobody has set its limits.
-fn make_room_for_feedback(node: &mut Node, names: &Names) -> Result<()> {
-    let topic = node.resolve_topic_name(&names.feedback)?;
-    if node.has_limits_of(&topic) {
-        // Its user has said how much.
-        return Ok(());
-    }
-    node.set_topic_limits(&names.feedback, Limits { depth: FEEDBACK_DEPTH, ..Limits::default() })
-}
-
-/// Subscribes with a queue for [`FEEDBACK_DEPTH`], or what the topic has if somebody else made it.
-fn subscribe_feedback<S>(mut subscribe: impl FnMut(QosProfile) -> Result<S>) -> Result<S> {
-    let qos = QosProfile::default();
-    match subscribe(qos.keep_last(FEEDBACK_DEPTH)) {
-        Err(Error::Transport(TransportError::Limit { limit: "depth", existing, .. })) => {
-            subscribe(qos.keep_last(existing))
-        }
-        subscribed => subscribed,
-    }
+/// Of a client's subscription to feedback.
+fn feedback_qos() -> QosProfile {
+    QosProfile::default().keep_last(FEEDBACK_DEPTH)
 }
 
 /// Many results may be waited for at once.

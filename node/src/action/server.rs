@@ -3,7 +3,7 @@
 
 use super::goals::{Goals, MAX_WAITING, ResultOf, Stamp, cancel_code};
 use super::state::{GoalEvent, GoalStatus, SharedStatus};
-use super::{Names, make_room_for_feedback, qos, status_qos};
+use super::{Names, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};
@@ -213,7 +213,6 @@ pub(super) fn create<T: Action>(
     options: ActionServerOptions,
 ) -> Result<impl Stream<Item = ActionServerGoalRequest<T>> + Unpin + Send + use<T>> {
     let names = Names::of(action);
-    make_room_for_feedback(node, &names)?;
     let feedback = node.create_publisher(&names.feedback, qos())?;
     let status = node.create_publisher(&names.status, status_qos())?;
     let mut send_goal = node.create_service::<T::SendGoal>(&names.send_goal, qos())?.fuse();
@@ -269,7 +268,7 @@ pub(super) fn create<T: Action>(
             server.answer(request);
         }
     };
-    node.spawn_callback(options.callback.name(format!("{action}/_action")), answer)?;
+    node.spawn_for_itself(options.callback.name(format!("{action}/_action")), answer)?;
     Ok(Requests { requests, _user: user })
 }
 

@@ -3,7 +3,7 @@
 
 use super::client::{Feedback, Held, Protocol, ResultFuture, Shared};
 use super::state::GoalStatus;
-use super::{Names, qos, subscribe_feedback};
+use super::{Names, feedback_qos, qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{ClientUntyped, IsAvailablePollable};
@@ -33,8 +33,7 @@ impl Node {
         let send_goal = self.create_client_untyped(&names.send_goal, &part("SendGoal"), qos())?;
         let get_result = self.create_client_untyped(&names.get_result, &part("GetResult"), qos())?;
         let feedback_type = part("FeedbackMessage");
-        let messages =
-            subscribe_feedback(|qos| self.subscribe_untyped(&names.feedback, &feedback_type, qos))?;
+        let messages = self.subscribe_untyped(&names.feedback, &feedback_type, feedback_qos())?;
         let counters = messages.counters();
         let messages = messages.filter_map(|message| future::ready(message.ok().and_then(take_apart)));
         let feedback = Feedback { messages: messages.boxed(), counters };

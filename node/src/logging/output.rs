@@ -10,15 +10,12 @@ use std::cell::Cell;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError, Weak};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tautline_rt::Policy;
 use tautline_rt::clock::wall_ns;
 
-/// How often the rings are looked at while a thread has one, and while none has.
+/// How often the rings are looked at while there are lines: with one after a silence it is woken.
 const PERIOD: Duration = Duration::from_millis(20);
-const IDLE_PERIOD: Duration = Duration::from_millis(250);
-/// How often the rings of threads that have ended are looked for.
-const RECLAIM_PERIOD: Duration = Duration::from_secs(1);
 
 struct Sink {
     drain: Drain,
@@ -77,19 +74,20 @@ fn write_for_ever() {
     if let Err(error) = tautline_rt::set_policy(Policy::Other { nice: 5 }) {
         tracing::warn!("the thread that writes the log: {error}");
     }
-    let mut reclaimed = Instant::now();
-    loop {
+    let look = || {
         let mut writing = Writing::begin();
-        let busy = writing.drain();
-        if reclaimed.elapsed() >= RECLAIM_PERIOD {
-            reclaimed = Instant::now();
-            writing.sink.drain.reclaim();
-            // After what was logged was written.
-            writing.sink.topics.retain(OfNode::is_used);
-        }
+        let any = writing.drain();
+        writing.sink.drain.reclaim();
+        // After what was logged was written.
+        writing.sink.topics.retain(OfNode::is_used);
         writing.sink.drain.prepare();
-        drop(writing);
-        std::thread::sleep(if busy { PERIOD } else { IDLE_PERIOD });
+        any
+    };
+    loop {
+        while look() {
+            std::thread::sleep(PERIOD);
+        }
+        rings::sleep(|| !look());
     }
 }
 
@@ -138,11 +136,11 @@ impl Writing {
         Writing { sink }
     }
 
-    /// Whether some thread has a ring.
+    /// Whether anything waited.
     fn drain(&mut self) -> bool {
         let Sink { drain, topics } = &mut *self.sink;
         let mut losses = Vec::new();
-        let busy = drain.drain(|line| deliver(topics, &line.as_line()), |lost| losses.push(lost));
+        let any = drain.drain(|line| deliver(topics, &line.as_line()), |lost| losses.push(lost));
         for Lost { lines, tid } in losses {
             LOST.fetch_add(lines, Ordering::Relaxed);
             let text = match tid {
@@ -152,7 +150,7 @@ impl Writing {
             let (time_ns, severity) = (wall_ns(), LogSeverity::Warn);
             deliver(topics, &Line { time_ns, severity, logger: "logging", text: &text, file: "", line: 0 });
         }
-        busy
+        any
     }
 
     fn write(&mut self, line: &Line<'_>) {

@@ -9,7 +9,8 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use std::cell::Cell;
 use std::path::Path;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering, fence};
+use tautline_rt::FutexWord;
 
 /// Lines of one thread that wait to be written: 32 KiB.
 pub(super) const LINES: usize = 64;
@@ -50,11 +51,36 @@ pub(super) fn is_mine() -> bool {
     MINE.try_with(Cell::get).ok().flatten().is_some()
 }
 
+/// On which the thread sleeps that writes lines: its lowest bit says that it does, the others count who woke it.
+static BELL: FutexWord = FutexWord::new(0);
+const SLEEPING: u32 = 1;
+
 /// Puts a line into the current thread's ring; it is counted as lost if the ring is full, or if there is none.
 ///
 /// # Real-time
-/// Wait-free; no allocation; one syscall with a thread's first line, then none.
+/// Wait-free; no allocation; one syscall with a thread's first line, and one for a line after a silence of all threads, to wake the one
+/// that writes.
 pub(super) fn push(line: FixedLine) {
+    keep(line);
+    // Either this sees that the other sleeps, or the other sees the line before it does.
+    fence(Ordering::SeqCst);
+    if BELL.0.load(Ordering::Relaxed) & SLEEPING != 0 {
+        BELL.0.fetch_add(SLEEPING << 1, Ordering::Relaxed);
+        BELL.wake();
+    }
+}
+
+/// Sleeps until a thread has pushed a line since `is_empty` said that none waits. For the one thread that writes.
+pub(super) fn sleep(is_empty: impl FnOnce() -> bool) {
+    let asleep = BELL.0.fetch_or(SLEEPING, Ordering::SeqCst) | SLEEPING;
+    fence(Ordering::SeqCst);
+    if is_empty() {
+        BELL.wait(asleep, None);
+    }
+    BELL.0.fetch_and(!SLEEPING, Ordering::SeqCst);
+}
+
+fn keep(line: FixedLine) {
     let Some(ring) = mine() else {
         WITHOUT_RING.fetch_add(1, Ordering::Relaxed);
         return;
@@ -127,30 +153,31 @@ impl Drain {
         }
     }
 
-    /// Gives `write` every line that waits, oldest first, and then what was lost. Whether some thread has a ring.
+    /// Gives `write` every line that waits, oldest first, and then what was lost. Whether there was anything.
     pub(super) fn drain(&mut self, mut write: impl FnMut(&FixedLine), mut lost: impl FnMut(Lost)) -> bool {
-        let mut claimed = false;
-        for (ring, consumer) in RINGS_OF_THREADS.iter().zip(&mut self.consumers) {
+        for consumer in &mut self.consumers {
             // No more than were there: a thread that fills its ring for ever does not keep this one.
             for _ in 0..LINES {
                 let Ok(line) = consumer.pop() else { break };
                 self.batch.push(line);
             }
-            claimed |= ring.tid.load(Ordering::Relaxed) != 0;
         }
+        let mut any = !self.batch.is_empty();
         self.batch.sort_by_key(|line| line.as_line().time_ns);
         self.batch.drain(..).for_each(|line| write(&line));
         for ring in &RINGS_OF_THREADS[..self.consumers.len()] {
             let lines = ring.lost.swap(0, Ordering::Relaxed);
             if lines != 0 {
+                any = true;
                 lost(Lost { lines, tid: ring.tid.load(Ordering::Relaxed) });
             }
         }
         let lines = WITHOUT_RING.swap(0, Ordering::Relaxed);
         if lines != 0 {
+            any = true;
             lost(Lost { lines, tid: 0 });
         }
-        claimed
+        any
     }
 
     /// Takes the rings of threads that have ended, once they are empty.

@@ -15,7 +15,7 @@ mod topic {
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
     use tautline_ros_msgs::rcl_interfaces::msg::Log;
-    use tautline_transport::{Limits, Publisher, TransportError};
+    use tautline_transport::{Claim, Limits, Publisher, TransportError};
 
     /// ROS 2's depth. A line is one of our own fixed size, or shortened.
     const DEPTH: usize = 1000;
@@ -59,16 +59,8 @@ mod topic {
         }
 
         fn open(&self) -> Result<Publisher<Log>, TransportError> {
-            match self.open_with(DEPTH) {
-                // A subscription that was there first asked for less.
-                Err(TransportError::Limit { limit: "depth", existing, .. }) => self.open_with(existing),
-                other => other,
-            }
-        }
-
-        fn open_with(&self, depth: usize) -> Result<Publisher<Log>, TransportError> {
-            let qos = QosProfile::default().keep_last(depth).transient_local();
-            let limits = Limits { publishers: Limits::MAX_PUBLISHERS, may_grow: false, ..Limits::default() };
+            let qos = QosProfile::default().keep_last(DEPTH).transient_local();
+            let limits = Limits { may_grow: false, claim: Claim::OnUse, ..Limits::default() };
             self.participant.create_publisher("/rosout", qos.to_transport(), limits)
         }
     }

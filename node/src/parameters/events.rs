@@ -54,7 +54,7 @@ mod topic {
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
     use tautline_ros_msgs::rcl_interfaces::msg::{Parameter, ParameterEvent};
-    use tautline_transport::{Limits, Publisher, TransportError};
+    use tautline_transport::{Claim, Limits, Publisher, TransportError};
 
     /// A context's publisher, made with the first change.
     pub(crate) struct EventTopic {
@@ -110,8 +110,7 @@ mod topic {
 
         fn open(&self) -> Result<Publisher<ParameterEvent>, TransportError> {
             let qos = QosProfile::parameter_events();
-            // Room for what ROS 2's tools ask for, and for a publisher in each process.
-            let limits = Limits { publishers: Limits::MAX_PUBLISHERS, depth: qos.depth, ..Limits::default() };
+            let limits = Limits { claim: Claim::OnUse, ..Limits::default() };
             self.participant.create_publisher("/parameter_events", qos.to_transport(), limits)
         }
     }

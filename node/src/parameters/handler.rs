@@ -16,6 +16,7 @@ use tautline_ros_msgs::rcl_interfaces::srv::{
     DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
     SetParametersAtomically,
 };
+use tautline_transport::{Claim, Limits};
 
 /// Changes that wait in the stream; of more the newest are left out, and that is said in the log.
 const CHANGES: usize = 1000;
@@ -93,7 +94,11 @@ impl Node {
     where
         S::Request: Clone,
     {
-        let requests = self.create_service::<S>(&format!("~/{name}"), QosProfile::parameters())?;
+        let name = format!("~/{name}");
+        // Seldom asked, and by no real-time thread: until then it takes no memory for answers, unless somebody wants it to.
+        let limits = Limits { claim: Claim::OnUse, ..Limits::default() };
+        self.service_limits.entry(self.resolve_service_name(&name)?).or_insert(limits);
+        let requests = self.create_service::<S>(&name, QosProfile::parameters())?;
         let answers = requests.for_each(move |request| {
             let response = answer(request.message.clone());
             if let Err(error) = request.respond(response) {

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use tautline_sampler::Expiry;
-use tautline_transport::{IncompatibleQos, LivelinessChanged, Matched, MessageLost};
+use tautline_transport::{IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost};
 
 /// What happens to a publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,6 +12,8 @@ pub enum PublisherEvent {
     Matched(Matched),
     /// Subscriptions request what the publisher does not offer: they get nothing from it.
     OfferedIncompatibleQos(IncompatibleQos),
+    /// Subscriptions of the topic are of another type: they get nothing from the publisher.
+    IncompatibleType(IncompatibleType),
     /// Nothing was published in time.
     OfferedDeadlineMissed(DeadlineMissed),
     /// The publisher, whose liveliness is manual, did not show in time that it is alive.
@@ -26,6 +28,8 @@ pub enum SubscriptionEvent {
     Matched(Matched),
     /// Publishers do not offer what the subscription requests: it gets nothing from them.
     RequestedIncompatibleQos(IncompatibleQos),
+    /// Publishers of the topic are of another type: the subscription gets nothing from them.
+    IncompatibleType(IncompatibleType),
     /// Nothing came in time.
     RequestedDeadlineMissed(DeadlineMissed),
     /// Publishers came to life, or died.
@@ -64,7 +68,7 @@ impl From<Expiry> for DeadlineMissed {
 pub(super) struct Ready<E>(VecDeque<E>);
 
 /// A look finds one of each kind at most.
-const KINDS: usize = 5;
+const KINDS: usize = 6;
 
 impl<E> Ready<E> {
     pub(super) fn new() -> Self {

@@ -73,6 +73,7 @@ impl PublisherEvents {
         let changes = self.monitor.look();
         self.ready.add(PublisherEvent::Matched, changes.matched);
         self.ready.add(PublisherEvent::OfferedIncompatibleQos, changes.incompatible_qos);
+        self.ready.add(PublisherEvent::IncompatibleType, changes.incompatible_type);
         if let Some(Poll::Ready(expiry)) =
             self.deadline.as_mut().map(|watchdog| watchdog.poll_expired(context))
         {

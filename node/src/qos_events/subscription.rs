@@ -40,6 +40,7 @@ impl SubscriptionEvents {
         let changes = self.monitor.look(monotonic_ns());
         self.ready.add(SubscriptionEvent::Matched, changes.matched);
         self.ready.add(SubscriptionEvent::RequestedIncompatibleQos, changes.incompatible_qos);
+        self.ready.add(SubscriptionEvent::IncompatibleType, changes.incompatible_type);
         self.ready.add(SubscriptionEvent::LivelinessChanged, changes.liveliness);
         self.ready.add(SubscriptionEvent::MessageLost, changes.message_lost);
         if let Some(Poll::Ready(expiry)) =

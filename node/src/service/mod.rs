@@ -62,7 +62,7 @@ impl Node {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Name`]; [`Error::Transport`]: another type, a limit.
+    /// [`Error::Name`]; [`Error::Transport`]: no memory left in /dev/shm.
     pub fn create_service<T: Service>(
         &mut self,
         service_name: &str,
@@ -113,9 +113,8 @@ impl Node {
         Ok(self.participant.create_client(&name, limits)?)
     }
 
-    /// Sets the limits that this node gives a service if it is the first to open it: how many clients (`publishers`) and
-    /// servers (`subscribers`) it can have, and `message_bytes` for requests and responses. Call it before.
-    /// [`Limits::SERVICE`] otherwise.
+    /// Sets the limits of the servers and clients of a service that this node makes from now on: `message_bytes` of what each
+    /// sends, a response or a request.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -143,7 +142,7 @@ impl Node {
         _qos_profile: QosProfile,
     ) -> Result<(String, Limits)> {
         let name = self.resolve_service_name(service_name)?;
-        let limits = self.service_limits.get(&name).copied().unwrap_or(Limits::SERVICE);
+        let limits = self.service_limits.get(&name).copied().unwrap_or_default();
         Ok((name, limits))
     }
 }

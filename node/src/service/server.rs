@@ -65,7 +65,7 @@ impl<T: Service> ServiceLoaned<T> {
     /// `.await` is not `Send`: wait before, or run the future with [`Node::spawn_local`](crate::Node::spawn_local).
     ///
     /// # Real-time
-    /// Wait-free, O(clients); one allocation of 48 bytes (iceoryx2's); no syscall.
+    /// Wait-free, O(clients); no allocation; no syscall.
     ///
     /// # Errors
     /// [`ServiceError::ClientGone`], [`ServiceError::Loan`].
@@ -125,11 +125,9 @@ impl<T: Service> Stream for ServiceLoaned<T> {
     type Item = Request<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; the request is checked: see [`Message::view`](crate::Message::view). When clients have appeared
-    /// or gone: allocates, starts a thread for each that makes a publisher, and waits for that if the request is of a client that
-    /// has only just appeared. Never ends.
+    /// Wait-free; no allocation; the request is checked: see [`Message::view`](crate::Message::view). Ends with the node.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Request<T>>> {
-        self.requests.poll_next(context).map(Some)
+        self.requests.poll_next(context)
     }
 }
 
@@ -170,6 +168,7 @@ impl<T: Service> Stream for Requests<T> {
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<ServiceRequest<T>>> {
         let mut service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
         service.requests.poll_next(context).map(|request| {
+            let request = request?;
             let message = request.message().to_owned();
             let reply = Reply { id: request.id(), service: self.service.clone() };
             Some(ServiceRequest { message, reply })
@@ -188,8 +187,7 @@ impl<T: Service> ServiceRequest<T> {
     /// Answers the request. If its client has gone meanwhile, nothing happens, as in ROS 2.
     ///
     /// # Real-time
-    /// Takes a lock that other threads which answer requests of this service, or take them, hold; one that takes a request of a client
-    /// that has only just appeared holds it while a publisher for that is made, which takes milliseconds.
+    /// Takes a lock that other threads which answer requests of this service, or take them, hold.
     /// [`create_service_loaned`](crate::Node::create_service_loaned) takes none.
     ///
     /// # Errors
@@ -232,7 +230,7 @@ impl<T: Service> Reply<T> {
     #[cfg(feature = "action_msgs")]
     pub(crate) fn is_awaited(&self) -> bool {
         let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
-        service.server().responders().contains(self.id.client)
+        service.server().raw().can_answer(self.id.client)
     }
 
     pub(crate) fn respond(self, msg: &T::Response) -> Result<()> {

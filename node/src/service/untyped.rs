@@ -82,7 +82,7 @@ impl Node {
 
     fn service_definitions(&self, service: &str, type_name: &str) -> Result<Definitions> {
         let name: TypeName = type_name.parse()?;
-        let existing = self.participant.service_type(service);
+        let existing = self.participant.service_type(service)?;
         let schema = find_schema(service, &name, existing.as_ref())?;
         let part = |suffix: &str| -> Result<Arc<Schema>> {
             Ok(schema.of_part(&format!("{type_name}_{suffix}").parse()?)?.into())
@@ -215,6 +215,7 @@ impl Stream for RequestsUntyped {
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<ServiceRequestUntyped>> {
         let mut server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
         server.poll_next(context).map(|request| {
+            let request = request?;
             Some(ServiceRequestUntyped {
                 message: to_json(&self.definitions.request, &request),
                 id: RequestId::of(request.info()),
@@ -243,7 +244,7 @@ impl ServiceRequestUntyped {
     pub fn respond(self, msg: serde_json::Value) -> Result<()> {
         let body = DynamicMessage::from_json_value(&self.response, msg)?.to_body();
         let server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut loan = match server.source().responders().loan(self.id, body.len()) {
+        let mut loan = match server.source().loan(self.id, body.len()) {
             Err(ServiceError::ClientGone { .. }) => return Ok(()),
             loan => loan?,
         };

@@ -32,13 +32,13 @@ impl Node {
     /// [`create_wall_timer`](Self::create_wall_timer): setting the system's time does not disturb them.
     ///
     /// # Errors
-    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if the context has no slot left; [`Error::ClockUsers`].
+    /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if there is no memory for its slot; [`Error::ClockUsers`].
     pub fn create_timer(&mut self, period: Duration) -> Result<Timer> {
         check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
         // Simulated time has 63 bits.
         let period_ns = i64::try_from(period.as_nanos()).unwrap_or(i64::MAX).unsigned_abs();
         let events = self.context.events().clone();
-        Ok(Timer::on_ros_clock(RosTimer::new(self.time_source.seat()?, events, period_ns)?))
+        Ok(Timer::on_ros_clock(self.handle(), RosTimer::new(self.time_source.seat()?, events, period_ns)?))
     }
 }

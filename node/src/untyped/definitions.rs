@@ -12,8 +12,8 @@ use tautline_transport::{ClaimedSchema, SchemaStore, TopicType};
 /// does not exist yet: what was kept for the topic's hash, after computing the hash anew; else from the packages of
 /// `AMENT_PREFIX_PATH`; else from those that are bundled.
 ///
-/// Of the latter two the one with the topic's hash is taken. If none has it, the first one is: opening the topic with it is
-/// then an error that names both hashes.
+/// Of the latter two the one with the topic's hash is taken. If none has it, the first one is: the end that is made with it
+/// then matches no other, which a warning says with both hashes.
 ///
 /// # Errors
 /// [`Error::UnknownType`] if there is none; [`Error::StoredDefinition`] or [`Error::Schema`] if it cannot be used.
@@ -28,7 +28,7 @@ fn find(
     name: &TypeName,
     existing: Option<&TopicType>,
 ) -> Result<Arc<Schema>> {
-    // If the topic has another type, this one is not the one to look for: opening it will say so.
+    // If the topic has another type, this one is not the one to look for.
     let existing = existing.filter(|existing| existing.name == name.as_str());
     let hash = existing.and_then(|existing| existing.hash.as_deref());
     // No reason to do without the other places.

@@ -73,7 +73,7 @@ impl Node {
         qos_profile: QosProfile,
     ) -> Result<SubscriptionRaw> {
         let full = self.resolve_topic_name(topic)?;
-        let existing = self.participant.topic_type(&full).filter(|existing| existing.name == topic_type);
+        let existing = self.participant.topic_type(&full)?.filter(|existing| existing.name == topic_type);
         let topic_type = match find_schema(&full, &topic_type.parse()?, existing.as_ref()) {
             Ok(schema) => type_of(&schema),
             Err(Error::UnknownType { type_name, .. }) => existing.unwrap_or(TopicType::new(type_name)),
@@ -113,7 +113,7 @@ impl Node {
     pub fn find_schema(&self, topic: &str, topic_type: &str) -> Result<Arc<Schema>> {
         let topic = self.resolve_topic_name(topic)?;
         let name: TypeName = topic_type.parse()?;
-        let existing = self.participant.topic_type(&topic).filter(|existing| existing.name == name.as_str());
+        let existing = self.participant.topic_type(&topic)?.filter(|existing| existing.name == name.as_str());
         match (find_schema(&topic, &name, existing.as_ref()), existing) {
             (Err(Error::UnknownType { .. }), Some(existing)) if self.is_published_elsewhere(&topic)? => {
                 self.wait_for_definition(&topic, &existing)?;
@@ -124,8 +124,9 @@ impl Node {
     }
 
     fn is_published_elsewhere(&self, topic: &str) -> Result<bool> {
-        let is_it =
-            |end: &TopicEndpoint| end.is_remote && end.topic == topic && end.kind == EndpointKind::Publisher;
+        let is_it = |end: &Arc<TopicEndpoint>| {
+            end.is_remote && end.topic == topic && end.kind == EndpointKind::Publisher
+        };
         Ok(self.graph()?.endpoints.iter().any(is_it))
     }
 

@@ -47,7 +47,7 @@ impl Stream for SubscriptionUntyped {
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
         let sample = self.samples.poll_next(context);
         sample.map(|sample| {
-            let message = DynamicMessage::from_body(&self.schema, sample.body(), Endian::Little);
+            let message = DynamicMessage::from_body(&self.schema, sample?.body(), Endian::Little);
             Some(message.map(|message| message.to_json_value()).map_err(Into::into))
         })
     }
@@ -82,7 +82,7 @@ impl Stream for SubscriptionRaw {
     type Item = Vec<u8>;
 
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Vec<u8>>> {
-        self.samples.poll_next(context).map(|sample| Some([&HEADER[..], sample.body()].concat()))
+        self.samples.poll_next(context).map(|sample| Some([&HEADER[..], sample?.body()].concat()))
     }
 }
 

@@ -65,9 +65,17 @@ impl Gate {
     }
 }
 
-/// A context without real-time policies.
+/// A context without real-time policies, where no user's programs are.
 pub fn context(domain: u32) -> Context {
+    isolate();
     Context::builder().domain(domain).realtime(Realtime::Off).build().unwrap()
+}
+
+/// Puts this process into the tests' scope, unless whoever runs them has chosen one.
+pub fn isolate() {
+    if std::env::var_os("TAUT_SCOPE").is_none() {
+        tautline::rt::domain::set_scope("test").unwrap();
+    }
 }
 
 /// A context that spins on a thread of its own until this is dropped.
@@ -90,6 +98,15 @@ impl Drop for Spinning {
             let result = thread.join();
             assert!(result.is_ok() || std::thread::panicking());
         }
+    }
+}
+
+/// Waits for what another context or process does; a test that would hang fails after half a minute instead.
+pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
+    let start = std::time::Instant::now();
+    while !condition() {
+        assert!(start.elapsed() < Duration::from_secs(30), "waited in vain for {what}");
+        std::thread::sleep(Duration::from_millis(1));
     }
 }
 

@@ -11,5 +11,5 @@ mod route;
 mod waker;
 
 pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
-pub use relay::{Ports, Relay, RelayError, as_deep_as_allowed};
+pub use relay::{Ports, Relay, RelayError};
 pub use route::{EarlyLimits, Outlet, Taken};

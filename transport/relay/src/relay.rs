@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
-use tautline_transport::{Gid, Participant, Qos, RawSubscription, SamplerSeat, TransportError};
+use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
 
 /// Ports of relays: what comes through them came from elsewhere and does not go on.
 pub type Ports = Arc<Mutex<HashSet<Gid>>>;
@@ -46,7 +46,7 @@ impl<O: Outlet> Relay<O> {
     /// # Errors
     /// [`RelayError`].
     pub fn start(participant: &Participant, thread: ThreadBuilder, outlet: O) -> Result<Self, RelayError> {
-        let seat = participant.doorbell().claim_sampler()?;
+        let seat = participant.doorbell().claim_sampler().map_err(TransportError::from)?;
         let bell = Bell::new(participant.claim_slot()?);
         let (commands, received) = mpsc::channel();
         let ports = Ports::default();
@@ -102,24 +102,6 @@ impl<O: Outlet> Drop for Relay<O> {
         self.bell.ring();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
-        }
-    }
-}
-
-/// Makes an end of a topic as deep as `wanted`, or as the ends that are there allow. Returns what it got as well.
-///
-/// # Errors
-/// What `make` says, but for that limit.
-pub fn as_deep_as_allowed<T>(
-    mut wanted: Qos,
-    make: impl Fn(Qos) -> Result<T, TransportError>,
-) -> Result<(T, Qos), TransportError> {
-    loop {
-        match make(wanted) {
-            Err(TransportError::Limit { limit: "depth", existing, .. }) if existing < wanted.depth => {
-                wanted.depth = existing;
-            }
-            outcome => return outcome.map(|end| (end, wanted)),
         }
     }
 }

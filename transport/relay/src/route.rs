@@ -141,8 +141,8 @@ impl<O: Outlet> Route<O> {
 
     /// All that was there: bounded by what fits in, for a publisher could be faster than this.
     fn serve_all(&mut self, ports: &Ports, outlet: &mut O) {
-        // And one publisher that has gone.
-        let publishers = self.subscription.publisher_count() + 1;
+        // Those that are there, those that have gone and are not closed yet, and one that nobody heard of.
+        let publishers = self.subscription.publisher_count() + self.senders.len() + 1;
         for _ in 0..turns(self.subscription.qos().depth, publishers) {
             // After a turn of samples that were passed over it is woken at once for what is behind them.
             if !self.serve(ports, outlet) && !self.flag.take() {

@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clients of bytes: what they consist of, and how they learn of servers. What is done for each request is in `hot.rs`.
 
-use super::pending::{Table, Turn};
-use super::{RESPONSES_DEPTH, ServiceError, ServiceType, request_topic, response_limits, response_topic};
-use crate::doorbell::Slot;
+use super::pending::Table;
+use super::{RESPONSES_DEPTH, ServiceError, ServiceType, response_limits, topics};
 use crate::error::TransportError;
-use crate::header::Gid;
-use crate::nodes::{ServiceKind, ServiceRegistration};
 use crate::participant::Participant;
-use crate::ports;
-use crate::publisher::RawPublisher;
 use crate::qos::{Limits, Qos};
-use crate::subscription::RawSubscription;
+use crate::topic::ends::EndList;
+use crate::topic::header::Gid;
+use crate::topic::publisher::{PublisherRole, RawPublisher};
+use crate::topic::subscription::{RawSubscription, SubscriptionRole};
 use std::cell::Cell;
 use std::fmt;
 use std::sync::Arc;
 use std::task::Waker;
+use tautline_doorbell::Slot;
+use tautline_rt::{LatestReader, PiMutex};
 
 /// Sends requests of bytes to a service and gets the responses. What is above knows the type.
 ///
@@ -80,18 +80,16 @@ impl<L> From<Unsent<L>> for ServiceError {
 pub(super) struct Shared {
     pub(super) service: Arc<str>,
     pub(super) publisher: OfClient<RawPublisher>,
-    pub(super) inbox: Turn<Inbox>,
+    /// Threads of several priorities may wait for answers: whoever looks into it has the highest of them meanwhile.
+    pub(super) inbox: PiMutex<Inbox>,
     pub(super) table: Table,
     /// Wakes every task that waits.
     pub(super) waker: Waker,
-    _registration: Option<ServiceRegistration>,
 }
 
 /// What comes in.
 pub(super) struct Inbox {
     pub(super) responses: RawSubscription,
-    /// The epoch of the request topic's ports that `servers` shows.
-    pub(super) epoch: u32,
     pub(super) servers: Servers,
 }
 
@@ -109,42 +107,75 @@ impl<T> OfClient<T> {
 }
 
 impl OfClient<RawPublisher> {
-    /// Rung when servers appear or go; its epoch then moves.
+    /// Rung when servers appear or go.
     pub(super) fn slot(&self) -> &Slot {
         self.0.slot()
     }
 }
 
-/// Gives each server a bit, the least recently used one first.
-#[derive(Default)]
+/// The servers, each with a bit, the least recently used one first.
 pub(super) struct Servers {
-    known: Vec<(u128, u64)>,
+    /// Those that this client's requests go to.
+    asked: LatestReader<Arc<EndList>>,
+    /// Those whose responses come here.
+    answering: LatestReader<Arc<EndList>>,
+    is_first: bool,
+    known: Vec<Known>,
     next: u32,
     /// Those that went and those that are there, since that was last asked for.
     change: Option<(u64, u64)>,
 }
 
+/// A server by both of its ends.
+#[derive(Clone, Copy)]
+struct Known {
+    asked: Gid,
+    answering: Gid,
+    bit: u64,
+}
+
 impl Servers {
+    pub(super) fn new(asked: LatestReader<Arc<EndList>>, answering: LatestReader<Arc<EndList>>) -> Self {
+        // As many as there are bits.
+        let known = Vec::with_capacity(u64::BITS as usize);
+        Servers { asked, answering, is_first: true, known, next: 0, change: None }
+    }
+
     /// Notes which servers there are.
-    fn update(&mut self, ids: &[u128]) {
+    ///
+    /// # Real-time
+    /// Two loads if nothing changed, else O(servers x log servers); no allocation; no syscall.
+    pub(super) fn update(&mut self) {
+        if !std::mem::take(&mut self.is_first) && !self.asked.is_fresh() && !self.answering.is_fresh() {
+            return;
+        }
+        let (asked, answering) = (self.asked.read(), self.answering.read());
+        let is_there = |list: &EndList, gid: &Gid| {
+            let found = list.ends.binary_search_by_key(gid, |end| end.gid).ok();
+            found.and_then(|place| list.ends.get(place)).is_some_and(|end| end.mismatch.is_none())
+        };
         let mut gone = self.change.map_or(0, |(gone, _)| gone);
-        self.known.retain(|(id, bit)| {
-            let stays = ids.contains(id);
-            gone |= if stays { 0 } else { *bit };
+        self.known.retain(|known| {
+            let stays = is_there(asked, &known.asked) && is_there(answering, &known.answering);
+            gone |= if stays { 0 } else { known.bit };
             stays
         });
-        let mut alive = self.known.iter().fold(0, |bits, (_, bit)| bits | bit);
-        for id in ids {
-            // One that went a moment ago keeps its bit until requests have lost it.
+        let mut alive = self.known.iter().fold(0, |bits, known| bits | known.bit);
+        for end in answering.ends.iter().filter(|end| end.mismatch.is_none()) {
+            let Some(partner) = end.partner else { continue };
+            let server = Gid::of(end.gid.participant(), partner);
+            // One that went a moment ago keeps its bit until requests have lost it. More servers than bits answer, too, but nobody
+            // waits for them alone.
             let used = alive | gone;
-            if !self.known.iter().any(|(known, _)| known == id) && used != u64::MAX {
+            let is_known = self.known.iter().any(|known| known.answering == end.gid);
+            if !is_known && used != u64::MAX && is_there(asked, &server) {
                 while used & (1 << (self.next % u64::BITS)) != 0 {
                     self.next = self.next.wrapping_add(1);
                 }
                 let bit = 1 << (self.next % u64::BITS);
                 self.next = self.next.wrapping_add(1);
                 alive |= bit;
-                self.known.push((*id, bit));
+                self.known.push(Known { asked: server, answering: end.gid, bit });
             }
         }
         self.change = Some((gone, alive));
@@ -156,53 +187,41 @@ impl Servers {
     }
 }
 
-impl Shared {
-    /// Lists the servers. Only when ports appeared or went: allocates.
-    #[cold]
-    pub(super) fn list_servers(&self, servers: &mut Servers) {
-        let ports = ports::subscriptions(self.publisher.0.factory());
-        let ids: Vec<u128> = ports.iter().map(|port| port.id).collect();
-        servers.update(&ids);
-    }
-}
-
 impl Participant {
-    /// Creates a client of `service`, a fully qualified name. Of `qos` the depth counts, for servers; what waits for an answer
-    /// is limited to [`MAX_PENDING_REQUESTS`](super::MAX_PENDING_REQUESTS).
+    /// Creates a client of `service`, a fully qualified name. What waits for an answer is limited to
+    /// [`MAX_PENDING_REQUESTS`](super::MAX_PENDING_REQUESTS).
     ///
     /// # Real-time
-    /// Setup only.
+    /// Setup only. Waits up to 100 ms for the processes of servers that are there, of which one may be stopped.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit.
+    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
     pub fn create_raw_client(
         &self,
         service: &str,
         service_type: &ServiceType,
         limits: Limits,
     ) -> Result<RawClient, TransportError> {
-        let topic = request_topic(service);
-        let publisher = self.create_raw_publisher(&topic, &service_type.request, Qos::keep_all(1), limits)?;
-        // As many servers as the service has by whoever opened it first.
-        let limits = Limits { subscribers: publisher.limits().subscribers, ..limits };
-        let responses = self.create_raw_subscription(
-            &response_topic(publisher.gid()),
-            &service_type.response,
-            Qos::keep_all(RESPONSES_DEPTH),
-            response_limits(limits),
-        )?;
-        // Servers can greet it now.
-        publisher.announce();
+        let [requests, responses] = topics(service)?;
+        let number = Some(self.shared.record.number());
+        let qos = Qos::keep_all(RESPONSES_DEPTH);
+        let role = SubscriptionRole { partner: number, ..SubscriptionRole::default() };
+        let response_limits = response_limits(limits);
+        // First: whoever gets a request can answer it.
+        let responses =
+            RawSubscription::create(self, &responses, &service_type.response, qos, response_limits, role)?;
+        let qos = Qos::keep_all(1);
+        let role = PublisherRole { number, ..PublisherRole::default() };
+        let publisher = RawPublisher::create(self, &requests, &service_type.request, qos, limits, role)?;
         let table = Table::new();
         let waker = Waker::from(table.waiters().clone());
-        let epoch = publisher.slot().epoch().wrapping_sub(1);
+        let servers = Servers::new(publisher.core().monitor(), responses.core().monitor());
         let shared = Shared {
             service: service.into(),
             publisher: OfClient(publisher),
-            inbox: Turn::new(Inbox { responses, epoch, servers: Servers::default() }),
+            inbox: PiMutex::new(Inbox { responses, servers }),
             table,
             waker,
-            _registration: self.register(ServiceKind::Client, service, service_type)?,
         };
         let client = RawClient { shared: Arc::new(shared), sequence_number: Cell::new(0) };
         client.shared.collect();
@@ -221,7 +240,7 @@ impl RawClient {
         self.shared.publisher.get().gid()
     }
 
-    /// Number of servers.
+    /// Number of servers, 64 at most.
     pub fn server_count(&self) -> usize {
         self.shared.collect();
         self.shared.table.alive().count_ones() as usize

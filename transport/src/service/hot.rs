@@ -3,13 +3,14 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Availability, RawClient, RawPending, Shared, Unsent};
+use super::client::{Availability, Inbox, RawClient, RawPending, Shared, Unsent};
 use super::pending::Outcome;
-use super::server::{RawResponse, RequestId, Responders};
+use super::server::{RawResponse, RawServer, RequestId};
 use super::{RESPONSES_DEPTH, ServiceError};
-use crate::header::MessageInfo;
-use crate::publisher::{RawLoan, RawPublisher, Unpublished};
-use crate::subscription::{Patience, RawSample};
+use crate::error::{LoanError, TakeError};
+use crate::topic::header::{Gid, MessageInfo, NEVER, SampleKind};
+use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, Unpublished, WhenFull};
+use crate::topic::subscription::{Patience, RawSample};
 use core::future::Future;
 use core::ops::{Deref, DerefMut};
 use core::pin::Pin;
@@ -18,9 +19,6 @@ use tautline_rt::clock::wall_ns;
 
 /// Responses that one collection takes at most: a server that sends without being asked must not keep a thread busy.
 const COLLECTED_AT_ONCE: usize = RESPONSES_DEPTH;
-
-/// The time stamp of a response that is none: there is no answer to its request.
-const NO_ANSWER_NS: i64 = i64::MIN;
 
 impl RawClient {
     /// Loans memory for a request of `len_bytes`. See [`RawPublisher::loan`].
@@ -43,10 +41,11 @@ impl RawClient {
     /// # Real-time
     /// Wait-free, O(responses x pending requests + servers); no allocation; at most one futex wake per sampler that sleeps, and per
     /// callback thread of a server that sleeps and is woken directly; and one for each task whose response is taken on the way and
-    /// whose thread sleeps. When servers have appeared or gone since the last call: allocates and maps memory.
+    /// whose thread sleeps. A thread that takes responses right now is waited for, and has this one's priority meanwhile.
     ///
     /// # Errors
-    /// [`Unsent`]: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`] with the loan.
+    /// [`Unsent`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`],
+    /// [`ServiceError::Loan`].
     pub fn send<'c>(&'c self, request: RawLoan<'c>) -> Result<RawPending, Unsent<RawLoan<'c>>> {
         let shared = &self.shared;
         // What came in makes room for what comes next.
@@ -63,16 +62,15 @@ impl RawClient {
         self.sequence_number.set(sequence_number);
         shared.table.arm(place, sequence_number);
         // Whoever waits with more requests is woken when there is room: `collect` has registered.
-        match request.publish_as_or_ask(stamped(sequence_number, self.gid())) {
-            Ok(()) => {}
-            Err(Unpublished::Full(loan)) => {
-                shared.table.release(place);
-                return unsent(ServiceError::RequestsFull { service: service() }, Some(loan));
-            }
-            Err(Unpublished::Incomplete) => {
-                shared.table.release(place);
-                return unsent(ServiceError::Incomplete { service: service() }, None);
-            }
+        let stamp = Stamp::As(stamped(sequence_number, self.gid()), NEVER);
+        let sending = Sending { stamp, when_full: WhenFull::Ask, kind: SampleKind::Message, to: None };
+        if let Err(unpublished) = request.publish_with(sending) {
+            shared.table.release(place);
+            let error = match &unpublished {
+                Unpublished::Full(_) => ServiceError::RequestsFull { service: service() },
+                Unpublished::OutOfMemory(_) => shared.loan_error(LoanError::OutOfMemory),
+            };
+            return unsent(error, Some(unpublished.into_loan()));
         }
         shared.table.sent(place);
         Ok(RawPending { shared: shared.clone(), place: Some(place), sequence_number })
@@ -80,57 +78,50 @@ impl RawClient {
 }
 
 /// What a request and its response say of themselves.
-fn stamped(sequence_number: u64, client: crate::header::Gid) -> MessageInfo {
+fn stamped(sequence_number: u64, client: Gid) -> MessageInfo {
     MessageInfo { sequence_number, source_timestamp_ns: wall_ns(), released_ns: 0, publisher_gid: client }
 }
 
-/// Instead of a response; to no request at all if that is 0.
-pub(super) fn no_answer(sequence_number: u64, client: crate::header::Gid) -> MessageInfo {
-    MessageInfo { source_timestamp_ns: NO_ANSWER_NS, ..stamped(sequence_number, client) }
-}
-
 impl Shared {
-    pub(super) fn loan_error(&self, source: crate::error::LoanError) -> ServiceError {
+    pub(super) fn loan_error(&self, source: LoanError) -> ServiceError {
         ServiceError::Loan { service: self.service.clone(), source }
     }
 
     /// Takes the responses that are there, for whoever waits for them, and notes servers that appeared or went.
     ///
     /// # Real-time
-    /// Wait-free, O(responses x pending requests); no allocation; a syscall for each task whose thread sleeps. When servers
-    /// have appeared or gone: allocates.
+    /// O(responses x pending requests), and O(servers) when they have appeared or gone; no allocation; a syscall for each task whose
+    /// thread sleeps. A thread that does this right now is waited for, and has this one's priority meanwhile.
     pub(super) fn collect(&self) {
-        let missed = self.inbox.attempt(|inbox| {
-            let slot = self.publisher.slot();
-            slot.waker().register(&self.waker);
-            let epoch = slot.epoch();
-            if epoch != inbox.epoch {
-                inbox.epoch = epoch;
-                // Before the responses: what a server sent before it went is in the queue by then.
-                self.list_servers(&mut inbox.servers);
-            }
-            let mut context = Context::from_waker(&self.waker);
-            for _ in 0..COLLECTED_AT_ONCE {
-                let mut patience = Patience::new();
-                let Poll::Ready(response) = inbox.responses.poll_within(&mut context, &mut patience) else {
-                    // Else there may be more, also of servers that went, and the waker is called for it.
-                    if !patience.is_over()
-                        && let Some((gone, alive)) = inbox.servers.take_change()
-                    {
-                        self.table.servers_changed(gone, alive);
-                    }
-                    return;
-                };
-                let info = response.info();
-                let is_none = info.source_timestamp_ns == NO_ANSWER_NS;
-                let outcome = if is_none { Outcome::ServerGone } else { Outcome::Response(response) };
-                self.table.answer(info.sequence_number, outcome);
-            }
-            self.waker.wake_by_ref();
-        });
-        if missed {
-            self.table.waiters().wake_all();
+        let mut inbox = self.inbox.lock();
+        let Inbox { responses, servers } = &mut *inbox;
+        self.publisher.slot().waker().register(&self.waker);
+        // Before the responses: what a server sent before it went is in the queue by then.
+        servers.update();
+        let mut context = Context::from_waker(&self.waker);
+        for _ in 0..COLLECTED_AT_ONCE {
+            let mut patience = Patience::new();
+            let Poll::Ready(response) = responses.poll_within(&mut context, &mut patience) else {
+                // Else there may be more, also of servers that went, and the waker is called for it.
+                if !patience.is_over()
+                    && let Some((gone, alive)) = servers.take_change()
+                {
+                    self.table.servers_changed(gone, alive);
+                }
+                if responses.has_ended() {
+                    // With its node: nobody answers it.
+                    self.table.servers_changed(u64::MAX, 0);
+                }
+                return;
+            };
+            let number = response.info().sequence_number;
+            let outcome = match response.kind() {
+                SampleKind::Message => Outcome::Response(response),
+                SampleKind::NoAnswer => Outcome::ServerGone,
+            };
+            self.table.answer(number, outcome);
         }
+        self.waker.wake_by_ref();
     }
 
     /// The outcome of what waits in `place`, which is then free.
@@ -160,9 +151,9 @@ impl Future for RawPending {
     type Output = Result<RawSample, ServiceError>;
 
     /// # Real-time
-    /// Wait-free, O(responses x pending requests); no allocation; woken through this process's sampler. Whichever of a client's
-    /// requests is polled first takes the responses for all of them: if they wait in threads of several priorities, one may wait for
-    /// a thread of a lower one; a client for each thread does not. Once it was ready it is pending for ever.
+    /// O(responses x pending requests); no allocation; woken through this process's sampler. Whichever of a client's requests is polled
+    /// first takes the responses for all of them; another thread that polls meanwhile waits for that and lends it its priority. Once it
+    /// was ready it is pending for ever.
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         let RawPending { shared, place, .. } = &mut *self;
         shared.poll_outcome(place, context).map(|outcome| match outcome {
@@ -207,31 +198,58 @@ impl Drop for Availability {
     }
 }
 
-impl Responders {
-    /// The publisher of responses to `client`.
+impl RawServer {
+    /// Takes the oldest request, if there is one.
+    ///
+    /// # Real-time
+    /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid).
+    ///
+    /// # Errors
+    /// [`TakeError`].
+    pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
+        self.requests.try_take_valid()
+    }
+
+    /// Polls for a request.
+    ///
+    /// # Real-time
+    /// As [`try_take`](Self::try_take).
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
+        self.requests.poll_take(context)
+    }
+
+    /// Whether this client can be answered now.
     ///
     /// # Real-time
     /// Wait-free, O(clients); no allocation; no syscall.
-    pub(super) fn publisher(&self, client: crate::header::Gid) -> Result<&RawPublisher, ServiceError> {
-        let responder = self.list.iter().find(|responder| responder.client == client);
-        let missing = || match self.unreachable.contains(&client) {
+    pub fn can_answer(&self, client: Gid) -> bool {
+        self.responses.subscription_of(client).is_some()
+    }
+
+    /// The client's subscription to responses.
+    pub(super) fn subscription_of(&self, client: Gid) -> Result<Gid, ServiceError> {
+        self.responses.subscription_of(client).ok_or_else(|| match self.requests.has_publisher(client) {
             true => ServiceError::ClientUnreachable { service: self.service.clone() },
             false => ServiceError::ClientGone { service: self.service.clone() },
-        };
-        Ok(&responder.ok_or_else(missing)?.publisher)
+        })
+    }
+
+    pub(super) fn loan_error(&self, source: LoanError) -> ServiceError {
+        ServiceError::Loan { service: self.service.clone(), source }
     }
 
     /// Loans memory for a response of `len_bytes` to the request `id`.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`], and O(clients).
+    /// As [`RawPublisher::loan`], and O(clients). A server has memory for 16 responses more than `Limits::loans`; if clients leave more
+    /// untaken, it takes more: allocates, maps memory.
     ///
     /// # Errors
     /// [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`], [`ServiceError::Loan`].
     pub fn loan(&self, id: RequestId, len_bytes: usize) -> Result<RawResponse<'_>, ServiceError> {
-        let loan = self.publisher(id.client)?.loan(len_bytes);
-        let loan = loan.map_err(|source| ServiceError::Loan { service: self.service.clone(), source })?;
-        Ok(RawResponse { responders: self, loan, id })
+        self.subscription_of(id.client)?;
+        let loan = self.responses.loan(len_bytes).map_err(|source| self.loan_error(source))?;
+        Ok(RawResponse { server: self, loan, id })
     }
 
     /// Ends the request `id` without an answer: its client gets [`ServiceError::ServerGone`]. For who serves on behalf of others
@@ -245,23 +263,32 @@ impl Responders {
     /// [`ServiceError::ResponsesFull`].
     pub fn refuse(&self, id: RequestId) -> Result<(), ServiceError> {
         let loan = self.loan(id, 0)?.loan;
-        Ok(self.publish(loan, no_answer(id.sequence_number, id.client))?)
+        Ok(self.publish(id, loan, SampleKind::NoAnswer)?)
     }
 
     /// Sends a response.
-    pub(super) fn send<'s>(&self, id: RequestId, loan: RawLoan<'s>) -> Result<(), Unsent<RawLoan<'s>>> {
-        self.publish(loan, stamped(id.sequence_number, id.client))
+    pub(super) fn send<'s>(&'s self, id: RequestId, loan: RawLoan<'s>) -> Result<(), Unsent<RawLoan<'s>>> {
+        self.publish(id, loan, SampleKind::Message)
     }
 
-    fn publish<'s>(&self, loan: RawLoan<'s>, info: MessageInfo) -> Result<(), Unsent<RawLoan<'s>>> {
-        let service = || self.service.clone();
-        loan.publish_as(info).map_err(|unpublished| match unpublished {
-            Unpublished::Full(loan) => {
-                Unsent { error: ServiceError::ResponsesFull { service: service() }, loan: Some(loan) }
-            }
-            Unpublished::Incomplete => {
-                Unsent { error: ServiceError::Incomplete { service: service() }, loan: None }
-            }
+    fn publish<'s>(
+        &'s self,
+        id: RequestId,
+        loan: RawLoan<'s>,
+        kind: SampleKind,
+    ) -> Result<(), Unsent<RawLoan<'s>>> {
+        let to = match self.subscription_of(id.client) {
+            Ok(to) => Some(to),
+            Err(error) => return Err(Unsent { error, loan: Some(loan) }),
+        };
+        let stamp = Stamp::As(stamped(id.sequence_number, id.client), NEVER);
+        let sent = loan.publish_with(Sending { stamp, when_full: WhenFull::Leave, kind, to });
+        sent.map_err(|unpublished| {
+            let error = match &unpublished {
+                Unpublished::Full(_) => ServiceError::ResponsesFull { service: self.service.clone() },
+                Unpublished::OutOfMemory(_) => self.loan_error(LoanError::OutOfMemory),
+            };
+            Unsent { error, loan: Some(unpublished.into_loan()) }
         })
     }
 }
@@ -270,15 +297,16 @@ impl RawResponse<'_> {
     /// Sends the response to the client that asked.
     ///
     /// # Real-time
-    /// As [`RawLoan::publish`].
+    /// As [`RawLoan::publish`], and O(clients).
     ///
     /// # Errors
-    /// [`Unsent`]: [`ServiceError::ResponsesFull`] with the response.
+    /// [`Unsent`], with the response: [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`],
+    /// [`ServiceError::ResponsesFull`], [`ServiceError::Loan`].
     #[allow(clippy::result_large_err, reason = "it gives the response back")]
     pub fn send(self) -> Result<(), Unsent<Self>> {
-        let RawResponse { responders, loan, id } = self;
-        let unsent = responders.send(id, loan);
-        unsent.map_err(|unsent| unsent.map(|loan| RawResponse { responders, loan, id }))
+        let RawResponse { server, loan, id } = self;
+        let unsent = server.send(id, loan);
+        unsent.map_err(|unsent| unsent.map(|loan| RawResponse { server, loan, id }))
     }
 }
 

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Services: a request goes to every server, the first answer comes back to the client that asked.
 //!
-//! A service is a topic of requests, which all its clients publish and all its servers subscribe to, and a topic of responses
-//! for each client, of which each server has a publisher as long as both are there: an answer wakes only who asked. A
+//! A service is two topics: of requests, which all its clients publish and all its servers subscribe to, and of responses, the other
+//! way round. A server's publisher of responses sends each to one client's subscription: an answer wakes only who asked. A
 //! request carries its client's identifier and number in its header, as any sample does; the response repeats both, as on
 //! the ROS 2 wire. Queues keep all: a full one is an error, nothing is lost.
 //!
-//! Who serves is seen from the request topic's subscriptions, the janitor of whose clients notices processes that died: a
-//! request whose servers have all gone ends with [`ServiceError::ServerGone`].
+//! A client has its subscription to responses before it has its publisher of requests, and counts a server once both its ends are
+//! connected: whoever is asked can answer. A request whose servers have all gone ends with [`ServiceError::ServerGone`].
 
 mod client;
 mod hot;
@@ -17,16 +17,13 @@ mod typed;
 
 pub use client::{Availability, RawClient, RawPending, Unsent};
 pub use pending::MAX_PENDING_REQUESTS;
-pub use server::{RawResponse, RawServer, RequestId, Responders};
+pub use server::{RawResponse, RawServer, RequestId};
 pub use typed::{Client, PendingResponse, Request, Response, Server, UnwrittenResponse};
 
 use crate::error::{LoanError, TransportError};
-use crate::header::Gid;
-use crate::nodes::{NodeHandle, ServiceKind, ServiceRegistration};
-use crate::participant::Participant;
+use crate::graph::record::{REQUESTS, RESPONSES, is_absolute};
 use crate::qos::Limits;
-use crate::topic_type::TopicType;
-use crate::topics::{EndpointInfo, REQUESTS, RESPONSES};
+use crate::topic::topic_type::TopicType;
 use std::sync::Arc;
 use tautline_msgs::cdr::{DecodeError, EncodeError};
 use tautline_msgs::{Definition, Message, Service};
@@ -68,100 +65,23 @@ fn definition_text(service: &str, event: &Definition) -> String {
     format!("{fields}{}\nMSG: {service}_Event\n{}", "=".repeat(80), event.to_text())
 }
 
-impl Limits {
-    /// What a service has unless whoever opens it first says otherwise: `publishers` are its clients, `subscribers` its
-    /// servers; `message_bytes` holds for requests and responses.
-    pub const SERVICE: Limits = Limits {
-        publishers: 32,
-        subscribers: 4,
-        depth: 100,
-        held: 4,
-        loans: 4,
-        message_bytes: 4096,
-        may_grow: true,
-    };
-}
-
 /// The queue of a client's responses: those that it waits for, and as many that it no longer does.
 const RESPONSES_DEPTH: usize = 2 * MAX_PENDING_REQUESTS;
 /// Responses that a client's user can hold besides those that nobody has looked at yet.
 const HELD_RESPONSES: usize = 8;
 
-/// The limits of the topic of one client's responses.
+/// The limits of a client's subscription to responses.
 fn response_limits(limits: Limits) -> Limits {
-    Limits {
-        publishers: limits.subscribers,
-        subscribers: 1,
-        depth: RESPONSES_DEPTH,
-        held: MAX_PENDING_REQUESTS + HELD_RESPONSES,
-        ..limits
-    }
+    Limits { held: MAX_PENDING_REQUESTS + HELD_RESPONSES, ..limits }
 }
 
-fn request_topic(service: &str) -> String {
-    format!("{REQUESTS}{service}")
-}
-
-fn response_topic(client: Gid) -> String {
-    format!("{RESPONSES}{client:?}")
-}
-
-/// A service of a domain.
-#[derive(Clone, Debug)]
-pub struct ServiceInfo {
-    /// The fully qualified name.
-    pub name: String,
-    /// The service's type: its name and hash as far as whoever made it knew them.
-    pub service_type: TopicType,
-    /// Who answers.
-    pub servers: Vec<EndpointInfo>,
-    /// Who asks.
-    pub clients: Vec<EndpointInfo>,
-}
-
-impl Participant {
-    /// Says which node has this end of the service, if this participant is a node's.
-    fn register(
-        &self,
-        kind: ServiceKind,
-        service: &str,
-        service_type: &ServiceType,
-    ) -> Result<Option<ServiceRegistration>, TransportError> {
-        let Some(entry) = &self.node else { return Ok(None) };
-        let (node, TopicType { name, hash, .. }) =
-            (NodeHandle { entry: entry.clone() }, &service_type.request);
-        let register = match kind {
-            ServiceKind::Server => NodeHandle::register_service,
-            ServiceKind::Client => NodeHandle::register_client,
-        };
-        register(&node, service, name, hash.as_deref()).map(Some)
+/// The topics of a service's requests and responses.
+fn topics(service: &str) -> Result<[String; 2], TransportError> {
+    if is_absolute(service) {
+        return Ok([REQUESTS, RESPONSES].map(|kind| format!("{kind}{service}")));
     }
-
-    /// The services of the domain, sorted by name, with their servers and clients.
-    ///
-    /// # Real-time
-    /// Not for real-time threads: opens each service, with files and allocations.
-    ///
-    /// # Errors
-    /// [`TransportError::Node`] if the list cannot be read.
-    pub fn services(&self) -> Result<Vec<ServiceInfo>, TransportError> {
-        let requests = self.list_topics(|name| name.starts_with(REQUESTS))?;
-        let service = |topic: crate::topics::TopicInfo| ServiceInfo {
-            name: topic.name[REQUESTS.len()..].to_owned(),
-            service_type: topic.topic_type,
-            servers: topic.subscriptions,
-            clients: topic.publishers,
-        };
-        Ok(requests.into_iter().map(service).collect())
-    }
-
-    /// The type of a service, as far as whoever made it knew it; `None` if it has neither server nor client.
-    ///
-    /// # Real-time
-    /// Not for real-time threads: opens the service, with files and allocations.
-    pub fn service_type(&self, service: &str) -> Option<TopicType> {
-        self.topic_type(&request_topic(service))
-    }
+    let reason = "its name begins with '/' and has tokens of letters, digits and '_'";
+    Err(TransportError::ServiceName { service: service.escape_default().to_string(), reason })
 }
 
 /// Why a request was not answered, or an answer not sent. It names the service.
@@ -209,19 +129,11 @@ pub enum ServiceError {
         /// The service.
         service: Arc<str>,
     },
-    /// The client is there and waits, and its responses cannot be reached: the server's log says why.
+    /// The client is there and waits, and its responses cannot be reached: its process's log says why.
     #[error(
-        "service '{service}': the client that asked cannot be reached, and waits; is the process at its limit of open files (ulimit -n), or are there more servers than `Limits::subscribers`?"
+        "service '{service}': the client that asked cannot be reached, and waits; is /dev/shm full, or its process stopped or at its limit of open files (ulimit -n)?"
     )]
     ClientUnreachable {
-        /// The service.
-        service: Arc<str>,
-    },
-    /// iceoryx2 could not deliver.
-    #[error(
-        "service '{service}': the message could not be delivered; is the process at its limit of open files (ulimit -n), or /dev/shm full? then ask again"
-    )]
-    Incomplete {
         /// The service.
         service: Arc<str>,
     },

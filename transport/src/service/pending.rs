@@ -13,8 +13,8 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::subscription::RawSample;
-use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
+use crate::sync::{AtomicU64, Ordering, fence};
+use crate::topic::subscription::RawSample;
 use core::cell::UnsafeCell;
 use futures::task::AtomicWaker;
 use std::sync::Arc;
@@ -296,43 +296,6 @@ fn bits(mut word: u64) -> impl Iterator<Item = usize> {
     })
 }
 
-/// What one thread at a time works on; who finds another at it does not wait.
-pub(crate) struct Turn<T> {
-    busy: AtomicU32,
-    missed: AtomicU32,
-    value: UnsafeCell<T>,
-}
-
-// SAFETY: `busy` lets one thread at a time at the value; a T is Send.
-unsafe impl<T: Send> Sync for Turn<T> {}
-
-impl<T> Turn<T> {
-    pub(crate) fn new(value: T) -> Self {
-        Turn { busy: AtomicU32::new(0), missed: AtomicU32::new(0), value: UnsafeCell::new(value) }
-    }
-
-    /// Works on the value unless another thread does right now. True if somebody came meanwhile and went: what they came for
-    /// may have been missed, so they have to come again.
-    ///
-    /// # Real-time
-    /// Wait-free.
-    #[must_use]
-    pub(crate) fn attempt(&self, work: impl FnOnce(&mut T)) -> bool {
-        if self.busy.swap(1, Ordering::AcqRel) != 0 {
-            // Either the other one sees this when it is done, or it is done already.
-            self.missed.store(1, Ordering::Release);
-            if self.busy.swap(1, Ordering::AcqRel) != 0 {
-                return false;
-            }
-        }
-        // SAFETY: `busy` was 0 and is 1 until this is done.
-        work(unsafe { &mut *self.value.get() });
-        // A swap: it reads what those who went wrote here, so what they wrote to `missed` before is seen below.
-        self.busy.swap(0, Ordering::AcqRel);
-        self.missed.swap(0, Ordering::AcqRel) != 0
-    }
-}
-
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
@@ -502,32 +465,6 @@ mod loom_tests {
                 assert!(table.take(second).is_none(), "it waits");
             }
             table.release(filler);
-        });
-    }
-
-    #[test]
-    fn loom_who_finds_another_at_work_is_not_forgotten() {
-        // Each says what it came for before it comes; whoever is at work either sees that, or is told that somebody came.
-        model(|| {
-            let turn = loom::sync::Arc::new(Turn::new(0u32));
-            let wanted = loom::sync::Arc::new(AtomicU32::new(0));
-            let come = |bit: u32| {
-                let (turn, wanted) = (turn.clone(), wanted.clone());
-                move || {
-                    wanted.fetch_or(bit, Ordering::SeqCst);
-                    let mut again = true;
-                    // Who is told comes again, as a task that is woken does.
-                    while again {
-                        again = turn.attempt(|seen| *seen |= wanted.load(Ordering::SeqCst));
-                    }
-                }
-            };
-            let other = thread::spawn(come(1));
-            come(2)();
-            other.join().unwrap();
-            let mut seen = 0;
-            assert!(!turn.attempt(|value| seen = *value), "nobody is left to be told");
-            assert_eq!(seen, 3);
         });
     }
 }

@@ -4,21 +4,19 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use super::client::{Availability, RawClient, RawPending, Unsent};
-use super::server::{RequestId, Responders};
-use super::{ServiceError, ServiceType, request_topic};
+use super::server::{RawServer, RequestId};
+use super::{ServiceError, ServiceType};
 use crate::error::{TakeError, TransportError};
 use crate::participant::Participant;
-use crate::publisher::RawPublisher;
-use crate::qos::{Limits, Qos};
-use crate::subscription::RawSubscription;
-use crate::typed::{Loan, Sample, Subscription, Unwritten};
+use crate::qos::Limits;
+use crate::topic::subscription::RawSubscription;
+use crate::topic::typed::{Loan, Sample, Unwritten, poll_take, take_valid};
 use core::fmt;
 use core::future::Future;
 use core::marker::PhantomData;
 use core::ops::{Deref, DerefMut};
 use core::pin::Pin;
 use core::task::{Context, Poll};
-use std::sync::Arc;
 use tautline_msgs::cdr::{Fill, WriteError};
 use tautline_msgs::{Message, Plain, Service};
 
@@ -41,8 +39,8 @@ pub struct PendingResponse<S> {
 ///
 /// May be moved to another thread, and is used by one at a time.
 pub struct Server<S: Service> {
-    requests: Subscription<S::Request>,
-    responders: Responders,
+    raw: RawServer,
+    _service: PhantomData<fn(S)>,
 }
 
 /// A request, read in place. At most `Limits::held` of one server are alive at once.
@@ -53,7 +51,7 @@ pub struct Request<S: Service> {
 /// A response that is written in place. Dropping it gives it back unsent.
 #[must_use = "nothing is sent before it is sent"]
 pub struct Response<'s, S: Service> {
-    responders: &'s Responders,
+    server: &'s RawServer,
     id: RequestId,
     loan: Loan<'s, S::Response>,
 }
@@ -64,7 +62,7 @@ pub struct UnwrittenResponse<'s, 'z, S: Service>
 where
     S::Response: Fill,
 {
-    responders: &'s Responders,
+    server: &'s RawServer,
     id: RequestId,
     loan: Unwritten<'s, 'z, S::Response>,
 }
@@ -76,7 +74,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit.
+    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
     pub fn create_client<S: Service>(
         &self,
         service: &str,
@@ -92,19 +90,15 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: another type, a limit.
+    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
     pub fn create_server<S: Service>(
         &self,
         service: &str,
         depth: usize,
         limits: Limits,
     ) -> Result<Server<S>, TransportError> {
-        let service_type = ServiceType::of::<S>();
-        let request = &service_type.request;
-        let requests =
-            self.create_raw_subscription(&request_topic(service), request, Qos::keep_all(depth), limits)?;
-        let responders = Responders::new(self, service, &service_type, limits, &requests)?;
-        Ok(Server { requests: Subscription::of_raw(requests), responders })
+        let raw = self.create_raw_server(service, &ServiceType::of::<S>(), depth, limits)?;
+        Ok(Server { raw, _service: PhantomData })
     }
 }
 
@@ -171,7 +165,7 @@ impl<S: Service> Client<S> {
     /// As [`RawClient::send`].
     ///
     /// # Errors
-    /// [`Unsent`], with the loan if nothing was sent.
+    /// As [`RawClient::send`].
     pub fn send<'c>(
         &'c self,
         request: Loan<'c, S::Request>,
@@ -236,47 +230,38 @@ impl<S: Service> Future for PendingResponse<S> {
 }
 
 impl<S: Service> Server<S> {
+    /// The server of bytes below.
+    pub fn raw(&self) -> &RawServer {
+        &self.raw
+    }
+
     /// The service's fully qualified name.
     pub fn service(&self) -> &str {
-        &self.responders.service
+        self.raw.service()
     }
 
     /// The subscription to the requests.
     pub fn requests(&self) -> &RawSubscription {
-        self.requests.raw()
-    }
-
-    /// Those who can be answered.
-    pub fn responders(&self) -> &Responders {
-        &self.responders
+        self.raw.requests()
     }
 
     /// Takes the oldest request, if there is one; invalid ones are counted and passed over.
     ///
     /// # Real-time
-    /// As [`Subscription::try_take_valid`]. When clients have appeared or gone: allocates, starts a thread for each that makes a
-    /// publisher, and waits for that if the request is of a client that has only just appeared.
+    /// As [`Subscription::try_take_valid`](crate::Subscription::try_take_valid).
     ///
     /// # Errors
     /// [`TakeError`].
-    pub fn try_take(&mut self) -> Result<Option<Request<S>>, TakeError> {
-        self.responders.attend(self.requests.raw());
-        Ok(self.requests.try_take_valid()?.map(|message| self.admit(message)))
+    pub fn try_take(&self) -> Result<Option<Request<S>>, TakeError> {
+        Ok(take_valid(self.requests())?.map(|message| Request { message }))
     }
 
     /// Polls for a request.
     ///
     /// # Real-time
     /// As [`try_take`](Self::try_take).
-    pub fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Request<S>> {
-        let message = self.requests.poll_take(context);
-        self.responders.attend(self.requests.raw());
-        message.map(|message| self.admit(message))
-    }
-
-    fn admit(&mut self, message: Sample<S::Request>) -> Request<S> {
-        self.responders.admit(self.requests.raw(), message.info().publisher_gid);
-        Request { message }
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Request<S>> {
+        poll_take(self.requests(), context).map(|message| Request { message })
     }
 
     /// Loans memory for the response to a request, to write in place as `&mut S::Response`.
@@ -290,8 +275,9 @@ impl<S: Service> Server<S> {
     where
         S::Response: Plain,
     {
-        let loan = Loan::of_plain(self.publisher(id)?).map_err(|source| self.loan_error(source))?;
-        Ok(Response { responders: &self.responders, id, loan })
+        self.raw.subscription_of(id.client)?;
+        let loan = Loan::of_plain(&self.raw.responses).map_err(|source| self.raw.loan_error(source))?;
+        Ok(Response { server: &self.raw, id, loan })
     }
 
     /// Loans memory for a response of these lengths, to be [written](UnwrittenResponse::write) in place.
@@ -309,9 +295,10 @@ impl<S: Service> Server<S> {
     where
         S::Response: Fill,
     {
-        let loan = Unwritten::of_sizes(self.publisher(id)?, sizes);
-        let loan = loan.map_err(|source| self.loan_error(source))?;
-        Ok(UnwrittenResponse { responders: &self.responders, id, loan })
+        self.raw.subscription_of(id.client)?;
+        let loan = Unwritten::of_sizes(&self.raw.responses, sizes);
+        let loan = loan.map_err(|source| self.raw.loan_error(source))?;
+        Ok(UnwrittenResponse { server: &self.raw, id, loan })
     }
 
     /// Writes `message` into a loan and sends it.
@@ -322,21 +309,12 @@ impl<S: Service> Server<S> {
     /// # Errors
     /// [`ServiceError`]; nothing was sent.
     pub fn respond(&self, id: RequestId, message: &S::Response) -> Result<(), ServiceError> {
-        let mut loan = self.responders.loan(id, message.cdr_len())?;
-        let service = || self.responders.service.clone();
+        let mut loan = self.raw.loan(id, message.cdr_len())?;
+        let service = || self.raw.service.clone();
         message
             .encode(&mut loan)
             .map_err(|source| ServiceError::Encode { service: service(), source: source.into() })?;
         Ok(loan.send()?)
-    }
-
-    fn publisher(&self, id: RequestId) -> Result<&RawPublisher, ServiceError> {
-        self.responders.publisher(id.client)
-    }
-
-    fn loan_error(&self, source: crate::error::LoanError) -> ServiceError {
-        let service: Arc<str> = self.responders.service.clone();
-        ServiceError::Loan { service, source }
     }
 }
 
@@ -376,8 +354,8 @@ where
         self,
         write: impl for<'a> FnOnce(&mut <S::Response as Fill>::Writer<'a, 'z>) -> Result<(), WriteError>,
     ) -> Result<Response<'s, S>, WriteError> {
-        let UnwrittenResponse { responders, id, loan } = self;
-        Ok(Response { responders, id, loan: loan.write(write)? })
+        let UnwrittenResponse { server, id, loan } = self;
+        Ok(Response { server, id, loan: loan.write(write)? })
     }
 }
 
@@ -385,15 +363,15 @@ impl<S: Service> Response<'_, S> {
     /// Sends the response to the client that asked.
     ///
     /// # Real-time
-    /// As [`Loan::publish`].
+    /// As [`RawResponse::send`](crate::RawResponse::send).
     ///
     /// # Errors
-    /// [`Unsent`]: [`ServiceError::ResponsesFull`] with the response.
+    /// As [`RawResponse::send`](crate::RawResponse::send).
     #[allow(clippy::result_large_err, reason = "it gives the response back")]
     pub fn send(self) -> Result<(), Unsent<Self>> {
-        let Response { responders, id, loan } = self;
-        let unsent = responders.send(id, loan.ready());
-        unsent.map_err(|unsent| unsent.map(|loan| Response { responders, id, loan: Loan::back(loan) }))
+        let Response { server, id, loan } = self;
+        let unsent = server.send(id, loan.ready());
+        unsent.map_err(|unsent| unsent.map(|loan| Response { server, id, loan: Loan::back(loan) }))
     }
 }
 

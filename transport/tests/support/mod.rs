@@ -5,8 +5,10 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_msgs::Message;
@@ -28,18 +30,31 @@ pub struct Image {
     pub data: [u8; IMAGE_BYTES],
 }
 
-/// Reserves a domain for this process until it ends: another run of the same tests waits.
+/// A domain in the tests' own scope, which no other test file uses. Reserved for this process until it ends: another run of the same
+/// tests waits.
 pub fn domain(number: u32) -> u32 {
     static RESERVED: Mutex<BTreeMap<u32, File>> = Mutex::new(BTreeMap::new());
     let mut reserved = RESERVED.lock().unwrap_or_else(PoisonError::into_inner);
     if reserved.contains_key(&number) {
         return number;
     }
-    let name = format!("taut_test_{}_domain_{number}.lock", rustix::process::getuid().as_raw());
-    let file = File::create(std::env::temp_dir().join(name)).unwrap();
+    let _ = scope();
+    let folder = tautline_rt::domain::kept_folder();
+    // As the store of definitions makes it.
+    let _ = std::fs::DirBuilder::new().mode(0o700).create(&folder);
+    let file = File::create(folder.join(format!("test_{number}.lock"))).unwrap();
     rustix::fs::flock(&file, rustix::fs::FlockOperation::LockExclusive).unwrap();
     reserved.insert(number, file);
     number
+}
+
+/// That of whoever runs the tests, or one that no user's programs are in, nor the tests of other packages.
+fn scope() -> &'static str {
+    if std::env::var_os("TAUT_SCOPE").is_none() {
+        // Refused to a process that is in one.
+        let _ = tautline_rt::domain::set_scope(env!("CARGO_PKG_NAME"));
+    }
+    tautline_rt::domain::scope().unwrap().unwrap()
 }
 
 /// Takes all that is there.
@@ -53,6 +68,15 @@ pub fn wait_for(what: &str, mut condition: impl FnMut() -> bool) {
     while !condition() {
         assert!(start.elapsed() < Duration::from_secs(30), "waited in vain for {what}");
         std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Tells a thread to stop when it is dropped, so that a test that fails does not wait for it for ever.
+pub struct Stop<'a>(pub &'a AtomicBool);
+
+impl Drop for Stop<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::SeqCst);
     }
 }
 
@@ -82,47 +106,39 @@ pub fn place_of<T>(value: *const T) -> Place {
     panic!("{address:x} is not mapped");
 }
 
-/// The files of a domain in /dev/shm and the bytes of memory that each really has.
-pub fn shared_memory(domain: u32) -> BTreeMap<String, u64> {
-    let prefix = format!("taut_{domain}_{}_", rustix::process::getuid().as_raw());
-    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
-    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    names
-        .filter(|name| name.starts_with(&prefix))
-        .filter_map(|name| {
-            let blocks = std::fs::metadata(format!("/dev/shm/{name}")).ok()?.blocks();
-            Some((name, blocks * 512))
-        })
-        .collect()
+/// Where the files of a domain are.
+pub fn folder(domain: u32) -> PathBuf {
+    scope();
+    Path::new("/dev/shm").join(tautline_rt::domain::shared_folder(domain))
 }
 
-/// The files of a domain that are not shared memory.
-pub fn bookkeeping(domain: u32) -> Vec<String> {
-    fn visit(folder: &std::path::Path, prefix: &str, found: &mut Vec<String>) {
-        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-            let path = entry.path();
-            if path.is_dir() {
-                visit(&path, prefix, found);
-            }
-            if path.to_string_lossy().contains(prefix) {
-                found.push(path.to_string_lossy().into_owned());
-            }
-        }
-    }
-    let mut found = Vec::new();
-    let root = format!("/tmp/tautline_{}", rustix::process::getuid().as_raw());
-    visit(root.as_ref(), &format!("taut_{domain}_"), &mut found);
-    found.sort();
-    found
+/// The files of a domain and the bytes of memory that each really has.
+pub fn shared_memory(domain: u32) -> BTreeMap<String, u64> {
+    let entries = std::fs::read_dir(folder(domain)).into_iter().flatten().flatten();
+    let size = |entry: std::fs::DirEntry| {
+        Some((entry.file_name().into_string().unwrap(), std::fs::metadata(entry.path()).ok()?.blocks() * 512))
+    };
+    entries.filter_map(size).collect()
+}
+
+/// The files of participants.
+pub fn participants(domain: u32) -> Vec<String> {
+    shared_memory(domain).into_keys().filter(|name| name.starts_with('p')).collect()
+}
+
+/// What the files of participants have claimed, in bytes: not the trace of a process, which is of all its threads.
+pub fn claimed(domain: u32) -> u64 {
+    let files = shared_memory(domain).into_iter();
+    files.filter(|(name, _)| name.starts_with('p')).map(|(_, bytes)| bytes).sum()
 }
 
 /// Removes what killed processes left in a domain in which nobody lives any more.
 pub fn clean(domain: u32) {
-    let _participant = Participant::new(domain).unwrap();
-    wait_for("the janitor", || {
-        let arenas = shared_memory(domain).into_keys().filter(|name| name.contains("_arena_")).count();
-        let nodes = bookkeeping(domain).into_iter().filter(|name| name.ends_with(".node_monitor")).count();
-        (arenas, nodes) == (1, 1)
+    // The kernel may hold a dead process's lock a moment longer than the process.
+    wait_for("an empty folder", || {
+        drop(Participant::new(domain).unwrap());
+        // That of this process's trace may be there.
+        shared_memory(domain).into_keys().all(|name| name.starts_with("trace_"))
     });
 }
 
@@ -153,9 +169,18 @@ pub fn wait_for_the_end() {
 
 impl Part {
     pub fn start(name: &str, domain: u32) -> Part {
-        let mut child = Command::new(std::env::current_exe().unwrap())
+        Part::start_by(&[], name, domain)
+    }
+
+    /// The same, started by a command that gives it other surroundings.
+    pub fn start_by(command: &[&str], name: &str, domain: u32) -> Part {
+        let program = std::env::current_exe().unwrap();
+        let mut words = command.iter().map(std::ffi::OsStr::new).chain([program.as_os_str()]);
+        let mut child = Command::new(words.next().unwrap())
+            .args(words)
             .args(["--exact", "child_main", "--nocapture", "--test-threads=1"])
             .env(PART, format!("{name},{}", self::domain(domain)))
+            .env("TAUT_SCOPE", scope())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -207,7 +232,7 @@ impl Drop for Part {
 pub fn traced(domain: u32) -> usize {
     use tautline_trace::Record;
     let mut events = 0;
-    tautline_trace::Recorder::start(domain).unwrap().finish(&mut |record| match record {
+    tautline_transport::start_recorder(domain).unwrap().finish(&mut |record| match record {
         Record::Events { events: some, .. } => events += some.len(),
         Record::Lost { events: some, .. } => events += some as usize,
         _ => {}

@@ -18,7 +18,6 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::as_deep_as_allowed;
 use tautline_schema::{Packages, TypeHash, TypeName};
 use tautline_transport::{Gid, Limits, Participant, Qos, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
@@ -105,6 +104,8 @@ pub(crate) struct Control {
     /// Servers and clients of services on this host.
     local_services: Vec<(EndpointKind, TopicKey)>,
     services: Option<Services>,
+    /// Whether what this host has could not be read when it changed.
+    is_unlisted: bool,
     /// Whether the graph changed since it was last shown.
     is_unseen: bool,
     shown: Instant,
@@ -145,18 +146,15 @@ impl Control {
             undescribed: BTreeSet::new(),
             local_services: Vec::new(),
             services: None,
+            is_unlisted: false,
             is_unseen: false,
             shown: Instant::now(),
             started: Instant::now(),
         }
     }
 
-    pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>) {
-        let max_bytes = self.options.max_message_bytes;
-        match Services::start(self.participant.clone(), self.session.clone(), max_bytes) {
-            Ok(services) => self.services = Some(services),
-            Err(error) => tracing::warn!("services are not mirrored: {error}"),
-        }
+    pub(crate) fn run(mut self, events: &mpsc::Receiver<Event>, services: Services) {
+        self.services = Some(services);
         let mut next = Instant::now() + PERIOD;
         while !self.shared.stop.load(Ordering::Acquire) {
             let soon = self.is_unseen.then(|| self.shown + self.batch()).map_or(next, |at| at.min(next));
@@ -177,6 +175,9 @@ impl Control {
                 next = Instant::now() + PERIOD;
                 if MISSED.swap(false, Ordering::Relaxed) {
                     self.resync();
+                }
+                if self.is_unlisted {
+                    self.list_locals();
                 }
                 self.try_again();
                 self.ask_for_types();
@@ -200,36 +201,40 @@ impl Control {
     }
 
     fn list_locals(&mut self) {
+        let here = match self.participant.graph() {
+            Ok(here) => here,
+            Err(error) => {
+                self.is_unlisted = true;
+                return tracing::warn!("what this host has cannot be read, and that is tried again: {error}");
+            }
+        };
+        self.is_unlisted = false;
         let graph = self.mirror.graph();
         let types = &mut self.types;
         let hash_of =
             |topic: &str, name: &TypeName| types.hash_of(name).or_else(|| adopted_hash(graph, topic, name));
-        match locals::list(&self.participant, hash_of) {
-            Ok(locals) => {
-                self.refused = locals.refused;
-                let mut endpoints = locals.endpoints;
-                let domain = self.network_domain();
-                let is_service = |kind| matches!(kind, EndpointKind::Service | EndpointKind::Client);
-                self.local_services = (endpoints.iter())
-                    .filter(|end| is_service(end.kind) && self.options.filter.allows(&end.topic))
-                    .map(|end| {
-                        let (topic, type_id) = (end.topic.clone(), end.type_id.clone());
-                        (end.kind, TopicKey { domain, topic, type_id })
-                    })
-                    .collect();
-                // What the gateway itself answers for local nodes.
-                let mut offered = self.descriptions.offered(&locals.nodes, &endpoints);
-                offered.retain(|end| self.options.filter.allows(&end.topic));
-                let services = offered.iter().map(|end| end.topic.clone()).collect();
-                self.descriptions.answer_at(&self.session, domain, services);
-                endpoints.append(&mut offered);
-                // Before they are announced: who hears of a service may ask at once.
-                self.route_services();
-                let actions = self.mirror.set_locals(&locals.nodes, endpoints);
-                self.act(actions);
-            }
-            Err(error) => tracing::warn!("{error}"),
-        }
+        let locals = locals::list(&here, hash_of);
+        self.refused = locals.refused;
+        let mut endpoints = locals.endpoints;
+        let domain = self.network_domain();
+        let is_service = |kind| matches!(kind, EndpointKind::Service | EndpointKind::Client);
+        self.local_services = (endpoints.iter())
+            .filter(|end| is_service(end.kind) && self.options.filter.allows(&end.topic))
+            .map(|end| {
+                let (topic, type_id) = (end.topic.clone(), end.type_id.clone());
+                (end.kind, TopicKey { domain, topic, type_id })
+            })
+            .collect();
+        // What the gateway itself answers for local nodes.
+        let mut offered = self.descriptions.offered(&locals.nodes, &endpoints);
+        offered.retain(|end| self.options.filter.allows(&end.topic));
+        let services = offered.iter().map(|end| end.topic.clone()).collect();
+        self.descriptions.answer_at(&self.session, domain, services);
+        endpoints.append(&mut offered);
+        // Before they are announced: who hears of a service may ask at once.
+        self.route_services();
+        let actions = self.mirror.set_locals(&locals.nodes, endpoints);
+        self.act(actions);
     }
 
     fn network_domain(&self) -> u32 {
@@ -310,10 +315,9 @@ impl Control {
     fn start_out(&mut self, key: &TopicKey, qos: OutQos) -> Result<(), TransportError> {
         let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX);
         let wanted = Qos { durability: qos.durability, ..Qos::keep_last(depth.clamp(1, Limits::MAX_DEPTH)) };
-        let topic_type = topic_type(key);
-        let (subscription, _) = as_deep_as_allowed(wanted, |qos| {
-            self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
-        })?;
+        let (topic_type, limits) = (self.topic_type(key)?, Limits::default());
+        let subscription =
+            self.participant.create_relay_subscription(&key.topic, &topic_type, wanted, limits)?;
         let counters = self.counters(key, Direction::Out);
         self.outgoing.start_topic(key.clone(), subscription, counters);
         self.active.insert((key.clone(), Direction::Out));
@@ -328,14 +332,24 @@ impl Control {
         }
     }
 
+    /// What this host knows of the type of a topic.
+    fn topic_type(&self, key: &TopicKey) -> Result<TopicType, TransportError> {
+        let id = &key.type_id;
+        let known = TopicType::new(id.name.to_string()).with_hash(id.hash.to_string());
+        let graph = self.participant.graph()?;
+        let here = graph.endpoints.iter().filter(|end| !end.is_remote && end.topic == key.topic);
+        Ok(here.fold(known, |known, end| known.clone().join(&end.topic_type).unwrap_or(known)))
+    }
+
     fn start_in(&mut self, key: &TopicKey, qos: InQos) -> Result<(), String> {
         // Of one that runs: what is kept is asked for again, so that the new port has it for late joiners on this host.
         self.stop_in(key);
-        let topic_type = topic_type(key);
-        let port = as_deep_as_allowed(port_qos(qos, Limits::MAX_DEPTH), |qos| {
-            self.participant.create_relay_publisher(&key.topic, &topic_type, qos, Limits::default())
-        });
-        let (publisher, _) = port.map_err(|error| error.to_string())?;
+        let topic_type = self.topic_type(key).map_err(|error| error.to_string())?;
+        let (offered, limits) = (port_qos(qos), Limits::default());
+        let publisher = self
+            .participant
+            .create_relay_publisher(&key.topic, &topic_type, offered, limits)
+            .map_err(|error| error.to_string())?;
         let gid = publisher.gid();
         self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).insert(gid);
         let counters = self.counters(key, Direction::In);
@@ -406,7 +420,7 @@ impl Control {
         }
     }
 
-    /// What failed may be possible now: a limit, memory, another process's type.
+    /// What failed may be possible now: there is memory.
     fn try_again(&mut self) {
         for (id, (actions, reason)) in std::mem::take(&mut self.failed) {
             self.retried = Some((id, reason));
@@ -512,10 +526,6 @@ impl Control {
             services.set_routes(Routes::of(here, &elsewhere));
         }
     }
-}
-
-fn topic_type(key: &TopicKey) -> TopicType {
-    TopicType::new(key.type_id.name.to_string()).with_hash(key.type_id.hash.to_string())
 }
 
 /// Where this host knows a type by its name only, the hash that another host states for the same name on the same topic.

@@ -10,6 +10,7 @@ use crate::graph::GraphLimits;
 use crate::outgoing::{self, THREADS};
 use crate::rules::Rule;
 use crate::seat::{Seat, SeatError};
+use crate::services::Services;
 use crate::session::{self, SessionError, network_threads};
 use crate::stats::Stats;
 use crate::wire::{Token, token_wildcard};
@@ -189,29 +190,34 @@ impl Gateway {
             // Zenoh's calls are deep.
             builder.policy(policy).realtime(options.realtime).stack_bytes(2 << 20)
         };
-        let watch = {
-            let (participant, events, shared) = (participant.clone(), events.clone(), shared.clone());
-            thread("gw-watch").spawn(move || move || watch_domain(&participant, &events, &shared))?
+        let services = {
+            let (participant, session) = (participant.clone(), session.clone());
+            Services::start(thread("gw-services"), participant, session, options.max_message_bytes)?
         };
-        let guard = match (options.realtime, options.budget) {
-            (Realtime::Required, Some(budget)) => Some(Guard::start(budget, policy, &THREADS)?),
-            _ => None,
+        let descriptions = Descriptions::new(SchemaStore::of_user(), events.clone())
+            .map_err(|error| GatewayError::Definitions(error.into()))?;
+        // From here on whatever fails ends what was started.
+        let (control, watch, guard) = (None, None, None);
+        let mut gateway = Gateway { events, shared, control, watch, guard, config, session, _seat: seat };
+        gateway.watch = {
+            let (participant, events) = (participant.clone(), gateway.events.clone());
+            let shared = gateway.shared.clone();
+            Some(thread("gw-watch").spawn(move || move || watch_domain(&participant, &events, &shared))?)
         };
-        let control = {
-            let (session, shared) = (session.clone(), shared.clone());
-            let descriptions = Descriptions::new(SchemaStore::of_user(), events.clone())
-                .map_err(|error| GatewayError::Definitions(error.into()))?;
+        gateway.control = {
+            let (session, shared) = (gateway.session.clone(), gateway.shared.clone());
             let control =
                 Control::new(options.clone(), participant, session, outgoing, shared, zid, descriptions);
-            thread("gw-control").spawn(move || {
+            Some(thread("gw-control").spawn(move || {
                 move || {
                     let _tokens = tokens;
-                    control.run(&received);
+                    control.run(&received, services);
                 }
-            })?
+            })?)
         };
-        let (control, watch) = (Some(control), Some(watch));
-        let gateway = Gateway { events, shared, control, watch, guard, config, session, _seat: seat };
+        if let (Realtime::Required, Some(budget)) = (options.realtime, options.budget) {
+            gateway.guard = Some(Guard::start(budget, policy, &THREADS)?);
+        }
         if options.realtime == Realtime::Required {
             gateway.check_threads(policy)?;
         }

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 use tautline_schema::{DynamicMessage, Endian, Schema};
 use tautline_transport::{
-    Durability, Gid, History, LoanError, MessageInfo, PublishError, RawPublisher, Reliability,
+    Durability, Gid, History, Limits, LoanError, MessageInfo, PublishError, RawPublisher, Reliability,
 };
 use zenoh::bytes::ZBytes;
 use zenoh::sample::{Locality, Sample, SampleKind};
@@ -218,8 +218,8 @@ fn copy<'a>(slices: impl Iterator<Item = &'a [u8]>, mut skip: usize, to: &mut [u
 }
 
 /// The quality of service of the port that samples from the network go through.
-pub(crate) fn port_qos(qos: InQos, max_depth: usize) -> tautline_transport::Qos {
-    let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX).clamp(1, max_depth);
+pub(crate) fn port_qos(qos: InQos) -> tautline_transport::Qos {
+    let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX).clamp(1, Limits::MAX_DEPTH);
     tautline_transport::Qos {
         history: History::KeepLast,
         durability: qos.durability,
@@ -231,10 +231,11 @@ pub(crate) fn port_qos(qos: InQos, max_depth: usize) -> tautline_transport::Qos 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tautline_transport::{Limits, Participant, Qos, TopicType};
+    use tautline_transport::{Participant, Qos, TopicType};
 
     #[test]
     fn what_is_no_message_of_its_type_is_dropped() {
+        crate::tests::isolated();
         let participant = Participant::new(216).unwrap();
         let schema = Schema::from_text(&"std_msgs/msg/String".parse().unwrap(), "string data\n").unwrap();
         let topic_type = TopicType::new("std_msgs/msg/String").with_hash(schema.hash().to_string());

@@ -29,6 +29,8 @@ mod seat;
 mod services;
 mod session;
 mod stats;
+#[cfg(test)]
+mod tests;
 mod types;
 
 pub use access::access_layer;

@@ -5,7 +5,7 @@ use crate::mirror::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{Liveliness, Participant, Qos, ServiceKind, TransportError};
+use tautline_transport::{Gid, GraphSnapshot, Liveliness, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint};
 
 /// The nodes; the endpoints that can be mirrored, and the topics and services that cannot, with the reason.
 #[derive(Default)]
@@ -15,49 +15,90 @@ pub(crate) struct Locals {
     pub(crate) refused: BTreeMap<String, String>,
 }
 
-/// Lists them. `hash_of` finds the hash of a type that a topic does not state, from its topic's and type's name.
+/// An end of a topic or a service, as the graph has it.
+struct End<'a> {
+    kind: EndpointKind,
+    name: &'a str,
+    type_name: &'a str,
+    hash: Option<&'a str>,
+    gid: Gid,
+    qos: WireQos,
+    node: Option<&'a tautline_transport::NodeName>,
+    pid: Option<u32>,
+}
+
+impl<'a> End<'a> {
+    fn of_topic(end: &'a TopicEndpoint) -> Self {
+        End {
+            kind: match end.kind {
+                tautline_transport::EndpointKind::Publisher => EndpointKind::Publisher,
+                tautline_transport::EndpointKind::Subscription => EndpointKind::Subscription,
+            },
+            name: &end.topic,
+            type_name: &end.topic_type.name,
+            hash: end.topic_type.hash.as_deref(),
+            gid: end.gid,
+            qos: wire_qos(&end.qos),
+            node: end.node.as_ref(),
+            pid: end.pid,
+        }
+    }
+
+    fn of_service(end: &'a ServiceEndpoint) -> Self {
+        End {
+            kind: match end.kind {
+                ServiceKind::Server => EndpointKind::Service,
+                ServiceKind::Client => EndpointKind::Client,
+            },
+            name: &end.name,
+            type_name: &end.type_name,
+            hash: end.type_hash.as_deref(),
+            gid: end.gid,
+            // As ROS 2's services have it.
+            qos: wire_qos(&Qos::keep_last(10)),
+            node: end.node.as_ref(),
+            pid: end.pid,
+        }
+    }
+}
+
+/// Lists them. `hash_of` finds the hash of a type that no end of its topic here states, from its topic's and type's name.
 pub(crate) fn list(
-    participant: &Participant,
+    graph: &GraphSnapshot,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
-) -> Result<Locals, TransportError> {
-    let graph = participant.graph()?;
+) -> Locals {
     let mut locals = Locals::default();
-    let mut processes = HashMap::new();
     locals.nodes.extend(graph.nodes.iter().filter(|node| !node.is_remote).map(|node| wire_node(&node.name)));
-    for end in graph.endpoints.into_iter().filter(|end| !end.is_remote) {
-        let kind = match end.kind {
-            tautline_transport::EndpointKind::Publisher => EndpointKind::Publisher,
-            tautline_transport::EndpointKind::Subscription => EndpointKind::Subscription,
-        };
-        let node = match &end.node {
-            Some(node) => wire_node(node),
-            None => processes.entry(end.pid).or_insert_with(|| node_of(end.pid)).clone(),
-        };
-        let (type_name, hash) = (&end.topic_type.name, end.topic_type.hash.as_deref());
-        match type_id(&end.topic, type_name, hash, &mut hash_of) {
-            Err(reason) => drop(locals.refused.insert(end.topic, reason)),
-            Ok(type_id) => {
-                let (gid, topic, qos) = (end.gid, end.topic, wire_qos(&end.qos));
-                locals.endpoints.push(LocalEndpoint { gid, kind, topic, type_id, qos, node });
-            }
+    let topics = graph.endpoints.iter().filter(|end| !end.is_remote).map(|end| End::of_topic(end));
+    let services = graph.services.iter().filter(|end| !end.is_remote).map(|end| End::of_service(end));
+    let ends: Vec<End> = topics.chain(services).collect();
+    let mut stated = HashMap::new();
+    for end in &ends {
+        if let Some(hash) = end.hash {
+            // Of two that differ, neither can be believed.
+            let known = stated.entry((end.name, end.type_name)).or_insert(Some(hash));
+            *known = known.filter(|known| *known == hash);
         }
     }
-    for end in graph.services.into_iter().filter(|end| !end.is_remote) {
-        let kind = match end.kind {
-            ServiceKind::Server => EndpointKind::Service,
-            ServiceKind::Client => EndpointKind::Client,
-        };
-        match type_id(&end.name, &end.type_name, end.type_hash.as_deref(), &mut hash_of) {
-            Err(reason) => drop(locals.refused.insert(end.name, reason)),
-            Ok(type_id) => {
-                // As ROS 2's services have it.
-                let (gid, topic, qos) = (end.gid, end.name, wire_qos(&Qos::keep_last(10)));
-                let node = wire_node(&end.node);
-                locals.endpoints.push(LocalEndpoint { gid, kind, topic, type_id, qos, node });
-            }
+    let mut processes = HashMap::new();
+    for end in ends {
+        let hash = end.hash.or_else(|| stated.get(&(end.name, end.type_name)).copied().flatten());
+        match type_id(end.name, end.type_name, hash, &mut hash_of) {
+            Err(reason) => drop(locals.refused.insert(end.name.to_owned(), reason)),
+            Ok(type_id) => locals.endpoints.push(LocalEndpoint {
+                gid: end.gid,
+                kind: end.kind,
+                topic: end.name.to_owned(),
+                type_id,
+                qos: end.qos,
+                node: match end.node {
+                    Some(node) => wire_node(node),
+                    None => processes.entry(end.pid).or_insert_with(|| node_of(end.pid)).clone(),
+                },
+            }),
         }
     }
-    Ok(locals)
+    locals
 }
 
 fn type_id(
@@ -109,6 +150,7 @@ fn wire_qos(qos: &Qos) -> WireQos {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tautline_transport::{Limits, Participant, TopicType};
 
     #[test]
     fn all_that_an_end_states_is_in_its_token() {
@@ -120,12 +162,42 @@ mod tests {
         assert_eq!(wire_qos(&manual).to_string(), "::,7:1,0:2,0:3,3,0");
         assert_eq!(wire_qos(&Qos::keep_last(42)), WireQos::default());
         // As another process lists it.
-        let [one, other] = [(); 2].map(|()| Participant::new(216).unwrap());
-        let topic_type = tautline_transport::TopicType::new("std_msgs/msg/Empty");
-        let _port = one.create_raw_publisher("/stated", &topic_type, manual, Default::default()).unwrap();
+        crate::tests::isolated();
+        let [one, other] = [(); 2].map(|()| Participant::new(215).unwrap());
+        let _port = one.create_raw_publisher("/stated", &empty(), manual, Limits::default()).unwrap();
         let listed = other.topics().unwrap();
         let listed = listed.iter().find(|topic| topic.name == "/stated").unwrap();
         assert_eq!(wire_qos(&listed.publishers[0].qos), wire_qos(&manual));
+    }
+
+    /// One end states the hash of the type, the other does not know it; of another topic two differ.
+    #[test]
+    fn a_hash_is_the_whole_topics() {
+        crate::tests::isolated();
+        let participant = Participant::new(214).unwrap();
+        let hash = |digit: &str| format!("RIHS01_{}", digit.repeat(64));
+        let [one, two] = ["1", "2"].map(|digit| empty().with_hash(hash(digit)));
+        let ends = [
+            ("/agreed", empty()),
+            ("/agreed", one.clone()),
+            ("/torn", empty()),
+            ("/torn", one),
+            ("/torn", two),
+        ];
+        let _ports = ends.map(|(topic, topic_type)| {
+            participant.create_raw_publisher(topic, &topic_type, Qos::default(), Limits::default()).unwrap()
+        });
+        let locals = list(&participant.graph().unwrap(), |_, _| None);
+        let mut listed: Vec<_> =
+            locals.endpoints.iter().map(|end| (&*end.topic, end.type_id.hash.to_string())).collect();
+        listed.sort();
+        let expected = [("/agreed", "1"), ("/agreed", "1"), ("/torn", "1"), ("/torn", "2")];
+        assert_eq!(listed, expected.map(|(topic, digit)| (topic, hash(digit))));
+        assert!(locals.refused["/torn"].starts_with("no hash is known"), "{:?}", locals.refused);
+    }
+
+    fn empty() -> TopicType {
+        TopicType::new("std_msgs/msg/Empty")
     }
 
     #[test]

@@ -168,14 +168,13 @@ impl Mirror {
     /// Topics of this host that others have under the same name with another type or hash, and what it is there.
     pub fn mismatches(&self) -> BTreeMap<String, String> {
         let mut found = BTreeMap::new();
-        let here: BTreeMap<&str, &TypeId> = self
-            .locals
-            .values()
-            .filter(|local| local.is_of_topic())
-            .map(|local| (&*local.key.topic, &local.key.type_id))
-            .collect();
+        let mut here = BTreeMap::<&str, BTreeSet<&TypeId>>::new();
+        for local in self.locals.values().filter(|local| local.is_of_topic()) {
+            here.entry(&local.key.topic).or_default().insert(&local.key.type_id);
+        }
         for key in self.graph.topics() {
-            if let Some(type_id) = here.get(&*key.topic).filter(|type_id| ***type_id != key.type_id) {
+            let here = here.get(&*key.topic).filter(|here| !here.contains(&key.type_id));
+            if let Some(type_id) = here.and_then(BTreeSet::first) {
                 let (here, there) = (&type_id.name, &key.type_id.name);
                 let reason = if here == there {
                     format!("another host has {there} with another definition (hash {})", key.type_id.hash)
@@ -302,7 +301,7 @@ impl Mirror {
         let readers = self.graph.subscriptions(key);
         let is_kept = writers.values().any(|writer| writer.qos.durability == Durability::TransientLocal);
         let wanted = (!writers.is_empty() && (is_kept || !readers.is_empty())).then(|| OutQos {
-            depth: writers.values().map(|writer| depth(&writer.qos)).max().unwrap_or(1),
+            depth: writers.values().map(|writer| writer.qos.depth).max().unwrap_or(1),
             durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
         });
         let running = self.out.get(key).map(|(qos, _)| *qos);
@@ -335,17 +334,17 @@ impl Mirror {
     fn reconcile_in(&mut self, key: &TopicKey, actions: &mut Vec<Action>) {
         let publishers = self.graph.publishers(key);
         let has_readers = self.local_ends(key, EndpointKind::Subscription).next().is_some();
-        let late_joiners = (self.local_ends(key, EndpointKind::Subscription))
-            .any(|local| local.endpoint.qos.durability == Durability::TransientLocal);
-        let keepers = || {
-            let qos = publishers.iter().map(|publisher| &publisher.endpoint.qos);
-            qos.filter(|qos| qos.durability == Durability::TransientLocal)
-        };
-        let is_kept = late_joiners && keepers().next().is_some();
+        let is_kept = |qos: &&WireQos| qos.durability == Durability::TransientLocal;
+        let subscriptions = self.local_ends(key, EndpointKind::Subscription).map(|local| &local.endpoint.qos);
+        let asked = subscriptions.filter(is_kept).map(|qos| qos.depth).max();
+        let keepers = publishers.iter().map(|publisher| &publisher.endpoint.qos).filter(is_kept);
+        let kept = keepers.map(kept_samples).reduce(u64::saturating_add);
+        // None of the subscriptions here gets more than its depth, whatever others claim to keep.
+        let kept = asked.zip(kept).map(|(asked, kept)| asked.min(kept));
         let is_reliable = publishers.iter().any(|p| p.endpoint.qos.reliability == Reliability::Reliable);
         let wanted = (has_readers && !publishers.is_empty()).then(|| InQos {
-            depth: if is_kept { keepers().map(depth).fold(0, u64::saturating_add) } else { 1 },
-            durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
+            depth: kept.unwrap_or(1),
+            durability: if kept.is_some() { Durability::TransientLocal } else { Durability::Volatile },
             reliability: if is_reliable { Reliability::Reliable } else { Reliability::BestEffort },
         });
         let running = self.inward.get(key).copied();
@@ -363,8 +362,8 @@ impl Mirror {
     }
 }
 
-/// Samples that an endpoint keeps; keep-all has no number and gets a large one.
-fn depth(qos: &WireQos) -> u64 {
+/// Samples that a publisher elsewhere keeps; keep-all has no number there and gets a large one.
+fn kept_samples(qos: &WireQos) -> u64 {
     const KEEP_ALL: u64 = 1000;
     if qos.history == History::KeepAll { qos.depth.max(KEEP_ALL) } else { qos.depth.max(1) }
 }

@@ -33,9 +33,10 @@ const WAITING_BULK: usize = 8;
 /// As rmw_zenoh's.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
-/// The gateway's own threads: those that send, and those that hear of changes. A flood, of samples or of tokens, keeps
-/// them busy; so the budget is for all of them.
-pub(crate) const THREADS: [&str; 5] = ["gw-out", "gw-wait", "gw-bulk", "gw-control", "gw-watch"];
+/// The gateway's own threads: those that send, and those that hear of changes. A flood, of samples, requests or tokens,
+/// keeps them busy; so the budget is for all of them.
+pub(crate) const THREADS: [&str; 6] =
+    ["gw-out", "gw-wait", "gw-bulk", "gw-services", "gw-control", "gw-watch"];
 
 /// The threads that send; dropping it ends them.
 pub(crate) type Outgoing = Relay<Network>;

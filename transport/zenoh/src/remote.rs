@@ -55,7 +55,7 @@ fn service(kind: ServiceKind, token: &Token, end: &Endpoint) -> ServiceEndpoint 
         type_name: end.type_id.name.to_string(),
         type_hash: Some(end.type_id.hash.to_string()),
         gid: endpoint_gid(token),
-        node: node(&token.node),
+        node: Some(node(&token.node)),
         pid: None,
         is_remote: true,
     }

@@ -15,11 +15,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc as mpsc_std;
 use std::task::{Context, Poll};
-use std::thread::JoinHandle;
 use std::time::Duration;
 use tautline_rt::clock::wall_ns;
+use tautline_rt::{JoinHandle, RtError, ThreadBuilder};
 use tautline_transport::{
-    Limits, Participant, RawClient, RawSample, RawServer, RequestId, ServiceError, ServiceType,
+    Claim, Limits, Participant, RawClient, RawSample, RawServer, RequestId, ServiceError, ServiceType,
     TransportError,
 };
 use zenoh::bytes::ZBytes;
@@ -61,9 +61,8 @@ impl Routes {
         };
         let offered = of_kind(EndpointKind::Service);
         let clients = of_kind(EndpointKind::Client);
-        // A service that this host has, of whatever type, is asked here.
-        let is_here = |key: &TopicKey| offered.iter().any(|other| other.topic == key.topic);
-        let sought = clients.into_iter().filter(|key| elsewhere.contains(key) && !is_here(key)).collect();
+        let is_sought = |key: &TopicKey| elsewhere.contains(key) && !offered.contains(key);
+        let sought = clients.into_iter().filter(is_sought).collect();
         Routes { offered, sought }
     }
 }
@@ -142,18 +141,16 @@ pub(crate) struct Services {
 }
 
 impl Services {
-    /// Starts the thread, with the policy and cores of this one.
     pub(crate) fn start(
+        thread: ThreadBuilder,
         participant: Participant,
         session: Session,
         max_bytes: usize,
-    ) -> Result<Self, std::io::Error> {
+    ) -> Result<Self, RtError> {
         let (commands, received) = mpsc::unbounded();
         let commands = Sender { commands, waiting: Arc::default() };
         let sender = commands.clone();
-        // Zenoh's calls are deep, and so is what makes a publisher.
-        let builder = std::thread::Builder::new().name("gw-services".into()).stack_size(2 << 20);
-        let thread = builder.spawn(move || {
+        let thread = thread.spawn(move || {
             let mut bridge = Bridge {
                 participant,
                 session,
@@ -164,7 +161,7 @@ impl Services {
                 sought: BTreeMap::new(),
                 pending: FuturesUnordered::new(),
             };
-            block_on(poll_fn(|context| bridge.poll(context)));
+            move || block_on(poll_fn(|context| bridge.poll(context)))
         })?;
         Ok(Services { commands, routes: Routes::default(), thread: Some(thread) })
     }
@@ -219,7 +216,7 @@ impl Bridge {
             }
         }
         while let Poll::Ready(Some(())) = self.pending.poll_next_unpin(context) {}
-        for (key, server) in &mut self.sought {
+        for (key, server) in &self.sought {
             let mut passed = 0;
             while let Poll::Ready(request) = server.poll_take(context) {
                 pass_on(&self.session, &self.sender, key, &request);
@@ -292,7 +289,7 @@ impl Bridge {
     }
 
     fn offer(&self, key: &TopicKey) -> Result<Offer, String> {
-        let client = self.participant.create_raw_client(&key.topic, &service_type(key), Limits::SERVICE);
+        let client = self.participant.create_raw_client(&key.topic, &service_type(key), limits());
         let client = client.map_err(|error| error.to_string())?;
         let (sender, of) = (self.sender.clone(), key.clone());
         let queryable = self
@@ -308,7 +305,7 @@ impl Bridge {
     }
 
     fn seek(&self, key: &TopicKey) -> Result<RawServer, TransportError> {
-        self.participant.create_raw_server(&key.topic, &service_type(key), DEPTH, Limits::SERVICE)
+        self.participant.create_raw_server(&key.topic, &service_type(key), DEPTH, limits())
     }
 
     /// Asks a service of this host what another host asks.
@@ -329,6 +326,11 @@ impl Bridge {
         });
         Ok(reply.boxed())
     }
+}
+
+/// Most services are seldom asked, if ever: they take no memory before.
+fn limits() -> Limits {
+    Limits { claim: Claim::OnUse, ..Limits::default() }
 }
 
 fn service_type(key: &TopicKey) -> ServiceType {
@@ -368,14 +370,14 @@ fn pass_on(session: &Session, sender: &Sender, key: &TopicKey, request: &RawSamp
 fn answer(server: &RawServer, id: RequestId, payload: &ZBytes, max_bytes: usize) -> Result<(), String> {
     let payload = payload.to_bytes();
     let body = body(&payload, max_bytes)?;
-    let mut loan = server.responders().loan(id, body.len()).map_err(|error| error.to_string())?;
+    let mut loan = server.loan(id, body.len()).map_err(|error| error.to_string())?;
     loan.copy_from_slice(body);
     loan.send().map_err(|unsent| unsent.to_string())
 }
 
 /// Tells the client on this host that there is no answer to its request.
 fn give_up(server: &RawServer, id: RequestId) {
-    match server.responders().refuse(id) {
+    match server.refuse(id) {
         Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
         Err(error) => tracing::warn!("{error}"),
     }
@@ -420,6 +422,6 @@ mod tests {
         let elsewhere = BTreeSet::from([one.clone(), two.clone(), three.clone()]);
         let routes = Routes::of(here.into_iter(), &elsewhere);
         assert_eq!(routes.offered, BTreeSet::from([one, other_type]));
-        assert_eq!(routes.sought, BTreeSet::from([two]), "one name, one service");
+        assert_eq!(routes.sought, BTreeSet::from([two, three]), "a service of another type is another one");
     }
 }

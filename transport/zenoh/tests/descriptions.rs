@@ -104,7 +104,7 @@ fn a_type_that_only_another_knows_is_learned() {
     let key = format!("115/their_node/get_type_description/{SERVICE}/{SERVICE_HASH}");
     let _queryable = session.declare_queryable(key).complete(true).callback(answer).wait().unwrap();
     let _tokens = publisher_of(&session, 115, "/theirs", &hash);
-    let topic_type = wait("their topic", || host.participant.topic_type("/theirs"));
+    let topic_type = wait("their topic", || host.participant.topic_type("/theirs").unwrap());
     assert_eq!(topic_type, TopicType::new("a_msgs/msg/Whole").with_hash(hash.clone()));
     assert!(SchemaStore::of_user().read(&hash).unwrap().is_none(), "nobody here wants it yet");
 

@@ -9,7 +9,7 @@ use tautline_gateway::{Direction, TopicStats};
 use tautline_ros_msgs::geometry_msgs::msg::Twist;
 use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
 use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
-use tautline_transport::{EndpointKind, Limits, Qos, ServiceKind};
+use tautline_transport::{EndpointKind, Limits, Qos, ServiceKind, ServiceType};
 
 fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
     host.stats().topics.into_iter().find(|stats| stats.topic == topic && stats.direction == direction)
@@ -96,17 +96,25 @@ fn hosts_see_each_others_nodes() {
         .for_node(&node)
         .create_raw_publisher("/chatter", &string_type(), qos, Limits::default())
         .unwrap();
-    let service = node.register_service("/robot/add", "a_msgs/srv/Add", Some(UNKNOWN_HASH)).unwrap();
-    let _client = silent.register_client("/robot/add", "a_msgs/srv/Add", Some(UNKNOWN_HASH)).unwrap();
+    let service_type = ServiceType::new("a_msgs/srv/Add", Some(UNKNOWN_HASH));
+    let (of_node, of_silent) = (a.participant.for_node(&node), a.participant.for_node(&silent));
+    let service = of_node.create_raw_server("/robot/add", &service_type, 10, Limits::default()).unwrap();
+    let _client = of_silent.create_raw_client("/robot/add", &service_type, Limits::default()).unwrap();
     let _subscription = b.subscription("/chatter", &string_type(), Qos::keep_last(7));
 
     let names = |host: &Host| -> Vec<(String, bool)> {
-        host.participant.nodes().iter().map(|node| (node.name.full_name(), node.is_remote)).collect()
+        host.participant
+            .graph()
+            .unwrap()
+            .nodes
+            .iter()
+            .map(|node| (node.name.full_name(), node.is_remote))
+            .collect()
     };
     until("nodes", || names(&b).len() >= 2);
     assert_eq!(names(&b), [("/silent".into(), true), ("/robot/talker".into(), true)]);
     let services = || {
-        let mut services = b.participant.graph().unwrap().services;
+        let mut services = b.participant.graph().unwrap().services.clone();
         // Beside those that tell of types.
         services.retain(|end| end.name == "/robot/add");
         services
@@ -125,20 +133,20 @@ fn hosts_see_each_others_nodes() {
     assert!(here.kind == EndpointKind::Subscription && !here.is_remote && here.is_own);
     let [server, client] = &*services() else { panic!("{graph:?}") };
     assert_eq!(
-        (server.kind, &server.node, client.kind),
-        (ServiceKind::Server, node.name(), ServiceKind::Client)
+        (server.kind, server.node.as_ref(), client.kind),
+        (ServiceKind::Server, Some(node.name()), ServiceKind::Client)
     );
     assert_eq!((&*server.type_name, server.type_hash.as_deref()), ("a_msgs/srv/Add", Some(UNKNOWN_HASH)));
     // What is nobody's node's is its process's.
     let theirs = wait("b's subscription", || {
         let graph = a.participant.graph().unwrap();
-        graph.endpoints.into_iter().find(|end| end.is_remote)
+        graph.endpoints.iter().find(|end| end.is_remote).cloned()
     });
-    assert!(theirs.node.unwrap().name.ends_with(&std::process::id().to_string()));
+    assert!(theirs.node.as_ref().unwrap().name.ends_with(&std::process::id().to_string()));
 
     drop(service);
     until("the end of a service", || services().len() == 1);
-    drop((node, publisher));
+    drop((node, of_node, publisher));
     until("the end of a node", || names(&b).len() == 1);
     drop(a);
     until("the end of a host", || names(&b).is_empty());
@@ -168,6 +176,34 @@ fn header_fields_survive() {
     let of_publisher: HashSet<_> = of_publisher.collect();
     assert_eq!(gids.len(), 1);
     assert!(gids.is_subset(&of_publisher), "{gids:?} {announced:?}");
+}
+
+/// Ends of one name and two types, on both hosts.
+#[test]
+fn each_type_of_a_topic_goes_its_own_way() {
+    let a = Host::first(83, 83);
+    let b = Host::beside(&a, 144);
+    let types = [string_type(), image_type()];
+    let qos = Qos::keep_last(4);
+    let near = types.each_ref().map(|topic_type| a.subscription("/x", topic_type, qos));
+    let far = types.each_ref().map(|topic_type| b.subscription("/x", topic_type, qos));
+    let publishers = types.each_ref().map(|topic_type| a.publisher("/x", topic_type, qos));
+    for n in 0..2 {
+        connect(&publishers[n], &[&near[n], &far[n]], b"probe");
+    }
+    for (n, publisher) in publishers.iter().enumerate() {
+        publisher.publish(&[n as u8; 4]).unwrap();
+    }
+    for subscriptions in [near, far] {
+        for (n, subscription) in subscriptions.iter().enumerate() {
+            assert_eq!(take(subscription).body(), [n as u8; 4]);
+            assert!(subscription.try_take().unwrap().is_none());
+        }
+    }
+    // All have their counterparts.
+    for host in [&a, &b] {
+        assert_eq!(host.stats().not_mirrored, Default::default());
+    }
 }
 
 #[test]

@@ -9,6 +9,8 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 const MS: Duration = Duration::from_millis(1);
+/// More than comes at once after a link stood still, so that what is lost was lost on the way.
+const DEPTH: usize = 1000;
 
 /// Not a test: what the nodes on the hosts run.
 #[test]
@@ -49,8 +51,8 @@ fn one_publishes_and_two_receive_every_size() {
     let mut gateway_b = b.gateway(&["--listen", &endpoint(1), "--connect", &endpoint(0)]);
     let _gateway_c =
         c.gateway(&["--listen", &endpoint(2), "--connect", &endpoint(0), "--connect", &endpoint(1)]);
-    let (at_b, at_c) = (b.subscriber("/image"), c.subscriber("/image"));
-    let mut publisher = a.publisher("/image");
+    let (at_b, at_c) = (b.subscriber("/image", 10), c.subscriber("/image", 10));
+    let mut publisher = a.publisher("/image", 10);
     connect(&mut publisher, &[&at_b, &at_c]);
     for bytes in [64, 1000, 4096, 65_536, 1 << 20, 8 << 20] {
         let number = publisher.publish(bytes, 1, MS);
@@ -64,7 +66,7 @@ fn one_publishes_and_two_receive_every_size() {
     assert_eq!((&inward["lost"], &inward["dropped"]), (&0.into(), &serde_json::json!({})));
 
     // What nobody wants: nothing on the wire but what keeps the links alive.
-    let mut unwanted = a.publisher("/unwanted");
+    let mut unwanted = a.publisher("/unwanted", DEPTH);
     gateway_a.stats();
     let before = a.packets_sent();
     unwanted.publish(1000, 2000, MS);
@@ -83,8 +85,8 @@ fn a_link_that_was_down_resumes_and_losses_are_counted() {
     let [a, b] = &lan.hosts[..] else { unreachable!() };
     let _gateway_a = a.gateway(&["--listen", &endpoint(0)]);
     let mut gateway_b = b.gateway(&["--connect", &endpoint(0)]);
-    let subscriber = b.subscriber("/x");
-    let mut publisher = a.publisher("/x");
+    let subscriber = b.subscriber("/x", DEPTH);
+    let mut publisher = a.publisher("/x", DEPTH);
     connect(&mut publisher, &[&subscriber]);
     let before = gateway_b.wait_for("/x", "in", |_| true)["lost"].as_u64().unwrap();
     let first = publisher.publish(100, 1, MS) + 1;
@@ -123,8 +125,8 @@ fn a_router_and_a_gateway_are_killed_and_started_again() {
     let router = r.gateway(&["--router", "--listen", &router_at]);
     let gateway_a = a.gateway(&["--client", "--connect", &router_at]);
     let _gateway_b = b.gateway(&["--client", "--connect", &router_at]);
-    let subscriber = b.subscriber("/x");
-    let mut publisher = a.publisher("/x");
+    let subscriber = b.subscriber("/x", DEPTH);
+    let mut publisher = a.publisher("/x", DEPTH);
     connect(&mut publisher, &[&subscriber]);
 
     router.kill();
@@ -151,8 +153,8 @@ fn latency_of_the_network_shows_in_the_numbers() {
     });
     let connect_to = if relay.is_some() { "tcp/127.0.0.1:9000".to_owned() } else { endpoint(0) };
     let mut gateway_b = b.gateway(&["--client", "--connect", &connect_to]);
-    let subscriber = b.subscriber("/x");
-    let mut publisher = a.publisher("/x");
+    let subscriber = b.subscriber("/x", DEPTH);
+    let mut publisher = a.publisher("/x", DEPTH);
     connect(&mut publisher, &[&subscriber]);
     publisher.publish(10, 100, 5 * MS);
     let stats = gateway_b.wait_for("/x", "in", |stats| stats["samples"].as_u64() > Some(100));
@@ -178,8 +180,8 @@ fn loss_on_the_network_loses_nothing_that_is_reliable() {
     println!("10 % lost each way by: {way}");
     let _gateway_a = a.gateway(&["--listen", &endpoint(0)]);
     let mut gateway_b = b.gateway(&["--connect", &endpoint(0)]);
-    let subscriber = b.subscriber("/x");
-    let mut publisher = a.publisher("/x");
+    let subscriber = b.subscriber("/x", DEPTH);
+    let mut publisher = a.publisher("/x", DEPTH);
     connect(&mut publisher, &[&subscriber]);
     let before = gateway_b.wait_for("/x", "in", |_| true)["lost"].clone();
     let last = publisher.publish(200, 500, 10 * MS);

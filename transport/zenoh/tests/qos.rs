@@ -48,6 +48,24 @@ fn publishers_of_another_host_are_watched_one_by_one() {
 }
 
 #[test]
+fn with_the_gateway_go_the_publishers_of_other_hosts() {
+    let a = Host::first(83, 83);
+    let mut b = Host::beside(&a, 144);
+    let subscription = b.subscription("/chatter", &string_type(), Qos::keep_last(10));
+    let events = b.participant.claim_slot().unwrap();
+    let mut monitor = subscription.monitor(&events);
+    let mut matched = 0;
+    let mut look = |count: u64| {
+        matched = monitor.look(monotonic_ns()).matched.map_or(matched, |now| now.current_count);
+        matched == count
+    };
+    let _publisher = a.publisher("/chatter", &string_type(), Qos::keep_last(10));
+    until("the publisher", || look(1));
+    drop(b.gateway.take());
+    until("its end", || look(0));
+}
+
+#[test]
 fn what_is_older_than_its_lifespan_is_not_delivered() {
     let a = Host::first(81, 81);
     let b = Host::beside(&a, 82);

@@ -22,11 +22,11 @@ fn of_node(host: &Host, name: &str) -> Participant {
 }
 
 fn server(host: &Host) -> RawServer {
-    of_node(host, "answering").create_raw_server("/trigger", &service_type(), 10, Limits::SERVICE).unwrap()
+    of_node(host, "answering").create_raw_server("/trigger", &service_type(), 10, Limits::default()).unwrap()
 }
 
 fn client(host: &Host) -> RawClient {
-    of_node(host, "asking").create_raw_client("/trigger", &service_type(), Limits::SERVICE).unwrap()
+    of_node(host, "asking").create_raw_client("/trigger", &service_type(), Limits::default()).unwrap()
 }
 
 fn ask(client: &RawClient, body: &[u8]) -> RawPending {
@@ -36,11 +36,11 @@ fn ask(client: &RawClient, body: &[u8]) -> RawPending {
 }
 
 /// Takes a request and answers it with what it says, twice.
-fn serve(server: &mut RawServer) -> Vec<u8> {
+fn serve(server: &RawServer) -> Vec<u8> {
     let request = wait("a request", || server.try_take().unwrap());
     let asked = request.body().to_vec();
     let id = tautline_transport::RequestId::of(request.info());
-    let mut response = server.responders().loan(id, asked.len() * 2).unwrap();
+    let mut response = server.loan(id, asked.len() * 2).unwrap();
     response.copy_from_slice(&asked.repeat(2));
     response.send().unwrap();
     asked
@@ -54,19 +54,19 @@ fn response(mut pending: RawPending) -> Result<RawSample, ServiceError> {
 fn a_service_of_another_host() {
     let a = Host::first(101, 101);
     let b = Host::beside(&a, 102);
-    let mut server = server(&a);
+    let server = server(&a);
     let client = client(&b);
     until("the service", || client.server_count() == 1);
     for size in [0, 1, 64, 1000, 100_000] {
         let body: Vec<u8> = (0..size).map(|n: usize| (n * 7 + size) as u8).collect();
         let pending = ask(&client, &body);
-        assert!(serve(&mut server) == body, "{size} bytes differ");
+        assert!(serve(&server) == body, "{size} bytes differ");
         assert!(response(pending).unwrap().body() == body.repeat(2), "{size} bytes differ");
     }
     // Several at once, answered in another order by whoever takes them.
     let pending: Vec<_> = (0..5u8).map(|n| ask(&client, &[n])).collect();
     for _ in &pending {
-        serve(&mut server);
+        serve(&server);
     }
     for (n, pending) in pending.into_iter().enumerate() {
         assert_eq!(response(pending).unwrap().body(), [n as u8; 2]);
@@ -97,14 +97,14 @@ fn a_service_of_another_host() {
 fn a_service_of_this_host_is_asked_here() {
     let a = Host::first(103, 103);
     let b = Host::beside(&a, 104);
-    let mut far = server(&a);
+    let far = server(&a);
     let client = client(&b);
     until("the service elsewhere", || client.server_count() == 1);
-    let mut near = server(&b);
+    let near = server(&b);
     // The one that stood for the other host's goes; for a moment both are there.
     until("the service here", || client.server_count() == 1);
     let pending = ask(&client, b"here");
-    assert_eq!(serve(&mut near), b"here");
+    assert_eq!(serve(&near), b"here");
     assert_eq!(response(pending).unwrap().body(), b"herehere");
     assert!(far.try_take().unwrap().is_none());
 }

@@ -20,7 +20,7 @@ impl Other {
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut-gateway"));
         command.args(["--no-rt", "--json", "--domain", &domain.to_string(), "--connect", locator]);
         command.args(["--network-domain", &network_domain.to_string()]);
-        Other(command.stdout(Stdio::null()).spawn().unwrap())
+        Other(command.env("TAUT_SCOPE", support::scope()).stdout(Stdio::null()).spawn().unwrap())
     }
 
     fn signal(&self, signal: Signal) {
@@ -30,7 +30,12 @@ impl Other {
 
 impl Drop for Other {
     fn drop(&mut self) {
-        let _ = self.0.kill();
+        if std::thread::panicking() {
+            let _ = self.0.kill();
+        } else {
+            // So that it leaves nothing in /dev/shm.
+            self.signal(Signal::TERM);
+        }
         let _ = self.0.wait();
     }
 }

@@ -109,7 +109,7 @@ fn publish<T: Message>(mut loan: Loan<'_, T>) -> Result<()> {
         match loan.publish() {
             Ok(()) => return Ok(()),
             Err(Unpublished::Full(back)) => loan = back,
-            Err(Unpublished::Incomplete) => return Err("a message did not reach all subscriptions".into()),
+            Err(unpublished @ Unpublished::OutOfMemory(_)) => return Err(unpublished.to_string().into()),
         }
         std::thread::yield_now();
     }
@@ -280,8 +280,8 @@ impl<T: Payload> End<T> {
     }
 
     fn limit(&mut self, topic: &str) -> Result<()> {
-        let (message_bytes, depth) = (self.job.payload_bytes + 128, self.job.depth());
-        let limits = Limits { publishers: 1, message_bytes, depth, held: 2, loans: 2, ..Limits::default() };
+        let message_bytes = self.job.payload_bytes + 128;
+        let limits = Limits { message_bytes, held: 2, loans: 2, ..Limits::default() };
         Ok(self.node.set_topic_limits(topic, limits)?)
     }
 }

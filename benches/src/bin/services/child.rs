@@ -159,7 +159,7 @@ where
         });
         return serve(&node, options, answer);
     }
-    node.set_service_limits("ask", Limits { loans: 2, ..Limits::SERVICE })?;
+    node.set_service_limits("ask", Limits { loans: 2, ..Limits::default() })?;
     if !job.asks {
         if job.system == System::ServiceOwned {
             let requests = node.create_service::<S>("ask", qos)?;

@@ -51,8 +51,7 @@ pub async fn main() -> Result<(), Box<dyn std::error::Error>> {
     task::spawn(async move {
         matched.await.unwrap();
         for count in 0.. {
-            let _time_passed = timer.tick().await.unwrap();
-            if source.publish(&Text { data: count.to_string() }).is_err() {
+            if timer.tick().await.is_err() || source.publish(&Text { data: count.to_string() }).is_err() {
                 break; // the node has gone
             }
         }

@@ -19,7 +19,7 @@ use tautline_gateway::wire::{EndpointKind, endpoint_gid};
 use tautline_msgs::Message;
 use tautline_msgs::cdr::Endian;
 use tautline_ros_msgs::{geometry_msgs, sensor_msgs, std_msgs};
-use tautline_transport::{Durability, Qos, Reliability, TopicType};
+use tautline_transport::{Durability, Limits, Qos, Reliability, ServiceType, TopicType};
 
 fn topic_type<M: Message>() -> TopicType {
     TopicType::new(M::TYPE_NAME).with_hash(M::TYPE_HASH.unwrap())
@@ -217,15 +217,15 @@ fn each_is_in_the_others_graph() {
     let _silent = host.participant.create_node("silent", "/ours").unwrap();
     let our_node = host.participant.create_node("our_node", "/ours").unwrap();
     let hash = format!("RIHS01_{:064x}", 7);
-    let _service = our_node.register_service("/ours/add", "a_msgs/srv/Add", Some(&hash)).unwrap();
-    let subscription = host
-        .participant
-        .for_node(&our_node)
+    let (ours, limits) = (host.participant.for_node(&our_node), Limits::default());
+    let service_type = ServiceType::new("a_msgs/srv/Add", Some(&hash));
+    let _service = ours.create_raw_server("/ours/add", &service_type, 10, limits).unwrap();
+    let subscription = ours
         .create_raw_subscription(
             "/ours/scan",
             &topic_type::<sensor_msgs::msg::LaserScan>(),
             Qos::keep_last(5).best_effort(),
-            tautline_transport::Limits::default(),
+            limits,
         )
         .unwrap();
     let graph = context.graph();

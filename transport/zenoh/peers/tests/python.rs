@@ -126,7 +126,7 @@ fn a_service_each_way() {
     use tautline_ros_msgs::std_srvs::srv::SetBool;
     let Some(python) = python() else { return };
     let host = Host::first(67, 67);
-    let limits = Limits::SERVICE;
+    let limits = Limits::default();
     let hash = [<SetBool::Service as Service>::TYPE_HASH];
     // The network hears of what nodes have.
     let node = host.participant.create_node("our_node", "/").unwrap();
@@ -148,7 +148,7 @@ fn a_service_each_way() {
     drop(peer);
     until("the end of their service", || client.server_count() == 0);
 
-    let mut server = ours.create_server::<SetBool::Service>("/ours/switch", 10, limits).unwrap();
+    let server = ours.create_server::<SetBool::Service>("/ours/switch", 10, limits).unwrap();
     let mut peer = Peer::start_script(&python, &host, "service.py", "ask", "/ours/switch", &hash);
     for (data, answer) in [("True", "answer (True, 'Grüße')"), ("False", "answer (False, 'Grüße')")] {
         writeln!(peer.input, "{data}").unwrap();

@@ -127,6 +127,13 @@ fn another_type_or_hash_is_another_topic() {
     assert!(m.mismatches()["/x"].contains("RIHS01_00"));
     assert_eq!(said(&m.token_up(&remote(1, 8, "MP", "x", QOS).replace("String_", "Bool_"))), NOTHING);
     assert!(m.mismatches()["/x"].contains("std_msgs"));
+
+    // Unless there is an end of that type here, too.
+    let mut bool = publisher(3, "x");
+    bool.type_id.name = "std_msgs/msg/Bool".parse().unwrap();
+    m.set_locals(&[], vec![publisher(1, "x"), bool]);
+    m.token_down(&other_hash);
+    assert_eq!(m.mismatches(), BTreeMap::new());
 }
 
 #[test]
@@ -193,10 +200,18 @@ fn history_is_asked_for_if_both_ends_are_transient_local() {
 #[test]
 fn keep_all_and_odd_depths() {
     let mut m = mirror(ZID, Filter::default());
-    m.set_locals(&[], vec![late_joining(subscription(1, "map"))]);
+    let mut deep = late_joining(subscription(1, "map"));
+    deep.qos.depth = 2000;
+    m.set_locals(&[], vec![deep]);
     assert_eq!(
         said(&m.token_up(&remote(1, 7, "MP", "map", ":1:2,0:,:,:,,"))),
         ["start in /map TransientLocal 1000"]
+    );
+    m.set_locals(&[], vec![late_joining(subscription(3, "few"))]);
+    assert_eq!(
+        said(&m.token_up(&remote(1, 8, "MP", "few", ":1:,4294967295:,:,:,,"))),
+        ["start in /few TransientLocal 10"],
+        "no more than who asks can get"
     );
     let mut endless = publisher(2, "log");
     endless.qos = WireQos { history: History::KeepAll, depth: 5000, ..endless.qos };

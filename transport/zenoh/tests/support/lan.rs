@@ -72,9 +72,7 @@ pub struct Namespace {
 
 impl Namespace {
     fn new(name: &str) -> Self {
-        // A private /dev/shm, and a private place for what iceoryx2 keeps beside it.
-        let script = "mount -t tmpfs tmpfs /dev/shm && mkdir -p /tmp/tautline_0 && mount -t tmpfs -o mode=700 tmpfs /tmp/tautline_0 \
-                      && ip link set lo up && echo ready && exec sleep 1000";
+        let script = "mount -t tmpfs tmpfs /dev/shm && ip link set lo up && echo ready && exec sleep 1000";
         let mut holder = Command::new("unshare")
             .args(["-n", "-m", "setpriv", "--pdeathsig", "KILL", "sh", "-c", script])
             .stdout(Stdio::piped())
@@ -104,6 +102,10 @@ impl Namespace {
             "KILL",
             program,
         ]);
+        if std::env::var_os("TAUT_SCOPE").is_none() {
+            // For what is not in /dev/shm: definitions of types.
+            command.env("TAUT_SCOPE", "test");
+        }
         command
     }
 
@@ -135,12 +137,12 @@ impl Namespace {
         Gateway { child, lines, last: None }
     }
 
-    pub fn publisher(&self, topic: &str) -> Node {
-        self.node(&format!("publish {topic}"))
+    pub fn publisher(&self, topic: &str, depth: usize) -> Node {
+        self.node(&format!("publish {topic} {depth}"))
     }
 
-    pub fn subscriber(&self, topic: &str) -> Node {
-        self.node(&format!("subscribe {topic}"))
+    pub fn subscriber(&self, topic: &str, depth: usize) -> Node {
+        self.node(&format!("subscribe {topic} {depth}"))
     }
 
     /// Forwards TCP from a port of this host, each byte later by `delay`.
@@ -328,18 +330,17 @@ pub fn play() {
     let Ok(role) = std::env::var(ROLE) else { return };
     let parts: Vec<&str> = role.split(' ').collect();
     match parts[..] {
-        ["publish", topic] => publish(topic),
-        ["subscribe", topic] => subscribe(topic),
+        ["publish", topic, depth] => publish(topic, depth.parse().unwrap()),
+        ["subscribe", topic, depth] => subscribe(topic, depth.parse().unwrap()),
         ["relay", port, to, delay_us] => relay(port, to, Duration::from_micros(delay_us.parse().unwrap())),
         _ => panic!("{role}"),
     }
 }
 
-fn publish(topic: &str) {
+fn publish(topic: &str, depth: usize) {
     let participant = Participant::new(DOMAIN).unwrap();
-    let limits = Limits { message_bytes: 8 << 20, ..Limits::default() };
-    let publisher =
-        participant.create_raw_publisher(topic, &topic_type(), Qos::keep_last(100), limits).unwrap();
+    let (qos, limits) = (Qos::keep_last(depth), Limits::default());
+    let publisher = participant.create_raw_publisher(topic, &topic_type(), qos, limits).unwrap();
     println!("> started");
     let mut number = 0;
     for line in std::io::stdin().lines().map_while(Result::ok) {
@@ -356,11 +357,10 @@ fn publish(topic: &str) {
     }
 }
 
-fn subscribe(topic: &str) {
+fn subscribe(topic: &str, depth: usize) {
     let participant = Participant::new(DOMAIN).unwrap();
-    let qos = Qos::keep_last(100);
-    let subscription =
-        participant.create_raw_subscription(topic, &topic_type(), qos, Limits::default()).unwrap();
+    let (qos, limits) = (Qos::keep_last(depth), Limits::default());
+    let subscription = participant.create_raw_subscription(topic, &topic_type(), qos, limits).unwrap();
     println!("> started");
     loop {
         match subscription.try_take_valid().unwrap() {

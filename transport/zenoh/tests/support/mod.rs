@@ -24,6 +24,14 @@ pub fn image_type() -> TopicType {
     TopicType::new("sensor_msgs/msg/Image").with_hash(UNKNOWN_HASH.replace("df", "ab"))
 }
 
+/// That of whoever runs the tests, or one that no user's programs are in.
+pub fn scope() -> &'static str {
+    if std::env::var_os("TAUT_SCOPE").is_none() {
+        tautline_rt::domain::set_scope("test").unwrap();
+    }
+    tautline_rt::domain::scope().unwrap().unwrap()
+}
+
 pub struct Host {
     pub domain: u32,
     pub network_domain: u32,
@@ -52,6 +60,7 @@ impl Host {
             ..Options::default()
         };
         change(&mut options);
+        scope();
         let gateway = Some(Gateway::spawn(options).unwrap());
         Host { domain, network_domain, gateway, participant: Participant::new(domain).unwrap() }
     }

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The scope of a run, and its files.
+
+use crate::report::Row;
+use crate::{Experiment, Result};
+use std::fs::{self, File};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use tautline_benches::Scratch;
+use tautline_rt::domain::{kept_folder, set_scope, shared_folder};
+use tautline_rt::shm;
+
+use crate::job::DOMAIN;
+
+const PREFIX: &str = "bench_domain_";
+
+/// A scope that nobody else is in. What it leaves is removed on drop, also that of runs that were killed.
+pub struct Place {
+    scope: String,
+    scratch: Scratch,
+}
+
+impl Place {
+    /// Puts this process into a new scope.
+    pub fn new() -> Result<Self> {
+        let scope = format!("{PREFIX}{}", std::process::id());
+        set_scope(&scope)?;
+        remove_scopes(|pid| !Path::new(&format!("/proc/{pid}")).exists());
+        Ok(Place { scope, scratch: Scratch::new("domain")? })
+    }
+
+    pub fn scope(&self) -> &str {
+        &self.scope
+    }
+
+    /// For files of rivals.
+    pub fn scratch(&self) -> &Scratch {
+        &self.scratch
+    }
+
+    /// The domain's folder in shared memory.
+    pub fn folder(&self) -> PathBuf {
+        Path::new(shm::DIRECTORY).join(shared_folder(DOMAIN))
+    }
+
+    /// Shared memory of all processes of the domain, in bytes.
+    pub fn shared_bytes(&self) -> u64 {
+        let files = fs::read_dir(self.folder()).into_iter().flatten().flatten();
+        files.filter_map(|file| file.metadata().ok()).map(|file| file.blocks() * 512).sum()
+    }
+
+    /// Files that the processes of an experiment, which have all ended, have left in shared memory.
+    pub fn left_behind(&self, experiment: Experiment) -> Result<Row> {
+        let files = match fs::read_dir(self.folder()) {
+            Ok(files) => files.count(),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => 0,
+            Err(error) => return Err(error.into()),
+        };
+        Ok(Row::of(experiment, 0, "files left in /dev/shm", "files").value(files as f64).at_most(0.0))
+    }
+
+    /// A gate that is closed.
+    pub fn gate(&self) -> Result<Gate> {
+        let path = self.scratch.directory().join("gate");
+        let file = File::create(&path)?;
+        file.lock()?;
+        Ok(Gate { path, file })
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let own = std::process::id();
+        remove_scopes(|pid| pid == own);
+    }
+}
+
+/// Removes the files of runs by the process that made them.
+fn remove_scopes(is_unwanted: impl Fn(u32) -> bool) {
+    let kept = kept_folder();
+    for place in [Path::new(shm::DIRECTORY), kept.parent().unwrap_or(Path::new("/tmp"))] {
+        for entry in fs::read_dir(place).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let scope = name.to_str().and_then(|name| name.rsplit_once('.')).map(|(_, scope)| scope);
+            let pid = scope.and_then(|scope| scope.strip_prefix(PREFIX)?.parse().ok());
+            if pid.is_some_and(&is_unwanted) {
+                // Ignored: what cannot be removed belongs to another user.
+                let _ = fs::remove_dir_all(entry.path());
+            }
+        }
+    }
+}
+
+/// Where processes wait until all of them are there.
+pub struct Gate {
+    path: PathBuf,
+    file: File,
+}
+
+impl Gate {
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Lets all of them through.
+    pub fn open(self) -> Result<()> {
+        Ok(self.file.unlock()?)
+    }
+
+    /// Waits until it is open.
+    pub fn pass(path: &Path) -> Result<()> {
+        Ok(File::open(path)?.lock_shared()?)
+    }
+}

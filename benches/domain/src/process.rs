@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the kernel says of processes.
+
+use crate::Result;
+use std::fs;
+use std::path::{Path, PathBuf};
+use tautline_rt::clock::monotonic_ns;
+
+pub use tautline_benches::Process;
+
+/// CPU time of a process, exactly: what its threads have had, which the clock ticks of `/proc/PID/stat` round down.
+pub fn cpu_ns(pid: u32) -> u64 {
+    let tasks = fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let of_task = |path: PathBuf| {
+        let text = fs::read_to_string(path.join("schedstat")).unwrap_or_default();
+        text.split(' ').next().and_then(|ns| ns.parse::<u64>().ok()).unwrap_or(0)
+    };
+    tasks.map(|task| of_task(task.path())).sum()
+}
+
+/// CPU time of all these processes in so long, as a percentage of one core.
+pub fn cpu_percent(pids: &[u32], duration: std::time::Duration) -> f64 {
+    let all = || -> Vec<u64> { pids.iter().map(|&pid| cpu_ns(pid)).collect() };
+    let (before, start) = (all(), monotonic_ns());
+    std::thread::sleep(duration);
+    let (after, end) = (all(), monotonic_ns());
+    // Of a process that has ended meanwhile nothing is known.
+    let used: u64 = after.iter().zip(before).map(|(after, before)| after.saturating_sub(before)).sum();
+    100.0 * used as f64 / (end - start) as f64
+}
+
+/// Memory of a process in bytes.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Memory {
+    /// Resident: what it shares counts whole.
+    pub rss: u64,
+    /// What it shares counts in part.
+    pub pss: u64,
+    /// Resident and shared with nobody by being in `/dev/shm`: code, heap, stacks.
+    pub rss_without_shared: u64,
+}
+
+pub fn memory(pid: u32) -> Memory {
+    let field = |file: &str, name: &str| {
+        let text = fs::read_to_string(format!("/proc/{pid}/{file}")).unwrap_or_default();
+        let line = text.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default();
+        line.split_whitespace().next().and_then(|kib| kib.parse::<u64>().ok()).unwrap_or(0) * 1024
+    };
+    let rss = field("smaps_rollup", "Rss:");
+    let rss_without_shared = rss.saturating_sub(field("status", "RssShmem:"));
+    Memory { rss, pss: field("smaps_rollup", "Pss:"), rss_without_shared }
+}
+
+/// The files that a process has open, but for its standard input, output and error.
+pub fn descriptors(pid: u32) -> Vec<(PathBuf, PathBuf)> {
+    let links = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
+    let links = links.filter_map(|link| Some((link.path(), fs::read_link(link.path()).ok()?)));
+    let is_standard = |link: &Path| ["0", "1", "2"].iter().any(|number| link.ends_with(number));
+    links.filter(|(link, _)| !is_standard(link)).collect()
+}
+
+/// The parts of its address space, of which the kernel allows 65,530 if nobody set it otherwise.
+pub fn mappings(pid: u32) -> usize {
+    fs::read_to_string(format!("/proc/{pid}/maps")).map_or(0, |maps| maps.lines().count())
+}
+
+/// The files of the participants of a process: a participant has its own open, and no peer's.
+pub fn records(pid: u32, folder: &Path) -> Vec<PathBuf> {
+    let is_record = |path: &PathBuf| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        path.parent() == Some(folder) && name.is_some_and(|name| name.len() == 17 && name.starts_with('p'))
+    };
+    descriptors(pid).into_iter().map(|(_, file)| file).filter(is_record).collect()
+}
+
+/// Whether a process is the domain's warden: it alone has the warden's pipe open for writing.
+pub fn is_warden(pid: u32, folder: &Path) -> Result<bool> {
+    for (link, file) in descriptors(pid) {
+        if file == folder.join("warden") {
+            let number = link.file_name().unwrap_or_default().to_string_lossy();
+            let about = fs::read_to_string(format!("/proc/{pid}/fdinfo/{number}"))?;
+            let flags = about.lines().find_map(|line| line.strip_prefix("flags:"));
+            if flags.is_some_and(|flags| flags.trim().ends_with('2')) {
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
+}

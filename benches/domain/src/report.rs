@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The table, the JSON, and whether aims are met. A miss is printed, never an error: the machine has its part in it.
+
+use crate::{Experiment, Result};
+use clap::ValueEnum;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{Cell, CellAlignment, Table};
+use serde::Serialize;
+use std::path::Path;
+use tautline_benches::{Distribution, Disturbance, machine, version_of};
+
+/// One thing that was measured at one size.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    pub experiment: String,
+    /// Processes, topics or subscriptions, as the experiment has them; 0: of the experiment as a whole.
+    pub size: u64,
+    pub system: &'static str,
+    pub what: String,
+    pub unit: &'static str,
+    pub n: u64,
+    /// The median, or the value if it is one.
+    pub p50: f64,
+    pub p99: Option<f64>,
+    pub p999: Option<f64>,
+    pub max: Option<f64>,
+    pub aim: Option<Aim>,
+}
+
+/// What a number is to be at most.
+#[derive(Clone, Debug, Serialize)]
+pub struct Aim {
+    pub at_most: f64,
+    /// The column that is judged.
+    pub of: &'static str,
+    pub is_met: bool,
+}
+
+impl Row {
+    pub fn of(experiment: Experiment, size: usize, what: impl Into<String>, unit: &'static str) -> Self {
+        Row {
+            experiment: experiment.name(),
+            size: size as u64,
+            system: "tautline",
+            what: what.into(),
+            unit,
+            n: 1,
+            p50: f64::NAN,
+            p99: None,
+            p999: None,
+            max: None,
+            aim: None,
+        }
+    }
+
+    pub fn system(mut self, system: &'static str) -> Self {
+        self.system = system;
+        self
+    }
+
+    /// A single number.
+    pub fn value(mut self, value: f64) -> Self {
+        self.p50 = value;
+        self
+    }
+
+    /// Times, in units of so many µs.
+    pub fn times_in(mut self, times: &Distribution, unit_us: f64) -> Self {
+        self.n = times.len();
+        let enough_for =
+            |quantile: f64, least: u64| (times.len() >= least).then(|| times.quantile_us(quantile) / unit_us);
+        (self.p50, self.p99) = (times.quantile_us(0.5) / unit_us, enough_for(0.99, 100));
+        (self.p999, self.max) = (enough_for(0.999, 1000), Some(times.max_us() / unit_us));
+        self
+    }
+
+    /// Times in µs.
+    pub fn times(self, times: &Distribution) -> Self {
+        self.times_in(times, 1.0)
+    }
+
+    /// A value, or a median, that is to be at most so much.
+    pub fn at_most(self, at_most: f64) -> Self {
+        let p50 = self.p50;
+        self.judged("p50", Some(p50), at_most)
+    }
+
+    /// The 99th percentile, of fewer than 100 times the longest.
+    pub fn p99_at_most(self, at_most: f64) -> Self {
+        let (p99, max) = (self.p99, self.max);
+        match p99 {
+            Some(_) => self.judged("p99", p99, at_most),
+            None => self.judged("max", max, at_most),
+        }
+    }
+
+    pub fn max_at_most(self, at_most: f64) -> Self {
+        let max = self.max;
+        self.judged("max", max, at_most)
+    }
+
+    fn judged(mut self, of: &'static str, number: Option<f64>, at_most: f64) -> Self {
+        self.aim = Some(Aim { at_most, of, is_met: number.is_some_and(|number| number <= at_most) });
+        self
+    }
+}
+
+/// The result of a run.
+#[derive(Serialize)]
+pub struct Report {
+    machine: String,
+    versions: String,
+    /// The limit of each process.
+    open_files: u64,
+    disturbance: String,
+    realtime: bool,
+    quick: bool,
+    rows: Vec<Row>,
+}
+
+impl Report {
+    pub fn new(quick: bool, realtime: bool, open_files: u64) -> Self {
+        let version = |package| version_of(package).unwrap_or("?");
+        let versions = format!("tautline {}, iceoryx2 {}", version("tautline"), version("iceoryx2"));
+        let disturbance = String::new();
+        Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows: Vec::new() }
+    }
+
+    pub fn add(&mut self, rows: Vec<Row>) {
+        self.rows.extend(rows);
+    }
+
+    pub fn finish(&mut self, disturbance: &Disturbance) {
+        self.disturbance = disturbance.report();
+    }
+
+    pub fn print(&self) {
+        println!("{}", self.machine);
+        println!("{}; {} open files at most (ulimit -n)", self.versions, self.open_files);
+        println!("{}", self.disturbance);
+        let priorities = if self.realtime { "real-time priorities" } else { "NO REAL-TIME PRIORITIES" };
+        println!(
+            "messages with {priorities}; all else as ordinary threads{}",
+            if self.quick { "; a quick run" } else { "" }
+        );
+        for &experiment in Experiment::value_variants() {
+            let name = experiment.name();
+            let rows: Vec<_> = self.rows.iter().filter(|row| row.experiment == name).collect();
+            if !rows.is_empty() {
+                println!("\n{}\n{}", title(experiment), table(&rows));
+            }
+        }
+        println!();
+        for row in &self.rows {
+            if let Some(aim) = &row.aim {
+                let word = if aim.is_met { "holds" } else { "MISSED" };
+                let number = match aim.of {
+                    "p99" => row.p99.unwrap_or(f64::NAN),
+                    "max" => row.max.unwrap_or(f64::NAN),
+                    _ => row.p50,
+                };
+                let size = if row.size == 0 { String::new() } else { format!(" {}", row.size) };
+                println!(
+                    "{word:7} {}{size}: {}: {} {}, at most {}",
+                    row.experiment,
+                    row.what,
+                    shown(number),
+                    row.unit,
+                    shown(aim.at_most)
+                );
+            }
+        }
+    }
+
+    pub fn write_json(&self, path: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self)?;
+        std::fs::write(path, text + "\n")
+            .map_err(|error| format!("cannot write {}: {error}", path.display()).into())
+    }
+}
+
+fn title(experiment: Experiment) -> String {
+    let help = experiment.to_possible_value().and_then(|value| value.get_help().map(ToString::to_string));
+    format!("{}: {}", experiment.name(), help.unwrap_or_default())
+}
+
+fn table(rows: &[&Row]) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED);
+    table.set_header(["size", "system", "what", "unit", "n", "p50 / value", "p99", "p99.9", "max", "aim"]);
+    let mut previous = None;
+    for row in rows {
+        let size = if previous == Some(row.size) { String::new() } else { row.size.to_string() };
+        previous = Some(row.size);
+        let words = [size, row.system.to_owned(), row.what.clone(), row.unit.to_owned()];
+        let numbers = [Some(row.p50), row.p99, row.p999, row.max];
+        let aim = row.aim.as_ref().map_or(String::new(), |aim| {
+            format!("{} <= {} {}", aim.of, shown(aim.at_most), if aim.is_met { "holds" } else { "MISSED" })
+        });
+        let numbers = numbers.map(|number| number.map_or(String::new(), shown));
+        let right = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
+        let cells = words.into_iter().map(Cell::new);
+        let cells = cells.chain([right(row.n.to_string())]).chain(numbers.into_iter().map(right));
+        table.add_row(cells.chain([Cell::new(aim)]));
+    }
+    table
+}
+
+/// With as many digits as say something.
+fn shown(number: f64) -> String {
+    match number.abs() {
+        size if size == 0.0 || size >= 1000.0 => format!("{number:.0}"),
+        size if size >= 10.0 => format!("{number:.1}"),
+        _ => format!("{number:.2}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn aims_are_judged_by_the_column_that_they_name() {
+        let mut times = Distribution::new();
+        (1..=200).for_each(|time| times.record(time * 1000));
+        let row = || Row::of(Experiment::Storm, 1, "x", "µs").times(&times);
+        let is_met = |row: Row| row.aim.is_some_and(|aim| aim.is_met);
+        assert!(is_met(row().at_most(101.0)) && !is_met(row().at_most(99.0)));
+        assert!(is_met(row().p99_at_most(199.0)) && !is_met(row().p99_at_most(190.0)));
+        assert!(is_met(row().max_at_most(201.0)) && !is_met(row().max_at_most(199.0)));
+        assert!(row().p999.is_none(), "too few for that");
+        assert!(!is_met(Row::of(Experiment::Storm, 1, "x", "µs").at_most(1.0)), "nothing was measured");
+    }
+}

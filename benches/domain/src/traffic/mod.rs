@@ -1,0 +1,265 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Messages at a rate, from one process to others: what publishing costs, how late they come, what it takes of the processor.
+//!
+//! With real-time priorities the sender has a core, and all receivers another one.
+
+mod iceoryx;
+mod tautline;
+
+use crate::job::Job as Task;
+use crate::process::{self, Process};
+use crate::report::Row;
+use crate::{Bench, Experiment, Result};
+use serde::{Deserialize, Serialize};
+use std::time::{Duration, Instant};
+use tautline_benches::Distribution;
+use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way, to_the_last};
+use tautline_rt::{CoreSet, set_affinity};
+
+/// How long a process may take to set itself up.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// How long what is under way may take to arrive.
+const DRAIN: Duration = Duration::from_millis(500);
+const SMALL_BYTES: usize = 64;
+const IMAGE_BYTES: usize = 8 << 20;
+const MIB: f64 = 1048576.0;
+
+/// By which messages go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum System {
+    /// Its callbacks are woken by the sampler.
+    Tautline,
+    /// Its callback's thread is woken by the publisher.
+    TautlineDirect,
+    Iceoryx,
+}
+
+impl System {
+    fn name(self) -> &'static str {
+        match self {
+            System::Tautline => "tautline",
+            System::TautlineDirect => "tautline, direct",
+            System::Iceoryx => "iceoryx2",
+        }
+    }
+}
+
+/// What is sent.
+#[derive(Clone, Copy)]
+struct Flow {
+    system: System,
+    payload_bytes: usize,
+    topics: usize,
+    /// Of each topic.
+    rate_hz: f64,
+    processes: usize,
+    /// Of each topic in each receiving process.
+    subscribers: usize,
+}
+
+#[derive(Default)]
+struct Found {
+    publishing: Distribution,
+    /// Of one topic: until the last subscription had it.
+    latency: Distribution,
+    cpu_percent: f64,
+    pss_mib: f64,
+    lost: u64,
+    late: u64,
+}
+
+/// 200 topics with two subscriptions each, in two processes.
+pub fn load(bench: &Bench<'_>) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for system in [System::Tautline, System::TautlineDirect, System::Iceoryx] {
+        let flow = Flow {
+            system,
+            payload_bytes: SMALL_BYTES,
+            topics: 200,
+            rate_hz: 100.0,
+            processes: 2,
+            subscribers: 1,
+        };
+        let found = bench.flow(flow, seconds(bench, 1, 10))?;
+        rows.extend(rows_of(Experiment::Load, flow.topics, system, &found));
+    }
+    Ok(rows)
+}
+
+/// Images that nobody copies.
+pub fn images(bench: &Bench<'_>) -> Result<Vec<Row>> {
+    let sizes: &[usize] = if bench.quick { &[1, 8, 32] } else { &[1, 2, 4, 8, 16, 32] };
+    let mut rows = Vec::new();
+    for &subscriptions in sizes {
+        let processes = subscriptions.min(4);
+        let flow = Flow {
+            system: System::Tautline,
+            payload_bytes: IMAGE_BYTES,
+            topics: 1,
+            rate_hz: 30.0,
+            processes,
+            subscribers: subscriptions / processes,
+        };
+        let found = bench.flow(flow, seconds(bench, 1, 10))?;
+        rows.extend(rows_of(Experiment::Images, subscriptions, flow.system, &found));
+    }
+    Ok(rows)
+}
+
+/// One topic, many subscriptions.
+pub fn fan_out(bench: &Bench<'_>) -> Result<Vec<Row>> {
+    let sizes: &[usize] = if bench.quick { &[10, 50] } else { &[10, 20, 50, 100, 200] };
+    let mut rows = Vec::new();
+    for &subscriptions in sizes {
+        let processes = 10;
+        let flow = Flow {
+            system: System::Tautline,
+            payload_bytes: SMALL_BYTES,
+            topics: 1,
+            rate_hz: 100.0,
+            processes,
+            subscribers: subscriptions / processes,
+        };
+        let found = bench.flow(flow, seconds(bench, 1, 10))?;
+        rows.extend(rows_of(Experiment::FanOut, subscriptions, flow.system, &found));
+    }
+    Ok(rows)
+}
+
+fn seconds(bench: &Bench<'_>, quick: u64, full: u64) -> Duration {
+    Duration::from_secs(if bench.quick { quick } else { full })
+}
+
+fn rows_of(experiment: Experiment, size: usize, system: System, found: &Found) -> Vec<Row> {
+    let row = |what: &str, unit| Row::of(experiment, size, what, unit).system(system.name());
+    let latency = match experiment {
+        Experiment::Load => "from before the loan until a subscription has read it",
+        _ => "from before the loan until the last subscription has read it",
+    };
+    vec![
+        row("publishing: loan, write a stamp, publish, wake", "µs").times(&found.publishing),
+        row(latency, "µs").times(&found.latency),
+        row("CPU of all processes", "% of a core").value(found.cpu_percent),
+        row("memory of all processes (PSS)", "MiB").value(found.pss_mib),
+        row("messages lost", "messages").value(found.lost as f64).at_most(0.0),
+        row("messages that were due before the one before was sent", "messages").value(found.late as f64),
+    ]
+}
+
+impl<'a> Bench<'a> {
+    fn flow(&self, flow: Flow, budget: Duration) -> Result<Found> {
+        let mut fars: Vec<Process<'a, Line>> = Vec::new();
+        for _ in 0..flow.processes {
+            let mut far = self.start(&self.task(flow, Role::Far, budget)?)?;
+            far.expect(PATIENCE, |line| matches!(line, Line::Ready(_)).then_some(()))?;
+            fars.push(far);
+        }
+        let mut near: Process<'a, Line> = self.start(&self.task(flow, Role::Near, budget)?)?;
+        for far in &mut fars {
+            far.expect(PATIENCE, |line| matches!(line, Line::Connected { .. }).then_some(()))?;
+        }
+        let pids = fars.iter().map(Process::id).chain([near.id()]);
+        let pss: u64 = pids.map(|pid| process::memory(pid).pss).sum();
+        near.tell("go")?;
+        let sent = measured(&mut near, PATIENCE + budget * 3)?;
+        let since = Instant::now();
+        for far in &mut fars {
+            // Whether the last one has come: what has not is counted as lost.
+            let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
+            let _ = far.wait_for(DRAIN.saturating_sub(since.elapsed()), is_last)?;
+        }
+        let mut found = Found { pss_mib: pss as f64 / MIB, late: sent.late, ..Found::default() };
+        sent.times_ns.iter().for_each(|&time_ns| found.publishing.record(time_ns));
+        let (mut cpu_ns, mut arrivals) = (sent.cpu_ns, Vec::new());
+        for far in &mut fars {
+            far.tell("stop")?;
+            let received = measured(far, PATIENCE)?;
+            far.finish()?;
+            cpu_ns += received.cpu_ns;
+            found.lost += received.lost;
+            match flow.topics {
+                1 => arrivals.extend(received.numbers.into_iter().zip(received.times_ns)),
+                _ => received.times_ns.iter().for_each(|&time_ns| found.latency.record(time_ns)),
+            }
+        }
+        near.finish()?;
+        to_the_last(arrivals, flow.processes).iter().for_each(|(_, time_ns)| found.latency.record(*time_ns));
+        found.cpu_percent = 100.0 * cpu_ns as f64 / 1e9 / sent.seconds;
+        if found.latency.is_empty() {
+            return Err(format!("no message arrived everywhere; {} were lost", found.lost).into());
+        }
+        Ok(found)
+    }
+
+    fn task(&self, flow: Flow, role: Role, budget: Duration) -> Result<Task> {
+        let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
+        let core = match (self.realtime, &cores[..], role) {
+            (true, [near, ..], Role::Near) => Some(*near),
+            (true, [.., far], Role::Far) => Some(*far),
+            _ => None,
+        };
+        let job = Job {
+            role,
+            exchange: Exchange::Paced { rate: flow.rate_hz * flow.topics as f64 },
+            payload_bytes: flow.payload_bytes,
+            budget,
+            core,
+            realtime: self.realtime,
+            domain: crate::job::DOMAIN,
+            topic: "/flow".to_owned(),
+            endpoint: Some(self.place.scratch().directory().to_string_lossy().into_owned()),
+            way: Way { topics: flow.topics, subscribers: flow.subscribers, ..Way::default() },
+        };
+        Ok(Task::Flow { system: flow.system, job })
+    }
+}
+
+fn measured(process: &mut Process<'_, Line>, patience: Duration) -> Result<Measured> {
+    process.expect(patience, |line| match line {
+        Line::Measured(measured) => Some(measured),
+        _ => None,
+    })
+}
+
+/// One end of a flow.
+pub fn run(system: System, job: &Job) -> Result<()> {
+    if let Some(core) = job.core {
+        set_affinity(CoreSet::one(core))?;
+    }
+    let ran = match system {
+        System::Tautline => tautline::run(job, false),
+        System::TautlineDirect => tautline::run(job, true),
+        System::Iceoryx => iceoryx::run(job),
+    };
+    ran.map_err(|error| error as Box<dyn std::error::Error>)
+}
+
+/// Times of publishing, of the messages that are measured: at the end as many as were counted.
+#[derive(Default)]
+struct Publishing {
+    times_ns: Vec<u64>,
+}
+
+impl Publishing {
+    fn of(job: &Job) -> Self {
+        let Exchange::Paced { rate } = job.exchange else { return Publishing::default() };
+        // With the warm-up, and some before.
+        Publishing {
+            times_ns: Vec::with_capacity((rate * job.budget.as_secs_f64() * 1.5) as usize + 100_000),
+        }
+    }
+
+    fn add(&mut self, time_ns: u64) {
+        if self.times_ns.len() < self.times_ns.capacity() {
+            self.times_ns.push(time_ns);
+        }
+    }
+
+    fn into(self, measured: Measured) -> Measured {
+        let warm = self.times_ns.len().saturating_sub(measured.messages as usize);
+        Measured { times_ns: self.times_ns[warm..].to_vec(), ..measured }
+    }
+}
+
+/// So often it is looked whether it is over.
+const LOOK: Duration = Duration::from_millis(100);

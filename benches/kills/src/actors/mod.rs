@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The processes that are killed: each makes, uses and removes the same few topics, services and actions as others, over and over.
+//! That a peer has gone is an everyday error to them; that something cannot be made is a defect.
+
+mod calls;
+mod components;
+mod topics;
+
+pub use components::check;
+
+use crate::{Result, survivors};
+use rand::rngs::SmallRng;
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use std::thread;
+use std::time::Duration;
+use tautline::{Context, Node, Realtime};
+
+/// What an actor does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    Topics,
+    Services,
+    Actions,
+    Parameters,
+    Lifecycle,
+    /// `taut-container` with two components.
+    Container,
+    /// Loads and unloads components of containers.
+    Loader,
+}
+
+impl Role {
+    pub const ALL: [Role; 7] = [
+        Role::Topics,
+        Role::Services,
+        Role::Actions,
+        Role::Parameters,
+        Role::Lifecycle,
+        Role::Container,
+        Role::Loader,
+    ];
+
+    pub fn part(self) -> String {
+        format!("actor-{self:?}")
+    }
+}
+
+pub fn play(name: &str, seed: u64) -> Result<()> {
+    let role = Role::ALL.into_iter().find(|role| format!("{role:?}") == name);
+    let role = role.ok_or_else(|| format!("no actor {name}"))?;
+    if role == Role::Container {
+        return components::contain();
+    }
+    let context = Context::builder().realtime(Realtime::Off).build()?;
+    let mut actor = Actor { context, random: SmallRng::seed_from_u64(seed) };
+    match role {
+        Role::Topics => topics::play(&mut actor),
+        Role::Services => calls::serve_and_ask(&mut actor),
+        Role::Actions => calls::pursue(&mut actor),
+        Role::Parameters => calls::set_parameters(&mut actor),
+        Role::Lifecycle => topics::live(&mut actor),
+        Role::Container => Ok(()),
+        Role::Loader => components::load(&mut actor),
+    }
+}
+
+/// What all actors have.
+struct Actor {
+    context: Context,
+    random: SmallRng,
+}
+
+impl Actor {
+    fn node(&mut self, name: &str) -> Result<Node> {
+        Ok(Node::create(self.context.clone(), name, "/actors")?)
+    }
+
+    fn spin(&self) -> survivors::Spinning {
+        survivors::spin(&self.context)
+    }
+
+    fn chance(&mut self, of: f64) -> bool {
+        self.random.random_bool(of)
+    }
+
+    fn up_to(&mut self, most: usize) -> usize {
+        self.random.random_range(0..=most)
+    }
+
+    fn one_of<T: Copy>(&mut self, all: &[T]) -> T {
+        *all.choose(&mut self.random).expect("one at least")
+    }
+
+    /// Leaves the core to others for a moment, or not.
+    fn rest(&mut self) {
+        if self.chance(0.7) {
+            thread::sleep(Duration::from_micros(self.random.random_range(0..2000)));
+        }
+    }
+
+    fn forget_one<T>(&mut self, things: &mut Vec<T>) {
+        if !things.is_empty() {
+            let which = self.up_to(things.len() - 1);
+            drop(things.swap_remove(which));
+        }
+    }
+}

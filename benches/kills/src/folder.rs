@@ -1,0 +1,233 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Whose the files of a domain are, and how long those of the dead stay.
+
+use crate::Result;
+use crate::place::{entries, folder};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::mem::MaybeUninit;
+use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
+use tautline_rt::host::steal_ticks;
+
+/// Files that belong to all members together.
+const COMMON: [&str; 2] = ["domain", "warden"];
+
+/// The process that a file says it is of.
+fn owner(path: &Path) -> Option<u32> {
+    // Opening a pipe would wait.
+    if !std::fs::symlink_metadata(path).is_ok_and(|data| data.is_file()) {
+        return None;
+    }
+    let mut head = [0; 24];
+    let read = File::open(path).and_then(|file| file.read_at(&mut head, 0)).unwrap_or(0);
+    // As the files of participants and of traces begin.
+    let at = match &head[..8] {
+        b"tautpart" => 12,
+        b"tauttrac" => 16,
+        _ => return None,
+    };
+    let pid = u32::from_ne_bytes(head.get(at..at + 4)?.try_into().ok()?);
+    (read > at + 4 && pid != 0).then_some(pid)
+}
+
+/// The inodes that somebody has locked, and who.
+fn locks() -> BTreeMap<u64, u32> {
+    let text = std::fs::read_to_string("/proc/locks").unwrap_or_default();
+    let lock = |line: &str| {
+        let words: Vec<_> = line.split_whitespace().collect();
+        // Not those that wait: `->`.
+        let place = words.iter().position(|word| *word == "FLOCK")?;
+        let inode = words.get(place + 4)?.rsplit(':').next()?.parse().ok()?;
+        Some((inode, words.get(place + 3)?.parse().ok()?))
+    };
+    text.lines().filter(|line| !line.contains("->")).filter_map(lock).collect()
+}
+
+fn files(domain: u32) -> impl Iterator<Item = PathBuf> {
+    let is_owned =
+        |path: &PathBuf| path.file_name().is_some_and(|name| !COMMON.iter().any(|common| *common == name));
+    entries(&folder(domain)).into_iter().filter(is_owned)
+}
+
+/// The process that is the domain's warden.
+pub fn warden(domain: u32) -> Option<u32> {
+    let inode = std::fs::metadata(folder(domain).join("warden")).ok()?.ino();
+    locks().get(&inode).copied()
+}
+
+/// Files that belong to this process, which has died; or to none that lives, as one that was killed while it made them.
+pub fn of_dead(domain: u32, pid: u32) -> Vec<PathBuf> {
+    let locks = locks();
+    let inode = |path: &Path| std::fs::metadata(path).map(|data| data.ino()).ok();
+    let is_of_dead = |path: &PathBuf| match owner(path) {
+        Some(owner) => owner == pid,
+        None => inode(path).is_some_and(|inode| !locks.contains_key(&inode)),
+    };
+    files(domain).filter(is_of_dead).collect()
+}
+
+/// Files that belong to none of these processes.
+pub fn of_none(domain: u32, pids: &[u32]) -> Vec<PathBuf> {
+    files(domain).filter(|path| owner(path).is_none_or(|pid| !pids.contains(&pid))).collect()
+}
+
+/// Whether a file is a dead process's still.
+fn is_of_living(path: &Path) -> bool {
+    match owner(path) {
+        Some(pid) => Path::new(&format!("/proc/{pid}")).exists(),
+        None => std::fs::metadata(path).is_ok_and(|data| locks().contains_key(&data.ino())),
+    }
+}
+
+/// What is in the folder of a domain, for whoever looks for the cause of a failure.
+pub fn listing(domain: u32) -> String {
+    let locks = locks();
+    let mut paths = entries(&folder(domain));
+    paths.sort();
+    let mut text = format!("{}:\n", folder(domain).display());
+    for path in paths {
+        let Ok(data) = std::fs::symlink_metadata(&path) else { continue };
+        let lock = locks.get(&data.ino()).map_or("not locked".to_owned(), |pid| format!("locked by {pid}"));
+        let owner = owner(&path).map_or("says nothing".to_owned(), |pid| {
+            let lives = if Path::new(&format!("/proc/{pid}")).exists() { "lives" } else { "dead" };
+            format!("of {pid}, {lives}")
+        });
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        text += &format!("  {name} {} bytes, mode {:o}, {lock}, {owner}\n", data.len(), data.mode());
+    }
+    text
+}
+
+/// Time that a hypervisor took, of all cores together.
+pub fn stolen() -> Duration {
+    Duration::from_millis(10 * steal_ticks(None))
+}
+
+/// How long files of the dead stayed.
+#[derive(Clone, Debug, Default)]
+pub struct Stay {
+    /// The longest.
+    pub worst: Duration,
+    pub files: usize,
+    /// Those that stayed longer than they may.
+    pub late: Vec<(PathBuf, Duration)>,
+}
+
+#[derive(Default)]
+struct State {
+    /// Files of the dead, since when, and what was stolen by then.
+    dead: BTreeMap<PathBuf, (Instant, Duration)>,
+    stay: Stay,
+}
+
+/// Watches the folder of a domain, which exists.
+pub struct Watch {
+    domain: u32,
+    limit: Duration,
+    state: Arc<Mutex<State>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Watch {
+    pub fn start(domain: u32, limit: Duration) -> Result<Self> {
+        let watch = inotify::init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC)?;
+        inotify::add_watch(&watch, folder(domain), WatchFlags::DELETE)?;
+        let (state, stop) = (Arc::<Mutex<State>>::default(), Arc::<AtomicBool>::default());
+        let thread = {
+            let (state, stop) = (state.clone(), stop.clone());
+            std::thread::spawn(move || {
+                let mut buffer = [MaybeUninit::uninit(); 4096];
+                while !stop.load(Ordering::Relaxed) {
+                    let pause = Timespec { tv_sec: 0, tv_nsec: 10_000_000 };
+                    let _ = poll(&mut [PollFd::new(&watch, PollFlags::IN)], Some(&pause));
+                    let mut reader = inotify::Reader::new(&watch, &mut buffer);
+                    while let Ok(event) = reader.next() {
+                        let name = event.file_name().and_then(|name| name.to_str().ok());
+                        if let Some(name) = name.filter(|_| event.events().contains(ReadFlags::DELETE)) {
+                            lock(&state).gone(&folder(domain).join(name), limit);
+                        }
+                    }
+                }
+            })
+        };
+        Ok(Watch { domain, limit, state, stop, thread: Some(thread) })
+    }
+
+    /// A process has died: now, and its files are unlocked.
+    pub fn died(&self, pid: u32) {
+        let (now, stolen) = (Instant::now(), stolen());
+        let mut state = lock(&self.state);
+        for path in of_dead(self.domain, pid) {
+            state.dead.entry(path).or_insert((now, stolen));
+        }
+    }
+
+    /// Looks for files that hang.
+    pub fn check(&self, patience: Duration) -> Result<()> {
+        let mut state = lock(&self.state);
+        let limit = self.limit;
+        let mut hanging = Vec::new();
+        state.dead.retain(|path, (since, _)| {
+            if since.elapsed() <= limit {
+                return true;
+            }
+            if !path.exists() {
+                // It is about to be heard of.
+                return since.elapsed() <= patience;
+            }
+            // Not one that was taken for a dead one's while its owner made it.
+            let stays = !is_of_living(path);
+            if stays && since.elapsed() > patience {
+                hanging.push(path.clone());
+            }
+            stays
+        });
+        if hanging.is_empty() {
+            return Ok(());
+        }
+        Err(format!("files of dead processes stay: {hanging:?}").into())
+    }
+
+    /// Whether no file of the dead is known.
+    pub fn is_clean(&self) -> bool {
+        lock(&self.state).dead.is_empty()
+    }
+
+    /// So far, and begins anew.
+    pub fn take(&self) -> Stay {
+        std::mem::take(&mut lock(&self.state).stay)
+    }
+}
+
+impl State {
+    fn gone(&mut self, path: &Path, limit: Duration) {
+        let Some((since, before)) = self.dead.remove(path) else { return };
+        let stayed = since.elapsed();
+        self.stay.files += 1;
+        self.stay.worst = self.stay.worst.max(stayed);
+        if stayed > limit && stayed > limit + stolen().saturating_sub(before) {
+            self.stay.late.push((path.to_owned(), stayed));
+        }
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}

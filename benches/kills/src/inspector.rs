@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Looks at the domain as a newcomer does: asks for the graph, joins, makes topics, gets what was kept.
+
+use crate::Result;
+use crate::process::{PATIENCE, Said, say, told};
+use crate::survivors::{KEPT, KEPT_DEPTH, KEPT_PERIOD, PING, PONG};
+use serde::{Deserialize, Serialize};
+use std::thread;
+use std::time::{Duration, Instant};
+use tautline::std_msgs::msg::UInt64;
+use tautline::{Context, Limits};
+use tautline_rt::clock::monotonic_ns;
+use tautline_transport::{Participant, Qos, Subscription, graph_of};
+
+/// What somebody sees who joins nothing.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Graph {
+    pub took: Duration,
+    pub nodes: usize,
+    pub ends: usize,
+    /// What belongs to the process that was asked for.
+    pub of_process: usize,
+}
+
+/// A new participant made a topic and got an answer: how long that took since it began, step by step.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub struct Met {
+    pub joined: Duration,
+    pub made: Duration,
+    pub matched: Duration,
+    pub answered: Duration,
+}
+
+/// A late joiner got what had been kept.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Late {
+    pub took: Duration,
+    /// Messages that were there when it began to join.
+    pub kept: usize,
+    /// How many it was to get at least.
+    pub expected: usize,
+    pub lost: u64,
+    /// Missing between those that it got.
+    pub missing: u64,
+}
+
+pub fn play() -> Result<()> {
+    let domain = Context::domain_of_environment()?;
+    say(&Said::Ready);
+    for command in told() {
+        let (what, argument) = command.split_once(' ').unwrap_or((&command, ""));
+        let answer = match what {
+            "graph" => graph(domain, argument.parse().unwrap_or(0)),
+            "meet" => meet(domain),
+            "late" => late(domain),
+            _ => Err(format!("it is told '{command}'").into()),
+        };
+        say(&answer.unwrap_or_else(|error| Said::Failed(error.to_string())));
+    }
+    Ok(())
+}
+
+fn graph(domain: u32, pid: u32) -> Result<Said> {
+    let start = Instant::now();
+    let graph = graph_of(domain)?;
+    let took = start.elapsed();
+    let is_of = |of: Option<u32>| usize::from(of == Some(pid));
+    let of_process = graph.nodes.iter().map(|node| is_of(node.pid)).sum::<usize>()
+        + graph.endpoints.iter().map(|end| is_of(end.pid)).sum::<usize>()
+        + graph.services.iter().map(|end| is_of(end.pid)).sum::<usize>();
+    let ends = graph.endpoints.len() + graph.services.len();
+    Ok(Said::Graph(Graph { took, nodes: graph.nodes.len(), ends, of_process }))
+}
+
+fn meet(domain: u32) -> Result<Said> {
+    let (start, mut met) = (Instant::now(), Met::default());
+    let participant = Participant::new(domain)?;
+    met.joined = start.elapsed();
+    let pongs: Subscription<UInt64> =
+        participant.create_subscription(PONG, Qos::keep_last(1000), Limits::default())?;
+    let pings = participant.create_publisher(PING, Qos::default(), Limits::default())?;
+    met.made = start.elapsed();
+    let token = monotonic_ns();
+    let mut next = Instant::now();
+    loop {
+        while let Some(pong) = pongs.try_take()? {
+            if pong.data == token {
+                met.answered = start.elapsed();
+                return Ok(Said::Met(met));
+            }
+        }
+        if pings.subscription_count() > 0 {
+            if met.matched.is_zero() {
+                met.matched = start.elapsed();
+            }
+            // Whoever was to answer may have been killed.
+            if next <= Instant::now() {
+                pings.publish(&UInt64 { data: token })?;
+                next = Instant::now() + Duration::from_millis(5);
+            }
+        }
+        if start.elapsed() > PATIENCE / 2 {
+            return Err(format!(
+                "a new participant gets no answer: {met:?}; {} subscriptions, {} publishers",
+                pings.subscription_count(),
+                pongs.publisher_count()
+            )
+            .into());
+        }
+        thread::sleep(Duration::from_micros(200));
+    }
+}
+
+fn late(domain: u32) -> Result<Said> {
+    let participant = Participant::new(domain)?;
+    let (start, start_ns) = (Instant::now(), monotonic_ns());
+    let qos = Qos::keep_last(1000).transient_local();
+    let subscription: Subscription<UInt64> = participant.create_subscription(KEPT, qos, Limits::default())?;
+    let (mut kept, mut missing, mut last) = (0, 0, None);
+    loop {
+        while let Some(sample) = subscription.try_take()? {
+            let info = sample.info();
+            if info.released_ns >= start_ns {
+                // All that was there before has come.
+                let took = start.elapsed();
+                let meanwhile = (info.released_ns - start_ns) / KEPT_PERIOD.as_nanos() as u64;
+                let connecting = took.as_nanos() as u64 / KEPT_PERIOD.as_nanos() as u64;
+                let expected = (KEPT_DEPTH as u64).saturating_sub(meanwhile.max(connecting) + 1) as usize;
+                let lost = subscription.counters().lost();
+                return Ok(Said::Late(Late { took, kept, expected, lost, missing }));
+            }
+            kept += 1;
+            let number = info.sequence_number;
+            missing += last.map_or(0, |last| number - last - 1);
+            last = Some(number);
+        }
+        if start.elapsed() > PATIENCE / 2 {
+            let publishers = subscription.publisher_count();
+            return Err(format!("a late joiner of {publishers} publishers gets nothing new, and {kept} messages that were kept").into());
+        }
+        thread::sleep(Duration::from_micros(200));
+    }
+}

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What do processes see of others that are killed? Nothing may hang, stay behind, or be lost without being counted.
+//!
+//! This program starts itself again: the processes that are killed and those that live on are its parts.
+//!
+//! | module | holds |
+//! |---|---|
+//! | `random` | processes with every kind of end, killed at random instants and replaced |
+//! | `actors` | those processes |
+//! | `survivors` | the processes that live on beside them, and count |
+//! | `syscalls` | scenarios in which one process is killed before and after each of its system calls |
+//! | `scenes` | those scenarios, process by process |
+//! | `tracer` | counts system calls, and kills |
+//! | `inspector` | looks at the domain as a newcomer does |
+//! | `folder` | whose the files of the domain are, and how long those of the dead stay |
+//! | `process` | a part's process, as whoever started it sees it |
+//! | `place` | the scope and the domain that all of it is in |
+
+mod actors;
+mod folder;
+mod inspector;
+mod place;
+mod process;
+mod random;
+mod scenes;
+mod survivors;
+mod syscalls;
+mod tracer;
+
+use clap::{Args, Parser, Subcommand};
+use std::process::ExitCode;
+
+/// What nobody handles but the person who reads it.
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
+
+/// Kills processes, and looks what the others see of it.
+#[derive(Parser)]
+#[command(after_help = "Examples:
+  kills random --kills 20000
+  kills syscalls
+  kills syscalls --at attach:212:after")]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Processes with every kind of end are killed at random instants and replaced
+    Random(random::Options),
+    /// A process is killed before and after each of its system calls
+    Syscalls(syscalls::Options),
+    /// What this program starts itself for
+    #[command(hide = true)]
+    Part(Part),
+}
+
+/// A process of this program's.
+#[derive(Args, Clone, Debug)]
+struct Part {
+    /// Which
+    name: String,
+    /// What it does at random goes by this
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().verb {
+        Verb::Random(options) => random::run(&options),
+        Verb::Syscalls(options) => syscalls::run(&options),
+        Verb::Part(part) => play(&part),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{}: {error}", std::process::id());
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn play(part: &Part) -> Result<()> {
+    // Whoever starts it may be killed, too.
+    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
+    let (kind, name) = part.name.split_once('-').unwrap_or((&part.name, ""));
+    match kind {
+        "actor" => actors::play(name, part.seed),
+        "survivor" => survivors::play(name),
+        "scene" => scenes::play(name),
+        "inspector" => inspector::play(),
+        _ => Err(format!("no part {}", part.name).into()),
+    }
+}

@@ -1,0 +1,238 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A part's process, as whoever started it sees it; and what the part says.
+
+use crate::Result;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeSet, VecDeque};
+use std::io::{BufRead, BufReader, PipeWriter, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Longest time that anything is waited for: what takes longer hangs.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+/// How much of what all parts complain about is kept.
+const LINES: usize = 200;
+
+/// What parts write to standard error, the last of it.
+#[derive(Clone)]
+pub struct Complaints {
+    lines: Arc<Mutex<VecDeque<String>>>,
+    pipe: Arc<PipeWriter>,
+}
+
+impl Complaints {
+    pub fn collect() -> Result<Self> {
+        let (reader, writer) = std::io::pipe()?;
+        let lines = Arc::new(Mutex::new(VecDeque::new()));
+        let kept = lines.clone();
+        thread::spawn(move || {
+            for line in BufReader::new(reader).lines().map_while(std::io::Result::ok) {
+                let mut kept = lock(&kept);
+                if kept.len() == LINES {
+                    kept.pop_front();
+                }
+                kept.push_back(line);
+            }
+        });
+        Ok(Complaints { lines, pipe: Arc::new(writer) })
+    }
+
+    pub fn text(&self) -> String {
+        // What was written a moment ago.
+        thread::sleep(Duration::from_millis(50));
+        lock(&self.lines).iter().fold(String::new(), |text, line| text + "  " + line + "\n")
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// How to start a part of this program.
+pub fn command(name: &str, domain: u32, scope: &str, seed: u64, complaints: &Complaints) -> Result<Command> {
+    let mut command = Command::new(std::env::current_exe()?);
+    command.args(["part", name, "--seed", &seed.to_string()]);
+    command.env("TAUT_DOMAIN", domain.to_string()).env("TAUT_SCOPE", scope).env("TAUT_REALTIME", "off");
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(complaints.pipe.try_clone()?);
+    Ok(command)
+}
+
+/// A part that is talked with, a line at a time. Killed when it is dropped.
+pub struct Process {
+    name: String,
+    child: Child,
+    /// Somebody else has seen its end.
+    is_reaped: bool,
+    input: Option<ChildStdin>,
+    lines: Receiver<String>,
+}
+
+impl Process {
+    pub fn start(name: &str, mut command: Command) -> Result<Self> {
+        let mut child = command.spawn()?;
+        let (input, output) = (child.stdin.take(), child.stdout.take().ok_or("its output is a pipe")?);
+        let (sender, lines) = channel();
+        thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(std::io::Result::ok) {
+                if sender.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        Ok(Process { name: name.into(), child, is_reaped: false, input, lines })
+    }
+
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub fn tell(&mut self, line: &str) -> Result<()> {
+        let input = self.input.as_mut().ok_or("its input is a pipe")?;
+        writeln!(input, "{line}")
+            .map_err(|error| format!("the {} is told '{line}': {error}", self.name).into())
+    }
+
+    /// The next line that it says.
+    pub fn hear(&mut self) -> Result<Said> {
+        let line = self.lines.recv_timeout(PATIENCE);
+        let line = line.map_err(|error| self.silence(&error.to_string()))?;
+        match serde_json::from_str(&line) {
+            Ok(Said::Failed(why)) => Err(format!("the {}: {why}", self.name).into()),
+            Ok(said) => Ok(said),
+            Err(error) => Err(format!("the {} says '{line}': {error}", self.name).into()),
+        }
+    }
+
+    /// The next line that it says, if it has said one.
+    pub fn overhear(&mut self) -> Option<Said> {
+        let line = self.lines.try_recv().ok()?;
+        serde_json::from_str(&line).ok()
+    }
+
+    pub fn expect_ready(&mut self) -> Result<()> {
+        match self.hear()? {
+            Said::Ready => Ok(()),
+            other => Err(format!("the {} says {other:?}", self.name).into()),
+        }
+    }
+
+    pub fn ask(&mut self, question: &str) -> Result<Said> {
+        self.tell(question)?;
+        self.hear()
+    }
+
+    /// Why it says nothing: what its threads do.
+    fn silence(&mut self, error: &str) -> String {
+        match self.child.try_wait() {
+            Ok(Some(status)) if !self.is_reaped => format!("the {} has ended: {status}", self.name),
+            _ => format!("the {} hangs ({error}): {}", self.name, threads(self.id())),
+        }
+    }
+
+    pub fn kill(&mut self) -> Result<()> {
+        self.child.kill()?;
+        self.wait()
+    }
+
+    fn wait(&mut self) -> Result<()> {
+        self.child.wait()?;
+        self.is_reaped = true;
+        Ok(())
+    }
+
+    /// Closes its standard input and waits for its end, which must be a success.
+    pub fn finish(&mut self) -> Result<()> {
+        drop(self.input.take());
+        let start = Instant::now();
+        loop {
+            match self.child.try_wait()? {
+                Some(status) => {
+                    self.is_reaped = true;
+                    return if status.success() { Ok(()) } else { Err(self.silence("").into()) };
+                }
+                None if start.elapsed() > PATIENCE => return Err(self.silence("it does not end").into()),
+                None => thread::sleep(Duration::from_millis(1)),
+            }
+        }
+    }
+
+    /// Whoever traced it has seen its end.
+    pub fn was_reaped(&mut self) {
+        self.is_reaped = true;
+    }
+
+    /// What it holds.
+    pub fn holdings(&self) -> Holdings {
+        let process = Path::new("/proc").join(self.id().to_string());
+        let maps = std::fs::read_to_string(process.join("maps")).unwrap_or_default();
+        let removed = maps.lines().filter_map(|line| line.strip_suffix(" (deleted)")?.rsplit(' ').next());
+        Holdings {
+            files: crate::place::entries(&process.join("fd")).len(),
+            removed: removed
+                .filter(|path| path.starts_with(tautline_rt::shm::DIRECTORY))
+                .map(str::to_owned)
+                .collect(),
+        }
+    }
+}
+
+/// What a process holds.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Holdings {
+    /// How many files it has open.
+    pub files: usize,
+    /// What it has mapped of files that were removed.
+    pub removed: BTreeSet<String>,
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if !self.is_reaped {
+            let _ = self.kill();
+        }
+    }
+}
+
+/// What the threads of a process wait in.
+pub fn threads(pid: u32) -> String {
+    let read = |path: &Path, file: &str| {
+        std::fs::read_to_string(path.join(file)).map(|text| text.trim().to_owned()).unwrap_or_default()
+    };
+    let mut text = String::new();
+    for task in crate::place::entries(Path::new(&format!("/proc/{pid}/task"))) {
+        let call = read(&task, "syscall");
+        text += &format!("\n  {} in {} ({})", read(&task, "comm"), read(&task, "wchan"), call);
+    }
+    text
+}
+
+/// What parts say.
+#[derive(Debug, Serialize, Deserialize)]
+pub enum Said {
+    Ready,
+    Failed(String),
+    /// How many messages were sent: of each topic.
+    Sent(crate::survivors::Sent),
+    Received(crate::survivors::Received),
+    Asked(crate::survivors::Asked),
+    Graph(crate::inspector::Graph),
+    Met(crate::inspector::Met),
+    Late(crate::inspector::Late),
+    /// A step of a scene has been reached.
+    At(String),
+}
+
+/// For a part: says it to whoever started it.
+pub fn say(said: &Said) {
+    let line = serde_json::to_string(said).unwrap_or_default();
+    println!("{line}");
+}
+
+/// For a part: what it is told, until whoever started it has gone or wants it to end.
+pub fn told() -> impl Iterator<Item = String> {
+    std::io::stdin().lines().map_while(std::io::Result::ok)
+}

@@ -1,0 +1,483 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Processes with every kind of end, each killed at a random instant and replaced. Most of the time survivors run beside them, and
+//! count; in between nobody does who is safe, and whoever is the warden is killed.
+
+use crate::Result;
+use crate::actors::{self, Role};
+use crate::folder::{self, Watch};
+use crate::inspector::{Graph, Late, Met};
+use crate::place::{Place, folder};
+use crate::process::{Complaints, Holdings, PATIENCE, Process, Said, command};
+use crate::survivors::{ACTORS_ADD, ACTORS_FIBONACCI, ADD, Asked, FULL, Received, Sent};
+use clap::Args;
+use rand::rngs::SmallRng;
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use std::process::{Child, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+const DOMAIN: u32 = 0;
+/// An actor lives at most so long.
+const LIFE: Duration = Duration::from_millis(80);
+/// Within this the graph answers, and a new participant has made a topic and got a message through it.
+const ANSWER: Duration = Duration::from_millis(100);
+/// So long files of the dead may stay.
+const STAY: Duration = Duration::from_millis(50);
+const CHECK_EVERY: usize = 100;
+/// Checks with survivors before there is one without.
+const CHECKS_WITH_SURVIVORS: usize = 4;
+/// Processes that live until they are the warden, when there are no survivors.
+const IDLE: usize = 2;
+
+/// An end that nobody uses keeps what it saw last: so many files of processes that have died since then.
+const HELD_BY_IDLE: usize = 32;
+
+#[derive(Args, Debug)]
+pub struct Options {
+    /// How many processes are killed
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    kills: usize,
+    /// What is random goes by this [default: random]
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// How many processes there are at once that are killed
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    actors: usize,
+}
+
+pub fn run(options: &Options) -> Result<()> {
+    actors::check()?;
+    let seed = options.seed.unwrap_or_else(rand::random);
+    println!("{} kills of {} processes, seed {seed}", options.kills, options.actors);
+    let place = Place::new()?;
+    let complaints = Complaints::collect()?;
+    let start = Instant::now();
+    let mut run = Run {
+        place: &place,
+        complaints: complaints.clone(),
+        random: SmallRng::seed_from_u64(seed),
+        actors: Vec::new(),
+        wanted: options.actors,
+        killed: 0,
+        worst: Worst::default(),
+    };
+    let result = run.run(options.kills);
+    let (killed, worst) = (run.killed, run.worst);
+    let result = result.map_err(|error| {
+        let listing = folder::listing(DOMAIN);
+        format!(
+            "{error}\nafter {killed} kills, seed {seed}\n{listing}what the processes said last:\n{}",
+            complaints.text()
+        )
+    });
+    drop(run);
+    result?;
+    place.check()?;
+    println!(
+        "{killed} kills in {:.1} s; at most: graph {}, a newcomer's message {}, files of the dead {}; nothing was lost uncounted, and nothing \
+         is left",
+        start.elapsed().as_secs_f64(),
+        ms(worst.graph),
+        ms(worst.met),
+        ms(worst.stay),
+    );
+    Ok(())
+}
+
+fn ms(time: Duration) -> String {
+    format!("{:.1} ms", time.as_secs_f64() * 1e3)
+}
+
+#[derive(Clone, Copy, Default)]
+struct Worst {
+    graph: Duration,
+    met: Duration,
+    stay: Duration,
+}
+
+struct Run<'p> {
+    place: &'p Place,
+    complaints: Complaints,
+    random: SmallRng,
+    actors: Vec<Actor>,
+    wanted: usize,
+    killed: usize,
+    worst: Worst,
+}
+
+struct Actor {
+    role: Role,
+    seed: u64,
+    child: Child,
+    due: Instant,
+}
+
+impl Drop for Actor {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Run<'_> {
+    fn run(&mut self, kills: usize) -> Result<()> {
+        for check in 0.. {
+            let left = kills.saturating_sub(self.killed);
+            if left == 0 {
+                return Ok(());
+            }
+            if check % 2 == 0 {
+                self.with_survivors(left.min(CHECKS_WITH_SURVIVORS * CHECK_EVERY))?;
+            } else {
+                self.without_survivors(left.min(CHECK_EVERY))?;
+            }
+            if folder(DOMAIN).exists() {
+                return Err("all have left, and the folder stays".into());
+            }
+        }
+        Ok(())
+    }
+
+    fn start(&self, part: &str) -> Result<Process> {
+        let mut process =
+            Process::start(part, command(part, DOMAIN, self.place.scope(), 0, &self.complaints)?)?;
+        process.expect_ready()?;
+        Ok(process)
+    }
+
+    fn start_actor(&mut self) -> Result<Actor> {
+        let role = *Role::ALL.choose(&mut self.random).expect("there are roles");
+        let seed = self.random.random();
+        let mut command = command(&role.part(), DOMAIN, self.place.scope(), seed, &self.complaints)?;
+        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn()?;
+        let due = Instant::now() + self.random.random_range(Duration::ZERO..=LIFE);
+        Ok(Actor { role, seed, child, due })
+    }
+
+    fn with_survivors(&mut self, kills: usize) -> Result<()> {
+        let mut survivors = Survivors {
+            subscription: self.start("survivor-subscription")?,
+            publisher: self.start("survivor-publisher")?,
+            server: self.start("survivor-server")?,
+            client: self.start("survivor-client")?,
+        };
+        survivors.publisher.tell("go")?;
+        survivors.client.tell("go")?;
+        thread::sleep(Duration::from_millis(200));
+        let before = survivors.all().map(Process::holdings);
+        let watch = Watch::start(DOMAIN, STAY)?;
+        self.kill(kills, &watch, true, &mut [])?;
+        self.end_actors(&watch)?;
+        wait("files of the dead to go", || Ok(watch.is_clean()), || watch.check(PATIENCE))?;
+        let mut after: [Holdings; 4] = Default::default();
+        let is_as_before = || {
+            after = survivors.all().map(Process::holdings);
+            let is_as_before = |(after, before): (&Holdings, &Holdings)| {
+                after.files == before.files && after.removed.len() <= HELD_BY_IDLE
+            };
+            Ok(after.iter().zip(&before).all(is_as_before))
+        };
+        let released = wait("survivors to have what they had", is_as_before, || Ok(()));
+        released.map_err(|error| format!("{error}: before {before:?}, after {after:#?}"))?;
+        survivors.check_messages()?;
+        survivors.check_answers()?;
+        survivors.finish()
+    }
+
+    fn without_survivors(&mut self, kills: usize) -> Result<()> {
+        let mut idle = Vec::new();
+        for _ in 0..IDLE {
+            idle.push(Idle { process: self.start("survivor-echo")?, is_ready: true });
+        }
+        let watch = Watch::start(DOMAIN, STAY)?;
+        self.kill(kills, &watch, false, &mut idle)?;
+        // All at once: nobody is left to clean up.
+        let pids: Vec<u32> = idle.iter().map(|idle| idle.process.id()).collect();
+        for pid in self.actors.iter().map(|actor| actor.child.id()).chain(pids) {
+            kill(pid)?;
+        }
+        self.actors.clear();
+        idle.clear();
+        let mut next = self.start("survivor-echo")?;
+        let is_clean = || Ok(folder::of_none(DOMAIN, &[next.id()]).is_empty());
+        wait("the next one to clean up", is_clean, || Ok(()))?;
+        next.finish()
+    }
+
+    /// Kills actors, each when its time has come, and replaces them; checks after each hundred.
+    fn kill(&mut self, kills: usize, watch: &Watch, has_survivors: bool, idle: &mut [Idle]) -> Result<()> {
+        while self.actors.len() < self.wanted {
+            let actor = self.start_actor()?;
+            self.actors.push(actor);
+        }
+        let mut inspector = self.start("inspector")?;
+        let (questions, asked) = channel::<usize>();
+        let (told, answers) = channel();
+        thread::scope(|scope| {
+            scope.spawn(|| inspect(&mut inspector, asked, told, has_survivors));
+            let mut is_asked = false;
+            for kill in 1..=kills {
+                match self.is_warden(idle) {
+                    Some(index) => self.replace_idle(&mut idle[index], watch)?,
+                    None => self.kill_next(watch)?,
+                }
+                self.killed += 1;
+                if kill % CHECK_EVERY == 0 || kill == kills {
+                    if is_asked {
+                        self.note(&answers, watch)?;
+                    }
+                    is_asked = questions.send(self.killed).is_ok();
+                }
+            }
+            let noted = if is_asked { self.note(&answers, watch) } else { Ok(()) };
+            drop(questions);
+            noted
+        })?;
+        inspector.finish()
+    }
+
+    /// The idle process that is the warden, if the others can take its place.
+    fn is_warden(&mut self, idle: &mut [Idle]) -> Option<usize> {
+        for idle in idle.iter_mut().filter(|idle| !idle.is_ready) {
+            idle.is_ready = idle.process.overhear().is_some();
+        }
+        if idle.iter().any(|idle| !idle.is_ready) || self.random.random_bool(0.5) {
+            return None;
+        }
+        let warden = folder::warden(DOMAIN)?;
+        idle.iter().position(|idle| idle.process.id() == warden)
+    }
+
+    fn replace_idle(&mut self, idle: &mut Idle, watch: &Watch) -> Result<()> {
+        let pid = idle.process.id();
+        idle.process.kill()?;
+        watch.died(pid);
+        let part = "survivor-echo";
+        let command = command(part, DOMAIN, self.place.scope(), 0, &self.complaints)?;
+        *idle = Idle { process: Process::start(part, command)?, is_ready: false };
+        Ok(())
+    }
+
+    fn kill_next(&mut self, watch: &Watch) -> Result<()> {
+        let next = self.actors.iter().enumerate().min_by_key(|(_, actor)| actor.due);
+        let (index, due) = next.map(|(index, actor)| (index, actor.due)).ok_or("there are no actors")?;
+        while let Some(left) = due.checked_duration_since(Instant::now()) {
+            thread::sleep(left.min(Duration::from_millis(10)));
+            watch.check(PATIENCE)?;
+        }
+        watch.check(PATIENCE)?;
+        let mut actor = self.actors.swap_remove(index);
+        if let Some(status) = actor.child.try_wait()? {
+            let Actor { role, seed, .. } = actor;
+            return Err(format!("an actor ended by itself, {status}: {role:?} of seed {seed}").into());
+        }
+        actor.child.kill()?;
+        actor.child.wait()?;
+        watch.died(actor.child.id());
+        let next = self.start_actor()?;
+        self.actors.push(next);
+        Ok(())
+    }
+
+    fn end_actors(&mut self, watch: &Watch) -> Result<()> {
+        for mut actor in std::mem::take(&mut self.actors) {
+            actor.child.kill()?;
+            actor.child.wait()?;
+            watch.died(actor.child.id());
+        }
+        Ok(())
+    }
+
+    /// Judges what the inspector found.
+    fn note(&mut self, answers: &Receiver<Result<Hundred>>, watch: &Watch) -> Result<()> {
+        let hundred = answers.recv().map_err(|_| "the inspector says nothing")??;
+        let stay = watch.take();
+        let Hundred { kills, graph, met, late, stolen } = &hundred;
+        let text = late.as_ref().map_or(String::new(), |late| {
+            format!(", {} kept for a late joiner in {}", late.kept, ms(late.took))
+        });
+        println!(
+            "{kills:6} kills: graph of {} nodes, {} ends {}; a newcomer joined {}, made {}, matched {}, got a message {}{text}; {} files of the dead \
+             stayed at most {}",
+            graph.nodes,
+            graph.ends,
+            ms(graph.took),
+            ms(met.joined),
+            ms(met.made),
+            ms(met.matched),
+            ms(met.answered),
+            stay.files,
+            ms(stay.worst),
+        );
+        let worst = &mut self.worst;
+        worst.graph = worst.graph.max(graph.took);
+        worst.met = worst.met.max(met.answered);
+        worst.stay = worst.stay.max(stay.worst);
+        let limit = ANSWER + *stolen;
+        if graph.took > limit || met.answered > limit {
+            return Err(format!("longer than {ANSWER:?}, of which {stolen:?} were stolen").into());
+        }
+        if !stay.late.is_empty() {
+            return Err(format!("files of the dead stayed longer than {STAY:?}: {:?}", stay.late).into());
+        }
+        match late {
+            Some(late) if late.kept < late.expected || late.lost + late.missing > 0 => {
+                Err(format!("a late joiner lacks messages that were kept: {late:?}").into())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Lives until it is the warden.
+struct Idle {
+    process: Process,
+    is_ready: bool,
+}
+
+/// What the inspector found after a hundred kills.
+struct Hundred {
+    /// How many processes had been killed.
+    kills: usize,
+    graph: Graph,
+    met: Met,
+    late: Option<Late>,
+    /// Of one core, meanwhile.
+    stolen: Duration,
+}
+
+/// Has the inspector look each time that it is asked to.
+fn inspect(
+    inspector: &mut Process,
+    asked: Receiver<usize>,
+    told: Sender<Result<Hundred>>,
+    has_survivors: bool,
+) {
+    let mut look = |kills| -> Result<Hundred> {
+        let before = folder::stolen();
+        let Said::Graph(graph) = inspector.ask("graph")? else { return Err("that is no graph".into()) };
+        let Said::Met(met) = inspector.ask("meet")? else { return Err("that is no meeting".into()) };
+        let stolen = folder::stolen().saturating_sub(before);
+        let late = match has_survivors {
+            false => None,
+            true => {
+                let Said::Late(late) = inspector.ask("late")? else {
+                    return Err("that is no late joiner".into());
+                };
+                Some(late)
+            }
+        };
+        Ok(Hundred { kills, graph, met, late, stolen })
+    };
+    for kills in asked {
+        if told.send(look(kills)).is_err() {
+            return;
+        }
+    }
+}
+
+struct Survivors {
+    subscription: Process,
+    publisher: Process,
+    server: Process,
+    client: Process,
+}
+
+impl Survivors {
+    fn all(&self) -> [&Process; 4] {
+        [&self.subscription, &self.publisher, &self.server, &self.client]
+    }
+
+    /// What was sent has come, or is counted.
+    fn check_messages(&mut self) -> Result<()> {
+        let Said::Sent(sent) = self.publisher.ask("stop")? else { return Err("what was sent?".into()) };
+        let mut received = Received::default();
+        let subscription = &mut self.subscription;
+        let all_came = || {
+            let Said::Received(counts) = subscription.ask("report")? else { return Err("what came?".into()) };
+            received = counts;
+            let Received { numbers, all, .. } = &received;
+            Ok(numbers.received + numbers.lost == sent.numbers && all.received == sent.all)
+        };
+        let came = wait("what was sent to come or be counted", all_came, || Ok(()));
+        let Received { numbers, shared, all } = &received;
+        let Sent { longest_full_ms, .. } = sent;
+        let sums = format!(
+            "numbers: {} sent, {} came, {} counted as lost; shared with actors: {} of survivors sent, {} of all came, {} counted as lost, {} \
+             missing; keep-all: {} sent, {} came, at most {longest_full_ms} ms full",
+            sent.numbers,
+            numbers.received,
+            numbers.lost,
+            sent.shared,
+            shared.received,
+            shared.lost,
+            shared.missing,
+            sent.all,
+            all.received
+        );
+        println!("       survivors: {sums}");
+        came.map_err(|error| format!("{error}: {sums}"))?;
+        let is_right = numbers.missing == numbers.lost
+            && shared.missing <= shared.lost
+            && all.lost + all.missing == 0
+            && numbers.disordered + shared.disordered + all.disordered == 0;
+        if is_right { Ok(()) } else { Err(format!("lost uncounted: {received:?} of {sent:?}").into()) }
+    }
+
+    /// What was asked has been answered, or ended with an error.
+    fn check_answers(&mut self) -> Result<()> {
+        let Said::Asked(asked) = self.client.ask("stop")? else { return Err("what was asked?".into()) };
+        for (name, answers) in &asked {
+            println!(
+                "       {name}: {} asked, {} answered, errors {:?}, at most {} ms",
+                answers.asked, answers.answered, answers.errors, answers.slowest_ms
+            );
+        }
+        check_answers(&asked)
+    }
+
+    fn finish(mut self) -> Result<()> {
+        [&mut self.client, &mut self.server, &mut self.publisher, &mut self.subscription]
+            .into_iter()
+            .try_for_each(Process::finish)
+    }
+}
+
+fn check_answers(asked: &Asked) -> Result<()> {
+    for name in [ADD, ACTORS_ADD, ACTORS_FIBONACCI] {
+        let answers = asked.get(name).ok_or_else(|| format!("nothing was asked of {name}"))?;
+        let errors: u64 = answers.errors.values().sum();
+        if answers.hung != 0 || answers.answered + errors != answers.asked {
+            return Err(format!("{name}: neither answered nor an error: {answers:?}").into());
+        }
+    }
+    // A server lives all the time; only an actor's may have a full queue.
+    match asked[ADD].errors.keys().find(|error| *error != FULL) {
+        Some(error) => Err(format!("{ADD} has a server that lives, and a request ended with {error}").into()),
+        None => Ok(()),
+    }
+}
+
+fn kill(pid: u32) -> Result<()> {
+    let pid = rustix::process::Pid::from_raw(pid.cast_signed()).ok_or("no process")?;
+    Ok(rustix::process::kill_process(pid, rustix::process::Signal::KILL)?)
+}
+
+/// Waits until something is so, and looks meanwhile whether something is wrong.
+fn wait(
+    what: &str,
+    mut is_so: impl FnMut() -> Result<bool>,
+    mut check: impl FnMut() -> Result<()>,
+) -> Result<()> {
+    let start = Instant::now();
+    while !is_so()? {
+        check()?;
+        if start.elapsed() > PATIENCE {
+            return Err(format!("waited {PATIENCE:?} for {what}").into());
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+    Ok(())
+}

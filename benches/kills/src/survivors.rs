@@ -1,0 +1,428 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The processes that live on beside those that are killed. What they send each other arrives, or is counted as lost; what they ask is
+//! answered, or ends with an error.
+
+use crate::Result;
+use crate::process::{Said, say, told};
+use futures::executor::block_on;
+use futures::{FutureExt, StreamExt};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+use tautline::example_interfaces::action::Fibonacci;
+use tautline::example_interfaces::srv::AddTwoInts;
+use tautline::std_msgs::msg::UInt64;
+use tautline::{
+    CallbackOptions, Context, EndpointKind, Error, Gid, HistoryPolicy, Node, Publisher, QosProfile,
+    ServiceError, Unpublished,
+};
+use tautline_transport::graph_of;
+
+/// From one survivor to the other; actors only subscribe.
+pub const NUMBERS: &str = "/survivors/numbers";
+/// Actors publish here, too.
+pub const SHARED: &str = "/survivors/shared";
+/// Keep-all: an actor that takes nothing stops the publisher as long as it lives.
+pub const ALL: &str = "/survivors/all";
+/// For late joiners.
+pub const KEPT: &str = "/survivors/kept";
+/// Survivors answer here what newcomers send there.
+pub const PING: &str = "/survivors/ping";
+pub const PONG: &str = "/survivors/pong";
+/// A survivor serves it, and actors do.
+pub const ADD: &str = "/survivors/add";
+/// Actors alone serve these.
+pub const ACTORS_ADD: &str = "/actors/add";
+pub const ACTORS_FIBONACCI: &str = "/actors/fibonacci";
+/// The node with parameters that actors set.
+pub const PARAMETERS: &str = "/survivor_server";
+
+pub const KEPT_DEPTH: usize = 10;
+pub const KEPT_PERIOD: Duration = Duration::from_millis(10);
+
+/// What takes longer hangs: no actor lives as long.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+pub const fn numbers_qos() -> QosProfile {
+    QosProfile::default().keep_last(2000)
+}
+
+pub const fn all_qos() -> QosProfile {
+    QosProfile::default().history(HistoryPolicy::KeepAll).depth(64)
+}
+
+pub const fn kept_qos() -> QosProfile {
+    QosProfile::default().keep_last(KEPT_DEPTH).transient_local()
+}
+
+/// How many messages the publisher has sent.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub struct Sent {
+    pub numbers: u64,
+    pub shared: u64,
+    pub all: u64,
+    /// Longest time that some actor's full queue stopped the keep-all topic.
+    pub longest_full_ms: u64,
+}
+
+/// What became of them.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub struct Received {
+    pub numbers: Count,
+    pub shared: Count,
+    pub all: Count,
+}
+
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub struct Count {
+    pub received: u64,
+    pub lost: u64,
+    /// Missing in the numbers of each publisher.
+    pub missing: u64,
+    /// Came out of order, or twice.
+    pub disordered: u64,
+}
+
+/// What became of requests and goals, by service.
+pub type Asked = BTreeMap<String, Answers>;
+
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Answers {
+    pub asked: u64,
+    pub answered: u64,
+    pub errors: BTreeMap<String, u64>,
+    pub slowest_ms: u64,
+    /// Neither an answer nor an error.
+    pub hung: u64,
+}
+
+pub fn play(name: &str) -> Result<()> {
+    let context = Context::create()?;
+    match name {
+        "publisher" => publisher(&context),
+        "subscription" => subscription(&context),
+        "server" => server(&context),
+        "client" => client(&context),
+        "echo" => echo(&context),
+        _ => Err(format!("no survivor {name}").into()),
+    }
+}
+
+/// Spins on a thread of its own until this is dropped.
+pub struct Spinning {
+    context: Context,
+    thread: Option<JoinHandle<()>>,
+}
+
+pub fn spin(context: &Context) -> Spinning {
+    let sampler = context.clone();
+    let run = move || {
+        if let Err(error) = sampler.spin() {
+            say(&Said::Failed(format!("spin: {error}")));
+        }
+    };
+    Spinning { context: context.clone(), thread: Some(thread::spawn(run)) }
+}
+
+impl Drop for Spinning {
+    fn drop(&mut self) {
+        self.context.shutdown();
+        // Before the process ends the thread gives its part of the context back.
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+/// Answers what newcomers say.
+fn answer_pings(node: &mut Node) -> Result<()> {
+    let pings = node.subscribe_loaned::<UInt64>(PING, QosProfile::default())?;
+    let pongs = node.create_publisher::<UInt64>(PONG, QosProfile::default())?;
+    let answer = pings.for_each(move |ping| {
+        let _ = pongs.publish(&UInt64 { data: ping.data });
+        async {}
+    });
+    node.spawn_callback(CallbackOptions::other().name("echo"), answer)?;
+    Ok(())
+}
+
+/// Does nothing but answer newcomers.
+fn echo(context: &Context) -> Result<()> {
+    let mut node = Node::create(context.clone(), "echo", "")?;
+    answer_pings(&mut node)?;
+    let _spinning = spin(context);
+    say(&Said::Ready);
+    told().for_each(drop);
+    Ok(())
+}
+
+fn publisher(context: &Context) -> Result<()> {
+    let mut node = Node::create(context.clone(), "survivor_publisher", "")?;
+    let numbers = node.create_publisher::<UInt64>(NUMBERS, numbers_qos())?;
+    let shared = node.create_publisher::<UInt64>(SHARED, numbers_qos())?;
+    let all = node.create_publisher::<UInt64>(ALL, all_qos())?;
+    let kept = node.create_publisher::<UInt64>(KEPT, kept_qos())?;
+    answer_pings(&mut node)?;
+    let _spinning = spin(context);
+    say(&Said::Ready);
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut commands = told();
+    // Told to go when the subscription is there.
+    commands.next();
+    let publish = {
+        let stop = stop.clone();
+        move || -> Result<Sent> {
+            let start = Instant::now();
+            for (name, publisher) in [("numbers", &numbers), ("shared", &shared), ("all", &all)] {
+                while publisher.subscription_count() == 0 {
+                    if start.elapsed() > PATIENCE {
+                        return Err(format!("no subscription of {name} in {PATIENCE:?}").into());
+                    }
+                    thread::sleep(Duration::from_millis(1));
+                }
+            }
+            let (mut sent, mut kept_next, mut full_since) = (Sent::default(), Instant::now(), None);
+            while !stop.load(Ordering::Acquire) {
+                numbers.publish(&UInt64 { data: sent.numbers + 1 })?;
+                sent.numbers += 1;
+                shared.publish(&UInt64 { data: sent.shared + 1 })?;
+                sent.shared += 1;
+                let mut loan = all.loan()?;
+                loan.data = sent.all + 1;
+                match loan.publish() {
+                    Ok(()) => {
+                        sent.all += 1;
+                        full_since = None;
+                    }
+                    Err(Unpublished::Full(_)) => {
+                        let since = *full_since.get_or_insert_with(Instant::now);
+                        sent.longest_full_ms = sent.longest_full_ms.max(since.elapsed().as_millis() as u64);
+                        if since.elapsed() > PATIENCE {
+                            return Err(full(&all).into());
+                        }
+                    }
+                    Err(other) => return Err(format!("{other:?}").into()),
+                }
+                if kept_next <= Instant::now() {
+                    kept.publish(&UInt64 { data: 0 })?;
+                    kept_next += KEPT_PERIOD;
+                }
+                thread::sleep(Duration::from_millis(1));
+            }
+            // A ring that was lost is not made good by one that comes later: there is none.
+            Ok(sent)
+        }
+    };
+    let publishing = thread::spawn(move || {
+        // Said at once, for others notice that it has stopped.
+        publish().inspect_err(|error| eprintln!("{}: the publisher: {error}", std::process::id()))
+    });
+    // Told to stop.
+    commands.next();
+    stop.store(true, Ordering::Release);
+    match publishing.join() {
+        Ok(Ok(sent)) => say(&Said::Sent(sent)),
+        Ok(Err(error)) => say(&Said::Failed(error.to_string())),
+        Err(_) => say(&Said::Failed("it panicked".into())),
+    }
+    commands.for_each(drop);
+    Ok(())
+}
+
+/// A queue is full for so long that no actor's can be it. Whose?
+fn full(publisher: &Publisher<UInt64>) -> String {
+    let ends = Context::domain_of_environment().map_err(|error| error.to_string());
+    let ends = ends.and_then(|domain| graph_of(domain).map_err(|error| error.to_string()));
+    let ends = ends.map_or_else(
+        |error| vec![error],
+        |graph| {
+            let ends = graph
+                .endpoints
+                .iter()
+                .filter(|end| end.topic == ALL && end.kind == EndpointKind::Subscription);
+            ends.map(|end| format!("{:?} of {:?} ({:?})", end.gid, end.pid, end.node)).collect()
+        },
+    );
+    format!(
+        "a queue is full for {PATIENCE:?}; {} subscriptions match; there are {ends:?}",
+        publisher.subscription_count()
+    )
+}
+
+/// What a subscription finds missing itself, by publisher.
+#[derive(Default)]
+struct Tally {
+    last: HashMap<Gid, u64>,
+    received: u64,
+    missing: u64,
+    disordered: u64,
+}
+
+impl Tally {
+    fn add(&mut self, publisher: Gid, number: u64) {
+        self.received += 1;
+        let last = self.last.entry(publisher).or_insert(number.saturating_sub(1));
+        match number.checked_sub(*last + 1) {
+            Some(missing) => {
+                self.missing += missing;
+                *last = number;
+            }
+            None => self.disordered += 1,
+        }
+    }
+}
+
+fn subscription(context: &Context) -> Result<()> {
+    let mut node = Node::create(context.clone(), "survivor_subscription", "")?;
+    let mut tallies = Vec::new();
+    for (topic, qos) in [(NUMBERS, numbers_qos()), (SHARED, numbers_qos()), (ALL, all_qos())] {
+        let subscription = node.subscribe_loaned::<UInt64>(topic, qos)?;
+        let (counters, tally) = (subscription.counters(), Arc::new(Mutex::new(Tally::default())));
+        tallies.push((counters, tally.clone()));
+        let count = subscription.for_each(move |sample| {
+            let info = sample.info();
+            let mut tally = tally.lock().unwrap_or_else(PoisonError::into_inner);
+            tally.add(info.publisher_gid, info.sequence_number);
+            async {}
+        });
+        node.spawn_callback(CallbackOptions::other().name(topic), count)?;
+    }
+    let _spinning = spin(context);
+    say(&Said::Ready);
+    for _ in told() {
+        let mut counts = tallies.iter().map(|(counters, tally)| {
+            let tally = tally.lock().unwrap_or_else(PoisonError::into_inner);
+            let Tally { received, missing, disordered, .. } = *tally;
+            Count { received, lost: counters.lost(), missing, disordered }
+        });
+        let mut next = || counts.next().unwrap_or_default();
+        say(&Said::Received(Received { numbers: next(), shared: next(), all: next() }));
+    }
+    Ok(())
+}
+
+fn server(context: &Context) -> Result<()> {
+    let mut node = Node::create(context.clone(), "survivor_server", "")?;
+    let requests = node.create_service::<AddTwoInts::Service>(ADD, QosProfile::services_default())?;
+    let serve = requests.for_each(|request| {
+        let AddTwoInts::Request { a, b } = request.message;
+        if let Err(error) = request.respond(AddTwoInts::Response { sum: a + b }) {
+            // The client's queue is full: of an actor that does not take its answers.
+            eprintln!("{}: {error}", std::process::id());
+        }
+        async {}
+    });
+    node.spawn_callback(CallbackOptions::other().name("serve"), serve)?;
+    node.declare_parameter("speed", 1_i64)?;
+    let (parameters, changes) = node.make_parameter_handler()?;
+    node.spawn_callback(CallbackOptions::other().name("parameters"), parameters)?;
+    node.spawn_callback(CallbackOptions::other().name("changes"), changes.for_each(|_| async {}))?;
+    let _spinning = spin(context);
+    say(&Said::Ready);
+    told().for_each(drop);
+    Ok(())
+}
+
+/// Asks one after the other until it is told to stop.
+fn ask(
+    name: &'static str,
+    asked: &Arc<Mutex<Asked>>,
+    stop: &Arc<AtomicBool>,
+    in_flight: &Arc<AtomicU64>,
+    mut ask: impl FnMut() -> std::result::Result<(), Error> + Send + 'static,
+) {
+    let (asked, stop, in_flight) = (asked.clone(), stop.clone(), in_flight.clone());
+    in_flight.fetch_add(1, Ordering::SeqCst);
+    thread::spawn(move || {
+        while !stop.load(Ordering::SeqCst) {
+            let start = Instant::now();
+            let answer = ask();
+            let mut asked = asked.lock().unwrap_or_else(PoisonError::into_inner);
+            let answers = asked.entry(name.to_owned()).or_default();
+            answers.asked += 1;
+            answers.slowest_ms = answers.slowest_ms.max(start.elapsed().as_millis() as u64);
+            match answer {
+                Ok(()) => answers.answered += 1,
+                Err(Error::ServiceTimeout { .. }) => answers.hung += 1,
+                Err(error) => *answers.errors.entry(kind(&error)).or_default() += 1,
+            }
+            drop(asked);
+            thread::sleep(Duration::from_millis(2));
+        }
+        in_flight.fetch_sub(1, Ordering::SeqCst);
+    });
+}
+
+/// What a server's queue of requests is when it takes none.
+pub const FULL: &str = "requests full";
+
+fn kind(error: &Error) -> String {
+    match error {
+        Error::Service(ServiceError::NoServer { .. }) => "no server".into(),
+        Error::Service(ServiceError::ServerGone { .. }) => "server gone".into(),
+        Error::Service(ServiceError::RequestsFull { .. }) => FULL.into(),
+        Error::GoalRejected { .. } => "goal rejected".into(),
+        other => other.to_string(),
+    }
+}
+
+fn client(context: &Context) -> Result<()> {
+    let mut node = Node::create(context.clone(), "survivor_client", "")?;
+    let (asked, stop, in_flight) = (Arc::default(), Arc::default(), Arc::default());
+    let mut clients = Vec::new();
+    for name in [ADD, ACTORS_ADD] {
+        clients
+            .push((name, node.create_client::<AddTwoInts::Service>(name, QosProfile::services_default())?));
+    }
+    let actions = node.create_action_client::<Fibonacci::Action>(ACTORS_FIBONACCI)?;
+    let _spinning = spin(context);
+    say(&Said::Ready);
+    let mut commands = told();
+    commands.next();
+    for (name, client) in clients {
+        ask(name, &asked, &stop, &in_flight, move || {
+            let response = block_on(client.request_timeout(&AddTwoInts::Request { a: 2, b: 3 }, PATIENCE)?)?;
+            if response.sum == 5 {
+                Ok(())
+            } else {
+                Err(ServiceError::NoServer { service: "2 + 3".into() }.into())
+            }
+        });
+    }
+    // Each step of a goal by itself: it has no limit of its own.
+    let clock = node.context().events().clone();
+    ask(ACTORS_FIBONACCI, &asked, &stop, &in_flight, move || {
+        let mut alarm = clock.alarm()?;
+        let limit = tautline_rt::clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
+        alarm.set(Some(limit));
+        let goal = actions.send_goal_request(Fibonacci::Goal { order: 5 })?;
+        let pursue = async {
+            let (_goal, result, feedback) = goal.await?;
+            let (_, result) = futures::join!(feedback.for_each(|_| async {}), result);
+            result.map(drop)
+        };
+        let late = std::future::poll_fn(|context| alarm.poll(context));
+        let outcome = block_on(async {
+            futures::select_biased! {
+                outcome = pursue.fuse() => outcome,
+                () = late.fuse() => Err(Error::ServiceTimeout { service: ACTORS_FIBONACCI.into(), timeout: PATIENCE }),
+            }
+        });
+        outcome
+    });
+    for command in commands {
+        if command == "stop" {
+            stop.store(true, Ordering::SeqCst);
+            let start = Instant::now();
+            while in_flight.load(Ordering::SeqCst) != 0 && start.elapsed() < 2 * PATIENCE {
+                thread::sleep(Duration::from_millis(1));
+            }
+            if in_flight.load(Ordering::SeqCst) != 0 {
+                say(&Said::Failed("a request neither ends nor fails".into()));
+            }
+        }
+        say(&Said::Asked(asked.lock().unwrap_or_else(PoisonError::into_inner).clone()));
+    }
+    Ok(())
+}

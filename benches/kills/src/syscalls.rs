@@ -1,0 +1,385 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Each scene again and again, and each time the process in question is killed at another of its system calls: before it, after it, or
+//! a moment later. Then its friend must go on, a newcomer must find everything as it should be, and nothing of it may be left.
+
+use crate::folder::{listing, of_dead, stolen};
+use crate::inspector::Graph;
+use crate::place::{Place, folder};
+use crate::process::{Complaints, PATIENCE, Process, Said, command, threads};
+use crate::scenes::{Friend, Scene};
+use crate::tracer::{self, End, Point, When};
+use crate::{Result, scenes};
+use clap::Args;
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Within this the graph answers, the friend's new ends and a newcomer's have passed a message, and nobody is kept from publishing.
+const ANSWER: Duration = Duration::from_millis(100);
+/// So long files of the dead may stay.
+const STAY: Duration = Duration::from_millis(50);
+/// Each with a domain of its own, at the same time.
+const LANES: u32 = 2;
+/// Of a friend that has seen thousands die: see `random`.
+const HELD_BY_IDLE: usize = 32;
+
+#[derive(Args, Debug)]
+pub struct Options {
+    /// At how many points, evenly spread over all there are
+    #[arg(long, value_name = "N", default_value_t = 2000)]
+    points: usize,
+    /// At all points
+    #[arg(long)]
+    all: bool,
+    /// What is random goes by this [default: random]
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// At one point, 20 times: the scene, the number of the call, and before, after or soon
+    #[arg(long, value_name = "SCENE:CALL:WHEN", value_parser = parse)]
+    at: Option<Job>,
+}
+
+/// A point of a scene.
+#[derive(Clone, Copy, Debug)]
+struct Job {
+    scene: Scene,
+    point: Point,
+}
+
+impl std::fmt::Display for Job {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let when = match self.point.when {
+            When::Before => "before",
+            When::After => "after",
+            When::Soon(_) => "soon",
+        };
+        write!(f, "{}:{}:{when}", self.scene.name(), self.point.call)
+    }
+}
+
+fn parse(text: &str) -> std::result::Result<Job, String> {
+    let parts: Vec<_> = text.split(':').collect();
+    let [scene, call, when] = parts[..] else { return Err("it is SCENE:CALL:WHEN".into()) };
+    let named = Scene::ALL.into_iter().find(|named| named.name() == scene);
+    let when = match when {
+        "before" => When::Before,
+        "after" => When::After,
+        "soon" => When::Soon(Duration::ZERO),
+        _ => return Err(format!("'{when}' is not before, after or soon")),
+    };
+    let call = call.parse().map_err(|_| format!("'{call}' is no number"))?;
+    Ok(Job {
+        scene: named.ok_or_else(|| format!("there is no scene '{scene}'"))?,
+        point: Point { call, when },
+    })
+}
+
+/// The worst of what was measured.
+#[derive(Clone, Copy, Debug, Default)]
+struct Worst {
+    killed: usize,
+    survived: usize,
+    stay: Duration,
+    graph: Duration,
+    own: Duration,
+    newcomer: Duration,
+    full: Duration,
+}
+
+impl Worst {
+    fn join(&mut self, other: &Worst) {
+        self.killed += other.killed;
+        self.survived += other.survived;
+        self.stay = self.stay.max(other.stay);
+        self.graph = self.graph.max(other.graph);
+        self.own = self.own.max(other.own);
+        self.newcomer = self.newcomer.max(other.newcomer);
+        self.full = self.full.max(other.full);
+    }
+}
+
+pub fn run(options: &Options) -> Result<()> {
+    let seed = options.seed.unwrap_or_else(rand::random);
+    let mut random = SmallRng::seed_from_u64(seed);
+    let place = Place::new()?;
+    let complaints = Complaints::collect()?;
+    let start = Instant::now();
+    let jobs = match options.at {
+        Some(job) => vec![job; 20],
+        None => plan(options, &place, &complaints, &mut random)?,
+    };
+    println!("{} points, seed {seed}", jobs.len());
+    for scene in Scene::ALL {
+        let mut jobs: Vec<Job> = jobs.iter().filter(|job| job.scene == scene).copied().collect();
+        for job in jobs.iter_mut().filter(|job| matches!(job.point.when, When::Soon(_))) {
+            job.point.when = Point::soon(&mut random);
+        }
+        if jobs.is_empty() {
+            continue;
+        }
+        let worst =
+            play(scene, &jobs, &place, &complaints).map_err(|error| format!("{error}; seed {seed}"))?;
+        println!(
+            "{:>6}: killed at {} points ({} more were beyond its end); at most: files of the dead {}, graph {}, the friend's own message {}, a \
+             newcomer's {}, a publisher held up {}",
+            scene.name(),
+            worst.killed,
+            worst.survived,
+            ms(worst.stay),
+            ms(worst.graph),
+            ms(worst.own),
+            ms(worst.newcomer),
+            ms(worst.full),
+        );
+    }
+    place.check()?;
+    println!("{:.1} s; nothing is left", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+fn ms(time: Duration) -> String {
+    format!("{:.1} ms", time.as_secs_f64() * 1e3)
+}
+
+/// Which points: each call of each scene, in each way, or so many of them.
+fn plan(
+    options: &Options,
+    place: &Place,
+    complaints: &Complaints,
+    random: &mut SmallRng,
+) -> Result<Vec<Job>> {
+    let mut all = Vec::new();
+    for scene in Scene::ALL {
+        let mut lane = Lane::start(scene, 1, place, complaints)?;
+        let mut calls = 0;
+        for _ in 0..3 {
+            let end = lane.play(None)?;
+            if end.code != Some(0) {
+                return Err(format!("{} does not end well by itself: {end:?}", scene.name()).into());
+            }
+            calls = calls.max(end.calls);
+        }
+        lane.finish()?;
+        println!("{}: {calls} system calls", scene.name());
+        let points = (1..=calls).flat_map(|call| {
+            [When::Before, When::After, When::Soon(Duration::ZERO)].map(|when| Point { call, when })
+        });
+        all.extend(points.map(|point| Job { scene, point }));
+    }
+    if options.all || all.len() <= options.points {
+        return Ok(all);
+    }
+    // Each `step`th, from a random one on.
+    let step = all.len() as f64 / options.points.max(1) as f64;
+    let first = random.random_range(0.0..1.0);
+    let chosen = (0..options.points).map(|n| all[((n as f64 + first) * step) as usize]);
+    Ok(chosen.collect())
+}
+
+/// All points of a scene, by several lanes.
+fn play(scene: Scene, jobs: &[Job], place: &Place, complaints: &Complaints) -> Result<Worst> {
+    let (next, worst) = (AtomicUsize::new(0), Mutex::new(Worst::default()));
+    let play = |domain: u32| -> Result<()> {
+        let mut lane = Lane::start(scene, domain, place, complaints)?;
+        while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let result = lane.play(Some(job.point)).and_then(|end| {
+                lane.worst.killed += usize::from(end.is_killed);
+                lane.worst.survived += usize::from(!end.is_killed);
+                match end.code {
+                    Some(code) if code != 0 => Err(format!("it ended by itself with {code}").into()),
+                    _ => Ok(()),
+                }
+            });
+            if let Err(error) = result {
+                // The others need not go on.
+                next.store(jobs.len(), Ordering::Relaxed);
+                let (listing, said) = (listing(domain), complaints.text());
+                return Err(format!("{error}\nwhen it was killed at --at {job}\n{listing}what the processes said last:\n{said}").into());
+            }
+        }
+        worst.lock().unwrap_or_else(PoisonError::into_inner).join(&lane.worst);
+        lane.finish()
+    };
+    thread::scope(|scope| {
+        let lanes: Vec<_> = (1..=LANES).map(|domain| scope.spawn(move || play(domain))).collect();
+        lanes.into_iter().try_for_each(|lane| lane.join().unwrap_or_else(|_| Err("a lane panicked".into())))
+    })?;
+    Ok(worst.into_inner().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// A domain in which a scene is played over and over.
+struct Lane<'p> {
+    scene: Scene,
+    domain: u32,
+    place: &'p Place,
+    complaints: &'p Complaints,
+    friend: Process,
+    /// Files that it had open at the start.
+    friends_files: usize,
+    inspector: Process,
+    victim: Option<Process>,
+    worst: Worst,
+}
+
+impl<'p> Lane<'p> {
+    fn start(scene: Scene, domain: u32, place: &'p Place, complaints: &'p Complaints) -> Result<Self> {
+        let start = |part: &str| {
+            let mut process = Process::start(part, command(part, domain, place.scope(), 0, complaints)?)?;
+            process.expect_ready()?;
+            Ok::<_, Box<dyn std::error::Error + Send + Sync>>(process)
+        };
+        let (mut friend, inspector) = (start("scene-friend")?, start("inspector")?);
+        if scene != Scene::Warden {
+            friend.tell("join")?;
+            friend.expect_ready()?;
+        }
+        let friends_files = friend.holdings().files;
+        let (victim, worst) = (None, Worst::default());
+        Ok(Lane { scene, domain, place, complaints, friend, friends_files, inspector, victim, worst })
+    }
+
+    fn start_part(&self, part: &str) -> Result<Process> {
+        let mut process =
+            Process::start(part, command(part, self.domain, self.place.scope(), 0, self.complaints)?)?;
+        process.expect_ready()?;
+        Ok(process)
+    }
+
+    /// Plays the scene once, and looks what it left.
+    fn play(&mut self, point: Option<Point>) -> Result<End> {
+        let mut killed = self.start_part(&format!("scene-{}", self.scene.name()))?;
+        let pid = killed.id();
+        let (told, ended) = std::sync::mpsc::channel();
+        let (end, direct) = thread::scope(|scope| -> Result<_> {
+            scope.spawn(move || told.send(tracer::follow(pid, point)));
+            killed.was_reaped();
+            killed.tell("go")?;
+            let direct = match self.scene {
+                Scene::Warden => self.direct(&mut killed),
+                _ => Ok(None),
+            };
+            let end = ended.recv_timeout(2 * PATIENCE);
+            if end.is_err() {
+                let hangs = format!("it hangs: {}", threads(pid));
+                crate::random::kill(pid)?;
+                return Err(hangs.into());
+            }
+            Ok((end??, direct?))
+        })?;
+        if let Some(Said::Failed(why)) = killed.overhear() {
+            return Err(format!("it says {why}").into());
+        }
+        self.check(&end, pid, direct)?;
+        Ok(end)
+    }
+
+    /// The others' parts while the warden plays; returns the victim, if it has died, and when.
+    fn direct(&mut self, warden: &mut Process) -> Result<Option<(u32, Instant)>> {
+        if warden.hear_or_end().is_none() {
+            return Ok(None);
+        }
+        self.friend.tell("join")?;
+        self.friend.expect_ready()?;
+        let mut victim = match self.victim.take() {
+            Some(victim) => victim,
+            None => self.start_part("scene-victim")?,
+        };
+        victim.ask("join")?;
+        victim.kill()?;
+        let died = Some((victim.id(), Instant::now()));
+        // It may have been killed meanwhile.
+        let _ = warden.tell("next");
+        if warden.hear_or_end().is_some() {
+            self.friend.tell("leave")?;
+            self.friend.expect_ready()?;
+            let _ = warden.tell("end");
+            while warden.hear_or_end().is_some() {}
+        }
+        Ok(died)
+    }
+
+    fn check(&mut self, end: &End, pid: u32, victim: Option<(u32, Instant)>) -> Result<()> {
+        let (start, before) = (Instant::now(), stolen());
+        if self.scene == Scene::Warden {
+            if end.code.is_some() && folder(self.domain).exists() {
+                return Err("all have left, and the folder stays".into());
+            }
+            if end.code.is_some() || victim.is_none() || self.friend_has_left()? {
+                self.friend.tell("join")?;
+                self.friend.expect_ready()?;
+            }
+        }
+        for (pid, died) in [Some((pid, end.at)), victim].into_iter().flatten() {
+            // Whoever cleans up may have come later.
+            let since = if self.scene == Scene::Warden { start.max(died) } else { died };
+            loop {
+                let left = of_dead(self.domain, pid);
+                if left.is_empty() {
+                    break;
+                }
+                if since.elapsed() > PATIENCE / 4 {
+                    return Err(format!("files of {pid}, which is dead, stay: {left:?}").into());
+                }
+                thread::sleep(Duration::from_micros(200));
+            }
+            self.worst.stay = self.worst.stay.max(since.elapsed());
+            within(STAY, since.elapsed(), before, "the files of the dead stayed")?;
+        }
+        let Said::Met(own) = self.friend.ask("meet")? else { return Err("the friend says nothing".into()) };
+        let Said::Graph(graph) = self.inspector.ask(&format!("graph {pid}"))? else {
+            return Err("no graph".into());
+        };
+        let Said::Met(met) = self.inspector.ask("meet")? else { return Err("no meeting".into()) };
+        let Said::Friend(Friend { full }) = self.friend.ask("report")? else {
+            return Err("no report".into());
+        };
+        let Graph { took, of_process, .. } = graph;
+        if of_process > 0 {
+            return Err(format!("the graph has {of_process} things of a process that is dead").into());
+        }
+        let worst = &mut self.worst;
+        worst.graph = worst.graph.max(took);
+        worst.own = worst.own.max(own.answered);
+        worst.newcomer = worst.newcomer.max(met.answered);
+        worst.full = worst.full.max(full);
+        within(ANSWER, took, before, "the graph took")?;
+        within(ANSWER, own.answered, before, "the friend's new ends took")?;
+        within(ANSWER, met.answered, before, &format!("a newcomer ({met:?}) took"))?;
+        within(ANSWER, full, before, "a publisher was held up")?;
+        if self.scene == Scene::Warden {
+            self.friend.tell("leave")?;
+            self.friend.expect_ready()?;
+            if folder(self.domain).exists() {
+                return Err("all have left or died, and the folder stays".into());
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the scene has come to where the friend leaves.
+    fn friend_has_left(&mut self) -> Result<bool> {
+        Ok(matches!(self.friend.ask("is_there")?, Said::At(place) if place == "left"))
+    }
+
+    fn finish(mut self) -> Result<()> {
+        let holdings = self.friend.holdings();
+        if holdings.files != self.friends_files || holdings.removed.len() > HELD_BY_IDLE {
+            return Err(
+                format!("the friend had {} files open, and has {holdings:?}", self.friends_files).into()
+            );
+        }
+        self.inspector.finish()?;
+        self.friend.finish()
+    }
+}
+
+/// Whether a time is within its limit and what was stolen.
+fn within(limit: Duration, time: Duration, stolen_before: Duration, what: &str) -> Result<()> {
+    if time <= limit || time <= limit + stolen().saturating_sub(stolen_before) {
+        return Ok(());
+    }
+    Err(format!("{what} {}, more than {}", ms(time), ms(limit)).into())
+}

@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Stops a process before and after each system call of any of its threads, counts that, and kills it where it is told to.
+
+use crate::Result;
+use libc::{c_int, c_long, c_void, pid_t};
+use rand::RngExt;
+use rand::rngs::SmallRng;
+use std::collections::BTreeSet;
+use std::io;
+use std::time::{Duration, Instant};
+
+/// Where in a system call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum When {
+    /// It is not made.
+    Before,
+    /// It was made, and nothing after it.
+    After,
+    /// So long after it, in whatever its threads do then.
+    Soon(Duration),
+}
+
+/// A system call of all that a process makes, whichever of its threads does, from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Point {
+    pub call: usize,
+    pub when: When,
+}
+
+impl Point {
+    pub fn soon(random: &mut SmallRng) -> When {
+        When::Soon(Duration::from_nanos(random.random_range(0..60_000)))
+    }
+}
+
+/// How it ended.
+#[derive(Clone, Debug)]
+pub struct End {
+    /// System calls that it made.
+    pub calls: usize,
+    /// At the point, or not at all.
+    pub is_killed: bool,
+    /// Its exit code, if it ended by itself.
+    pub code: Option<i32>,
+    /// When it was gone.
+    pub at: Instant,
+    /// The number of the system call that it was killed at.
+    pub number: Option<u64>,
+}
+
+/// Follows a process of this thread's process, which waits and has one thread, until it ends. Kills it at `point`.
+pub fn follow(pid: u32, point: Option<Point>) -> Result<End> {
+    let pid = pid_t::try_from(pid)?;
+    let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE | libc::PTRACE_O_EXITKILL;
+    ptrace(libc::PTRACE_SEIZE, pid, options as usize)?;
+    ptrace(libc::PTRACE_INTERRUPT, pid, 0)?;
+    let mut within = BTreeSet::new();
+    let mut end = End { calls: 0, is_killed: false, code: None, at: Instant::now(), number: None };
+    loop {
+        let (thread, status) = wait()?;
+        if libc::WIFEXITED(status) || libc::WIFSIGNALED(status) {
+            within.remove(&thread);
+            if thread == pid {
+                end.code = libc::WIFEXITED(status).then(|| libc::WEXITSTATUS(status));
+                end.at = Instant::now();
+                return Ok(end);
+            }
+            continue;
+        }
+        if end.is_killed {
+            // It runs into its end by itself.
+            continue;
+        }
+        let (signal, event) = (libc::WSTOPSIG(status), status >> 16);
+        let mut forwarded = 0;
+        if signal == libc::SIGTRAP | 0x80 {
+            let is_entry = within.insert(thread);
+            if is_entry {
+                end.calls += 1;
+            } else {
+                within.remove(&thread);
+            }
+            // What follows on the last one's end is found there, whichever thread makes the next one.
+            let Some(point) = point.filter(|point| point.call == end.calls) else {
+                resume(thread, 0)?;
+                continue;
+            };
+            let is_there = is_entry == (point.when == When::Before);
+            if !is_there {
+                resume(thread, 0)?;
+                continue;
+            }
+            end.number = number(thread);
+            if let When::Soon(time) = point.when {
+                resume(thread, 0)?;
+                let start = Instant::now();
+                while start.elapsed() < time {
+                    std::hint::spin_loop();
+                }
+            }
+            end.is_killed = true;
+            // SAFETY: a signal to a child that was not waited for.
+            unsafe { libc::kill(pid, libc::SIGKILL) };
+            continue;
+        }
+        if event == 0 {
+            // A signal for the process itself.
+            forwarded = signal;
+        }
+        resume(thread, forwarded)?;
+    }
+}
+
+fn resume(thread: pid_t, signal: c_int) -> Result<()> {
+    match ptrace(libc::PTRACE_SYSCALL, thread, signal as usize) {
+        // It is being killed.
+        Err(error) if error.raw_os_error() == Some(libc::ESRCH) => Ok(()),
+        other => Ok(other?),
+    }
+}
+
+/// The next thing that happens to any thread that this thread follows.
+fn wait() -> io::Result<(pid_t, c_int)> {
+    let mut status = 0;
+    loop {
+        // SAFETY: writes the status, which is there.
+        let thread = unsafe { libc::waitpid(-1, &raw mut status, libc::__WALL | libc::__WNOTHREAD) };
+        if thread >= 0 {
+            return Ok((thread, status));
+        }
+        let error = io::Error::last_os_error();
+        if error.kind() != io::ErrorKind::Interrupted {
+            return Err(error);
+        }
+    }
+}
+
+/// The number of the system call that a stopped thread is in.
+fn number(thread: pid_t) -> Option<u64> {
+    let text = std::fs::read_to_string(format!("/proc/{thread}/syscall")).ok()?;
+    text.split(' ').next()?.parse().ok()
+}
+
+fn ptrace(request: libc::c_uint, pid: pid_t, data: usize) -> io::Result<()> {
+    // SAFETY: these requests read and write no memory of this process.
+    let result: c_long =
+        unsafe { libc::ptrace(request as _, pid, std::ptr::null_mut::<c_void>(), data as *mut c_void) };
+    if result == -1 { Err(io::Error::last_os_error()) } else { Ok(()) }
+}

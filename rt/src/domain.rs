@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Where the files of a domain are: one folder in /dev/shm for each domain, user and scope.
+//!
+//! Processes of different scopes see nothing of each other: tests beside a running robot, several simulated robots on one
+//! host. The scope is `TAUT_SCOPE`, or what [`set_scope`] says before it is first asked for; without one there is the default
+//! scope.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+/// Longest name of a scope, in bytes.
+pub const MAX_SCOPE_BYTES: usize = 32;
+
+/// The environment variable that names the scope.
+const VARIABLE: &str = "TAUT_SCOPE";
+
+static SCOPE: OnceLock<Result<Option<String>, ScopeError>> = OnceLock::new();
+
+/// Why a scope is not one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScopeError {
+    /// The name cannot be part of a file's name.
+    #[error(
+        "'{name}' cannot be a scope (TAUT_SCOPE): it has 1 to {MAX_SCOPE_BYTES} letters, digits, '-' and '_'"
+    )]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// The process is in another scope already.
+    #[error(
+        "this process is in the scope '{present}' already, not '{wanted}': set the scope before anything else"
+    )]
+    Fixed {
+        /// The scope that it is in; empty for the default one.
+        present: String,
+        /// The one asked for.
+        wanted: String,
+    },
+}
+
+/// The scope of this process; `None` is the default one.
+///
+/// # Errors
+/// [`ScopeError::Name`]: `TAUT_SCOPE` is no scope.
+pub fn scope() -> Result<Option<&'static str>, ScopeError> {
+    let of_environment = || match std::env::var(VARIABLE) {
+        Ok(name) if !name.is_empty() => checked(&name).map(Some),
+        _ => Ok(None),
+    };
+    SCOPE.get_or_init(of_environment).as_ref().map(Option::as_deref).map_err(Clone::clone)
+}
+
+/// Puts this process into the scope `name`, whatever `TAUT_SCOPE` says. Call it before anything that belongs to a domain.
+///
+/// # Errors
+/// [`ScopeError`]: no name for a scope, or the process is in another one.
+pub fn set_scope(name: &str) -> Result<(), ScopeError> {
+    let wanted = checked(name)?;
+    match SCOPE.get_or_init(|| Ok(Some(wanted.clone()))) {
+        Ok(Some(present)) if *present == wanted => Ok(()),
+        present => {
+            let present = present.clone().ok().flatten().unwrap_or_default();
+            Err(ScopeError::Fixed { present, wanted })
+        }
+    }
+}
+
+fn checked(name: &str) -> Result<String, ScopeError> {
+    let is_scope = (1..=MAX_SCOPE_BYTES).contains(&name.len())
+        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_');
+    if is_scope { Ok(name.to_owned()) } else { Err(ScopeError::Name { name: name.to_owned() }) }
+}
+
+/// The name of a domain's folder in [`shm::DIRECTORY`](crate::shm::DIRECTORY), for this user and scope.
+pub fn shared_folder(domain: u32) -> String {
+    let user = rustix::process::getuid().as_raw();
+    match scope() {
+        Ok(Some(scope)) => format!("taut_{domain}_{user}.{scope}"),
+        _ => format!("taut_{domain}_{user}"),
+    }
+}
+
+/// Where this user's files are that outlive processes: definitions of message types.
+pub fn kept_folder() -> PathBuf {
+    let user = rustix::process::getuid().as_raw();
+    Path::new("/tmp").join(match scope() {
+        Ok(Some(scope)) => format!("tautline_{user}.{scope}"),
+        _ => format!("tautline_{user}"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_scopes() {
+        for good in ["a", "robot-2", "CI_7", &"x".repeat(MAX_SCOPE_BYTES)] {
+            assert_eq!(checked(good).as_deref(), Ok(good));
+        }
+        for bad in ["", ".", "a/b", "../x", "a b", "ä", &"x".repeat(MAX_SCOPE_BYTES + 1)] {
+            assert_eq!(checked(bad), Err(ScopeError::Name { name: bad.to_owned() }));
+        }
+    }
+
+    #[test]
+    fn a_process_is_in_one_scope() {
+        set_scope("rt-test").unwrap();
+        set_scope("rt-test").unwrap();
+        let error = set_scope("other").unwrap_err().to_string();
+        assert!(error.contains("'rt-test'") && error.contains("'other'"), "{error}");
+        assert!(shared_folder(7).starts_with("taut_7_") && shared_folder(7).ends_with(".rt-test"));
+        assert!(kept_folder().to_string_lossy().ends_with(".rt-test"));
+    }
+}

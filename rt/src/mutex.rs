@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A mutex for threads of different priorities: who holds it runs at the priority of the highest that waits for it
+//! (`PTHREAD_PRIO_INHERIT`), so that nobody between the two can hold up the one above.
+
+use std::cell::UnsafeCell;
+use std::mem::MaybeUninit;
+use std::ops::{Deref, DerefMut};
+
+/// Protects a value that threads of different priorities use. Unlike the standard library's it inherits priority, and a panic
+/// leaves it usable.
+///
+/// ```
+/// let counted = tautline_rt::PiMutex::new(0);
+/// *counted.lock() += 1;
+/// assert_eq!(*counted.lock(), 1);
+/// ```
+pub struct PiMutex<T> {
+    /// Boxed: a locked mutex must not move, and one that nobody waits for may.
+    raw: Box<UnsafeCell<libc::pthread_mutex_t>>,
+    value: UnsafeCell<T>,
+}
+
+// SAFETY: the mutex lets one thread at a time at the value.
+unsafe impl<T: Send> Send for PiMutex<T> {}
+// SAFETY: as above.
+unsafe impl<T: Send> Sync for PiMutex<T> {}
+
+impl<T> PiMutex<T> {
+    /// A mutex that nobody holds.
+    ///
+    /// # Real-time
+    /// Setup only: allocates.
+    ///
+    /// # Panics
+    /// If the C library has no mutexes that inherit priority, which Linux's have had since 2006.
+    pub fn new(value: T) -> Self {
+        let mut attributes = MaybeUninit::uninit();
+        let mut raw = MaybeUninit::uninit();
+        // SAFETY: both are written before they are read, and the attributes are destroyed once.
+        let made = unsafe {
+            libc::pthread_mutexattr_init(attributes.as_mut_ptr()) == 0
+                && libc::pthread_mutexattr_setprotocol(attributes.as_mut_ptr(), libc::PTHREAD_PRIO_INHERIT)
+                    == 0
+                && libc::pthread_mutexattr_settype(attributes.as_mut_ptr(), libc::PTHREAD_MUTEX_ERRORCHECK)
+                    == 0
+                && libc::pthread_mutex_init(raw.as_mut_ptr(), attributes.as_ptr()) == 0
+                && libc::pthread_mutexattr_destroy(attributes.as_mut_ptr()) == 0
+        };
+        assert!(made, "no mutex that inherits priority");
+        // SAFETY: initialised above. It may move: nobody has locked it yet.
+        let raw = Box::new(UnsafeCell::new(unsafe { raw.assume_init() }));
+        PiMutex { raw, value: UnsafeCell::new(value) }
+    }
+
+    /// Waits until nobody else holds it.
+    ///
+    /// # Real-time
+    /// No allocation; no syscall if nobody holds it. Waits for the longest section of those who lock it, once: the holder runs at
+    /// this thread's priority meanwhile.
+    ///
+    /// # Panics
+    /// If this thread holds it already.
+    pub fn lock(&self) -> PiGuard<'_, T> {
+        // SAFETY: initialised, and not destroyed before `self` goes. It fails only if this thread holds it already, which would be
+        // a bug here and not to be waited for.
+        let locked = unsafe { libc::pthread_mutex_lock(self.raw.get()) };
+        assert!(locked == 0, "a thread locks a mutex that it holds");
+        PiGuard { mutex: self }
+    }
+}
+
+impl<T> Drop for PiMutex<T> {
+    fn drop(&mut self) {
+        // SAFETY: initialised, and nobody holds it: guards borrow `self`.
+        unsafe { libc::pthread_mutex_destroy(self.raw.get()) };
+    }
+}
+
+impl<T> std::fmt::Debug for PiMutex<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PiMutex").finish_non_exhaustive()
+    }
+}
+
+/// The right to use the value of a [`PiMutex`], until it is dropped.
+#[must_use = "the mutex is unlocked when this is dropped"]
+pub struct PiGuard<'m, T> {
+    mutex: &'m PiMutex<T>,
+}
+
+impl<T> Deref for PiGuard<'_, T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        // SAFETY: the mutex is held.
+        unsafe { &*self.mutex.value.get() }
+    }
+}
+
+impl<T> DerefMut for PiGuard<'_, T> {
+    fn deref_mut(&mut self) -> &mut T {
+        // SAFETY: the mutex is held, and `&mut self` is the only way to the value.
+        unsafe { &mut *self.mutex.value.get() }
+    }
+}
+
+impl<T> Drop for PiGuard<'_, T> {
+    /// # Real-time
+    /// No allocation; a syscall if somebody waits.
+    fn drop(&mut self) {
+        // SAFETY: this thread locked it.
+        unsafe { libc::pthread_mutex_unlock(self.mutex.raw.get()) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    #[test]
+    fn one_at_a_time() {
+        let count = Arc::new(PiMutex::new(0));
+        let threads: Vec<_> = (0..4)
+            .map(|_| {
+                let count = count.clone();
+                std::thread::spawn(move || (0..1000).for_each(|_| *count.lock() += 1))
+            })
+            .collect();
+        threads.into_iter().for_each(|thread| thread.join().unwrap());
+        assert_eq!(*count.lock(), 4000);
+    }
+
+    #[test]
+    #[should_panic(expected = "that it holds")]
+    fn who_holds_it_does_not_wait_for_itself() {
+        let value = PiMutex::new(1);
+        let _first = value.lock();
+        let _second = value.lock();
+    }
+
+    #[test]
+    fn a_panic_leaves_it_unlocked() {
+        let value = Arc::new(PiMutex::new(1));
+        let shared = value.clone();
+        let panics = std::thread::spawn(move || {
+            let _guard = shared.lock();
+            panic!("on purpose");
+        });
+        assert!(panics.join().is_err());
+        assert_eq!(*value.lock(), 1);
+    }
+}

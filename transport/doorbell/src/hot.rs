@@ -1,0 +1,354 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The bell: a bitmap of pending slots and an eventcount, in shared memory.
+//!
+//! ```text
+//!  ringer (any process)                       sampler (the one sleeper)
+//!  1 pending[slot] |= bit                     1 state |= SLEEPING
+//!  2 fence                                    2 fence
+//!  3 state has SLEEPING? count it, wake       3 nothing pending? sleep while state is what step 1 left
+//!                                             4 state &= !SLEEPING, take the bits
+//! ```
+//!
+//! The fences order each side's store before its load: either the ringer sees SLEEPING and wakes, or the sampler sees
+//! the bit and does not sleep. Counting in step 3 changes the state, so that a sampler between its steps 2 and 3 does
+//! not fall asleep. Only the sampler takes SLEEPING away: a ringer never relies on another one, who may have been
+//! preempted, or killed, anywhere before its wake.
+//!
+//! Slots beyond the first [`NEAR_SLOTS`](crate::NEAR_SLOTS) lie in windows of their own, with a bitmap each: step 1 then sets the
+//! bit there, and after it the window's bit here.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use crate::NEAR_SLOTS;
+use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
+use tautline_rt::FutexWord;
+
+/// The words of a sampler's bell.
+const SAMPLED: usize = NEAR_SLOTS / 64;
+/// The state's lowest bit; above it, the rings that found it set are counted (wrapping).
+const SLEEPING: u32 = 1;
+const ONE_RING: u32 = 2;
+
+/// One bell per sampler, and small ones of `WORDS` 1 for callback threads that are woken directly: below, whoever sleeps on a
+/// bell is its sampler. All-zero memory is a bell with nothing pending and nobody asleep.
+#[repr(C, align(64))]
+pub(crate) struct Bell<const WORDS: usize = SAMPLED> {
+    state: FutexWord,
+    /// A bit for each window in which something is pending.
+    far: AtomicU32,
+    pending: Pending<WORDS>,
+}
+
+#[repr(C, align(64))]
+struct Pending<const WORDS: usize>([AtomicU64; WORDS]);
+
+impl<const WORDS: usize> Bell<WORDS> {
+    /// Marks `slot` pending and wakes the sampler if it sleeps.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; one futex wake if the sampler sleeps, else no syscall.
+    pub(crate) fn ring(&self, slot: usize) {
+        self.mark(slot);
+        fence(Ordering::SeqCst);
+        self.wake_if_sleeping();
+    }
+
+    /// The first step of [`ring`](Self::ring), of several slots maybe: a sequentially consistent fence and
+    /// [`wake_if_sleeping`](Self::wake_if_sleeping) follow.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn mark(&self, slot: usize) {
+        mark_in(&self.pending.0, slot);
+    }
+
+    /// Something was marked in `window`, whose bitmap that is: part of the first step.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn mark_window(&self, window: usize) {
+        // Release: pairs with the Acquire in `take_windows`, after which the window's bitmap is looked at.
+        self.far.fetch_or(1 << (window % u32::BITS as usize), Ordering::Release);
+    }
+
+    /// The last step of a ring.
+    ///
+    /// # Real-time
+    /// Wait-free; one futex wake if the sampler sleeps, else no syscall.
+    pub(crate) fn wake_if_sleeping(&self) {
+        if self.state.0.load(Ordering::Relaxed) & SLEEPING != 0 {
+            self.wake();
+        }
+    }
+
+    fn wake(&self) {
+        self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
+        self.state.wake();
+    }
+
+    /// Takes every pending slot and hands it to `each`, lowest first; returns how many there were. Those in windows are taken by
+    /// [`drain_bits`], of the windows that [`take_windows`](Self::take_windows) says.
+    ///
+    /// # Real-time
+    /// Wait-free, O(pending + 16); no allocation; no syscall.
+    pub(crate) fn drain(&self, each: impl FnMut(usize)) -> usize {
+        drain_bits(&self.pending.0, each)
+    }
+
+    /// Takes the windows in which something is pending, a bit for each.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn take_windows(&self) -> u32 {
+        if self.far.load(Ordering::Relaxed) == 0 {
+            return 0;
+        }
+        self.far.swap(0, Ordering::Acquire)
+    }
+
+    /// Takes one slot back, if it is pending. What was written before its ring is seen after this.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn take(&self, slot: usize) {
+        if let Some(word) = self.pending.0.get(slot / 64) {
+            word.fetch_and(!(1 << (slot % 64)), Ordering::Acquire);
+        }
+    }
+
+    /// Whether a slot is pending.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn is_pending(&self) -> bool {
+        has_bits(&self.pending.0) || self.far.load(Ordering::Relaxed) != 0
+    }
+
+    /// Sleeps until a slot is pending or the absolute `CLOCK_MONOTONIC` time `deadline_ns`. Only the sampler calls this.
+    /// May return early.
+    ///
+    /// # Real-time
+    /// At most one syscall; no allocation.
+    pub(crate) fn sleep(&self, deadline_ns: Option<u64>) {
+        let asleep = self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING;
+        fence(Ordering::SeqCst);
+        if !self.is_pending() {
+            self.state.wait(asleep, deadline_ns);
+        }
+        self.state.0.fetch_and(!SLEEPING, Ordering::AcqRel);
+    }
+
+    /// Finishes the ring of a process that was killed between setting the bit and waking. Waking who is awake is
+    /// harmless.
+    ///
+    /// # Real-time
+    /// For a low-priority thread, now and then. Wait-free; at most one futex wake.
+    pub(crate) fn rescue(&self) {
+        if self.is_pending() {
+            self.wake();
+        }
+    }
+}
+
+/// # Real-time
+/// Wait-free; no syscall.
+pub(crate) fn mark_in(pending: &[AtomicU64], slot: usize) {
+    // An index out of range can come from another process's memory: it rings nothing.
+    let Some(word) = pending.get(slot / 64) else { return };
+    // Release: pairs with the Acquire in `drain_bits`; what was written before the ring is seen after the drain.
+    word.fetch_or(1 << (slot % 64), Ordering::Release);
+}
+
+/// Takes every bit that is set and hands its index to `each`, lowest first; returns how many there were.
+///
+/// # Real-time
+/// Wait-free, O(bits set + words); no allocation; no syscall.
+pub(crate) fn drain_bits(pending: &[AtomicU64], mut each: impl FnMut(usize)) -> usize {
+    let mut count = 0;
+    for (index, word) in pending.iter().enumerate() {
+        if word.load(Ordering::Relaxed) == 0 {
+            continue;
+        }
+        // Acquire: pairs with the Release in `mark_in`.
+        let mut bits = word.swap(0, Ordering::Acquire);
+        while bits != 0 {
+            each(index * 64 + bits.trailing_zeros() as usize);
+            bits &= bits - 1;
+            count += 1;
+        }
+    }
+    count
+}
+
+pub(crate) fn has_bits(pending: &[AtomicU64]) -> bool {
+    pending.iter().any(|word| word.load(Ordering::Relaxed) != 0)
+}
+
+/// What others must know of a slot. Written by its owner alone; zero says nothing special.
+///
+/// A subscription that finds sample after sample need not be rung for each: it is *draining*. Before it sleeps it says that
+/// it is no longer, and looks once more:
+///
+/// ```text
+///  publisher                                  subscription
+///  1 queue the sample                         1 flags &= !DRAINING
+///  2 fence                                    2 fence
+///  3 flags have no DRAINING? ring             3 nothing queued? sleep until rung
+/// ```
+///
+/// As with the bell, either the publisher sees that it must ring, or the subscription sees the sample. The same holds for one
+/// that polled by itself (`QUIET`) and does so no longer.
+#[repr(transparent)]
+pub struct Flags(AtomicU32);
+
+impl Flags {
+    /// The subscription polls by itself: publishers need not ring.
+    const QUIET: u32 = 1;
+    /// The subscription has a deadline: publishers note when they send.
+    const DEADLINE: u32 = 2;
+    /// The subscription takes what waits, and looks again before it sleeps.
+    const DRAINING: u32 = 4;
+
+    fn has(&self, flag: u32) -> bool {
+        self.0.load(Ordering::Relaxed) & flag != 0
+    }
+
+    /// Takes all of them away. For the slot's owner.
+    pub(crate) fn clear(&self) {
+        self.0.store(0, Ordering::Relaxed);
+    }
+
+    fn put(&self, flag: u32, is_set: bool) {
+        let flags = self.0.load(Ordering::Relaxed);
+        self.0.store(if is_set { flags | flag } else { flags & !flag }, Ordering::Relaxed);
+    }
+
+    /// Says whether the subscription has a deadline. For the slot's owner.
+    pub fn set_deadline(&self, has_deadline: bool) {
+        self.put(Self::DEADLINE, has_deadline);
+    }
+
+    /// Whether publishers note when they send: see [`Pulse`](crate::Pulse).
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn has_deadline(&self) -> bool {
+        self.has(Self::DEADLINE)
+    }
+
+    /// Says whether publishers need not ring, because the subscription polls by itself. For the slot's owner, who looks into its queue
+    /// once more after it said that they must.
+    ///
+    /// # Real-time
+    /// Wait-free: a load, a store and a fence.
+    pub fn set_quiet(&self, is_quiet: bool) {
+        self.put(Self::QUIET, is_quiet);
+        fence(Ordering::SeqCst);
+    }
+
+    /// Whether a publisher rings. Its sample is queued before this, with a sequentially consistent fence between.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn wants_ring(&self) -> bool {
+        !self.has(Self::QUIET | Self::DRAINING)
+    }
+
+    /// Publishers need not ring until [`stop_draining`](Self::stop_draining). For the slot's owner.
+    ///
+    /// # Real-time
+    /// Wait-free: a load and a store.
+    pub fn start_draining(&self) {
+        self.put(Self::DRAINING, true);
+    }
+
+    /// Publishers ring again. The owner looks into its queue after this, before it sleeps.
+    ///
+    /// # Real-time
+    /// Wait-free: a load, a store and a fence.
+    pub fn stop_draining(&self) {
+        self.put(Self::DRAINING, false);
+        fence(Ordering::SeqCst);
+    }
+}
+
+/// Which bell is rung for a slot: its arena's, or that of a callback thread, which then sleeps on no other. Written by the
+/// slot's owner alone; zero is the arena's.
+///
+/// The owner changes it as it stops [draining](Flags): it looks into its queue after that. Whoever still rings the bell of
+/// before had queued its sample by then.
+#[repr(transparent)]
+pub(crate) struct Route(AtomicU32);
+
+/// A place at a callback thread's bell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Spot {
+    pub(crate) thread: usize,
+    /// Below 64.
+    pub(crate) bit: usize,
+}
+
+impl Route {
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn get(&self) -> Option<Spot> {
+        let place = self.0.load(Ordering::Relaxed).checked_sub(1)? as usize;
+        Some(Spot { thread: place / 64, bit: place % 64 })
+    }
+
+    /// For the slot's owner, who looks into its queue after this.
+    ///
+    /// # Real-time
+    /// Wait-free: a store and a fence.
+    pub(crate) fn set(&self, spot: Option<Spot>) {
+        let place = spot.map_or(0, |spot| (spot.thread * 64 + spot.bit) as u32 + 1);
+        self.0.store(place, Ordering::Relaxed);
+        fence(Ordering::SeqCst);
+    }
+}
+
+#[cfg(not(taut_loom))]
+impl<const WORDS: usize> Bell<WORDS> {
+    /// How often whoever sleeps here is woken by what happens `meanwhile`.
+    pub(crate) fn count_wakes(&self, meanwhile: impl FnOnce()) -> u32 {
+        let before = self.state.0.fetch_or(SLEEPING, Ordering::AcqRel) | SLEEPING;
+        meanwhile();
+        let after = self.state.0.fetch_and(!SLEEPING, Ordering::AcqRel);
+        after.wrapping_sub(before) / ONE_RING
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+impl Flags {
+    pub(crate) fn new() -> Self {
+        Flags(AtomicU32::new(0))
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+impl Route {
+    pub(crate) fn new() -> Self {
+        Route(AtomicU32::new(0))
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+#[allow(clippy::indexing_slicing)]
+impl<const WORDS: usize> Bell<WORDS> {
+    pub(crate) fn new() -> Self {
+        Bell {
+            state: FutexWord::new(0),
+            far: AtomicU32::new(0),
+            pending: Pending(core::array::from_fn(|_| AtomicU64::new(0))),
+        }
+    }
+
+    /// The first step of `ring` alone, or all but the wake: a ringer that was killed there.
+    pub(crate) fn ring_and_die(&self, slot: usize, before_wake: bool) {
+        self.pending.0[slot / 64].fetch_or(1 << (slot % 64), Ordering::Release);
+        if before_wake {
+            fence(Ordering::SeqCst);
+            self.state.0.fetch_add(ONE_RING, Ordering::AcqRel);
+        }
+    }
+}

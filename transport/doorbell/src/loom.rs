@@ -1,0 +1,312 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Every interleaving of ringers and a sampler: no ring is lost, whatever else the memory model allows.
+//! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-doorbell --release loom`).
+
+use crate::hot::{Bell, Flags, Route, Spot, drain_bits, mark_in};
+use crate::places::FreePlaces;
+use crate::sync::AtomicU64;
+use loom::cell::UnsafeCell;
+use loom::sync::Arc;
+use loom::sync::atomic::{AtomicU32, Ordering, fence};
+use loom::thread;
+
+/// The sampler sleeps until it has seen `wanted` slots. A lost wake-up would be a deadlock, which loom reports.
+fn sample_until<const WORDS: usize>(bell: &Bell<WORDS>, wanted: u64) {
+    let mut seen = 0u64;
+    while seen != wanted {
+        if bell.drain(|slot| seen |= 1 << slot) == 0 {
+            bell.sleep(None);
+        }
+    }
+}
+
+fn model(f: impl Fn() + Sync + Send + 'static) {
+    let mut builder = loom::model::Builder::new();
+    builder.preemption_bound = Some(3);
+    builder.check(f);
+}
+
+#[test]
+fn loom_one_ring_is_never_lost() {
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let ringer = {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring(1))
+        };
+        sample_until(&bell, 0b10);
+        ringer.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_two_ringers_of_different_slots() {
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let ringers = [0usize, 1].map(|slot| {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring(slot))
+        });
+        sample_until(&bell, 0b11);
+        for ringer in ringers {
+            ringer.join().unwrap();
+        }
+    });
+}
+
+#[test]
+fn loom_the_second_ring_of_a_slot_shows_the_second_message() {
+    // What is written before a ring is visible after the drain that took the bit, also when bits coalesce.
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let written = Arc::new(AtomicU32::new(0));
+        let ringer = {
+            let (bell, written) = (bell.clone(), written.clone());
+            thread::spawn(move || {
+                for message in 1..=2 {
+                    written.store(message, Ordering::Relaxed);
+                    bell.ring(0);
+                }
+            })
+        };
+        while written.load(Ordering::Relaxed) != 2 {
+            if bell.drain(|_| {}) == 0 {
+                bell.sleep(None);
+            }
+        }
+        ringer.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_slots_that_are_marked_together_need_one_wake() {
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let ringer = {
+            let bell = bell.clone();
+            thread::spawn(move || {
+                bell.mark(0);
+                bell.mark(1);
+                fence(Ordering::SeqCst);
+                bell.wake_if_sleeping();
+            })
+        };
+        sample_until(&bell, 0b11);
+        ringer.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_sample_that_nobody_rang_for_is_seen_before_its_reader_sleeps() {
+    // Two samples, for the first may come while the reader still drains and the second when it does no longer.
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let flags = Arc::new(Flags::new());
+        let queued = Arc::new(AtomicU32::new(0));
+        flags.start_draining();
+        let publisher = {
+            let (bell, flags, queued) = (bell.clone(), flags.clone(), queued.clone());
+            thread::spawn(move || {
+                for sample in 1..=2 {
+                    queued.store(sample, Ordering::Release);
+                    fence(Ordering::SeqCst);
+                    if flags.wants_ring() {
+                        bell.ring(0);
+                    }
+                }
+            })
+        };
+        let all = || queued.load(Ordering::Acquire) == 2;
+        if !all() {
+            flags.stop_draining();
+            while !all() {
+                if bell.drain(|_| {}) == 0 {
+                    bell.sleep(None);
+                }
+            }
+        }
+        publisher.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_sample_is_seen_by_a_reader_that_no_longer_polls_by_itself() {
+    model(|| {
+        let (bell, flags) = (Arc::new(Bell::<1>::new()), Arc::new(Flags::new()));
+        let queued = Arc::new(AtomicU32::new(0));
+        flags.set_quiet(true);
+        let publisher = {
+            let (bell, flags, queued) = (bell.clone(), flags.clone(), queued.clone());
+            thread::spawn(move || {
+                queued.store(1, Ordering::Release);
+                fence(Ordering::SeqCst);
+                if flags.wants_ring() {
+                    bell.ring(0);
+                }
+            })
+        };
+        flags.set_quiet(false);
+        while queued.load(Ordering::Acquire) != 1 {
+            if bell.drain(|_| {}) == 0 {
+                bell.sleep(None);
+            }
+        }
+        publisher.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_ring_in_a_window_is_never_lost() {
+    // Two ringers of one window: the bits of both may be taken for the first one's mark.
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let window = Arc::new([AtomicU64::new(0)]);
+        let ringers = [0usize, 1].map(|slot| {
+            let (bell, window) = (bell.clone(), window.clone());
+            thread::spawn(move || {
+                mark_in(&window[..], slot);
+                bell.mark_window(3);
+                fence(Ordering::SeqCst);
+                bell.wake_if_sleeping();
+            })
+        });
+        let mut seen = 0u64;
+        while seen != 0b11 {
+            let windows = bell.take_windows();
+            assert!(windows == 0 || windows == 1 << 3);
+            if windows == 0 || drain_bits(&window[..], |slot| seen |= 1 << slot) == 0 {
+                bell.sleep(None);
+            }
+        }
+        for ringer in ringers {
+            ringer.join().unwrap();
+        }
+    });
+}
+
+#[test]
+fn loom_a_sample_is_seen_by_a_reader_that_changes_its_bell() {
+    // As a subscription that a directly woken thread begins to poll.
+    model(|| {
+        let (own, sampler) = (Arc::new(Bell::<1>::new()), Arc::new(Bell::<1>::new()));
+        let route = Arc::new(Route::new());
+        let queued = Arc::new(AtomicU32::new(0));
+        let publisher = {
+            let (own, sampler, route, queued) = (own.clone(), sampler.clone(), route.clone(), queued.clone());
+            thread::spawn(move || {
+                queued.store(1, Ordering::Release);
+                fence(Ordering::SeqCst);
+                match route.get() {
+                    None => sampler.ring(0),
+                    Some(Spot { bit, .. }) => own.ring(bit),
+                }
+            })
+        };
+        route.set(Some(Spot { thread: 0, bit: 5 }));
+        while queued.load(Ordering::Acquire) != 1 {
+            if own.drain(|_| {}) == 0 {
+                own.sleep(None);
+            }
+        }
+        publisher.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_wake_during_a_turn_is_not_lost_with_those_before_it() {
+    // What `ThreadBell::wait` does: the rings that its own turn caused are taken back, and what they tell of is looked at after.
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let written = Arc::new(AtomicU32::new(0));
+        let others = [1, 2].map(|bit| {
+            let (bell, written) = (bell.clone(), written.clone());
+            thread::spawn(move || {
+                written.fetch_or(bit, Ordering::Relaxed);
+                bell.ring(63);
+            })
+        });
+        while written.load(Ordering::Relaxed) != 3 {
+            while bell.drain(|_| {}) == 0 {
+                bell.sleep(None);
+            }
+            bell.take(63);
+        }
+        others.into_iter().for_each(|other| other.join().unwrap());
+    });
+}
+
+#[test]
+fn loom_a_killed_ringer_is_rescued() {
+    // A process killed anywhere between setting the bit and waking: the rescue of a low-priority thread completes its
+    // ring. Nobody else rings, or that would wake the sampler instead.
+    for before_wake in [false, true] {
+        model(move || {
+            let bell = Arc::new(Bell::<1>::new());
+            let rescuer = {
+                let bell = bell.clone();
+                thread::spawn(move || {
+                    bell.ring_and_die(0, before_wake);
+                    bell.rescue();
+                })
+            };
+            sample_until(&bell, 0b1);
+            rescuer.join().unwrap();
+        });
+    }
+}
+
+#[test]
+fn loom_a_ringer_that_is_stuck_before_its_wake_holds_up_nobody_else() {
+    model(|| {
+        let bell = Arc::new(Bell::<1>::new());
+        let stuck = {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring_and_die(0, true))
+        };
+        let other = {
+            let bell = bell.clone();
+            thread::spawn(move || bell.ring(1))
+        };
+        let mut seen = 0u64;
+        while seen & 0b10 == 0 {
+            if bell.drain(|slot| seen |= 1 << slot) == 0 {
+                bell.sleep(None);
+            }
+        }
+        stuck.join().unwrap();
+        other.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_place_is_one_owners_at_a_time() {
+    /// What belongs to a place: loom reports it if two threads touch it at once, or one before the other's is seen.
+    struct Owned(UnsafeCell<u32>);
+    // SAFETY: for the model; loom checks the accesses.
+    unsafe impl Sync for Owned {}
+    // SAFETY: as above.
+    unsafe impl Send for Owned {}
+
+    model(|| {
+        let places = Arc::new(FreePlaces::new(2));
+        let owned = Arc::new([(); 2].map(|()| Owned(UnsafeCell::new(0))));
+        let claim_each = {
+            let (places, owned) = (places.clone(), owned.clone());
+            move || {
+                for _ in 0..2 {
+                    // None if the other thread has just claimed each that was free.
+                    if let Some(place) = places.take() {
+                        // SAFETY: the place is this thread's.
+                        owned[place].0.with_mut(|count| unsafe { *count += 1 });
+                        places.give_back(place);
+                    }
+                }
+            }
+        };
+        let other = thread::spawn(claim_each.clone());
+        claim_each();
+        other.join().unwrap();
+        let both = [places.take(), places.take(), places.take()];
+        assert!(both.iter().flatten().count() == 2 && both[2].is_none(), "both are free: {both:?}");
+    });
+}

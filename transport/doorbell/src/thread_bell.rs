@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The bell of one callback thread: publishers wake that thread themselves, and no sampler is between.
+//!
+//! Each subscription that is polled there has a bit of the bell, to which its slot's route leads. The
+//! thread sleeps on this bell alone, so everything else that wakes its tasks rings its last bit.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use crate::arena::THREADS;
+use crate::hot::{Bell, Spot};
+use crate::{Doorbell, DoorbellError, Slot};
+use core::time::Duration;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use tautline_rt::clock::monotonic_ns;
+
+/// The bit of wakes that come from no publisher.
+const OTHERS: usize = 63;
+/// What a bit says that is nobody's; else its slot.
+const FREE: usize = usize::MAX;
+
+/// A bell on which one thread sleeps.
+pub struct ThreadBell {
+    doorbell: Arc<Doorbell>,
+    thread: usize,
+    /// The slots behind the bits.
+    slots: [AtomicUsize; OTHERS],
+}
+
+impl ThreadBell {
+    /// Claims a bell of `doorbell`'s arena. It is free again when the last reference is dropped.
+    ///
+    /// # Errors
+    /// [`DoorbellError::ThreadBells`] if all are taken.
+    #[allow(clippy::disallowed_methods, reason = "set-up")]
+    pub(crate) fn claim(doorbell: &Arc<Doorbell>) -> Result<Arc<Self>, DoorbellError> {
+        let thread = doorbell.threads().take().ok_or(DoorbellError::ThreadBells { limit: THREADS })?;
+        let bell = ThreadBell {
+            doorbell: doorbell.clone(),
+            thread,
+            slots: std::array::from_fn(|_| AtomicUsize::new(FREE)),
+        };
+        // What was rung for its owner before.
+        if let Some(bell) = bell.bell() {
+            bell.drain(|_| {});
+        }
+        Ok(Arc::new(bell))
+    }
+
+    fn bell(&self) -> Option<&Bell<1>> {
+        self.doorbell.arena().thread_bell(self.thread)
+    }
+
+    /// Wakes the thread if it sleeps; else it will not fall asleep before it has looked again.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; at most one futex wake.
+    pub fn wake(&self) {
+        if let Some(bell) = self.bell() {
+            bell.ring(OTHERS);
+        }
+    }
+
+    /// Looks for `spin` whether something has rung since the last return, then sleeps until something does; wakes the tasks that it
+    /// was rung for. For the one thread whose bell it is.
+    ///
+    /// # Real-time
+    /// O(subscriptions that were rung for), at most 63; no allocation; no lock; a syscall to sleep, none if something is pending
+    /// before `spin` is over.
+    pub fn wait(&self, spin: Duration) {
+        let Some(bell) = self.bell() else { return };
+        let wake = |bit: usize| match self.slots.get(bit).map(|slot| slot.load(Ordering::Relaxed)) {
+            None | Some(FREE) => {}
+            Some(slot) => self.doorbell.wake(slot),
+        };
+        while bell.drain(wake) == 0 {
+            if !is_rung_within(bell, spin) {
+                bell.sleep(None);
+            }
+        }
+        // The tasks just woken have rung, too; they will be polled, and so will whoever rings from here on.
+        bell.take(OTHERS);
+    }
+
+    /// Leads the rings for `slot` here. `None`: all bits are taken, or the slot is of another arena, whose publishers know nothing
+    /// of this bell.
+    pub fn join(self: &Arc<Self>, slot: &Slot) -> Option<Joined> {
+        if !Arc::ptr_eq(&self.doorbell, slot.doorbell()) {
+            return None;
+        }
+        let slot = slot.index();
+        let is_claimed = |place: &AtomicUsize| {
+            place.compare_exchange(FREE, slot, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+        };
+        let bit = self.slots.iter().position(is_claimed)?;
+        self.doorbell.arena().set_route(slot, Some(Spot { thread: self.thread, bit }));
+        Some(Joined { bell: self.clone(), bit, slot })
+    }
+}
+
+/// Looks again and again, for as long as `spin`.
+fn is_rung_within(bell: &Bell<1>, spin: Duration) -> bool {
+    if spin.is_zero() {
+        return false;
+    }
+    let give_up_ns = monotonic_ns().saturating_add(u64::try_from(spin.as_nanos()).unwrap_or(u64::MAX));
+    while !bell.is_pending() {
+        if monotonic_ns() >= give_up_ns {
+            return false;
+        }
+        core::hint::spin_loop();
+    }
+    true
+}
+
+impl Drop for ThreadBell {
+    #[allow(clippy::disallowed_methods, reason = "the thread's end")]
+    fn drop(&mut self) {
+        self.doorbell.threads().give_back(self.thread);
+    }
+}
+
+/// A slot whose rings go to a thread's bell; to the sampler's again when dropped.
+#[must_use = "the rings go elsewhere again when this is dropped"]
+pub struct Joined {
+    bell: Arc<ThreadBell>,
+    bit: usize,
+    slot: usize,
+}
+
+impl Drop for Joined {
+    fn drop(&mut self) {
+        self.bell.doorbell.arena().set_route(self.slot, None);
+        if let Some(place) = self.bell.slots.get(self.bit) {
+            place.store(FREE, Ordering::Relaxed);
+        }
+    }
+}

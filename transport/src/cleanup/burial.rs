@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is done for a file whose owner has died.
+//!
+//! A participant's lock is free only if its process has gone. What it sent stays where it is until those that are to take it have
+//! mapped it; then it loses its place among the members, they are called, and at last its file loses its name. Whoever is killed in
+//! the middle of this leaves it to be done again. However many die at once, none waits for another one's burial.
+
+use crate::error::TransportError;
+use crate::graph::domain::{Domain, WARDEN};
+use crate::graph::log::{Kind, Reader};
+use crate::graph::record::{PortKind, PortRecord};
+use crate::participant::file::{self, Peer, Place};
+use crate::topic::connection::ReaderState;
+use crate::topic::control::View;
+use crate::topic::header::Gid;
+use rustix::fs::FlockOperation;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tautline_rt::domain::shared_folder;
+use tautline_rt::shm::{self, PeerFile, ShmError};
+
+/// How long a dead publisher's samples wait for subscriptions that have not found them yet.
+const PATIENCE: Duration = Duration::from_millis(20);
+/// How often it is looked whether they have.
+pub(super) const PERIOD: Duration = Duration::from_millis(1);
+
+/// What became of a file.
+pub(super) enum Found {
+    /// Its owner lives, or dies right now.
+    Owned,
+    /// Its owner has died: to be [buried](bury).
+    Dead(Dead),
+    /// Its owner has died, and it is to stay.
+    Kept,
+    /// It is there no more.
+    Gone,
+}
+
+/// The files of the domain's folder that have owners.
+pub(super) fn names(domain: u32) -> Vec<String> {
+    let paths = shm::list(&format!("{}/", shared_folder(domain))).unwrap_or_default();
+    let names = paths.iter().filter_map(|path| path.file_name()?.to_str());
+    names.filter(|name| has_owner(name)).map(str::to_owned).collect()
+}
+
+/// All but the domain's own, which are their members' together.
+pub(super) fn has_owner(name: &str) -> bool {
+    name != WARDEN && name != crate::graph::domain::NAME
+}
+
+/// A participant that has died, or a file that is nobody's.
+pub(super) struct Dead {
+    /// Locked until all is done: who comes next finds a file without a name, or a free lock.
+    file: PeerFile,
+    id: Option<u64>,
+    /// What its publishers have sent.
+    sent: Vec<View>,
+    until: Instant,
+    /// Those that are to find what it sent have been called.
+    has_called: bool,
+}
+
+/// Looks whether the owner of the file `name` lives.
+///
+/// # Errors
+/// The system refuses, at its limit of open files for one.
+pub(super) fn look_after(domain: &Domain, name: &str) -> Result<Found, TransportError> {
+    let path = Path::new(shm::DIRECTORY).join(shared_folder(domain.number())).join(name);
+    let file = match PeerFile::open(path, false) {
+        Err(ShmError { source, .. }) if source.kind() == io::ErrorKind::NotFound => return Ok(Found::Gone),
+        file => file.map_err(file::file_error)?,
+    };
+    if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+        return Ok(Found::Owned);
+    }
+    if tautline_trace::is_trace_file(name) {
+        drop(file);
+        tautline_trace::remove_dead_files(domain.number());
+        // Events that nobody has fetched wait for a recorder.
+        return Ok(Found::Kept);
+    }
+    let id = file::id_of(name);
+    // What cannot be read is nobody's, and waits for nobody.
+    let peer = id.and_then(|id| Peer::open(domain.number(), id).ok().flatten());
+    let sent = peer.as_ref().map_or(Vec::new(), publishers);
+    Ok(Found::Dead(Dead { file, id, sent, until: Instant::now() + PATIENCE, has_called: false }))
+}
+
+/// Buries those for whose samples nobody is waited for any more; the others stay in the list.
+pub(super) fn bury(domain: &Domain, dead: &mut Vec<Dead>) {
+    if dead.is_empty() {
+        return;
+    }
+    let mut places: BTreeMap<u64, usize> = domain.members().map(|member| (member.id, member.place)).collect();
+    // They find nothing any more.
+    places.retain(|id, _| dead.iter().all(|dead| dead.id != Some(*id)));
+    let mut has_changed = false;
+    let mut buried = Vec::new();
+    for mut one in std::mem::take(dead) {
+        let awaited = one.awaited(&places);
+        if awaited.is_empty() || one.until <= Instant::now() {
+            has_changed |= one.id.is_some_and(|id| domain.remove(id));
+            buried.push(one.file);
+            continue;
+        }
+        if !std::mem::replace(&mut one.has_called, true) {
+            awaited.into_iter().for_each(|place| domain.call(place));
+        }
+        dead.push(one);
+    }
+    if has_changed {
+        domain.call_all();
+    }
+    for file in buried {
+        // One that another user may not remove stays.
+        let _ = rustix::fs::unlink(file.path());
+    }
+}
+
+impl Dead {
+    /// The places of those that have not found yet what was sent to them.
+    fn awaited(&self, places: &BTreeMap<u64, usize>) -> BTreeSet<usize> {
+        let open = self.sent.iter().flat_map(View::connections);
+        let unknown = open.filter(|connection| connection.block().back.state() == ReaderState::Unknown);
+        let of = unknown.map(|connection| connection.subscription().participant());
+        of.filter_map(|id| places.get(&id).copied()).collect()
+    }
+}
+
+/// The memory of each publisher that its record tells of.
+fn publishers(peer: &Peer) -> Vec<View> {
+    let map = |range, writable| Ok(peer.map(&[range], writable)?.and_then(|mut maps| maps.pop()));
+    let news = Reader::default().read(peer.head(), |range| map(range, false));
+    let mut places = BTreeMap::new();
+    for (entry, _) in news.map(|news| news.entries).unwrap_or_default() {
+        match entry.kind {
+            Kind::Port => {
+                let port = PortRecord::parse(&entry.body).filter(|port| port.kind == PortKind::Publisher);
+                places.extend(port.map(|port| (entry.number, port.at)));
+            }
+            Kind::Gone => drop(places.remove(&entry.number)),
+            _ => {}
+        }
+    }
+    let view = |(number, at): (&u64, &u64)| {
+        let first = Place::from_word(*at)?;
+        let mut view = View::open(first, map(first, true).ok()??, Gid::of(peer.id, *number))?;
+        for range in view.missing() {
+            view.add(range, map(range, true).ok()??);
+        }
+        Some(view)
+    };
+    places.iter().filter_map(view).collect()
+}

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The janitor: an ordinary thread of each participant that does what no real-time thread may wait for. It sleeps until somebody calls
+//! it: who made or ended a port that concerns this participant, who found one dead, a thread of its own.
+//!
+//! It finds publishers and subscriptions for this participant's ports (see [`matching`](crate::topic::matching)), finishes rings that a
+//! killed process began, looks whether this process is to be traced, and says if somebody removed this participant's file.
+
+use crate::error::TransportError;
+use crate::graph::domain::Domain;
+use crate::participant::file::OwnMemory;
+use crate::topic::matching::Matcher;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tautline_doorbell::Doorbell;
+use tautline_rt::clock::monotonic_ns;
+
+/// When it looks again though nobody calls it, if something was left to be done: each time later.
+const AGAIN: [Duration; 5] = [
+    Duration::from_millis(1),
+    Duration::from_millis(10),
+    Duration::from_millis(100),
+    Duration::from_secs(1),
+    Duration::from_secs(10),
+];
+
+struct Shared {
+    domain: Arc<Domain>,
+    place: usize,
+    doorbell: Arc<Doorbell>,
+    matcher: Arc<Matcher>,
+    memory: Arc<OwnMemory>,
+    stop: AtomicBool,
+}
+
+/// Handle of the janitor thread; dropping it ends the thread and waits for it.
+pub(crate) struct Janitor {
+    shared: Arc<Shared>,
+    thread: Option<tautline_rt::JoinHandle<()>>,
+}
+
+impl Janitor {
+    pub(crate) fn start(
+        domain: &Arc<Domain>,
+        place: usize,
+        doorbell: &Arc<Doorbell>,
+        matcher: &Arc<Matcher>,
+        memory: &Arc<OwnMemory>,
+    ) -> Result<Self, TransportError> {
+        let shared = Arc::new(Shared {
+            domain: domain.clone(),
+            place,
+            doorbell: doorbell.clone(),
+            matcher: matcher.clone(),
+            memory: memory.clone(),
+            stop: AtomicBool::new(false),
+        });
+        let thread = {
+            let shared = shared.clone();
+            let builder = super::low_priority_thread("janitor").map_err(TransportError::Thread)?;
+            builder.spawn(move || move || run(&shared)).map_err(TransportError::Thread)?
+        };
+        Ok(Janitor { shared, thread: Some(thread) })
+    }
+}
+
+impl Drop for Janitor {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Release);
+        self.shared.domain.call(self.shared.place);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn run(shared: &Shared) {
+    let calls = shared.domain.calls(shared.place);
+    let (mut again, mut is_said) = (0, false);
+    loop {
+        // Acquire: pairs with the Release of `Domain::call`; a call after this load ends the wait below at once.
+        let seen = calls.0.load(Ordering::Acquire);
+        if shared.stop.load(Ordering::Acquire) {
+            return;
+        }
+        let looked = shared.matcher.look();
+        if looked.has_gone {
+            // Whoever was killed may have been about to ring.
+            shared.doorbell.arena().rescue();
+        }
+        let is_traced = tautline_trace::attend();
+        if !is_said && shared.memory.is_removed() {
+            is_said = true;
+            tracing::error!(
+                "{} was removed while this process runs: processes that start from now on do not find it; restart it. If its user \
+                 logged out, systemd-logind did that: set RemoveIPC=no in /etc/systemd/logind.conf, or run it as a system user \
+                 (docs/deployment.md)",
+                shared.memory.path().display()
+            );
+        }
+        let pause = looked.is_pending.then(|| AGAIN[again]);
+        again = if looked.is_pending { (again + 1).min(AGAIN.len() - 1) } else { 0 };
+        let pause = match (pause, is_traced) {
+            (pause, Some(period)) => Some(pause.map_or(period, |pause| pause.min(period))),
+            (pause, None) => pause,
+        };
+        let until_ns =
+            pause.map(|pause| monotonic_ns() + u64::try_from(pause.as_nanos()).unwrap_or(u64::MAX));
+        calls.wait(seen, until_ns);
+        if calls.0.load(Ordering::Acquire) != seen {
+            again = 0;
+        }
+    }
+}

@@ -1,0 +1,293 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The warden: the one participant of a domain that notices when others die.
+//!
+//! The kernel tells it: a process that dies closes its files, and whoever watches the domain's folder hears that. Then it looks
+//! whether the owner's lock is free. That works from another container, where the dead one's process number means nothing.
+//!
+//! Who the warden is says the lock of a pipe in the folder, which the warden alone has open for writing. All others sleep on its read
+//! end, which the kernel hangs up when the warden dies; then they try to lock it, and one gets it.
+
+use super::burial::{self, Dead, Found};
+use crate::error::TransportError;
+use crate::graph::domain::{Domain, WARDEN};
+use crate::participant::file::{file_error, id_of};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
+use rustix::fs::{CWD, FileType, FlockOperation, Mode, OFlags};
+use rustix::io::Errno;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::mem::MaybeUninit;
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::domain::shared_folder;
+use tautline_rt::shm::{self, ShmError};
+
+/// A file that was closed is looked at at once and after each of these times: the kernel tells that a file is closed a moment before
+/// it frees the lock. Then it is some other process that has closed it.
+const AGAIN: [Duration; 4] = [
+    Duration::from_millis(1),
+    Duration::from_millis(5),
+    Duration::from_millis(25),
+    Duration::from_millis(200),
+];
+/// How often all are looked at if the kernel does not tell.
+const PERIOD: Duration = Duration::from_millis(40);
+/// How often it is tried again to become the warden if the system refuses.
+const RETRY: Duration = Duration::from_secs(1);
+
+/// Handle of a participant's thread that is the warden or waits to become it; dropping it ends the thread and waits for it.
+pub(crate) struct Warden {
+    stop: Arc<OwnedFd>,
+    thread: Option<tautline_rt::JoinHandle<()>>,
+}
+
+impl Warden {
+    /// If there is no warden this participant becomes it, and has buried all dead ones when this returns.
+    pub(crate) fn start(domain: &Arc<Domain>) -> Result<Self, TransportError> {
+        let candidate = Candidate::new(domain)?;
+        let office = candidate.take_office()?;
+        let stop = candidate.stop.clone();
+        let builder = super::low_priority_thread("warden").map_err(TransportError::Thread)?;
+        let thread = builder.spawn(move || move || candidate.run(office)).map_err(TransportError::Thread)?;
+        Ok(Warden { stop, thread: Some(thread) })
+    }
+}
+
+impl Drop for Warden {
+    fn drop(&mut self) {
+        let _ = rustix::io::write(&*self.stop, &1_u64.to_ne_bytes());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A participant that is not the warden yet.
+struct Candidate {
+    domain: Arc<Domain>,
+    path: PathBuf,
+    /// Hung up when there is no warden.
+    pipe: OwnedFd,
+    stop: Arc<OwnedFd>,
+}
+
+impl Candidate {
+    fn new(domain: &Arc<Domain>) -> Result<Self, TransportError> {
+        let path = Path::new(shm::DIRECTORY).join(shared_folder(domain.number())).join(WARDEN);
+        let open = || -> io::Result<OwnedFd> {
+            match rustix::fs::mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0) {
+                Ok(()) | Err(Errno::EXIST) => {}
+                Err(errno) => return Err(errno.into()),
+            }
+            // Before the attempt to lock it: if that fails there is a warden, and this end hears when it goes.
+            let pipe = rustix::fs::open(&path, flags(OFlags::RDONLY), Mode::empty())?;
+            shm::check_owner(&pipe)?;
+            if FileType::from_raw_mode(rustix::fs::fstat(&pipe)?.st_mode) != FileType::Fifo {
+                return Err(io::Error::other("it is no pipe: remove it"));
+            }
+            Ok(pipe)
+        };
+        let pipe = open().map_err(|source| file_error(ShmError { path: path.clone(), source }))?;
+        let stop =
+            Arc::new(eventfd(0, EventfdFlags::CLOEXEC).map_err(|errno| file_error(refused(&path, errno)))?);
+        Ok(Candidate { domain: domain.clone(), path, pipe, stop })
+    }
+
+    /// Makes this participant the warden, if there is none.
+    fn take_office(&self) -> Result<Option<Office>, TransportError> {
+        let refuse = |errno| file_error(refused(&self.path, errno));
+        let pipe = rustix::fs::open(&self.path, flags(OFlags::RDWR), Mode::empty()).map_err(refuse)?;
+        match rustix::fs::flock(&pipe, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => {}
+            Err(Errno::WOULDBLOCK) => return Ok(None),
+            Err(errno) => return Err(refuse(errno)),
+        }
+        let mut office = Office {
+            _pipe: pipe,
+            watch: watch(self.path.parent()),
+            suspects: BTreeMap::new(),
+            dead: Vec::new(),
+            kept: BTreeSet::new(),
+        };
+        // After it began to listen: what happens meanwhile is heard.
+        office.bury_all(&self.domain);
+        Ok(Some(office))
+    }
+
+    /// Until it is stopped.
+    fn run(self, office: Option<Office>) {
+        let mut office = office;
+        loop {
+            match &mut office {
+                Some(office) => {
+                    if self.is_stopped(office.watch.as_ref(), office.pause()) {
+                        // Nobody may come after this one.
+                        return office.bury_all(&self.domain);
+                    }
+                    office.listen(&self.domain);
+                    office.look(&self.domain);
+                }
+                None => {
+                    let taken = self.take_office();
+                    let retry = taken.is_err().then_some(RETRY);
+                    office = taken.unwrap_or_else(|error| {
+                        tracing::warn!("this process cannot look after those that died: {error}");
+                        None
+                    });
+                    if office.is_none()
+                        && self.is_stopped(Some(&self.pipe).filter(|_| retry.is_none()), retry)
+                    {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sleeps until there is something at `file`, or `pause` is over, or it is to stop: then true.
+    fn is_stopped(&self, file: Option<&OwnedFd>, pause: Option<Duration>) -> bool {
+        let pause = pause
+            .map(|pause| Timespec { tv_sec: pause.as_secs() as i64, tv_nsec: pause.subsec_nanos().into() });
+        let mut polled = [PollFd::new(&*self.stop, PollFlags::IN), PollFd::new(&*self.stop, PollFlags::IN)];
+        if let Some(file) = file {
+            polled[1] = PollFd::new(file, PollFlags::IN);
+        }
+        // An interruption is a wake-up like any other.
+        let _ = poll(&mut polled, pause.as_ref());
+        polled[0].revents().contains(PollFlags::IN)
+    }
+}
+
+fn flags(access: OFlags) -> OFlags {
+    access | OFlags::NONBLOCK | OFlags::CLOEXEC | OFlags::NOFOLLOW
+}
+
+fn refused(path: &Path, errno: Errno) -> ShmError {
+    ShmError { path: path.to_owned(), source: errno.into() }
+}
+
+/// Listens to what happens in the folder; `None` if the kernel refuses.
+fn watch(folder: Option<&Path>) -> Option<OwnedFd> {
+    let watched = inotify::init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC).and_then(|watch| {
+        inotify::add_watch(
+            &watch,
+            folder.unwrap_or(Path::new("")),
+            WatchFlags::CLOSE_WRITE | WatchFlags::DELETE,
+        )?;
+        Ok(watch)
+    });
+    watched
+        .inspect_err(|error| {
+            tracing::warn!(
+                "the kernel does not tell of processes that die ({error}), so they are looked for {} times a second: raise \
+                 fs.inotify.max_user_instances and fs.inotify.max_user_watches (sysctl)",
+                1000 / PERIOD.as_millis()
+            );
+        })
+        .ok()
+}
+
+/// What the warden has.
+struct Office {
+    _pipe: OwnedFd,
+    watch: Option<OwnedFd>,
+    /// Files to look at, and when; how often they were looked at.
+    suspects: BTreeMap<String, (u64, usize)>,
+    /// Those that have died and are not buried yet.
+    dead: Vec<Dead>,
+    /// Files of dead ones that are to stay, until somebody removes them.
+    kept: BTreeSet<String>,
+}
+
+impl Office {
+    fn suspect(&mut self, name: &str) {
+        if burial::has_owner(name) && !self.kept.contains(name) {
+            self.suspects.insert(name.to_owned(), (0, 0));
+        }
+    }
+
+    fn suspect_all(&mut self, domain: &Domain) {
+        burial::names(domain.number()).iter().for_each(|name| self.suspect(name));
+    }
+
+    /// Buries all that are dead by now.
+    fn bury_all(&mut self, domain: &Domain) {
+        self.suspect_all(domain);
+        self.look(domain);
+        while !self.dead.is_empty() {
+            std::thread::sleep(burial::PERIOD);
+            burial::bury(domain, &mut self.dead);
+        }
+    }
+
+    /// How long there is nothing to do, unless something happens.
+    fn pause(&self) -> Option<Duration> {
+        let next = self.suspects.values().map(|(due_ns, _)| *due_ns).min();
+        let next = next.map(|due_ns| Duration::from_nanos(due_ns.saturating_sub(monotonic_ns())));
+        let look = self.watch.is_none().then_some(PERIOD);
+        let bury = (!self.dead.is_empty()).then_some(burial::PERIOD);
+        [next, look, bury].into_iter().flatten().min()
+    }
+
+    /// Hears what has happened.
+    fn listen(&mut self, domain: &Domain) {
+        let Some(watch) = self.watch.take() else {
+            if self.suspects.is_empty() {
+                self.suspect_all(domain);
+            }
+            return;
+        };
+        let mut buffer = [MaybeUninit::uninit(); 4096];
+        let mut reader = inotify::Reader::new(&watch, &mut buffer);
+        loop {
+            let event = match reader.next() {
+                Ok(event) => event,
+                Err(Errno::INTR) => continue,
+                Err(_) => break,
+            };
+            if event.events().contains(ReadFlags::QUEUE_OVERFLOW) {
+                self.suspect_all(domain);
+            }
+            let Some(name) = event.file_name().and_then(|name| name.to_str().ok()) else { continue };
+            if event.events().contains(ReadFlags::DELETE) {
+                // One whose file was removed, and not by this: it says so.
+                let member = domain.members().find(|member| Some(member.id) == id_of(name));
+                member.inspect(|member| domain.call(member.place));
+                self.kept.remove(name);
+            } else {
+                self.suspect(name);
+            }
+        }
+        self.watch = Some(watch);
+    }
+
+    /// Looks at those that are due, and buries the dead.
+    fn look(&mut self, domain: &Domain) {
+        let now_ns = monotonic_ns();
+        let due = |(_, (due_ns, _)): &(&String, &(u64, usize))| *due_ns <= now_ns;
+        let names: Vec<String> = self.suspects.iter().filter(due).map(|(name, _)| name.clone()).collect();
+        for name in names {
+            let looks = self.suspects.remove(&name).map_or(0, |(_, looks)| looks);
+            let is_settled = match burial::look_after(domain, &name) {
+                Ok(Found::Gone) => true,
+                Ok(Found::Dead(dead)) => {
+                    self.dead.push(dead);
+                    true
+                }
+                Ok(Found::Kept) => self.kept.insert(name.clone()),
+                Ok(Found::Owned) => self.watch.is_none(),
+                Err(error) if error.is_passing() => false,
+                // Another user's, or a folder: it stays.
+                Err(_) => true,
+            };
+            if let Some(pause) = AGAIN.get(looks).filter(|_| !is_settled) {
+                self.suspects.insert(name, (now_ns + pause.as_nanos() as u64, looks + 1));
+            }
+        }
+        burial::bury(domain, &mut self.dead);
+    }
+}

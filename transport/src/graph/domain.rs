@@ -1,0 +1,353 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who is in a domain: one file in its folder, with a place for each participant, and a word that moves when anything changes.
+//!
+//! | in the file | written by |
+//! |---|---|
+//! | the epoch, a futex word: moves when a node, a port or a participant appears or goes | who makes that change |
+//! | a member's id | the participant that takes the place; whoever buries it sets it to 0 |
+//! | a member's generation: moves when its record changes | that participant |
+//! | what has grown: moves when its publishers have other segments of samples | that participant |
+//! | a member's calls, a futex word on which its janitor sleeps | whoever wants that one to look |
+//!
+//! Every member holds a shared lock of the file. Who leaves and gets it for itself alone is the last one, and removes the domain's
+//! files: killed processes hold no locks.
+
+use crate::error::TransportError;
+use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
+use rustix::io::Errno;
+use std::io;
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use tautline_rt::FutexWord;
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::domain::shared_folder;
+use tautline_rt::shm::{self, Mapping, ShmError};
+
+const MAGIC: u64 = u64::from_le_bytes(*b"tautdom1");
+/// Participants of a domain at once.
+pub(crate) const MEMBERS: usize = 2048;
+pub(crate) const NAME: &str = "domain";
+/// The pipe by which members know that there is a warden.
+pub(crate) const WARDEN: &str = "warden";
+/// How long a newcomer waits for the last member of before to remove its files.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Any bytes are one.
+#[repr(C)]
+struct Layout {
+    magic: AtomicU64,
+    epoch: FutexWord,
+    /// Places from here on were never taken.
+    end: AtomicU32,
+    members: [Member; MEMBERS],
+}
+
+#[repr(C, align(64))]
+struct Member {
+    /// Its participant; 0: the place is free.
+    id: AtomicU64,
+    generation: AtomicU64,
+    /// Moves when one of its publishers has other segments of samples than before.
+    grown: AtomicU32,
+    calls: FutexWord,
+}
+
+/// The file, mapped, and its lock.
+pub(crate) struct Domain {
+    number: u32,
+    path: PathBuf,
+    file: OwnedFd,
+    map: Mapping,
+}
+
+/// A place of a member.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Seen {
+    pub(crate) place: usize,
+    pub(crate) id: u64,
+    pub(crate) generation: u64,
+    pub(crate) grown: u32,
+}
+
+impl Domain {
+    /// Joins the domain: makes its folder and its file if they are not there.
+    pub(crate) fn join(number: u32) -> Result<Arc<Self>, TransportError> {
+        let folder = shared_folder(number);
+        let path = Path::new(shm::DIRECTORY).join(&folder).join(NAME);
+        let refuse = |source: io::Error| TransportError::File { path: path.clone(), source };
+        let start = Instant::now();
+        loop {
+            shm::make_folder(&folder)
+                .map_err(|ShmError { path, source }| TransportError::File { path, source })?;
+            match Self::open(&path).map_err(refuse)? {
+                Opened::Whole(file, map) => return Ok(Arc::new(Domain { number, path, file, map })),
+                Opened::Other => return Err(TransportError::Version { path }),
+                Opened::Missing => make(&path).map_err(refuse)?,
+                // Its last member removes it right now, unless that one was stopped.
+                Opened::Leaving if start.elapsed() > PATIENCE => {
+                    return Err(refuse(io::Error::other(
+                        "the last process of this domain is removing it, and does not go on: is it stopped?",
+                    )));
+                }
+                Opened::Leaving => std::thread::sleep(Duration::from_millis(1)),
+            }
+        }
+    }
+
+    /// The domain as it is, for who only looks: `None` if nobody is in it.
+    pub(crate) fn visit(number: u32) -> Result<Option<Arc<Self>>, TransportError> {
+        let path = Path::new(shm::DIRECTORY).join(shared_folder(number)).join(NAME);
+        match Self::open(&path) {
+            Ok(Opened::Whole(file, map)) => Ok(Some(Arc::new(Domain { number, path, file, map }))),
+            Ok(Opened::Other) => Err(TransportError::Version { path }),
+            Ok(Opened::Missing | Opened::Leaving) => Ok(None),
+            Err(source) => Err(TransportError::File { path, source }),
+        }
+    }
+
+    fn open(path: &Path) -> io::Result<Opened> {
+        let flags = OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+        let file = match rustix::fs::open(path, flags, Mode::empty()) {
+            Err(Errno::NOENT) => return Ok(Opened::Missing),
+            file => file?,
+        };
+        shm::check_owner(&file)?;
+        match rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared) {
+            Err(Errno::WOULDBLOCK) => return Ok(Opened::Leaving),
+            locked => locked?,
+        }
+        let stat = rustix::fs::fstat(&file)?;
+        if stat.st_nlink == 0 {
+            return Ok(Opened::Leaving);
+        }
+        if u64::try_from(stat.st_size).unwrap_or(0) < size_of::<Layout>() as u64 {
+            return Ok(Opened::Other);
+        }
+        let map = Mapping::new(&file, 0, size_of::<Layout>(), true)?;
+        match layout(&map).magic.load(Ordering::Acquire) {
+            MAGIC => Ok(Opened::Whole(file, map)),
+            _ => Ok(Opened::Other),
+        }
+    }
+
+    pub(crate) fn number(&self) -> u32 {
+        self.number
+    }
+
+    fn layout(&self) -> &Layout {
+        layout(&self.map)
+    }
+
+    pub(crate) fn epoch(&self) -> u32 {
+        // Acquire: pairs with the Release in `advance`; what is listed after this shows that change.
+        self.layout().epoch.0.load(Ordering::Acquire)
+    }
+
+    /// Something changed.
+    pub(crate) fn advance(&self) {
+        self.layout().epoch.0.fetch_add(1, Ordering::Release);
+        self.layout().epoch.wake();
+    }
+
+    /// Sleeps until the epoch is not `since`, at most for `timeout`. Returns the epoch.
+    pub(crate) fn wait(&self, since: u32, timeout: Option<Duration>) -> u32 {
+        let end_ns = timeout.map(|timeout| {
+            monotonic_ns()
+                .saturating_add(u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX))
+                .min(i64::MAX as u64)
+        });
+        while self.epoch() == since && end_ns.is_none_or(|end_ns| monotonic_ns() < end_ns) {
+            self.layout().epoch.wait(since, end_ns);
+        }
+        self.epoch()
+    }
+
+    /// The members there are. At most as many as there ever were at once.
+    pub(crate) fn members(&self) -> impl Iterator<Item = Seen> + '_ {
+        let end = (self.layout().end.load(Ordering::Acquire) as usize).min(MEMBERS);
+        self.layout().members[..end].iter().enumerate().filter_map(|(place, member)| {
+            // Acquire: pairs with the Release of who took the place, and of who changed its record.
+            let id = member.id.load(Ordering::Acquire);
+            let generation = member.generation.load(Ordering::Acquire);
+            let grown = member.grown.load(Ordering::Acquire);
+            (id != 0).then_some(Seen { place, id, generation, grown })
+        })
+    }
+
+    /// Takes a place for a participant.
+    pub(crate) fn add(&self, id: u64) -> Result<usize, TransportError> {
+        let take =
+            |member: &Member| member.id.compare_exchange(0, id, Ordering::AcqRel, Ordering::Relaxed).is_ok();
+        let place = self.layout().members.iter().position(take);
+        let place = place.ok_or(TransportError::Members { domain: self.number, limit: MEMBERS })?;
+        self.layout().end.fetch_max(place as u32 + 1, Ordering::AcqRel);
+        self.advance();
+        Ok(place)
+    }
+
+    /// Frees the place of a participant, if it has one. True if it had.
+    pub(crate) fn remove(&self, id: u64) -> bool {
+        let free =
+            |member: &Member| member.id.compare_exchange(id, 0, Ordering::AcqRel, Ordering::Relaxed).is_ok();
+        let removed = self.layout().members.iter().any(free);
+        if removed {
+            self.advance();
+        }
+        removed
+    }
+
+    /// The record of the member at `place` has changed.
+    pub(crate) fn changed(&self, place: usize) {
+        if let Some(member) = self.layout().members.get(place) {
+            member.generation.fetch_add(1, Ordering::Release);
+        }
+        self.advance();
+    }
+
+    /// One of the publishers of the member at `place` has other segments of samples than before.
+    pub(crate) fn grew(&self, place: usize) {
+        if let Some(member) = self.layout().members.get(place) {
+            member.grown.fetch_add(1, Ordering::Release);
+        }
+    }
+
+    /// The word on which the janitor of the member at `place` sleeps.
+    ///
+    /// # Panics
+    /// If there is no such place.
+    pub(crate) fn calls(&self, place: usize) -> &FutexWord {
+        &self.layout().members[place].calls
+    }
+
+    /// Asks the janitor at `place` to look around.
+    ///
+    /// # Real-time
+    /// Wait-free; one futex wake.
+    pub(crate) fn call(&self, place: usize) {
+        let Some(member) = self.layout().members.get(place) else { return };
+        member.calls.0.fetch_add(1, Ordering::Release);
+        member.calls.wake();
+    }
+
+    /// Asks all janitors.
+    pub(crate) fn call_all(&self) {
+        self.members().for_each(|member| self.call(member.place));
+    }
+
+    /// Whether somebody has removed the file.
+    pub(crate) fn is_removed(&self) -> bool {
+        !shm::has_name(&self.file)
+    }
+}
+
+impl Drop for Domain {
+    /// The last one removes the domain's own files and its folder, unless killed processes left something there.
+    fn drop(&mut self) {
+        if rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockExclusive).is_err()
+            || self.is_removed()
+        {
+            return;
+        }
+        let Some(folder) = self.path.parent() else { return };
+        let _ = rustix::fs::unlink(folder.join(WARDEN));
+        let _ = rustix::fs::unlink(&self.path);
+        let _ = rustix::fs::rmdir(folder);
+    }
+}
+
+fn layout(map: &Mapping) -> &Layout {
+    // SAFETY: callers give a mapping of a whole Layout at the start of a page, of a file that is at least as long; any bytes are one.
+    unsafe { map.start().cast().as_ref() }
+}
+
+enum Opened {
+    /// And locked.
+    Whole(OwnedFd, Mapping),
+    /// It is none of this version.
+    Other,
+    Missing,
+    /// It is being removed.
+    Leaving,
+}
+
+/// Makes the file: whole, or not at all.
+fn make(path: &Path) -> io::Result<()> {
+    let Some(folder) = path.parent() else { return Ok(()) };
+    let file = match rustix::fs::open(
+        folder,
+        OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC,
+        Mode::RUSR | Mode::WUSR,
+    ) {
+        // The last one of before removes the folder right now.
+        Err(Errno::NOENT) => return Ok(()),
+        file => file?,
+    };
+    shm::claim(&file, 0, size_of::<Layout>() as u64)?;
+    rustix::io::pwrite(&file, &MAGIC.to_ne_bytes(), 0)?;
+    let unnamed = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&file));
+    let here = rustix::fs::CWD;
+    match rustix::fs::linkat(here, unnamed.as_str(), here, path, AtFlags::SYMLINK_FOLLOW) {
+        // Somebody else was faster, or the folder has gone.
+        Ok(()) | Err(Errno::EXIST | Errno::NOENT) => Ok(()),
+        Err(errno) => Err(errno.into()),
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use crate::tests::isolated;
+
+    #[test]
+    fn the_last_one_removes_it() {
+        isolated();
+        let folder = Path::new(shm::DIRECTORY).join(shared_folder(230));
+        let one = Domain::join(230).unwrap();
+        let other = Domain::join(230).unwrap();
+        assert_eq!((one.add(5).unwrap(), other.add(7).unwrap()), (0, 1));
+        one.changed(0);
+        let seen: Vec<_> = other.members().map(|seen| (seen.place, seen.id, seen.generation)).collect();
+        assert_eq!(seen, [(0, 5, 1), (1, 7, 0)]);
+        assert!(other.remove(5) && !other.remove(5));
+        assert_eq!(one.add(9).unwrap(), 0, "a place that is free again");
+        drop(one);
+        assert!(folder.join(NAME).exists());
+        drop(other);
+        assert!(!folder.exists() && Domain::visit(230).unwrap().is_none());
+        let again = Domain::join(230).unwrap();
+        assert_eq!(again.members().count(), 0);
+    }
+
+    #[test]
+    fn what_is_no_domain_is_named() {
+        isolated();
+        let folder = shared_folder(231);
+        shm::make_folder(&folder).unwrap();
+        let path = Path::new(shm::DIRECTORY).join(folder).join(NAME);
+        for content in [vec![], vec![1; 100], vec![1; size_of::<Layout>()]] {
+            std::fs::write(&path, &content).unwrap();
+            let error = Domain::join(231).map(drop).unwrap_err().to_string();
+            assert!(error.contains(&*path.to_string_lossy()) && error.contains("version"), "{error}");
+            assert!(Domain::visit(231).is_err());
+        }
+        std::fs::remove_file(&path).unwrap();
+        std::fs::remove_dir(path.parent().unwrap()).unwrap();
+    }
+
+    #[test]
+    fn who_waits_is_woken_by_a_change() {
+        isolated();
+        let domain = Domain::join(229).unwrap();
+        let epoch = domain.epoch();
+        assert_eq!(domain.wait(epoch, Some(Duration::ZERO)), epoch);
+        let waiter = {
+            let domain = domain.clone();
+            std::thread::spawn(move || domain.wait(epoch, None))
+        };
+        domain.advance();
+        assert_ne!(waiter.join().unwrap(), epoch);
+    }
+}

@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Waking tasks when the graph changes: one thread sleeps on the domain's epoch for all tasks of a participant.
+
+use super::domain::Domain;
+use crate::cleanup::low_priority_thread;
+use crate::error::TransportError;
+use futures::Stream;
+use futures::task::AtomicWaker;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::task::{Context, Poll};
+use tautline_rt::JoinHandle;
+
+/// A stream that yields when a node, publisher, subscription, service or client of the domain appeared or went since it last
+/// did, or since it was made; several changes may be one event. Ends with its participant.
+///
+/// Whoever waits for a state of the graph makes the stream first, then looks, then awaits the next event, then looks again.
+pub struct GraphEvents {
+    domain: Arc<Domain>,
+    listener: Arc<Listener>,
+    seen: u32,
+}
+
+struct Listener {
+    waker: AtomicWaker,
+    watched: Arc<Watched>,
+}
+
+#[derive(Default)]
+struct Watched {
+    listeners: Mutex<Vec<Weak<Listener>>>,
+    stop: AtomicBool,
+}
+
+/// The listeners of a participant, and their thread once there is one.
+pub(crate) struct Watchers {
+    domain: Arc<Domain>,
+    watched: Arc<Watched>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Watchers {
+    pub(crate) fn new(domain: Arc<Domain>) -> Self {
+        Watchers { domain, watched: Arc::default(), thread: Mutex::default() }
+    }
+
+    pub(super) fn subscribe(&self) -> Result<GraphEvents, TransportError> {
+        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        if thread.is_none() {
+            let (domain, watched) = (self.domain.clone(), self.watched.clone());
+            let builder = low_priority_thread("graph").map_err(TransportError::Thread)?;
+            let run = move || move || watch(&domain, &watched);
+            *thread = Some(builder.spawn(run).map_err(TransportError::Thread)?);
+        }
+        let listener = Arc::new(Listener { waker: AtomicWaker::new(), watched: self.watched.clone() });
+        let mut listeners = self.watched.listeners.lock().unwrap_or_else(PoisonError::into_inner);
+        listeners.retain(|listener| listener.strong_count() > 0);
+        listeners.push(Arc::downgrade(&listener));
+        Ok(GraphEvents { domain: self.domain.clone(), listener, seen: self.domain.epoch() })
+    }
+}
+
+impl Drop for Watchers {
+    fn drop(&mut self) {
+        // Release: pairs with the Acquire of the thread and of the listeners.
+        self.watched.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.get_mut().unwrap_or_else(PoisonError::into_inner).take() {
+            // A change that is none: the thread cannot be between its look at `stop` and its sleep for ever.
+            self.domain.advance();
+            let _ = thread.join();
+        }
+        self.watched.wake_all();
+    }
+}
+
+fn watch(domain: &Domain, watched: &Watched) {
+    let mut seen = domain.epoch().wrapping_sub(1);
+    while !watched.stop.load(Ordering::Acquire) {
+        seen = domain.wait(seen, None);
+        watched.wake_all();
+    }
+}
+
+impl Watched {
+    fn wake_all(&self) {
+        let mut listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
+        listeners.retain(|listener| {
+            listener.upgrade().is_some_and(|listener| {
+                listener.waker.wake();
+                true
+            })
+        });
+    }
+}
+
+impl Stream for GraphEvents {
+    type Item = ();
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<()>> {
+        // Before looking: a change after this wakes the task.
+        self.listener.waker.register(cx.waker());
+        let epoch = self.domain.epoch();
+        if epoch != self.seen {
+            self.seen = epoch;
+            return Poll::Ready(Some(()));
+        }
+        match self.listener.watched.stop.load(Ordering::Acquire) {
+            true => Poll::Ready(None),
+            false => Poll::Pending,
+        }
+    }
+}
+
+impl std::fmt::Debug for GraphEvents {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("GraphEvents").field("seen", &self.seen).finish_non_exhaustive()
+    }
+}

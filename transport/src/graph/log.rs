@@ -1,0 +1,497 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A participant's record: what it says of its nodes and ports, as a log that only grows, so that who has read it once reads only
+//! what is new.
+//!
+//! The record is one part of the participant's file: a word that says how many bytes are valid, a word that says how often it was
+//! written anew, then entries. When there is no
+//! room for one more, the entries that still count are written into a part of their own, and only then the head of the file says
+//! that the record lies there. So whoever reads gets whole entries, wherever the writer is stopped or killed. Who was reading the
+//! former part looks at the head once more, and begins anew.
+//!
+//! | in an entry | bytes |
+//! |---|--:|
+//! | its length, these words included, a multiple of 8 | 4 |
+//! | its kind | 4 |
+//! | its number, by which a later entry takes it back | 8 |
+//! | the hash of the name of its topic, by which it is found | 8 |
+//! | what it says, and zeros | the rest |
+
+use crate::error::TransportError;
+use crate::participant::file::{Head, OwnMemory, PAGE, Place};
+use crate::participant::ranges::Range;
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use tautline_rt::shm::Mapping;
+
+/// Longest record that is written or read.
+const MAX_BYTES: u64 = 64 << 20;
+/// The words before the entries.
+const PREFACE_BYTES: usize = 16;
+const HEAD_BYTES: usize = 24;
+
+/// What an entry is about. Kinds that a reader does not know are passed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u32)]
+pub(crate) enum Kind {
+    /// The entry with this number counts no more.
+    Gone = 1,
+    Node = 2,
+    /// A publisher or subscription of this participant.
+    Port = 3,
+    /// A publisher or subscription of another host, of which a gateway tells.
+    RemotePort = 4,
+    /// A service or client of another host.
+    RemoteService = 5,
+    /// The participant's ports stand for those of other hosts: it is a gateway's or a bridge's.
+    Relay = 6,
+}
+
+impl Kind {
+    fn from_word(word: u32) -> Option<Self> {
+        use Kind::{Gone, Node, Port, Relay, RemotePort, RemoteService};
+        [Gone, Node, Port, RemotePort, RemoteService, Relay].into_iter().find(|kind| *kind as u32 == word)
+    }
+}
+
+/// An entry of a record. Another process's is a claim.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Entry {
+    pub(crate) kind: Kind,
+    pub(crate) number: u64,
+    pub(crate) hash: u64,
+    pub(crate) body: Vec<u8>,
+}
+
+impl Entry {
+    fn encode(&self) -> Vec<u8> {
+        let len = (HEAD_BYTES + self.body.len()).next_multiple_of(8);
+        let mut bytes = Vec::with_capacity(len);
+        bytes.extend_from_slice(&(len as u32).to_ne_bytes());
+        bytes.extend_from_slice(&(self.kind as u32).to_ne_bytes());
+        bytes.extend_from_slice(&self.number.to_ne_bytes());
+        bytes.extend_from_slice(&self.hash.to_ne_bytes());
+        bytes.extend_from_slice(&self.body);
+        bytes.resize(len, 0);
+        bytes
+    }
+
+    /// The first entry of `bytes`, unless its kind is not known, and how long it is. `None`: it is no entry.
+    fn decode(bytes: &[u8]) -> Option<(Option<Entry>, usize)> {
+        let word = |at: usize| Some(u64::from_ne_bytes(bytes.get(at..at + 8)?.try_into().ok()?));
+        let first = word(0)?.to_ne_bytes();
+        let [len, kind] =
+            [0, 4].map(|at| u32::from_ne_bytes([first[at], first[at + 1], first[at + 2], first[at + 3]]));
+        let len = len as usize;
+        if len < HEAD_BYTES || !len.is_multiple_of(8) || len > bytes.len() {
+            return None;
+        }
+        let (number, hash) = (word(8)?, word(16)?);
+        let body = bytes[HEAD_BYTES..len].to_vec();
+        Some((Kind::from_word(kind).map(|kind| Entry { kind, number, hash, body }), len))
+    }
+}
+
+/// The hash of a topic's name: FNV-1a, for it must be the same in every process.
+pub(crate) fn hash_of(topic: &str) -> u64 {
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    topic.as_bytes().iter().fold(0xcbf2_9ce4_8422_2325, step)
+}
+
+/// The owner's side of its record.
+pub(crate) struct Log {
+    memory: Arc<OwnMemory>,
+    part: Option<(Range, Arc<Mapping>)>,
+    used: usize,
+    /// The entries that count, as bytes.
+    live: BTreeMap<u64, Vec<u8>>,
+    live_bytes: usize,
+    next_number: u64,
+    turn: u64,
+}
+
+/// How many bytes of entries are valid; how often the record was written anew; and the words of its entries.
+fn split(part: &Mapping) -> (&AtomicU64, &AtomicU64, &[AtomicU64]) {
+    let len = part.len_bytes() / 8;
+    // SAFETY: all of a mapping, at the start of a page; any bytes are atomics.
+    let words = unsafe { std::slice::from_raw_parts(part.start().cast::<AtomicU64>().as_ptr(), len) };
+    (&words[0], &words[1], &words[PREFACE_BYTES / 8..])
+}
+
+impl Log {
+    pub(crate) fn new(memory: Arc<OwnMemory>) -> Self {
+        Log { memory, part: None, used: 0, live: BTreeMap::new(), live_bytes: 0, next_number: 1, turn: 0 }
+    }
+
+    /// A number for the next entry.
+    pub(crate) fn number(&mut self) -> u64 {
+        let number = self.next_number;
+        self.next_number += 1;
+        number
+    }
+
+    /// Adds an entry whose number is none before it.
+    ///
+    /// # Errors
+    /// There is no memory for it: then nothing has changed.
+    pub(crate) fn add(&mut self, entry: &Entry) -> io::Result<()> {
+        let bytes = entry.encode();
+        self.live_bytes += bytes.len();
+        self.live.insert(entry.number, bytes.clone());
+        self.append(&bytes).inspect_err(|_| {
+            self.live.remove(&entry.number);
+            self.live_bytes -= bytes.len();
+        })
+    }
+
+    /// Takes an entry back. If there is no memory to say so others see it until the next change that there is memory for.
+    pub(crate) fn remove(&mut self, number: u64) -> io::Result<()> {
+        let Some(bytes) = self.live.remove(&number) else { return Ok(()) };
+        self.live_bytes -= bytes.len();
+        self.append(&Entry { kind: Kind::Gone, number, hash: 0, body: Vec::new() }.encode())
+    }
+
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        match &self.part {
+            Some((_, part)) if self.used + bytes.len() <= part.len_bytes() - PREFACE_BYTES => {
+                let (valid, _, words) = split(part);
+                write(words, self.used, bytes);
+                self.used += bytes.len();
+                // Release: pairs with the Acquire in `Reader::read`; what is valid has been written.
+                valid.store(self.used as u64, Ordering::Release);
+                Ok(())
+            }
+            _ => self.rewrite(),
+        }
+    }
+
+    /// Writes the entries that count into a new part, twice as long as needed.
+    fn rewrite(&mut self) -> io::Result<()> {
+        let len = (2 * (PREFACE_BYTES + self.live_bytes) as u64).next_multiple_of(PAGE);
+        if len > MAX_BYTES {
+            let path = self.memory.path().display();
+            return Err(io::Error::other(format!(
+                "{path}: its record is {len} bytes long, the limit is {MAX_BYTES}"
+            )));
+        }
+        let range = self.memory.reserve(len)?;
+        let map = self.memory.claim(range).and_then(|()| self.memory.map(range));
+        let part = map.inspect_err(|_| self.memory.release(range))?;
+        let (valid, turn, words) = split(&part);
+        let mut used = 0;
+        for bytes in self.live.values() {
+            write(words, used, bytes);
+            used += bytes.len();
+        }
+        self.turn += 1;
+        turn.store(self.turn, Ordering::Relaxed);
+        valid.store(used as u64, Ordering::Relaxed);
+        // Release: pairs with the Acquire in `Reader::read`; the part is whole.
+        self.memory.head().record.store(Place::to_word(range), Ordering::Release);
+        // What is written into the former part from here on comes after this: who reads it, too.
+        std::sync::atomic::fence(Ordering::SeqCst);
+        self.used = used;
+        if let Some((former, _)) = self.part.replace((range, part)) {
+            // Who still reads it looks at the head afterwards.
+            self.memory.release(former);
+        }
+        Ok(())
+    }
+}
+
+fn write(words: &[AtomicU64], at: usize, bytes: &[u8]) {
+    for (word, bytes) in words[at / 8..].iter().zip(bytes.chunks_exact(8)) {
+        word.store(u64::from_ne_bytes(bytes.try_into().unwrap_or_default()), Ordering::Relaxed);
+    }
+}
+
+/// How far somebody has read the record of a participant.
+#[derive(Debug, Default)]
+pub(crate) struct Reader {
+    /// As the head says where the record lies, and how often it was written anew: it may come to lie where it lay before.
+    place: u64,
+    turn: u64,
+    part: Option<Arc<Mapping>>,
+    position: usize,
+}
+
+/// What a reader has not read before.
+#[derive(Debug, Default)]
+pub(crate) struct News {
+    /// The record was written anew: what was known of it before counts no more.
+    pub(crate) anew: bool,
+    /// Each with its position in the record, by which [`Reader::entry`] finds it as long as it is not written anew.
+    pub(crate) entries: Vec<(Entry, usize)>,
+    /// The record is damaged from here on.
+    pub(crate) is_damaged: bool,
+}
+
+impl Reader {
+    /// Reads what is new. `map` maps a part of the participant's file, or says that it has gone.
+    ///
+    /// # Errors
+    /// Those of `map`: nothing has been read then.
+    pub(crate) fn read(
+        &mut self,
+        head: &Head,
+        map: impl Fn(Range) -> Result<Option<Arc<Mapping>>, TransportError>,
+    ) -> Result<News, TransportError> {
+        let mut news = News::default();
+        // It is written anew when it has doubled: seldom, and not for ever.
+        for _ in 0..64 {
+            let place = head.record.load(Ordering::Acquire);
+            let turn = |part: &Arc<Mapping>| split(part).1.load(Ordering::Relaxed);
+            if place != self.place || self.part.as_ref().map(turn) != Some(self.turn) {
+                let Some(range) = Place::from_word(place).filter(|range| range.len <= MAX_BYTES) else {
+                    news.is_damaged = place != 0;
+                    return Ok(news);
+                };
+                let Some(part) = map(range)? else { return Ok(news) };
+                *self = Reader { place, turn: turn(&part), part: Some(part), position: 0 };
+                news = News { anew: true, ..News::default() };
+            }
+            let position = self.position;
+            let bytes = self.bytes(None);
+            // What was copied is the record's if it still lies there; else it may be anything.
+            std::sync::atomic::fence(Ordering::Acquire);
+            if head.record.load(Ordering::Relaxed) != place || self.part.as_ref().map(turn) != Some(self.turn)
+            {
+                continue;
+            }
+            let Some(bytes) = bytes else {
+                news.is_damaged = true;
+                return Ok(news);
+            };
+            let mut at = 0;
+            while at < bytes.len() {
+                let Some((entry, len)) = Entry::decode(&bytes[at..]) else {
+                    news.is_damaged = true;
+                    return Ok(news);
+                };
+                news.entries.extend(entry.map(|entry| (entry, position + at)));
+                at += len;
+            }
+            self.position = position + at;
+            return Ok(news);
+        }
+        news.is_damaged = true;
+        Ok(news)
+    }
+
+    /// The entry at a position that `read` gave. `None`: the record was written anew meanwhile, or is damaged.
+    pub(crate) fn entry(&self, head: &Head, position: usize) -> Option<Entry> {
+        let bytes = self.bytes(Some(position))?;
+        std::sync::atomic::fence(Ordering::Acquire);
+        let turn = split(self.part.as_ref()?).1.load(Ordering::Relaxed);
+        if head.record.load(Ordering::Relaxed) != self.place || turn != self.turn {
+            return None;
+        }
+        Entry::decode(&bytes)?.0
+    }
+
+    /// A copy of what is valid, from where was read last, or of one entry.
+    fn bytes(&self, entry: Option<usize>) -> Option<Vec<u8>> {
+        let part = self.part.as_ref()?;
+        let (valid, _, words) = split(part);
+        let valid = usize::try_from(valid.load(Ordering::Acquire)).ok()?;
+        if valid % 8 != 0 || valid > words.len() * 8 {
+            return None;
+        }
+        let (from, to) = match entry {
+            None => (self.position, valid),
+            Some(at) => {
+                let len = words.get(at / 8)?.load(Ordering::Relaxed) as u32 as usize;
+                (at, at.checked_add(len)?.min(valid))
+            }
+        };
+        let copy =
+            words.get(from / 8..to / 8)?.iter().flat_map(|word| word.load(Ordering::Relaxed).to_ne_bytes());
+        Some(copy.collect())
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use crate::graph::domain::Domain;
+    use crate::participant::file::Peer;
+    use crate::tests::isolated;
+    use std::sync::atomic::AtomicBool;
+
+    struct Both {
+        memory: Arc<OwnMemory>,
+        log: Log,
+        peer: Peer,
+        _domain: Arc<Domain>,
+    }
+
+    fn both(domain: u32) -> Both {
+        isolated();
+        let _domain = Domain::join(domain).unwrap();
+        let memory = Arc::new(OwnMemory::create(domain).unwrap());
+        memory.create_arena();
+        let peer = Peer::open(domain, memory.id()).unwrap().unwrap();
+        Both { log: Log::new(memory.clone()), memory, peer, _domain }
+    }
+
+    impl Drop for Both {
+        fn drop(&mut self) {
+            self.memory.retire();
+        }
+    }
+
+    fn read(reader: &mut Reader, peer: &Peer) -> News {
+        let map = |range| Ok(peer.map(&[range], false)?.and_then(|mut maps| maps.pop()));
+        reader.read(peer.head(), map).unwrap()
+    }
+
+    fn entry(log: &mut Log, body: &str) -> Entry {
+        Entry { kind: Kind::Port, number: log.number(), hash: hash_of(body), body: body.into() }
+    }
+
+    /// Bodies come back with the zeros that follow them.
+    fn text(entry: &Entry) -> &str {
+        std::str::from_utf8(&entry.body).unwrap().trim_end_matches('\0')
+    }
+
+    #[test]
+    fn only_what_is_new_is_read() {
+        let mut both = both(222);
+        let mut reader = Reader::default();
+        assert!(read(&mut reader, &both.peer).entries.is_empty());
+        let entries = ["/a", "/bc", "/camera/left/image"].map(|body| entry(&mut both.log, body));
+        both.log.add(&entries[0]).unwrap();
+        both.log.add(&entries[1]).unwrap();
+        let news = read(&mut reader, &both.peer);
+        assert!(news.anew && !news.is_damaged);
+        assert_eq!(news.entries.iter().map(|(entry, _)| text(entry)).collect::<Vec<_>>(), ["/a", "/bc"]);
+        assert!(read(&mut reader, &both.peer).entries.is_empty());
+        both.log.add(&entries[2]).unwrap();
+        both.log.remove(1).unwrap();
+        let news = read(&mut reader, &both.peer);
+        assert!(!news.anew);
+        let found: Vec<_> = news.entries.iter().map(|(entry, _)| (entry.kind, entry.number)).collect();
+        assert_eq!(found, [(Kind::Port, 3), (Kind::Gone, 1)]);
+        assert_eq!(text(&reader.entry(both.peer.head(), news.entries[0].1).unwrap()), "/camera/left/image");
+    }
+
+    #[test]
+    fn what_counts_is_written_anew_when_there_is_no_room() {
+        let mut both = both(223);
+        let mut reader = Reader::default();
+        let mut known: BTreeMap<u64, String> = BTreeMap::new();
+        let (mut anew, mut positions) = (0, BTreeMap::new());
+        for n in 0..3000 {
+            let new = entry(&mut both.log, &format!("/topic{}", "x".repeat(n % 200)));
+            both.log.add(&new).unwrap();
+            if n > 50 {
+                both.log.remove(new.number - 50).unwrap();
+            }
+            if n % 7 == 0 {
+                let news = read(&mut reader, &both.peer);
+                assert!(!news.is_damaged);
+                if news.anew {
+                    (anew, known, positions) = (anew + 1, BTreeMap::new(), BTreeMap::new());
+                }
+                for (entry, position) in &news.entries {
+                    match entry.kind {
+                        Kind::Gone => drop(known.remove(&entry.number)),
+                        _ => drop(known.insert(entry.number, text(entry).to_owned())),
+                    }
+                    positions.insert(entry.number, *position);
+                }
+                let written: BTreeMap<u64, String> = both
+                    .log
+                    .live
+                    .iter()
+                    .map(|(number, bytes)| {
+                        (*number, text(&Entry::decode(bytes).unwrap().0.unwrap()).to_owned())
+                    })
+                    .collect();
+                assert_eq!(known, written);
+            }
+        }
+        assert!(anew > 2, "{anew}");
+        assert!(both.log.part.as_ref().unwrap().0.len < 64 << 10, "it does not grow for ever");
+    }
+
+    /// Each entry says its own number many times: one that is mixed of two is found.
+    #[test]
+    fn nothing_torn_is_read_while_it_is_written() {
+        let mut both = both(224);
+        let (ended, reading) = (AtomicBool::new(false), AtomicBool::new(false));
+        let Both { log, peer, .. } = &mut both;
+        let (read_entries, anew) = std::thread::scope(|scope| {
+            let reader = scope.spawn(|| {
+                let (mut reader, mut count, mut anew) = (Reader::default(), 0, 0);
+                loop {
+                    let is_last = ended.load(Ordering::Acquire);
+                    let news = read(&mut reader, peer);
+                    assert!(!news.is_damaged);
+                    anew += u32::from(news.anew);
+                    for (entry, _) in news.entries.iter().filter(|(entry, _)| entry.kind == Kind::Port) {
+                        assert_eq!(
+                            text(entry),
+                            entry.number.to_string().repeat(1 + entry.number as usize % 40)
+                        );
+                        count += 1;
+                    }
+                    reading.store(true, Ordering::Release);
+                    if is_last {
+                        return (count, anew);
+                    }
+                }
+            });
+            while !reading.load(Ordering::Acquire) {
+                std::thread::yield_now();
+            }
+            for n in 1..=20_000_u64 {
+                let number = log.number();
+                assert_eq!(number, n);
+                let body = number.to_string().repeat(1 + n as usize % 40).into();
+                log.add(&Entry { kind: Kind::Port, number, hash: 0, body }).unwrap();
+                if n > 20 {
+                    log.remove(n - 20).unwrap();
+                }
+            }
+            ended.store(true, Ordering::Release);
+            reader.join().unwrap()
+        });
+        println!("{read_entries} entries were read, {anew} times from the start");
+        assert!(read_entries > 1 && anew > 0);
+    }
+
+    #[test]
+    fn lies_are_damage_and_no_panic() {
+        let mut both = both(225);
+        for body in ["/a", "/b"] {
+            let new = entry(&mut both.log, body);
+            both.log.add(&new).unwrap();
+        }
+        let (_, part) = both.log.part.clone().unwrap();
+        let record = &both.memory.head().record;
+        let truth = record.load(Ordering::Relaxed);
+        for lie in [u64::MAX, 1, truth + 1, truth | 1 << 60] {
+            record.store(lie, Ordering::Relaxed);
+            let news = read(&mut Reader::default(), &both.peer);
+            assert!(news.entries.is_empty(), "{lie}");
+        }
+        record.store(truth, Ordering::Relaxed);
+        for lie in [u64::MAX, 4, 1 << 40] {
+            split(&part).0.store(lie, Ordering::Relaxed);
+            assert!(read(&mut Reader::default(), &both.peer).is_damaged, "{lie}");
+        }
+        split(&part).0.store(both.log.used as u64, Ordering::Relaxed);
+        for lie in [0, 8, 25, u64::from(u32::MAX), 1 << 20] {
+            let first = split(&part).2[0].swap(lie, Ordering::Relaxed);
+            assert!(read(&mut Reader::default(), &both.peer).is_damaged, "{lie}");
+            split(&part).2[0].store(first, Ordering::Relaxed);
+        }
+        // A kind of a later version.
+        split(&part).2[0]
+            .store(split(&part).2[0].load(Ordering::Relaxed) & 0xffff_ffff | 99 << 32, Ordering::Relaxed);
+        let news = read(&mut Reader::default(), &both.peer);
+        assert!(!news.is_damaged && news.entries.len() == 1, "it is passed over");
+    }
+}

@@ -1,0 +1,356 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What exists in a domain: nodes, topics, services, and who has which end of them, in this process, on this host, on others.
+//!
+//! The graph is state that is maintained, not a question that is asked. Each participant keeps one record of its nodes and ports
+//! ([`log`], [`own`]), which others map and read on from where they were ([`model`] for whole pictures, the topics' matching for
+//! single ones). Who is in the domain, and when anything changed, says one file ([`domain`]). Looking opens no topic, takes no
+//! place, waits for nobody.
+//!
+//! A gateway says in its record what other hosts have.
+
+pub(crate) mod domain;
+mod events;
+pub(crate) mod log;
+mod model;
+pub(crate) mod own;
+pub(crate) mod record;
+
+pub use events::GraphEvents;
+pub(crate) use events::Watchers;
+pub(crate) use model::Model;
+pub use model::graph_of;
+pub(crate) use own::{Entry, OwnRecord};
+
+use crate::error::TransportError;
+use crate::participant::Participant;
+use crate::qos::Qos;
+use crate::topic::header::Gid;
+use crate::topic::topic_type::TopicType;
+use record::{REQUESTS, RESPONSES};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+use tautline_doorbell::Slot;
+
+/// A node's name and its namespace.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct NodeName {
+    /// Absolute; `/` for the root.
+    pub namespace: String,
+    /// Without the namespace.
+    pub name: String,
+}
+
+impl NodeName {
+    /// `/namespace/name`.
+    pub fn full_name(&self) -> String {
+        self.to_string()
+    }
+}
+
+impl fmt::Display for NodeName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.namespace.trim_end_matches('/'), self.name)
+    }
+}
+
+/// A node of the domain.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct NodeInfo {
+    /// Its name. Two nodes may have the same.
+    pub name: NodeName,
+    /// Its process, if it is on this host.
+    pub pid: Option<u32>,
+    /// Whether it is on another host.
+    pub is_remote: bool,
+}
+
+/// Which end of a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum EndpointKind {
+    /// It publishes.
+    Publisher,
+    /// It subscribes.
+    Subscription,
+}
+
+/// A publisher or a subscription of the domain.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TopicEndpoint {
+    /// Which of both.
+    pub kind: EndpointKind,
+    /// The topic's fully qualified name.
+    pub topic: String,
+    /// What this end knows of the type of its messages. Ends of one topic whose types differ do not match.
+    pub topic_type: TopicType,
+    /// Its identifier.
+    pub gid: Gid,
+    /// The quality of service that was asked for.
+    pub qos: Qos,
+    /// Its node; `None` if it was made without one.
+    pub node: Option<NodeName>,
+    /// Its process, if it is on this host.
+    pub pid: Option<u32>,
+    /// Whether it is on another host.
+    pub is_remote: bool,
+    /// Whether it belongs to the participant that asked.
+    pub is_own: bool,
+}
+
+/// Which end of a service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ServiceKind {
+    /// It answers requests.
+    Server,
+    /// It makes requests.
+    Client,
+}
+
+/// A service or a client of the domain.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceEndpoint {
+    /// Which of both.
+    pub kind: ServiceKind,
+    /// The service's fully qualified name.
+    pub name: String,
+    /// The ROS 2 name of its type, `package/srv/Name`.
+    pub type_name: String,
+    /// The type's hash, if it is known.
+    pub type_hash: Option<String>,
+    /// Its identifier.
+    pub gid: Gid,
+    /// Its node; `None` if it was made without one.
+    pub node: Option<NodeName>,
+    /// Its process, if it is on this host.
+    pub pid: Option<u32>,
+    /// Whether it is on another host.
+    pub is_remote: bool,
+}
+
+/// What exists in a domain, on this host and, if it has a gateway, on others. What a gateway opens here for other hosts'
+/// publishers and subscriptions is left out: those are listed themselves.
+#[derive(Clone, Debug, Default)]
+pub struct GraphSnapshot {
+    /// Nodes, sorted by namespace and name.
+    pub nodes: Vec<Arc<NodeInfo>>,
+    /// Publishers and subscriptions, sorted by topic.
+    pub endpoints: Vec<Arc<TopicEndpoint>>,
+    /// Services and clients, sorted by name.
+    pub services: Vec<Arc<ServiceEndpoint>>,
+    /// Publishers that gateways and bridges opened here: they stand for others' and are in no list above.
+    pub relays: Vec<Gid>,
+}
+
+impl GraphSnapshot {
+    /// The type of a topic, if all of its ends agree on one, as far as any of them knows it; `None` also if there is no such topic.
+    pub fn topic_type(&self, topic: &str) -> Option<TopicType> {
+        let from = self.endpoints.partition_point(|end| end.topic.as_str() < topic);
+        let mut ends = self.endpoints[from..].iter().take_while(|end| end.topic == topic);
+        let first = ends.next()?.topic_type.clone();
+        ends.try_fold(first, |known, end| known.join(&end.topic_type))
+    }
+}
+
+/// What other hosts have: see [`Participant::set_remote`]. `pid`, `is_remote` and `is_own` are not looked at, nor are ends without
+/// a node.
+#[derive(Clone, Debug, Default)]
+pub struct RemoteGraph {
+    /// Nodes.
+    pub nodes: Vec<NodeName>,
+    /// Publishers and subscriptions.
+    pub endpoints: Vec<TopicEndpoint>,
+    /// Services and clients.
+    pub services: Vec<ServiceEndpoint>,
+}
+
+/// A topic of a domain.
+#[derive(Clone, Debug)]
+pub struct TopicInfo {
+    /// The fully qualified name.
+    pub name: String,
+    /// Its publishers.
+    pub publishers: Vec<Arc<TopicEndpoint>>,
+    /// Its subscriptions.
+    pub subscriptions: Vec<Arc<TopicEndpoint>>,
+}
+
+/// A node that others see until this, its clones and everything that was made for it are dropped.
+#[derive(Clone)]
+pub struct NodeHandle {
+    pub(crate) entry: Arc<Entry>,
+}
+
+impl NodeHandle {
+    /// The node's name.
+    pub fn name(&self) -> &NodeName {
+        &self.entry.node
+    }
+
+    /// Ends what was made for the node, and what is made from now on: streams end once they have given out what had come, nothing
+    /// can be published or asked any more. Others see the node until all of that is dropped.
+    ///
+    /// # Real-time
+    /// Not for real-time threads: waits for a lock; O(what was made), a syscall for each thread that waits for something of it.
+    pub fn end(&self) {
+        self.entry.end();
+    }
+
+    /// Whether it was [ended](Self::end).
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn has_ended(&self) -> bool {
+        self.entry.has_ended()
+    }
+
+    /// What has this slot ends with the node.
+    ///
+    /// # Real-time
+    /// Setup only.
+    pub fn adopt(&self, slot: &Arc<Slot>) {
+        self.entry.adopt(slot);
+    }
+}
+
+impl fmt::Debug for NodeHandle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("NodeHandle").field("name", &self.entry.node).finish_non_exhaustive()
+    }
+}
+
+impl Participant {
+    /// Makes a node known to the domain.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: names that break ROS 2's rules, no shared memory.
+    pub fn create_node(&self, name: &str, namespace: &str) -> Result<NodeHandle, TransportError> {
+        let node = NodeName { namespace: namespace.into(), name: name.into() };
+        Ok(NodeHandle { entry: self.shared.record.add_node(node)? })
+    }
+
+    /// The same membership; publishers and subscriptions that are created through this one are the node's.
+    #[must_use]
+    pub fn for_node(&self, node: &NodeHandle) -> Participant {
+        Participant { shared: self.shared.clone(), node: Some(node.entry.clone()) }
+    }
+
+    /// Everything that exists in the domain. The same as before, without a look at anything else, if nothing has changed.
+    ///
+    /// # Real-time
+    /// Not for real-time threads: waits for a lock, maps files, allocates.
+    ///
+    /// # Errors
+    /// [`TransportError`]: the system refuses to map another participant's record, at the limit of open files for one. A record that
+    /// is damaged or of another version is passed over, and said once in the log.
+    pub fn graph(&self) -> Result<Arc<GraphSnapshot>, TransportError> {
+        self.shared.model().look(&self.shared.domain)
+    }
+
+    /// The topics of the domain, sorted by name, without those that make services.
+    ///
+    /// # Real-time
+    /// As [`graph`](Self::graph).
+    ///
+    /// # Errors
+    /// As [`graph`](Self::graph).
+    pub fn topics(&self) -> Result<Vec<TopicInfo>, TransportError> {
+        let graph = self.graph()?;
+        let mut topics: Vec<TopicInfo> = Vec::new();
+        for end in &graph.endpoints {
+            if topics.last().is_none_or(|topic| topic.name != end.topic) {
+                let (publishers, subscriptions) = Default::default();
+                topics.push(TopicInfo { name: end.topic.clone(), publishers, subscriptions });
+            }
+            if let Some(topic) = topics.last_mut() {
+                match end.kind {
+                    EndpointKind::Publisher => topic.publishers.push(end.clone()),
+                    EndpointKind::Subscription => topic.subscriptions.push(end.clone()),
+                }
+            }
+        }
+        Ok(topics)
+    }
+
+    /// The type of a topic: see [`GraphSnapshot::topic_type`].
+    ///
+    /// # Real-time
+    /// As [`graph`](Self::graph).
+    ///
+    /// # Errors
+    /// As [`graph`](Self::graph).
+    pub fn topic_type(&self, topic: &str) -> Result<Option<TopicType>, TransportError> {
+        Ok(self.graph()?.topic_type(topic))
+    }
+
+    /// The type of a service, as far as its servers and clients know it; `None` if it has neither, or they disagree.
+    ///
+    /// # Real-time
+    /// As [`graph`](Self::graph).
+    ///
+    /// # Errors
+    /// As [`graph`](Self::graph).
+    pub fn service_type(&self, service: &str) -> Result<Option<TopicType>, TransportError> {
+        let graph = self.graph()?;
+        let of = |end: &Arc<ServiceEndpoint>| TopicType {
+            hash: end.type_hash.clone().map(Into::into),
+            ..TopicType::new(end.type_name.clone())
+        };
+        let mut types = graph.services.iter().filter(|end| end.name == service).map(of);
+        let Some(first) = types.next() else { return Ok(None) };
+        Ok(types.try_fold(first, |known, other| known.join(&other)))
+    }
+
+    /// A number that changes when a node, publisher, subscription, service or client of the domain appears or goes. Read it
+    /// before [`graph`](Self::graph): if it is the same later, so is the graph.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn graph_epoch(&self) -> u32 {
+        self.shared.domain.epoch()
+    }
+
+    /// Sleeps until [`graph_epoch`](Self::graph_epoch) is not `since`, at most for `timeout`. Returns the epoch.
+    ///
+    /// # Real-time
+    /// Waits.
+    pub fn wait_for_graph_change(&self, since: u32, timeout: Duration) -> u32 {
+        self.shared.domain.wait(since, Some(timeout))
+    }
+
+    /// Says what other hosts have, in place of what it said before, and that this participant's own ports stand for
+    /// their ends. For a gateway: it has a participant for itself.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::File`] if there is no shared memory for it; some of it may have been said then.
+    pub fn set_remote(&self, remote: &RemoteGraph) -> Result<(), TransportError> {
+        self.shared.matcher.set_remote(remote)
+    }
+
+    /// Wakes a task when something of the domain appears or goes. What happens between two polls is one event.
+    ///
+    /// # Real-time
+    /// Setup only: the first one starts a thread, an ordinary one of low priority, which sleeps until something changes.
+    ///
+    /// # Errors
+    /// [`TransportError::Thread`] if the thread cannot be started.
+    pub fn graph_events(&self) -> Result<GraphEvents, TransportError> {
+        self.shared.watchers.subscribe()
+    }
+}
+
+/// The service whose requests go over this topic.
+pub(crate) fn service_of(topic: &str) -> Option<&str> {
+    topic.strip_prefix(REQUESTS)
+}
+
+/// Whether a topic carries a service's requests or responses.
+pub(crate) fn is_of_service(topic: &str) -> bool {
+    topic.starts_with(REQUESTS) || topic.starts_with(RESPONSES)
+}

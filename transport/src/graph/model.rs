@@ -1,0 +1,315 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The whole graph, kept up to date: of each participant what its record says. A look costs what has changed since the last one.
+
+use super::domain::Domain;
+use super::log::{Entry, Kind, Reader};
+use super::record::{PortRecord, RemotePortRecord, RemoteServiceRecord};
+use super::{
+    EndpointKind, GraphSnapshot, NodeInfo, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint,
+    is_of_service, service_of,
+};
+use crate::error::TransportError;
+use crate::participant::file::Peer;
+use crate::topic::header::Gid;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+
+/// Who looks without being a participant.
+const VISITOR: u64 = 0;
+
+/// What this process knows of a domain's graph.
+#[derive(Default)]
+pub(crate) struct Model {
+    /// The participant that asks.
+    own: u64,
+    /// The domain's when `snapshot` was made.
+    epoch: Option<u32>,
+    members: HashMap<u64, Member>,
+    /// What is listed, in its order; the last part of a key says where.
+    nodes: BTreeSet<(Arc<NodeInfo>, Gid)>,
+    endpoints: BTreeMap<(String, EndpointKind, Gid, Gid), Arc<TopicEndpoint>>,
+    services: BTreeMap<(String, ServiceKind, Gid, Gid), Arc<ServiceEndpoint>>,
+    snapshot: Arc<GraphSnapshot>,
+}
+
+/// What a participant's record says.
+struct Member {
+    /// `None`: it is passed over.
+    peer: Option<Peer>,
+    generation: u64,
+    reader: Reader,
+    is_relay: bool,
+    nodes: BTreeMap<u64, NodeName>,
+    ports: BTreeMap<u64, PortRecord>,
+    remote_ports: BTreeMap<u64, RemotePortRecord>,
+    remote_services: BTreeMap<u64, RemoteServiceRecord>,
+}
+
+impl Member {
+    fn new(peer: Option<Peer>) -> Self {
+        Member {
+            peer,
+            generation: 0,
+            reader: Reader::default(),
+            is_relay: false,
+            nodes: BTreeMap::new(),
+            ports: BTreeMap::new(),
+            remote_ports: BTreeMap::new(),
+            remote_services: BTreeMap::new(),
+        }
+    }
+
+    fn pid(&self) -> Option<u32> {
+        self.peer.as_ref().map(Peer::pid).filter(|_| !self.is_relay)
+    }
+
+    /// Everything that it says.
+    fn numbers(&self) -> Vec<u64> {
+        let services = self.remote_services.keys();
+        self.nodes
+            .keys()
+            .chain(self.ports.keys())
+            .chain(self.remote_ports.keys())
+            .chain(services)
+            .copied()
+            .collect()
+    }
+
+    fn add(&mut self, entry: &Entry) {
+        let (number, body) = (entry.number, &entry.body);
+        match entry.kind {
+            Kind::Gone => {}
+            Kind::Node => self.nodes.extend(NodeName::parse(body).map(|node| (number, node))),
+            Kind::Port => self.ports.extend(PortRecord::parse(body).map(|port| (number, port))),
+            Kind::RemotePort => {
+                self.remote_ports.extend(RemotePortRecord::parse(body).map(|port| (number, port)));
+            }
+            Kind::RemoteService => {
+                self.remote_services.extend(RemoteServiceRecord::parse(body).map(|end| (number, end)));
+            }
+            Kind::Relay => self.is_relay = true,
+        }
+    }
+
+    fn remove(&mut self, number: u64) {
+        self.nodes.remove(&number);
+        self.ports.remove(&number);
+        self.remote_ports.remove(&number);
+        self.remote_services.remove(&number);
+    }
+
+    /// How what it says under `number` is listed.
+    fn listed(&self, own: u64, id: u64, number: u64) -> Option<Listed> {
+        if let Some(name) = self.nodes.get(&number) {
+            let node = NodeInfo { name: name.clone(), pid: self.pid(), is_remote: self.is_relay };
+            return Some(Listed::Node(node));
+        }
+        if let Some(port) = self.ports.get(&number).filter(|_| !self.is_relay) {
+            let (gid, kind) = (Gid::of(id, number), EndpointKind::from(port.kind));
+            let node = port.node.and_then(|node| self.nodes.get(&node)).cloned();
+            if let Some(service) = service_of(&port.topic) {
+                // Who publishes requests asks.
+                let kind = match kind {
+                    EndpointKind::Publisher => ServiceKind::Client,
+                    EndpointKind::Subscription => ServiceKind::Server,
+                };
+                return Some(Listed::Service(ServiceEndpoint {
+                    kind,
+                    name: service.to_owned(),
+                    type_name: port.type_name.clone(),
+                    type_hash: port.hash.clone(),
+                    gid,
+                    node,
+                    pid: self.pid(),
+                    is_remote: false,
+                }));
+            }
+            return (!is_of_service(&port.topic)).then(|| {
+                Listed::Topic(TopicEndpoint {
+                    kind,
+                    topic: port.topic.clone(),
+                    topic_type: port.topic_type(),
+                    gid,
+                    qos: port.qos.qos(),
+                    node,
+                    pid: self.pid(),
+                    is_remote: false,
+                    is_own: id == own,
+                })
+            });
+        }
+        if let Some(port) = self.remote_ports.get(&number) {
+            return Some(Listed::Topic(port.endpoint(self.nodes.get(&port.node())?)));
+        }
+        let service = self.remote_services.get(&number)?;
+        Some(Listed::Service(service.endpoint(self.nodes.get(&service.node())?)))
+    }
+}
+
+enum Listed {
+    Node(NodeInfo),
+    Topic(TopicEndpoint),
+    Service(ServiceEndpoint),
+}
+
+fn complain(error: &TransportError) {
+    tracing::warn!("a participant is left out of the graph: {error} (said once)");
+}
+
+impl Model {
+    pub(crate) fn new(own: u64) -> Self {
+        Model { own, ..Model::default() }
+    }
+
+    /// The graph as it is now.
+    pub(crate) fn look(&mut self, domain: &Domain) -> Result<Arc<GraphSnapshot>, TransportError> {
+        // Before the look: what changes after this is seen by the next one.
+        let epoch = domain.epoch();
+        if self.epoch == Some(epoch) {
+            return Ok(self.snapshot.clone());
+        }
+        let seen: Vec<_> = domain.members().collect();
+        let is_there = |id: &u64| seen.iter().any(|member| member.id == *id);
+        let gone: Vec<u64> = self.members.keys().filter(|id| !is_there(id)).copied().collect();
+        for id in gone {
+            if let Some(member) = self.members.remove(&id) {
+                self.unlist(id, &member);
+            }
+        }
+        for member in seen {
+            if self.members.get(&member.id).is_none_or(|known| known.generation != member.generation) {
+                self.update(domain.number(), member.id, member.generation)?;
+            }
+        }
+        self.snapshot = Arc::new(GraphSnapshot {
+            nodes: self.nodes.iter().map(|(node, _)| node.clone()).collect(),
+            endpoints: self.endpoints.values().cloned().collect(),
+            services: self.services.values().cloned().collect(),
+            relays: self.members.iter().flat_map(|(id, member)| member.relays(*id)).collect(),
+        });
+        self.epoch = Some(epoch);
+        Ok(self.snapshot.clone())
+    }
+
+    /// Reads what is new in the record of a participant.
+    fn update(&mut self, domain: u32, id: u64, generation: u64) -> Result<(), TransportError> {
+        let known = self.members.remove(&id);
+        let mut member = match known {
+            Some(member) => member,
+            None if self.own == VISITOR && !Peer::lives(domain, id) => return Ok(()),
+            None => match Peer::open(domain, id) {
+                Ok(Some(peer)) => Member::new(Some(peer)),
+                // Its end is on the way.
+                Ok(None) => return Ok(()),
+                Err(error) if error.is_passing() => return Err(error),
+                Err(error) => {
+                    complain(&error);
+                    Member::new(None)
+                }
+            },
+        };
+        let read = self.read(id, &mut member);
+        if read.is_ok() {
+            member.generation = generation;
+        }
+        self.members.insert(id, member);
+        read
+    }
+
+    fn read(&mut self, id: u64, member: &mut Member) -> Result<(), TransportError> {
+        let Some(peer) = &member.peer else { return Ok(()) };
+        let map = |range| Ok(peer.map(&[range], false)?.and_then(|mut maps| maps.pop()));
+        let news = member.reader.read(peer.head(), map)?;
+        if news.anew {
+            self.unlist(id, member);
+            *member =
+                Member { reader: std::mem::take(&mut member.reader), ..Member::new(member.peer.take()) };
+        }
+        for (entry, _) in &news.entries {
+            match entry.kind {
+                Kind::Gone => {
+                    self.change(id, member, entry.number, false);
+                    member.remove(entry.number);
+                }
+                Kind::Relay => {
+                    self.unlist(id, member);
+                    member.is_relay = true;
+                    member.numbers().into_iter().for_each(|number| self.change(id, member, number, true));
+                }
+                _ => {
+                    member.add(entry);
+                    self.change(id, member, entry.number, true);
+                }
+            }
+        }
+        if news.is_damaged
+            && let Some(peer) = member.peer.take()
+        {
+            complain(&TransportError::Damaged { path: peer.path().to_owned() });
+            self.unlist(id, member);
+            *member = Member::new(None);
+        }
+        Ok(())
+    }
+
+    fn unlist(&mut self, id: u64, member: &Member) {
+        member.numbers().into_iter().for_each(|number| self.change(id, member, number, false));
+    }
+
+    /// Lists what a participant says under a number, or takes it from the list.
+    fn change(&mut self, id: u64, member: &Member, number: u64, is_listed: bool) {
+        let gid = Gid::of(id, number);
+        match member.listed(self.own, id, number) {
+            None => {}
+            Some(Listed::Node(node)) => {
+                let key = (Arc::new(node), gid);
+                let _ = if is_listed { self.nodes.insert(key) } else { self.nodes.remove(&key) };
+            }
+            Some(Listed::Topic(end)) => {
+                let key = (end.topic.clone(), end.kind, end.gid, gid);
+                match is_listed {
+                    true => drop(self.endpoints.insert(key, Arc::new(end))),
+                    false => drop(self.endpoints.remove(&key)),
+                }
+            }
+            Some(Listed::Service(end)) => {
+                let key = (end.name.clone(), end.kind, end.gid, gid);
+                match is_listed {
+                    true => drop(self.services.insert(key, Arc::new(end))),
+                    false => drop(self.services.remove(&key)),
+                }
+            }
+        }
+    }
+}
+
+impl Member {
+    /// Publishers that stand for those of others.
+    fn relays(&self, id: u64) -> impl Iterator<Item = Gid> + '_ {
+        let of_others = self.ports.iter().filter(|(_, port)| self.is_relay && !is_of_service(&port.topic));
+        let publishers =
+            of_others.filter(|(_, port)| EndpointKind::from(port.kind) == EndpointKind::Publisher);
+        publishers.map(move |(number, _)| Gid::of(id, *number))
+    }
+}
+
+/// Everything that exists in a domain of this user, host and scope, for who is no participant: tools. Changes nothing there.
+///
+/// ```
+/// let graph = tautline_transport::graph_of(121)?;
+/// assert!(graph.nodes.is_empty() && graph.endpoints.is_empty());
+/// # Ok::<(), tautline_transport::TransportError>(())
+/// ```
+///
+/// # Real-time
+/// Not for real-time threads: maps files, allocates.
+///
+/// # Errors
+/// As [`Participant::graph`](crate::Participant::graph); a domain that does not exist, a `TAUT_SCOPE` that is no scope.
+pub fn graph_of(domain: u32) -> Result<Arc<GraphSnapshot>, TransportError> {
+    crate::participant::check_domain(domain)?;
+    match Domain::visit(domain)? {
+        Some(domain) => Model::new(VISITOR).look(&domain),
+        None => Ok(Arc::default()),
+    }
+}

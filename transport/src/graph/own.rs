@@ -1,0 +1,250 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A participant's own record: its nodes and ports, and what it knows of other hosts.
+
+use super::domain::Domain;
+use super::log::{self, Kind, Log, hash_of};
+use super::record::{PortRecord, RemotePortRecord, RemoteServiceRecord, to_body};
+use super::{NodeName, RemoteGraph, ServiceEndpoint, TopicEndpoint};
+use crate::error::TransportError;
+use crate::participant::file::OwnMemory;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use tautline_doorbell::Slot;
+
+pub(crate) struct OwnRecord {
+    domain: Arc<Domain>,
+    memory: Arc<OwnMemory>,
+    /// Where this participant is among the members.
+    place: OnceLock<usize>,
+    state: Mutex<State>,
+}
+
+struct State {
+    log: Log,
+    remote: Remote,
+}
+
+/// What was said of other hosts: the entries, by the topics' hashes and what they say.
+#[derive(Default)]
+struct Remote {
+    marker: Option<u64>,
+    nodes: BTreeMap<NodeName, u64>,
+    entries: HashMap<(Kind, u64, Vec<u8>), Vec<u64>>,
+}
+
+impl OwnRecord {
+    pub(crate) fn new(domain: &Arc<Domain>, memory: &Arc<OwnMemory>) -> Arc<Self> {
+        let state = State { log: Log::new(memory.clone()), remote: Remote::default() };
+        let (domain, memory) = (domain.clone(), memory.clone());
+        Arc::new(OwnRecord { domain, memory, place: OnceLock::new(), state: Mutex::new(state) })
+    }
+
+    /// The record is the member's at `place`.
+    pub(crate) fn publish(&self, place: usize) {
+        let _ = self.place.set(place);
+        self.changed();
+    }
+
+    pub(crate) fn place(&self) -> Option<usize> {
+        self.place.get().copied()
+    }
+
+    /// Its lock is taken while things are set up and when they end, never by publish or take.
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn changed(&self) {
+        if let Some(place) = self.place.get() {
+            self.domain.changed(*place);
+        }
+    }
+
+    /// A publisher has other segments of samples than before.
+    pub(crate) fn grew(&self) {
+        if let Some(place) = self.place.get() {
+            self.domain.grew(*place);
+        }
+    }
+
+    fn failed(&self) -> impl Fn(io::Error) -> TransportError + use<> {
+        let path = self.memory.path().to_owned();
+        move |source| TransportError::File { path: path.clone(), source }
+    }
+
+    /// A number for a port, which is part of its gid. It is known to nobody yet.
+    pub(crate) fn number(&self) -> u64 {
+        self.state().log.number()
+    }
+
+    /// Makes a port known to others.
+    pub(crate) fn add_port(&self, number: u64, port: &PortRecord) -> Result<(), TransportError> {
+        let hash = hash_of(&port.topic);
+        let entry = log::Entry { kind: Kind::Port, number, hash, body: to_body(port) };
+        self.state().log.add(&entry).map_err(self.failed())?;
+        self.changed();
+        Ok(())
+    }
+
+    /// Takes an entry back. Nobody can be told if that fails.
+    pub(crate) fn remove(&self, number: u64) {
+        if let Err(error) = self.state().log.remove(number) {
+            tracing::warn!("others see what has ended, until something else changes: {error}");
+        }
+        self.changed();
+    }
+
+    pub(crate) fn add_node(self: &Arc<Self>, node: NodeName) -> Result<Arc<Entry>, TransportError> {
+        if !node.is_valid() {
+            return Err(TransportError::NodeName { name: node.full_name() });
+        }
+        let number = {
+            let mut state = self.state();
+            let number = state.log.number();
+            let entry = log::Entry { kind: Kind::Node, number, hash: 0, body: to_body(&node) };
+            state.log.add(&entry).map_err(self.failed())?;
+            number
+        };
+        self.changed();
+        let (record, has_ended, slots) = (self.clone(), AtomicBool::new(false), Mutex::default());
+        Ok(Arc::new(Entry { record, number, node, has_ended, slots }))
+    }
+
+    /// Whether it says, or said, what other hosts have.
+    pub(crate) fn is_relay(&self) -> bool {
+        self.state().remote.marker.is_some()
+    }
+
+    /// Replaces what other hosts have: what is said already stays as it is. Adds the hashes of the topics that this concerns to
+    /// `topics`.
+    pub(crate) fn set_remote(
+        &self,
+        remote: &RemoteGraph,
+        topics: &mut BTreeSet<u64>,
+    ) -> Result<(), TransportError> {
+        let mut state = self.state();
+        let changed = state.set_remote(remote, topics).map_err(self.failed());
+        drop(state);
+        // Not otherwise: who looks again after each change would look for ever.
+        if *changed.as_ref().unwrap_or(&true) {
+            self.changed();
+        }
+        changed.map(drop)
+    }
+}
+
+impl State {
+    fn add(&mut self, kind: Kind, hash: u64, body: Vec<u8>) -> io::Result<u64> {
+        let number = self.log.number();
+        self.log.add(&log::Entry { kind, number, hash, body })?;
+        Ok(number)
+    }
+
+    /// Whether anything is otherwise now.
+    fn set_remote(&mut self, remote: &RemoteGraph, topics: &mut BTreeSet<u64>) -> io::Result<bool> {
+        let mut changed = false;
+        if self.remote.marker.is_none() {
+            self.remote.marker = Some(self.add(Kind::Relay, 0, Vec::new())?);
+            changed = true;
+        }
+        let of_ports = remote.endpoints.iter().filter_map(|end| end.node.as_ref());
+        let of_services = remote.services.iter().filter_map(|end| end.node.as_ref());
+        let mut former = std::mem::take(&mut self.remote.nodes);
+        for node in remote.nodes.iter().chain(of_ports).chain(of_services) {
+            if self.remote.nodes.contains_key(node) {
+                continue;
+            }
+            let number = match former.remove(node) {
+                Some(number) => number,
+                None => {
+                    changed = true;
+                    self.add(Kind::Node, 0, to_body(node))?
+                }
+            };
+            self.remote.nodes.insert(node.clone(), number);
+        }
+        let mut former_entries = std::mem::take(&mut self.remote.entries);
+        for (kind, hash, body) in self.wanted(remote) {
+            let key = (kind, hash, body);
+            let number = match former_entries.get_mut(&key).and_then(Vec::pop) {
+                Some(number) => number,
+                None => {
+                    changed = true;
+                    topics.insert(hash);
+                    self.add(kind, hash, key.2.clone())?
+                }
+            };
+            self.remote.entries.entry(key).or_default().push(number);
+        }
+        former_entries.retain(|_, numbers| !numbers.is_empty());
+        topics.extend(former_entries.keys().map(|(_, hash, _)| hash));
+        // Their nodes go after them.
+        for number in former_entries.into_values().flatten().chain(former.into_values()) {
+            changed = true;
+            self.log.remove(number)?;
+        }
+        Ok(changed)
+    }
+
+    fn wanted(&self, remote: &RemoteGraph) -> Vec<(Kind, u64, Vec<u8>)> {
+        let node_of = |node: &Option<NodeName>| self.remote.nodes.get(node.as_ref()?).copied();
+        let port = |end: &TopicEndpoint| {
+            let record = RemotePortRecord::new(node_of(&end.node)?, end);
+            Some((Kind::RemotePort, hash_of(&end.topic), to_body(&record)))
+        };
+        let service = |end: &ServiceEndpoint| {
+            let record = RemoteServiceRecord::new(node_of(&end.node)?, end);
+            Some((Kind::RemoteService, hash_of(&end.name), to_body(&record)))
+        };
+        remote.endpoints.iter().filter_map(port).chain(remote.services.iter().filter_map(service)).collect()
+    }
+}
+
+/// A node that is there until this is dropped.
+pub(crate) struct Entry {
+    record: Arc<OwnRecord>,
+    pub(crate) number: u64,
+    pub(crate) node: NodeName,
+    has_ended: AtomicBool,
+    /// The slots of what ends with it.
+    slots: Mutex<Vec<Weak<Slot>>>,
+}
+
+impl Entry {
+    pub(crate) fn adopt(&self, slot: &Arc<Slot>) {
+        let mut slots = self.slots();
+        if self.has_ended() {
+            return slot.retire();
+        }
+        if slots.len() == slots.capacity() {
+            slots.retain(|slot| slot.strong_count() != 0);
+        }
+        slots.push(Arc::downgrade(slot));
+    }
+
+    pub(crate) fn end(&self) {
+        let slots = {
+            let mut slots = self.slots();
+            // Before the wakes: who is woken sees it.
+            self.has_ended.store(true, Ordering::Release);
+            std::mem::take(&mut *slots)
+        };
+        slots.iter().filter_map(Weak::upgrade).for_each(|slot| slot.retire());
+    }
+
+    pub(crate) fn has_ended(&self) -> bool {
+        self.has_ended.load(Ordering::Acquire)
+    }
+
+    fn slots(&self) -> MutexGuard<'_, Vec<Weak<Slot>>> {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Entry {
+    fn drop(&mut self) {
+        self.record.remove(self.number);
+    }
+}

@@ -1,0 +1,427 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the entries of a record say, as JSON. Read from another participant's record: claims, each checked before it is used.
+
+use super::{EndpointKind, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint};
+use crate::qos::{Durability, History, Limits, Liveliness, Qos, Reliability};
+use crate::topic::header::Gid;
+use crate::topic::topic_type::{TopicType, is_hash};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// ROS 2's limit of names.
+pub(crate) const MAX_NAME_BYTES: usize = 255;
+/// Start the names of the topics that make services. ':' cannot be in a topic's name.
+pub(crate) const REQUESTS: &str = "request:";
+pub(crate) const RESPONSES: &str = "response:";
+
+/// A publisher or a subscription, as its participant describes it. Its gid is made of its participant's id and its entry's number.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct PortRecord {
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub(crate) node: Option<u64>,
+    pub(crate) kind: PortKind,
+    pub(crate) topic: String,
+    #[serde(rename = "type")]
+    pub(crate) type_name: String,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub(crate) hash: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub(crate) body_bytes: Option<u64>,
+    pub(crate) qos: QosRecord,
+    /// Passes on what others sent, whatever quality of service they asked for.
+    #[serde(skip_serializing_if = "is_false", default)]
+    pub(crate) relay: bool,
+    /// Where it is rung.
+    pub(crate) slot: u32,
+    /// Most samples that a subscription holds; of a publisher, where its memory lies.
+    pub(crate) at: u64,
+    /// Of the end of a service that carries responses: the end of the same client or server that carries requests.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub(crate) partner: Option<u64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum PortKind {
+    #[serde(rename = "pub")]
+    Publisher,
+    #[serde(rename = "sub")]
+    Subscription,
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
+}
+
+/// A quality of service. What is not said is ROS 2's default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct QosRecord {
+    depth: u64,
+    #[serde(skip_serializing_if = "is_false", default)]
+    keep_all: bool,
+    #[serde(skip_serializing_if = "is_false", default)]
+    best_effort: bool,
+    #[serde(skip_serializing_if = "is_false", default)]
+    transient_local: bool,
+    #[serde(skip_serializing_if = "is_false", default)]
+    manual: bool,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    deadline: Option<Duration>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    lifespan: Option<Duration>,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    lease: Option<Duration>,
+}
+
+impl From<&Qos> for QosRecord {
+    fn from(qos: &Qos) -> Self {
+        QosRecord {
+            depth: qos.depth as u64,
+            keep_all: qos.history == History::KeepAll,
+            best_effort: qos.reliability == Reliability::BestEffort,
+            transient_local: qos.durability == Durability::TransientLocal,
+            manual: qos.liveliness == Liveliness::ManualByTopic,
+            deadline: qos.deadline,
+            lifespan: qos.lifespan,
+            lease: qos.liveliness_lease_duration,
+        }
+    }
+}
+
+impl QosRecord {
+    pub(crate) fn qos(&self) -> Qos {
+        let depth = usize::try_from(self.depth).unwrap_or(usize::MAX);
+        Qos {
+            history: if self.keep_all { History::KeepAll } else { History::KeepLast },
+            depth,
+            reliability: if self.best_effort { Reliability::BestEffort } else { Reliability::Reliable },
+            durability: if self.transient_local { Durability::TransientLocal } else { Durability::Volatile },
+            deadline: self.deadline,
+            lifespan: self.lifespan,
+            liveliness: if self.manual { Liveliness::ManualByTopic } else { Liveliness::Automatic },
+            liveliness_lease_duration: self.lease,
+        }
+    }
+}
+
+/// The body of an entry: what is serialised, and zeros.
+fn parse<'de, T: Deserialize<'de>>(body: &'de [u8]) -> Option<T> {
+    let end = body.iter().rposition(|byte| *byte != 0)? + 1;
+    serde_json::from_slice(&body[..end]).ok()
+}
+
+pub(crate) fn to_body(record: &impl Serialize) -> Vec<u8> {
+    serde_json::to_vec(record).unwrap_or_default()
+}
+
+impl PortRecord {
+    /// `None` if it says what no honest participant says.
+    pub(crate) fn parse(body: &[u8]) -> Option<Self> {
+        let record: PortRecord = parse(body)?;
+        let is_port = is_topic(&record.topic)
+            && is_type(&record.type_name, record.hash.as_deref())
+            && (1..=Limits::MAX_DEPTH as u64).contains(&record.qos.depth)
+            && (record.kind == PortKind::Publisher || (1..=Limits::MAX_HELD as u64).contains(&record.at));
+        is_port.then_some(record)
+    }
+
+    pub(crate) fn topic_type(&self) -> TopicType {
+        TopicType {
+            name: self.type_name.clone().into(),
+            hash: self.hash.clone().map(Into::into),
+            body_bytes: self.body_bytes.and_then(|bytes| usize::try_from(bytes).ok()),
+            definition: None,
+        }
+    }
+}
+
+/// A publisher or subscription of another host.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RemotePortRecord {
+    node: u64,
+    kind: PortKind,
+    topic: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    hash: Option<String>,
+    gid: Gid,
+    qos: QosRecord,
+}
+
+/// A service or client of another host.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RemoteServiceRecord {
+    node: u64,
+    is_server: bool,
+    name: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    hash: Option<String>,
+    gid: Gid,
+}
+
+impl RemotePortRecord {
+    pub(crate) fn new(node: u64, end: &TopicEndpoint) -> Self {
+        RemotePortRecord {
+            node,
+            kind: end.kind.into(),
+            topic: end.topic.clone(),
+            type_name: end.topic_type.name.to_string(),
+            hash: end.topic_type.hash.as_ref().map(ToString::to_string),
+            gid: end.gid,
+            qos: QosRecord::from(&end.qos),
+        }
+    }
+
+    pub(crate) fn parse(body: &[u8]) -> Option<Self> {
+        let record: RemotePortRecord = parse(body)?;
+        (is_absolute(&record.topic) && is_type(&record.type_name, record.hash.as_deref())).then_some(record)
+    }
+
+    pub(crate) fn node(&self) -> u64 {
+        self.node
+    }
+
+    pub(crate) fn endpoint(&self, node: &NodeName) -> TopicEndpoint {
+        let mut topic_type = TopicType::new(self.type_name.clone());
+        topic_type.hash = self.hash.clone().map(Into::into);
+        TopicEndpoint {
+            kind: self.kind.into(),
+            topic: self.topic.clone(),
+            topic_type,
+            gid: self.gid,
+            qos: self.qos.qos(),
+            node: Some(node.clone()),
+            pid: None,
+            is_remote: true,
+            is_own: false,
+        }
+    }
+}
+
+impl RemoteServiceRecord {
+    pub(crate) fn new(node: u64, end: &ServiceEndpoint) -> Self {
+        RemoteServiceRecord {
+            node,
+            is_server: end.kind == ServiceKind::Server,
+            name: end.name.clone(),
+            type_name: end.type_name.clone(),
+            hash: end.type_hash.clone(),
+            gid: end.gid,
+        }
+    }
+
+    pub(crate) fn parse(body: &[u8]) -> Option<Self> {
+        let record: RemoteServiceRecord = parse(body)?;
+        (is_absolute(&record.name) && is_type(&record.type_name, record.hash.as_deref())).then_some(record)
+    }
+
+    pub(crate) fn node(&self) -> u64 {
+        self.node
+    }
+
+    pub(crate) fn endpoint(&self, node: &NodeName) -> ServiceEndpoint {
+        ServiceEndpoint {
+            kind: if self.is_server { ServiceKind::Server } else { ServiceKind::Client },
+            name: self.name.clone(),
+            type_name: self.type_name.clone(),
+            type_hash: self.hash.clone(),
+            gid: self.gid,
+            node: Some(node.clone()),
+            pid: None,
+            is_remote: true,
+        }
+    }
+}
+
+impl From<EndpointKind> for PortKind {
+    fn from(kind: EndpointKind) -> Self {
+        match kind {
+            EndpointKind::Publisher => PortKind::Publisher,
+            EndpointKind::Subscription => PortKind::Subscription,
+        }
+    }
+}
+
+impl From<PortKind> for EndpointKind {
+    fn from(kind: PortKind) -> Self {
+        match kind {
+            PortKind::Publisher => EndpointKind::Publisher,
+            PortKind::Subscription => EndpointKind::Subscription,
+        }
+    }
+}
+
+impl NodeName {
+    pub(crate) fn parse(body: &[u8]) -> Option<Self> {
+        parse::<NodeName>(body).filter(NodeName::is_valid)
+    }
+
+    pub(crate) fn is_valid(&self) -> bool {
+        self.name.len() <= MAX_NAME_BYTES
+            && is_token(&self.name)
+            && (self.namespace == "/" || is_absolute(&self.namespace))
+    }
+}
+
+/// Whether this is `/a/b`, of ROS tokens.
+pub(crate) fn is_absolute(name: &str) -> bool {
+    name.len() <= MAX_NAME_BYTES && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token))
+}
+
+fn is_token(token: &str) -> bool {
+    !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+}
+
+/// Whether a topic can have this name. More than ROS 2 allows, but nothing that a terminal would obey.
+pub(crate) fn is_topic(name: &str) -> bool {
+    let bare = name.strip_prefix(REQUESTS).or_else(|| name.strip_prefix(RESPONSES)).unwrap_or(name);
+    (1..=MAX_NAME_BYTES).contains(&bare.len()) && bare.chars().all(|c| !c.is_control() && c != ':')
+}
+
+/// Names of types are not ROS 2's alone.
+pub(crate) fn is_type(name: &str, hash: Option<&str>) -> bool {
+    let is_name =
+        (1..=MAX_NAME_BYTES).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic());
+    is_name && hash.is_none_or(is_hash)
+}
+
+/// As 32 hexadecimal digits, in the order of the bytes.
+impl Serialize for Gid {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&format_args!("{self:?}"))
+    }
+}
+
+impl<'de> Deserialize<'de> for Gid {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = std::borrow::Cow::<str>::deserialize(deserializer)?;
+        let is_gid = text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let value = u128::from_str_radix(&text, 16).ok().filter(|_| is_gid);
+        let value = value.ok_or_else(|| serde::de::Error::custom("not 32 hexadecimal digits"))?;
+        Ok(Gid(value.to_be_bytes()))
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    fn qos() -> Qos {
+        Qos {
+            liveliness: Liveliness::ManualByTopic,
+            liveliness_lease_duration: Some(Duration::from_nanos(5)),
+            deadline: Some(Duration::new(3, 141_592_653)),
+            ..Qos::keep_all(3).transient_local().best_effort()
+        }
+    }
+
+    fn port() -> PortRecord {
+        PortRecord {
+            node: Some(3),
+            kind: PortKind::Subscription,
+            topic: "/x".into(),
+            type_name: "a/msg/B".into(),
+            hash: Some(format!("RIHS01_{:064x}", 7)),
+            body_bytes: Some(24),
+            qos: QosRecord::from(&qos()),
+            relay: true,
+            slot: 70_000,
+            at: 4,
+            partner: None,
+        }
+    }
+
+    fn node() -> NodeName {
+        NodeName { namespace: "/robot".into(), name: "n".into() }
+    }
+
+    #[test]
+    fn round_trips() {
+        let body = to_body(&port());
+        let padded = [body.clone(), vec![0; 7]].concat();
+        assert_eq!(PortRecord::parse(&padded), Some(port()));
+        assert_eq!(PortRecord::parse(&body).unwrap().qos.qos(), qos());
+        assert_eq!(QosRecord::from(&Qos::default()).qos(), Qos::default());
+        assert_eq!(NodeName::parse(&to_body(&node())), Some(node()));
+        let end = TopicEndpoint {
+            kind: EndpointKind::Publisher,
+            topic: "/x".into(),
+            topic_type: TopicType::new("a/msg/B").with_hash(format!("RIHS01_{:064x}", 7)),
+            gid: Gid([9; 16]),
+            qos: qos(),
+            node: Some(node()),
+            pid: None,
+            is_remote: true,
+            is_own: false,
+        };
+        let record = RemotePortRecord::new(1, &end);
+        let parsed = RemotePortRecord::parse(&to_body(&record)).unwrap();
+        assert_eq!((parsed.node(), parsed.endpoint(&node())), (1, end));
+        let service = ServiceEndpoint {
+            kind: ServiceKind::Server,
+            name: "/robot/add".into(),
+            type_name: "a/srv/B".into(),
+            type_hash: None,
+            gid: Gid([5; 16]),
+            node: Some(node()),
+            pid: None,
+            is_remote: true,
+        };
+        let record = RemoteServiceRecord::new(1, &service);
+        let parsed = RemoteServiceRecord::parse(&to_body(&record)).unwrap();
+        assert_eq!(parsed.endpoint(&node()), service);
+    }
+
+    #[test]
+    fn what_no_honest_participant_says_is_none() {
+        let text = String::from_utf8(to_body(&port())).unwrap();
+        let long = format!("\"{}\"", "x".repeat(300));
+        for (from, to) in [
+            ("\"/x\"", "\"/x\\u001b[2J\""),
+            ("\"/x\"", "\"\""),
+            ("\"/x\"", "\"a:b\""),
+            ("\"/x\"", &long),
+            ("RIHS01_0", "RIHS01_x"),
+            ("a/msg/B", "a msg"),
+            ("\"depth\":3", "\"depth\":0"),
+            ("\"depth\":3", "\"depth\":65537"),
+            ("\"at\":4", "\"at\":0"),
+            ("\"slot\":70000", "\"slot\":-1"),
+            ("\"sub\"", "\"both\""),
+            ("{", "["),
+        ] {
+            assert!(text.contains(from), "{from} in {text}");
+            assert_eq!(PortRecord::parse(text.replace(from, to).as_bytes()), None, "{to}");
+        }
+        for end in 0..text.len() {
+            assert_eq!(PortRecord::parse(&text.as_bytes()[..end]), None);
+        }
+        for (namespace, name) in [("", "n"), ("/robot", "a b"), ("/robot/", "n"), ("robot", "n"), ("/", "")] {
+            let node = NodeName { namespace: namespace.into(), name: name.into() };
+            assert_eq!(NodeName::parse(&to_body(&node)), None, "{node}");
+        }
+    }
+
+    /// Whatever the bytes are: a record or none, without a panic.
+    #[test]
+    fn changed_texts() {
+        use rand::{RngExt, SeedableRng};
+        let seed = rand::random();
+        println!("seed {seed}");
+        let mut random = rand::rngs::SmallRng::seed_from_u64(seed);
+        let text = to_body(&port());
+        let mut read = 0;
+        for _ in 0..20_000 {
+            let mut text = text.clone();
+            for _ in 0..random.random_range(1..4) {
+                let at = random.random_range(0..text.len());
+                text[at] = random.random();
+            }
+            if let Some(record) = PortRecord::parse(&text) {
+                read += 1;
+                let _ = (record.topic_type().describe(), record.qos.qos());
+            }
+        }
+        assert!(read > 0 && read < 20_000);
+    }
+}

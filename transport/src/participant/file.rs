@@ -1,0 +1,325 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The file of a participant: everything that it shares with others.
+//!
+//! | from | holds |
+//! |---|---|
+//! | 0 | the [`Head`]: what it is, and where the rest lies |
+//! | 4096 | the arena: its doorbell |
+//! | after it | what comes and goes: the record, more slots, publishers' memory |
+//!
+//! The participant holds the file's lock as long as it lives. Peers map what they need of it, and keep no descriptor.
+
+use super::ranges::{Range, Ranges};
+use crate::error::TransportError;
+use std::collections::BTreeMap;
+use std::io;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
+use tautline_doorbell::{Arena, ArenaId, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of};
+use tautline_rt::domain::shared_folder;
+use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError};
+
+const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
+const VERSION: u32 = 1;
+pub(crate) const PAGE: u64 = 4096;
+/// Starts the names of participants' files in the folder of their domain.
+pub(crate) const PREFIX: &str = "p";
+/// The head and the arena: what peers map first.
+const FIRST_BYTES: usize = PAGE as usize + MAIN_BYTES.next_multiple_of(PAGE as usize);
+/// Where files end at the latest: more than memory will be.
+const END: u64 = 1 << 46;
+
+/// What a participant's file begins with. Any bytes are one: what peers find there are claims.
+#[repr(C)]
+pub(crate) struct Head {
+    magic: AtomicU64,
+    version: AtomicU32,
+    pub(crate) pid: AtomicU32,
+    /// Where the record lies: see [`Place`].
+    pub(crate) record: AtomicU64,
+    /// Where the slots' windows but the first lie.
+    windows: [AtomicU64; WINDOWS],
+}
+
+/// Where a part of a file lies, as one word: pages of 4 KiB, the offset's above the length's. 0 is nowhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Place;
+
+impl Place {
+    /// Pages of a part at most: 64 GiB.
+    const LEN_BITS: u32 = 24;
+
+    pub(crate) fn to_word(range: Range) -> u64 {
+        (range.offset / PAGE) << Self::LEN_BITS | (range.len / PAGE) & ((1 << Self::LEN_BITS) - 1)
+    }
+
+    /// A claim of another process.
+    pub(crate) fn from_word(word: u64) -> Option<Range> {
+        let (offset, len) = ((word >> Self::LEN_BITS) * PAGE, (word & ((1 << Self::LEN_BITS) - 1)) * PAGE);
+        (len != 0 && offset + len <= END).then_some(Range { offset, len })
+    }
+}
+
+fn head(first: &Mapping) -> &Head {
+    // SAFETY: the first part of a file, which is longer than a Head, mapped at the start of a page; any bytes are one.
+    unsafe { first.start().cast().as_ref() }
+}
+
+/// This participant's own file.
+pub(crate) struct OwnMemory {
+    file: OwnFile,
+    first: Arc<Mapping>,
+    ranges: Mutex<Ranges>,
+    /// How long the file is.
+    len: Mutex<u64>,
+}
+
+impl OwnMemory {
+    /// Makes the file of a new participant of `domain`, whose folder is there.
+    pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
+        let file = OwnFile::create(&format!("{}/{PREFIX}", shared_folder(domain))).map_err(file_error)?;
+        let make = || -> Result<Arc<Mapping>, ShmError> {
+            file.claim(0, FIRST_BYTES as u64)?;
+            let named = |source| ShmError { path: file.path().to_owned(), source };
+            let first = Mapping::new(&file, 0, FIRST_BYTES, true).map_err(named)?;
+            first.populate(0, FIRST_BYTES, true).map_err(named)?;
+            Ok(Arc::new(first))
+        };
+        let first = match make() {
+            Ok(first) => first,
+            Err(error) => {
+                file.retire();
+                return Err(file_error(error));
+            }
+        };
+        head(&first).pid.store(std::process::id(), Ordering::Relaxed);
+        head(&first).version.store(VERSION, Ordering::Relaxed);
+        // Release: pairs with the Acquire in `Peer::open`.
+        head(&first).magic.store(MAGIC, Ordering::Release);
+        let (start, len) = (FIRST_BYTES as u64, FIRST_BYTES as u64);
+        let ranges = Ranges::new(Range { offset: start, len: END - start }, PAGE);
+        Ok(OwnMemory { file, first, ranges: Mutex::new(ranges), len: Mutex::new(len) })
+    }
+
+    /// The number in the file's name, which is this participant's.
+    pub(crate) fn id(&self) -> u64 {
+        self.file.id()
+    }
+
+    pub(crate) fn path(&self) -> &std::path::Path {
+        self.file.path()
+    }
+
+    pub(crate) fn head(&self) -> &Head {
+        head(&self.first)
+    }
+
+    /// The arena, made anew.
+    pub(crate) fn create_arena(&self) -> Arena {
+        let memory =
+            Region::new(&self.first, PAGE as usize, MAIN_BYTES).expect("it is part of the first bytes");
+        Arena::create(ArenaId(self.id()), memory)
+    }
+
+    /// Memory for more slots.
+    pub(crate) fn grow_arena(&self, window: usize) -> io::Result<Region> {
+        let bytes = window_bytes(window);
+        let range = self.reserve(bytes as u64)?;
+        let make = || -> io::Result<Arc<Mapping>> {
+            self.claim(range)?;
+            let map = self.map(range)?;
+            map.populate(0, map.len_bytes(), true)?;
+            Ok(map)
+        };
+        let memory = make().inspect_err(|_| self.release(range))?;
+        let memory = Region::new(&memory, 0, bytes).ok_or_else(|| io::Error::other("too short"))?;
+        if let Some(place) = self.head().windows.get(window) {
+            // Release: pairs with the Acquire in `Peer::reach`; the memory is there.
+            place.store(Place::to_word(range), Ordering::Release);
+        }
+        Ok(memory)
+    }
+
+    fn ranges(&self) -> MutexGuard<'_, Ranges> {
+        self.ranges.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes a part of the file that is at least `len` bytes long, without memory yet. It reads as zeros.
+    pub(crate) fn reserve(&self, len: u64) -> io::Result<Range> {
+        let none = || io::Error::other("the file of this participant is at its greatest length");
+        let range = self.ranges().take(len, PAGE).ok_or_else(none)?;
+        let mut file_len = self.len.lock().unwrap_or_else(PoisonError::into_inner);
+        if range.end() > *file_len {
+            if let Err(error) = self.file.set_len(range.end()) {
+                self.ranges().give_back(range);
+                return Err(error.source);
+            }
+            *file_len = range.end();
+        }
+        Ok(range)
+    }
+
+    /// Claims memory for a part, or for a part of one.
+    pub(crate) fn claim(&self, range: Range) -> io::Result<()> {
+        self.file.claim(range.offset, range.len).map_err(|error| error.source)
+    }
+
+    /// Maps a part, for writing.
+    pub(crate) fn map(&self, range: Range) -> io::Result<Arc<Mapping>> {
+        Ok(Arc::new(Mapping::new(&self.file, range.offset, range.len as usize, true)?))
+    }
+
+    /// Gives a part back: nobody uses it any more, here or elsewhere.
+    pub(crate) fn release(&self, range: Range) {
+        // If that fails its memory stays until it is used again.
+        let _ = self.file.give_back(range.offset, range.len);
+        self.ranges().give_back(range);
+    }
+
+    /// Whether somebody removed the file, as systemd-logind does when a user logs out: nobody finds this participant then.
+    pub(crate) fn is_removed(&self) -> bool {
+        !shm::has_name(&self.file)
+    }
+
+    /// Removes the file.
+    pub(crate) fn retire(&self) {
+        self.file.retire();
+    }
+}
+
+/// Another participant's file, or this one's as others see it.
+#[derive(Debug)]
+pub(crate) struct Peer {
+    pub(crate) id: u64,
+    path: PathBuf,
+    first: Arc<Mapping>,
+    arena: Arena,
+    brought_in: Once,
+}
+
+impl Peer {
+    /// Maps the head and the doorbell of a participant. `None`: it has gone.
+    ///
+    /// # Errors
+    /// It is there, and is of another version or damaged, or the system refuses: see [`TransportError::is_passing`].
+    pub(crate) fn open(domain: u32, id: u64) -> Result<Option<Peer>, TransportError> {
+        let path = path(domain, id);
+        let Some(file) = open(&path)? else { return Ok(None) };
+        if file.size_bytes().map_err(file_error)? < FIRST_BYTES as u64 {
+            return Err(TransportError::Version { path });
+        }
+        let map = Mapping::new(&file, 0, FIRST_BYTES, true);
+        let first = Arc::new(map.map_err(|source| TransportError::File { path: path.clone(), source })?);
+        let found = head(&first);
+        if found.magic.load(Ordering::Acquire) != MAGIC || found.version.load(Ordering::Relaxed) != VERSION {
+            return Err(TransportError::Version { path });
+        }
+        let memory = Region::new(&first, PAGE as usize, MAIN_BYTES).expect("it is part of the first bytes");
+        let arena = Arena::open(ArenaId(id), memory).map_err(|error| match error {
+            DoorbellError::Version => TransportError::Version { path: path.clone() },
+            other => TransportError::Doorbell(other),
+        })?;
+        Ok(Some(Peer { id, path, first, arena, brought_in: Once::new() }))
+    }
+
+    /// Whether a participant lives: for who is none itself, and may come when all have died and nobody has buried them.
+    pub(crate) fn lives(domain: u32, id: u64) -> bool {
+        PeerFile::open(path(domain, id), false).is_ok_and(|file| file.is_owned())
+    }
+
+    pub(crate) fn head(&self) -> &Head {
+        head(&self.first)
+    }
+
+    pub(crate) fn path(&self) -> &std::path::Path {
+        &self.path
+    }
+
+    /// Its process, as it says.
+    pub(crate) fn pid(&self) -> u32 {
+        self.head().pid.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    /// Makes sure that `slot` can be rung, without a page fault. False if there is no such slot.
+    pub(crate) fn reach(&self, slot: usize) -> Result<bool, TransportError> {
+        // Should it fail, the first rings fault.
+        self.brought_in.call_once(|| _ = self.first.populate(0, FIRST_BYTES, true));
+        if self.arena.has(slot) {
+            return Ok(true);
+        }
+        let window = window_of(slot);
+        let Some(place) = self.head().windows.get(window).filter(|_| window != 0) else { return Ok(false) };
+        let Some(range) = Place::from_word(place.load(Ordering::Acquire)) else { return Ok(false) };
+        let Some(map) = self.map(&[range], true)?.and_then(|mut maps| maps.pop()) else { return Ok(false) };
+        if let Some(memory) = Region::new(&map, 0, window_bytes(window)) {
+            let _ = map.populate(0, map.len_bytes(), true);
+            self.arena.add_window(window, memory);
+        }
+        Ok(self.arena.has(slot))
+    }
+
+    /// Maps parts of the file. `None`: the file has gone, or is not as long as its owner says.
+    pub(crate) fn map(
+        &self,
+        ranges: &[Range],
+        writable: bool,
+    ) -> Result<Option<Vec<Arc<Mapping>>>, TransportError> {
+        let Some(file) = open(&self.path)? else { return Ok(None) };
+        let len = file.size_bytes().map_err(file_error)?;
+        if ranges.iter().any(|range| range.end() > len) {
+            return Ok(None);
+        }
+        let map = |range: &Range| {
+            let map = Mapping::new(&file, range.offset, range.len as usize, writable);
+            map.map(Arc::new).map_err(|source| TransportError::File { path: self.path.clone(), source })
+        };
+        ranges.iter().map(map).collect::<Result<_, _>>().map(Some)
+    }
+}
+
+/// `None` if it is gone.
+fn open(path: &std::path::Path) -> Result<Option<PeerFile>, TransportError> {
+    match PeerFile::open(path.to_owned(), true) {
+        Ok(file) => Ok(Some(file)),
+        Err(error) if error.source.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(file_error(error)),
+    }
+}
+
+pub(crate) fn path(domain: u32, id: u64) -> PathBuf {
+    std::path::Path::new(shm::DIRECTORY).join(shared_folder(domain)).join(format!("{PREFIX}{id:016x}"))
+}
+
+/// The participant whose file has this name.
+pub(crate) fn id_of(name: &str) -> Option<u64> {
+    let digits = name.strip_prefix(PREFIX).filter(|digits| digits.len() == 16)?;
+    u64::from_str_radix(digits, 16).ok()
+}
+
+pub(crate) fn file_error(ShmError { path, source }: ShmError) -> TransportError {
+    TransportError::File { path, source }
+}
+
+/// The peers that this participant has mapped, each once.
+#[derive(Default)]
+pub(crate) struct Peers {
+    known: BTreeMap<u64, Weak<Peer>>,
+}
+
+impl Peers {
+    /// As [`Peer::open`].
+    pub(crate) fn get(&mut self, domain: u32, id: u64) -> Result<Option<Arc<Peer>>, TransportError> {
+        if let Some(peer) = self.known.get(&id).and_then(Weak::upgrade) {
+            return Ok(Some(peer));
+        }
+        let Some(peer) = Peer::open(domain, id)?.map(Arc::new) else { return Ok(None) };
+        self.known.retain(|_, peer| peer.strong_count() > 0);
+        self.known.insert(id, Arc::downgrade(&peer));
+        Ok(Some(peer))
+    }
+}

@@ -1,0 +1,313 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A process's membership of a domain: its file, its doorbell, its record, and the threads that look after them.
+
+pub(crate) mod file;
+pub(crate) mod ranges;
+
+use crate::cleanup::{Janitor, Warden};
+use crate::error::TransportError;
+use crate::graph::domain::Domain;
+use crate::graph::{Entry, Model, OwnRecord, Watchers};
+use crate::qos::{Limits, Qos};
+use crate::topic::matching::Matcher;
+use crate::topic::publisher::{PublisherRole, RawPublisher};
+use crate::topic::subscription::{RawSubscription, SubscriptionRole};
+use crate::topic::topic_type::TopicType;
+use crate::topic::typed::{Publisher, Subscription};
+use file::{OwnMemory, Peer};
+use iceoryx2_log::{LogLevel, set_log_level};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tautline_doorbell::{Arena, Doorbell, Slot};
+use tautline_msgs::Message;
+
+/// Greatest domain number, as in ROS 2.
+pub const MAX_DOMAIN: u32 = 232;
+
+/// Membership of a domain. Processes see each other's topics if they are in the same domain, on the same host, as the
+/// same user, in the same scope (`TAUT_SCOPE`). A clone is the same membership.
+#[derive(Clone)]
+pub struct Participant {
+    pub(crate) shared: Arc<Shared>,
+    /// Whose the publishers and subscriptions are that this one creates.
+    pub(crate) node: Option<Arc<Entry>>,
+}
+
+pub(crate) struct Shared {
+    // Dropped in this order: the threads first, the membership last.
+    _janitor: Janitor,
+    _warden: Warden,
+    pub(crate) watchers: Watchers,
+    pub(crate) matcher: Arc<Matcher>,
+    pub(crate) record: Arc<OwnRecord>,
+    pub(crate) doorbell: Arc<Doorbell>,
+    model: Mutex<Model>,
+    trace: tautline_trace::Object,
+    _tracing: tautline_trace::Membership,
+    membership: Membership,
+    pub(crate) memory: Arc<OwnMemory>,
+    pub(crate) domain: Arc<Domain>,
+}
+
+/// This participant's place among the members, and its file, until they are given up.
+struct Membership {
+    domain: Arc<Domain>,
+    memory: Arc<OwnMemory>,
+    record: Arc<OwnRecord>,
+    matcher: Arc<Matcher>,
+    place: usize,
+}
+
+impl Drop for Membership {
+    fn drop(&mut self) {
+        // What publishers sent may be wanted by somebody who has not found it yet. Then it stays for that one, and the domain's warden
+        // buries this participant like one that was killed.
+        let is_awaited = self.matcher.is_awaited();
+        self.domain.remove(self.memory.id());
+        if self.record.is_relay() {
+            // With it goes what it said of other hosts, which may concern anybody.
+            self.domain.call_all();
+        }
+        if !is_awaited {
+            self.memory.retire();
+        }
+    }
+}
+
+/// The arena of a participant: this process's own or another's.
+#[derive(Clone)]
+pub(crate) enum Reached {
+    Own(Arc<Doorbell>),
+    Peer(Arc<Peer>),
+}
+
+impl Reached {
+    pub(crate) fn arena(&self) -> &Arena {
+        match self {
+            Reached::Own(doorbell) => doorbell.arena(),
+            Reached::Peer(peer) => peer.arena(),
+        }
+    }
+
+    /// Makes sure that `slot` can be rung. False if there is no such slot.
+    pub(crate) fn reach(&self, slot: usize) -> Result<bool, TransportError> {
+        match self {
+            Reached::Own(doorbell) => Ok(doorbell.arena().has(slot)),
+            Reached::Peer(peer) => peer.reach(slot),
+        }
+    }
+}
+
+/// Whether there is such a domain, and the scope is one.
+pub(crate) fn check_domain(domain: u32) -> Result<(), TransportError> {
+    if domain > MAX_DOMAIN {
+        return Err(TransportError::DomainRange { domain, max: MAX_DOMAIN });
+    }
+    tautline_rt::domain::scope()?;
+    Ok(())
+}
+
+impl Participant {
+    /// Joins `domain`: makes a file in /dev/shm, starts the janitor (an ordinary, low-priority thread that connects publishers and
+    /// subscriptions of other processes) and the warden (one that notices processes that died).
+    ///
+    /// Sets iceoryx2's log level, which is the process's, to fatal: what it would print comes back as an error here. Raises the
+    /// process's limit of open files to what is allowed.
+    ///
+    /// # Real-time
+    /// Setup only: allocates, starts threads.
+    ///
+    /// # Errors
+    /// [`TransportError`]: shared memory cannot be made or belongs to another user.
+    pub fn new(domain: u32) -> Result<Self, TransportError> {
+        check_domain(domain)?;
+        set_log_level(LogLevel::Fatal);
+        tautline_rt::host::raise_open_files();
+        let domain = Domain::join(domain)?;
+        let number = domain.number();
+        let tracing = tautline_trace::join(number)?;
+        let memory = Arc::new(OwnMemory::create(number)?);
+        let arena = memory.create_arena();
+        let doorbell = {
+            let memory = memory.clone();
+            Doorbell::new(arena, Box::new(move |window| memory.grow_arena(window)))
+        };
+        let record = OwnRecord::new(&domain, &memory);
+        let matcher = Arc::new(Matcher::new(&domain, &memory, &record));
+        let place = domain.add(memory.id()).inspect_err(|_| memory.retire())?;
+        let membership = Membership {
+            domain: domain.clone(),
+            memory: memory.clone(),
+            record: record.clone(),
+            matcher: matcher.clone(),
+            place,
+        };
+        record.publish(place);
+        let janitor = Janitor::start(&domain, place, &doorbell, &matcher, &memory)?;
+        let warden = Warden::start(&domain)?;
+        let shared = Shared {
+            _janitor: janitor,
+            _warden: warden,
+            watchers: Watchers::new(domain.clone()),
+            matcher,
+            record,
+            doorbell,
+            model: Mutex::new(Model::new(memory.id())),
+            trace: tautline_trace::context_init(number),
+            _tracing: tracing,
+            membership,
+            memory,
+            domain,
+        };
+        Ok(Participant { shared: Arc::new(shared), node: None })
+    }
+
+    /// The domain.
+    pub fn domain(&self) -> u32 {
+        self.shared.domain.number()
+    }
+
+    /// What trace events call this participant.
+    pub fn trace_id(&self) -> tautline_trace::ObjectId {
+        self.shared.trace.id()
+    }
+
+    /// The doorbell that announces samples to this participant's sampler.
+    pub fn doorbell(&self) -> &Arc<Doorbell> {
+        &self.shared.doorbell
+    }
+
+    /// Claims a slot for a timer or a guard condition.
+    ///
+    /// # Errors
+    /// [`TransportError::Doorbell`] if all are taken.
+    pub fn claim_slot(&self) -> Result<Slot, TransportError> {
+        Ok(self.shared.doorbell.claim()?)
+    }
+
+    /// Creates a publisher of `topic`, a fully qualified name.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    pub fn create_publisher<T: Message>(
+        &self,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Publisher<T>, TransportError> {
+        Publisher::create(self, topic, qos, limits)
+    }
+
+    /// Creates a subscription of `topic`, a fully qualified name. What is published from now on is queued.
+    ///
+    /// # Real-time
+    /// Setup only. Waits up to 100 ms for the processes of publishers that are there, of which one may be stopped.
+    ///
+    /// # Errors
+    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    pub fn create_subscription<T: Message>(
+        &self,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Subscription<T>, TransportError> {
+        Subscription::create(self, topic, qos, limits)
+    }
+
+    /// Creates a publisher of bytes of `topic`, a fully qualified name.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    pub fn create_raw_publisher(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawPublisher, TransportError> {
+        RawPublisher::create(self, topic, topic_type, qos, limits, PublisherRole::default())
+    }
+
+    /// Creates a subscription to the bytes of `topic`, a fully qualified name. What is published from now on is queued.
+    ///
+    /// # Real-time
+    /// As [`create_subscription`](Self::create_subscription).
+    ///
+    /// # Errors
+    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    pub fn create_raw_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        RawSubscription::create(self, topic, topic_type, qos, limits, SubscriptionRole::default())
+    }
+
+    /// As [`create_raw_publisher`](Self::create_raw_publisher), for what others published: every subscription gets it, whatever
+    /// it requests.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_raw_publisher`](Self::create_raw_publisher).
+    pub fn create_relay_publisher(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawPublisher, TransportError> {
+        let role = PublisherRole { is_relay: true, ..PublisherRole::default() };
+        RawPublisher::create(self, topic, topic_type, qos, limits, role)
+    }
+
+    /// As [`create_raw_subscription`](Self::create_raw_subscription), for what is passed on: it gets what every publisher sends,
+    /// whatever that offers.
+    ///
+    /// # Real-time
+    /// As [`create_subscription`](Self::create_subscription).
+    ///
+    /// # Errors
+    /// As [`create_raw_subscription`](Self::create_raw_subscription).
+    pub fn create_relay_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        let role = SubscriptionRole { is_relay: true, ..SubscriptionRole::default() };
+        RawSubscription::create(self, topic, topic_type, qos, limits, role)
+    }
+}
+
+impl Participant {
+    /// What has this slot ends with the node that this one makes things for.
+    pub(crate) fn adopt(&self, slot: &Arc<Slot>) {
+        if let Some(node) = &self.node {
+            node.adopt(slot);
+        }
+    }
+}
+
+impl Shared {
+    pub(crate) fn model(&self) -> MutexGuard<'_, Model> {
+        self.model.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Has this participant's janitor look.
+    ///
+    /// # Real-time
+    /// Wait-free; one futex wake.
+    pub(crate) fn call_janitor(&self) {
+        self.domain.call(self.membership.place);
+    }
+}

@@ -1,0 +1,455 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What one publisher and one subscription have in common: a block of shared memory with two queues of iceoryx2's, the halves of its
+//! zero-copy connection.
+//!
+//! The publisher submits where its samples lie; a full queue gives the oldest back to it. The subscription returns what it has read.
+//! Beside the queues are some words that each writes for the other.
+//!
+//! The block lies in the publisher's part of its participant's file. The queues refer to their memory relative to where they lie
+//! themselves, so it is at different addresses in different processes.
+
+use super::header::Gid;
+use crate::graph::record::PortRecord;
+use iceoryx2_bb_elementary::bump_allocator::BumpAllocator;
+use iceoryx2_bb_elementary_traits::relocatable_container::RelocatableContainer;
+use iceoryx2_bb_lock_free::spsc::index_queue::RelocatableIndexQueue;
+use iceoryx2_bb_lock_free::spsc::safely_overflowing_index_queue::RelocatableSafelyOverflowingIndexQueue;
+use std::io;
+use std::ptr::NonNull;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use tautline_rt::shm::Mapping;
+
+const MAGIC: u64 = u64::from_le_bytes(*b"tautcon1");
+
+/// How far the subscription has come with a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub(crate) enum ReaderState {
+    /// Its participant has not found it yet.
+    Unknown = 0,
+    /// It takes from it, or has mapped what is needed for that.
+    Attached = 1,
+    /// It is done with it, and with all samples that came through it.
+    Closed = 2,
+}
+
+/// The block, without the memory of its queues. Three cache lines of words: what is fixed, the publisher's, the subscription's.
+#[repr(C, align(64))]
+pub(crate) struct Block {
+    magic: AtomicU64,
+    subscription: [AtomicU64; 2],
+    /// Where the queues' memory lies in its part of the file, once all of it has been claimed.
+    claimed_queues: AtomicU64,
+    pub(crate) out: Out,
+    pub(crate) back: Back,
+    submitted: RelocatableSafelyOverflowingIndexQueue,
+    returned: RelocatableIndexQueue,
+}
+
+/// Written by the publisher.
+#[repr(C, align(64))]
+pub(crate) struct Out {
+    /// The number of the first sample that is for this subscription; 0 before there is one.
+    pub(crate) start: AtomicU64,
+    /// The number of the last sample that was submitted.
+    pub(crate) sent: AtomicU64,
+    /// When the publisher last showed that it is alive.
+    pub(crate) alive_ns: AtomicU64,
+    /// It waits for room in this queue, and wants to be rung.
+    pub(crate) waiting: AtomicU32,
+    served: AtomicU32,
+}
+
+impl Out {
+    /// The thread that publishes is handed the connection: what it publishes from now on comes.
+    pub(crate) fn serve(&self) {
+        // Release: pairs with the Acquire in `is_served`.
+        self.served.store(1, Ordering::Release);
+    }
+
+    pub(crate) fn is_served(&self) -> bool {
+        self.served.load(Ordering::Acquire) != 0
+    }
+}
+
+/// Written by the subscription.
+#[repr(C, align(64))]
+pub(crate) struct Back {
+    /// The number of the last sample that was taken.
+    pub(crate) taken: AtomicU64,
+    state: AtomicU32,
+}
+
+impl Back {
+    pub(crate) fn state(&self) -> ReaderState {
+        // Acquire: pairs with the Release in `set_state`; what the subscription did before is over.
+        match self.state.load(Ordering::Acquire) {
+            1 => ReaderState::Attached,
+            2 => ReaderState::Closed,
+            _ => ReaderState::Unknown,
+        }
+    }
+
+    pub(crate) fn set_state(&self, state: ReaderState) {
+        self.state.store(state as u32, Ordering::Release);
+    }
+}
+
+/// Where the parts of a connection go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Shape {
+    pub(crate) depth: usize,
+    pub(crate) held: usize,
+}
+
+pub(crate) const BLOCK_BYTES: usize = size_of::<Block>();
+const WORD_BYTES: usize = size_of::<u64>();
+
+impl Shape {
+    /// As a subscription's record says.
+    pub(crate) fn of(subscription: &PortRecord) -> Self {
+        Shape { depth: subscription.qos.qos().depth, held: subscription.at as usize }
+    }
+
+    /// The subscription may take and return all that is queued before the publisher looks.
+    fn returned_len(self) -> usize {
+        self.depth + self.held + 1
+    }
+
+    fn submitted_bytes(self) -> usize {
+        // As the queue says, without what it adds for memory that is not aligned.
+        (self.depth + 1) * WORD_BYTES
+    }
+
+    /// Bytes of the memory of both queues.
+    pub(crate) fn queues_bytes(self) -> usize {
+        self.submitted_bytes() + self.returned_len() * WORD_BYTES
+    }
+
+    /// The parts of the queues' memory that are touched while the first `samples` samples go through: offset and length.
+    pub(crate) fn touched(self, samples: usize) -> [(usize, usize); 2] {
+        let submitted = samples.min(self.depth + 1) * WORD_BYTES;
+        let returned = samples.min(self.returned_len()) * WORD_BYTES;
+        [(0, submitted), (self.submitted_bytes(), returned)]
+    }
+}
+
+/// One end's hold of a connection.
+pub(crate) struct Connection {
+    block: NonNull<Block>,
+    map: Arc<Mapping>,
+}
+
+// SAFETY: the block is shared memory of atomics and of queues that are Sync; who uses which end of the queues is the unsafe
+// functions' business.
+unsafe impl Send for Connection {}
+// SAFETY: as above.
+unsafe impl Sync for Connection {}
+
+impl Connection {
+    /// Makes a connection in memory of this process's own file: `block_at` bytes into `map` the block, `queues_at` the memory of its
+    /// queues, both multiples of 64. The queues' memory is not touched.
+    ///
+    /// # Errors
+    /// The system refuses memory to make it in.
+    ///
+    /// # Safety
+    /// Both parts lie within `map`, are long enough, and nobody else uses them. The memory is mapped for writing.
+    pub(crate) unsafe fn create(
+        map: &Arc<Mapping>,
+        block_at: usize,
+        queues_at: usize,
+        subscription: Gid,
+        shape: Shape,
+    ) -> io::Result<Self> {
+        // iceoryx2 writes zeros to all of a queue's memory. Where many deep queues are made, most of which are never used, that
+        // would be most of the memory. So the queues are made in a place of this process's own where their memory has the same
+        // distance, and only they themselves are copied: nobody reads a place of a queue that nothing was written to.
+        let distance = queues_at as isize - block_at as isize;
+        let template = Template::new(distance, shape)?;
+        // SAFETY: as the caller promises.
+        let block = unsafe { map.start().byte_add(block_at).cast::<Block>() };
+        // SAFETY: a Block is plain memory without a Drop, and nobody else uses the place.
+        unsafe { std::ptr::copy_nonoverlapping(template.block().as_ptr(), block.as_ptr(), 1) };
+        let connection = Connection { block, map: map.clone() };
+        let [low, high] = subscription.words();
+        connection.block().subscription[0].store(low, Ordering::Relaxed);
+        connection.block().subscription[1].store(high, Ordering::Relaxed);
+        // Release: pairs with the Acquire in `open`.
+        connection.block().magic.store(MAGIC, Ordering::Release);
+        Ok(connection)
+    }
+
+    /// The connection at a place of a publisher's memory; whose it is, it says itself. `None`: there is none.
+    pub(crate) fn open(map: &Arc<Mapping>, block_at: usize) -> Option<Self> {
+        let end = block_at.checked_add(BLOCK_BYTES)?;
+        if end > map.len_bytes() || !block_at.is_multiple_of(align_of::<Block>()) {
+            return None;
+        }
+        // SAFETY: within the mapping and aligned, as checked; any bytes are atomics, and the queues are looked at only if the words
+        // say that they were made.
+        let block = unsafe { map.start().byte_add(block_at).cast::<Block>() };
+        let connection = Connection { block, map: map.clone() };
+        (connection.block().magic.load(Ordering::Acquire) == MAGIC).then_some(connection)
+    }
+
+    /// All memory of the queues, which lie so far into the part of the file, has been claimed.
+    pub(crate) fn note_claimed(&self, queues_at: usize) {
+        self.block().claimed_queues.store(queues_at as u64, Ordering::Release);
+    }
+
+    /// Brings in the pages of the block and, if they have memory, of the queues, so that the subscription's end faults none.
+    pub(crate) fn bring_in(&self, shape: Shape) {
+        let block_at = self.block.addr().get() - self.map.start().addr().get();
+        // Should that fail, taking faults: of queues, where they lie is another process's claim.
+        let _ = self.map.populate(block_at, BLOCK_BYTES, true);
+        let queues_at = self.block().claimed_queues.load(Ordering::Acquire);
+        if let Ok(queues_at) = usize::try_from(queues_at) {
+            let _ = self.map.populate(queues_at, shape.queues_bytes(), true);
+        }
+    }
+
+    /// Nobody finds it any more.
+    pub(crate) fn erase(&self) {
+        self.block().magic.store(0, Ordering::Release);
+    }
+
+    pub(crate) fn block(&self) -> &Block {
+        // SAFETY: mapped as long as `self`, aligned, and a Block was made there, or its words are only looked at.
+        unsafe { self.block.as_ref() }
+    }
+
+    pub(crate) fn subscription(&self) -> Gid {
+        let [low, high] = &self.block().subscription;
+        Gid::from_words([low.load(Ordering::Relaxed), high.load(Ordering::Relaxed)])
+    }
+
+    /// Submits a sample. If the queue is full, the oldest one comes back.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For the publisher's end, by one thread at a time.
+    pub(crate) unsafe fn submit(&self, chunk: u64) -> Option<u64> {
+        // SAFETY: as the caller promises; the queue was initialised when the connection was made.
+        unsafe { self.block().submitted.push(chunk) }
+    }
+
+    /// Takes back a sample that the subscription has returned.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For the publisher's end, by one thread at a time.
+    pub(crate) unsafe fn take_back(&self) -> Option<u64> {
+        // SAFETY: as above.
+        unsafe { self.block().returned.pop() }
+    }
+
+    /// Takes the oldest sample that was submitted.
+    ///
+    /// # Real-time
+    /// Lock-free: the publisher may overwrite what is to be taken, and then the next one is; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For the subscription's end, by one thread at a time.
+    pub(crate) unsafe fn take(&self) -> Option<u64> {
+        // SAFETY: as above.
+        unsafe { self.block().submitted.pop() }
+    }
+
+    /// Returns a sample that was taken. False if there is no room, which the shape rules out.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For the subscription's end, by one thread at a time.
+    pub(crate) unsafe fn give_back(&self, chunk: u64) -> bool {
+        // SAFETY: as above.
+        unsafe { self.block().returned.push(chunk) }
+    }
+
+    /// Whether nothing is queued, as far as can be seen at once.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.block().submitted.is_empty()
+    }
+}
+
+/// A block with queues whose memory is at a certain distance, in memory of this process's own. Mapped, for it may be long, and little of
+/// it is used: what lies between takes no memory, nor time.
+struct Template {
+    memory: Mapping,
+    block_at: usize,
+}
+
+impl Template {
+    fn new(distance: isize, shape: Shape) -> io::Result<Self> {
+        // The queues' memory may lie before the block.
+        let (block_at, queues_at) =
+            if distance < 0 { (distance.unsigned_abs(), 0) } else { (0, distance.unsigned_abs()) };
+        // iceoryx2 asks for a little more than it uses.
+        let spare = 4 * WORD_BYTES;
+        let memory =
+            Mapping::scratch((block_at + BLOCK_BYTES).max(queues_at + shape.queues_bytes() + spare))?;
+        let template = Template { memory, block_at };
+        // SAFETY: within the memory, which is as long as that.
+        let queues = unsafe { template.memory.start().cast::<u8>().byte_add(queues_at) };
+        let bump = BumpAllocator::new(queues, shape.queues_bytes() + spare);
+        // SAFETY: the block is within the memory, which begins with a page, at a multiple of 64. The queues are initialised where they
+        // stay, before anybody uses them.
+        let made = unsafe {
+            let block = template.block();
+            block.write(Block {
+                magic: AtomicU64::new(0),
+                subscription: [AtomicU64::new(0), AtomicU64::new(0)],
+                claimed_queues: AtomicU64::new(0),
+                out: Out {
+                    start: AtomicU64::new(0),
+                    sent: AtomicU64::new(0),
+                    alive_ns: AtomicU64::new(0),
+                    waiting: AtomicU32::new(0),
+                    served: AtomicU32::new(0),
+                },
+                back: Back { taken: AtomicU64::new(0), state: AtomicU32::new(0) },
+                submitted: RelocatableSafelyOverflowingIndexQueue::new_uninit(shape.depth),
+                returned: RelocatableIndexQueue::new_uninit(shape.returned_len()),
+            });
+            let block = &mut *block.as_ptr();
+            block.submitted.init(&bump).is_ok() && block.returned.init(&bump).is_ok()
+        };
+        assert!(
+            made && bump.used_space() == shape.queues_bytes(),
+            "iceoryx2's queues take the memory of their length"
+        );
+        Ok(template)
+    }
+
+    fn block(&self) -> NonNull<Block> {
+        // SAFETY: within the memory.
+        unsafe { self.memory.start().byte_add(self.block_at).cast() }
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use tautline_rt::shm::OwnFile;
+
+    const GID: Gid = Gid([3; 16]);
+    const SHAPE: Shape = Shape { depth: 3, held: 2 };
+
+    /// The same memory twice, as two processes see it.
+    fn memory(len: usize) -> [Arc<Mapping>; 2] {
+        let file = OwnFile::create("taut_connection_test_").unwrap();
+        file.claim(0, len as u64).unwrap();
+        let maps = [(); 2].map(|()| Arc::new(Mapping::new(&file, 0, len, true).unwrap()));
+        file.retire();
+        maps
+    }
+
+    fn both(block_at: usize, queues_at: usize) -> [Connection; 2] {
+        let [here, there] = memory(1 << 16);
+        // SAFETY: within the memory, which is this test's.
+        let publisher = unsafe { Connection::create(&here, block_at, queues_at, GID, SHAPE) }.unwrap();
+        [publisher, Connection::open(&there, block_at).unwrap()]
+    }
+
+    #[test]
+    fn samples_go_and_come_back_and_the_oldest_is_overwritten() {
+        for (block_at, queues_at) in [(0, BLOCK_BYTES), (4096, 0), (64, 4096)] {
+            let [publisher, subscription] = both(block_at, queues_at);
+            // SAFETY: one thread.
+            unsafe {
+                assert!(subscription.take().is_none() && subscription.is_empty());
+                for n in 1..=3 {
+                    assert_eq!(publisher.submit(n), None);
+                }
+                assert_eq!(publisher.submit(4), Some(1));
+                assert_eq!((subscription.take(), subscription.take()), (Some(2), Some(3)));
+                assert!(subscription.give_back(3) && subscription.give_back(2));
+                assert_eq!([(); 3].map(|()| publisher.take_back()), [Some(3), Some(2), None]);
+                // Many times round.
+                for n in 5..100_u64 {
+                    publisher.submit(n);
+                    let taken = subscription.take().unwrap();
+                    assert_eq!(taken, n - 1);
+                    assert!(subscription.give_back(taken));
+                    assert_eq!(publisher.take_back(), Some(taken));
+                }
+                assert_eq!(subscription.take(), Some(99));
+            }
+        }
+    }
+
+    #[test]
+    fn all_that_can_be_out_can_be_returned() {
+        let [publisher, subscription] = both(0, BLOCK_BYTES);
+        // SAFETY: one thread.
+        unsafe {
+            for round in 0..2 {
+                let held = [(); 2].map(|()| {
+                    publisher.submit(7);
+                    subscription.take().unwrap()
+                });
+                for n in 0..3 {
+                    publisher.submit(n);
+                }
+                while let Some(taken) = subscription.take() {
+                    assert!(subscription.give_back(taken));
+                }
+                held.into_iter().for_each(|held| assert!(subscription.give_back(held), "{round}"));
+                while publisher.take_back().is_some() {}
+            }
+        }
+    }
+
+    #[test]
+    fn only_what_is_used_of_the_queues_is_touched() {
+        let shape = Shape { depth: 1000, held: 4 };
+        let [here, there] =
+            memory(BLOCK_BYTES.next_multiple_of(4096) + shape.queues_bytes().next_multiple_of(4096));
+        let queues_at = BLOCK_BYTES.next_multiple_of(4096);
+        let word = |at: usize| {
+            // SAFETY: within the memory.
+            unsafe { there.start().byte_add(queues_at + at).cast::<u64>().read() }
+        };
+        // Of whoever used the memory before.
+        for at in (0..shape.queues_bytes()).step_by(8) {
+            // SAFETY: as above.
+            unsafe { here.start().byte_add(queues_at + at).cast::<u64>().write(u64::MAX) };
+        }
+        // SAFETY: within the memory, by one thread.
+        unsafe {
+            let publisher = Connection::create(&here, 0, queues_at, GID, shape).unwrap();
+            let subscription = Connection::open(&there, 0).unwrap();
+            for n in 0..10 {
+                publisher.submit(n);
+                assert_eq!(subscription.take(), Some(n));
+                assert!(subscription.give_back(n));
+            }
+        }
+        let touched: Vec<_> =
+            (0..shape.queues_bytes()).step_by(8).filter(|at| word(*at) != u64::MAX).collect();
+        let told: Vec<_> =
+            shape.touched(10).into_iter().flat_map(|(at, len)| (at..at + len).step_by(8)).collect();
+        assert_eq!(touched, told);
+        assert_eq!(shape.touched(5000).map(|(_, len)| len).iter().sum::<usize>(), shape.queues_bytes());
+    }
+
+    #[test]
+    fn what_is_no_connection_is_not_opened() {
+        let [here, there] = memory(1 << 16);
+        // SAFETY: within the memory, which is this test's.
+        let publisher = unsafe { Connection::create(&here, 0, BLOCK_BYTES, GID, SHAPE) }.unwrap();
+        assert_eq!(Connection::open(&there, 0).unwrap().subscription(), GID);
+        for at in [64, 1 << 15, (1 << 16) - 64, 1 << 16, usize::MAX, 3] {
+            assert!(Connection::open(&there, at).is_none(), "{at}");
+        }
+        publisher.erase();
+        assert!(Connection::open(&there, 0).is_none());
+    }
+}

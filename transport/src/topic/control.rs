@@ -1,0 +1,547 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The memory that a publisher shares with its subscriptions besides its samples: a head, by which all else is found, and the
+//! connections. It lies in its participant's file, in parts of which there are more when there are more subscriptions.
+//!
+//! Made and changed by the publisher's participant alone; the subscriptions' participants read, and write into their connections.
+
+use super::connection::{BLOCK_BYTES, Connection, Shape};
+use super::header::Gid;
+use super::pool::{SEGMENTS, Segment};
+use crate::participant::file::{OwnMemory, PAGE, Place};
+use crate::participant::ranges::{Range, Ranges};
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use tautline_rt::shm::Mapping;
+
+const MAGIC: u64 = u64::from_le_bytes(*b"tautpub1");
+/// Parts of a publisher's control memory at most.
+pub(crate) const PARTS: usize = 10;
+/// Address space of the first part; each further one is four times as long. Memory is claimed as it is used.
+const FIRST_PART_BYTES: u64 = 32 << 10;
+const ALIGNMENT: u64 = 64;
+/// Entries of the first directory.
+const FIRST_ENTRIES: usize = 8;
+
+/// What the first part begins with. Any bytes are one: what peers find there are claims.
+#[repr(C)]
+pub(crate) struct PublisherHead {
+    magic: AtomicU64,
+    gid: [AtomicU64; 2],
+    ended: AtomicU32,
+    /// Moves when there is a segment more or less.
+    pub(crate) grown: AtomicU32,
+    /// Where the parts lie: see [`Place`].
+    pub(crate) parts: [AtomicU64; PARTS],
+    /// Where the directory lies: its offset in the file above the number of its entries.
+    directory: AtomicU64,
+    pub(crate) segments: [SegmentWords; SEGMENTS],
+}
+
+/// Where a segment of samples lies, and how long a sample is.
+#[repr(C)]
+pub(crate) struct SegmentWords {
+    pub(crate) place: AtomicU64,
+    pub(crate) sample_bytes: AtomicU64,
+}
+
+const HEAD_BYTES: u64 = size_of::<PublisherHead>().next_multiple_of(ALIGNMENT as usize) as u64;
+
+/// An entry of the directory: which subscription's connection lies where.
+#[repr(C)]
+struct DirectoryEntry {
+    key: AtomicU64,
+    /// Of the block, in the file; 0: the entry is free.
+    block: AtomicU64,
+}
+
+/// Bits of the word that says where the directory lies that count its entries.
+const ENTRIES_BITS: u32 = 20;
+
+fn directory_word(offset: u64, entries: usize) -> u64 {
+    (offset / ALIGNMENT) << ENTRIES_BITS | entries as u64
+}
+
+fn directory_place(word: u64) -> (u64, usize) {
+    ((word >> ENTRIES_BITS) * ALIGNMENT, (word & ((1 << ENTRIES_BITS) - 1)) as usize)
+}
+
+/// One word for each subscription; that two have the same is no matter, only unlikely.
+fn key(subscription: Gid) -> u64 {
+    let [low, high] = subscription.words();
+    low.wrapping_add(high.wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1
+}
+
+fn head(first: &Mapping) -> &PublisherHead {
+    // SAFETY: callers give the first part of a publisher's memory, which is longer than a head, mapped at the start of a page; any
+    // bytes are one.
+    unsafe { first.start().cast().as_ref() }
+}
+
+/// Entries of a directory that lies within a part.
+fn directory(parts: &[(Range, Arc<Mapping>)], word: u64) -> Option<&[DirectoryEntry]> {
+    let (offset, entries) = directory_place(word);
+    let (part, at) = find(parts, offset)?;
+    let end = at.checked_add(entries.checked_mul(size_of::<DirectoryEntry>())?)?;
+    if end > part.len_bytes() || entries == 0 {
+        return None;
+    }
+    // SAFETY: within the mapping, as checked, and aligned to 64 bytes; any bytes are atomics.
+    Some(unsafe {
+        std::slice::from_raw_parts(part.start().byte_add(at).cast::<DirectoryEntry>().as_ptr(), entries)
+    })
+}
+
+/// The part that an offset of the file lies in, and where in it.
+fn find(parts: &[(Range, Arc<Mapping>)], offset: u64) -> Option<(&Arc<Mapping>, usize)> {
+    let (range, map) = parts.iter().find(|(range, _)| (range.offset..range.end()).contains(&offset))?;
+    Some((map, (offset - range.offset) as usize))
+}
+
+/// The publisher's side.
+pub(crate) struct Control {
+    memory: Arc<OwnMemory>,
+    parts: Vec<(Range, Arc<Mapping>)>,
+    /// What is free in each part.
+    free: Vec<Ranges>,
+    /// The pages of each part that have memory.
+    claimed: Vec<Vec<bool>>,
+}
+
+/// A stretch of a part.
+#[derive(Clone, Copy, Debug)]
+struct Stretch {
+    part: usize,
+    range: Range,
+}
+
+/// Where a connection lies, to give it back.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ConnectionPlace {
+    block: Stretch,
+    queues: Stretch,
+    shape: Shape,
+    subscription: Gid,
+}
+
+impl Control {
+    pub(crate) fn create(memory: &Arc<OwnMemory>, gid: Gid) -> io::Result<Self> {
+        let (parts, free, claimed) = Default::default();
+        let mut control = Control { memory: memory.clone(), parts, free, claimed };
+        control.add_part()?;
+        // The head is the first stretch of the first part.
+        let head_stretch =
+            control.take(0, HEAD_BYTES).ok_or_else(|| io::Error::other("no room for a head"))?;
+        let entries = control.take(0, (FIRST_ENTRIES * size_of::<DirectoryEntry>()) as u64);
+        let entries = entries.ok_or_else(|| io::Error::other("no room for a directory"))?;
+        control.claim(head_stretch, 0, HEAD_BYTES)?;
+        control.claim(entries, 0, entries.range.len)?;
+        let head = control.head();
+        let [low, high] = gid.words();
+        head.gid[0].store(low, Ordering::Relaxed);
+        head.gid[1].store(high, Ordering::Relaxed);
+        head.parts[0].store(Place::to_word(control.parts[0].0), Ordering::Relaxed);
+        let offset = control.parts[0].0.offset + entries.range.offset;
+        head.directory.store(directory_word(offset, FIRST_ENTRIES), Ordering::Relaxed);
+        // Release: pairs with the Acquire in `View::open`.
+        head.magic.store(MAGIC, Ordering::Release);
+        Ok(control)
+    }
+
+    pub(crate) fn head(&self) -> &PublisherHead {
+        head(&self.parts[0].1)
+    }
+
+    /// Where the first part lies: what the publisher's entry in the record says.
+    pub(crate) fn place(&self) -> u64 {
+        Place::to_word(self.parts[0].0)
+    }
+
+    /// The first part, and what is in the file where: for subscriptions of the same process.
+    pub(crate) fn parts(&self) -> Vec<(Range, Arc<Mapping>)> {
+        self.parts.clone()
+    }
+
+    fn add_part(&mut self) -> io::Result<()> {
+        let index = self.parts.len();
+        if index >= PARTS {
+            return Err(io::Error::other("this publisher has as many subscriptions as it can have"));
+        }
+        let len = FIRST_PART_BYTES << (2 * index);
+        let range = self.memory.reserve(len)?;
+        let map = self.memory.map(range).inspect_err(|_| self.memory.release(range))?;
+        self.parts.push((range, map));
+        self.free.push(Ranges::new(Range { offset: 0, len }, ALIGNMENT));
+        self.claimed.push(vec![false; (len / PAGE) as usize]);
+        if index > 0 {
+            // Release: pairs with the Acquire of who maps it.
+            self.head().parts[index].store(Place::to_word(range), Ordering::Release);
+        }
+        Ok(())
+    }
+
+    /// Takes a stretch at the beginning of a part: of what is written at once.
+    fn take(&mut self, part: usize, len: u64) -> Option<Stretch> {
+        Some(Stretch { part, range: self.free[part].take(len, ALIGNMENT)? })
+    }
+
+    /// Takes a stretch at the end of a part: the memory of queues, of which most may never be used.
+    fn take_last(&mut self, part: usize, len: u64) -> Option<Stretch> {
+        Some(Stretch { part, range: self.free[part].take_last(len, ALIGNMENT)? })
+    }
+
+    fn give_back(&mut self, stretch: Stretch) {
+        self.free[stretch.part].give_back(stretch.range);
+    }
+
+    /// Claims memory for `len` bytes of a stretch, from `at` on, and brings it in.
+    fn claim(&mut self, stretch: Stretch, at: u64, len: u64) -> io::Result<()> {
+        if len == 0 {
+            return Ok(());
+        }
+        let (range, map) = &self.parts[stretch.part];
+        let from = stretch.range.offset + at;
+        let pages = (from / PAGE) as usize..((from + len).div_ceil(PAGE)) as usize;
+        for page in pages.filter(|page| !self.claimed[stretch.part][*page]).collect::<Vec<_>>() {
+            let offset = page as u64 * PAGE;
+            self.memory.claim(Range { offset: range.offset + offset, len: PAGE })?;
+            map.populate(offset as usize, PAGE as usize, true)?;
+            self.claimed[stretch.part][page] = true;
+        }
+        Ok(())
+    }
+
+    /// Takes something in the first part that has room for it, or in a new one.
+    fn find_room<T>(&mut self, take: impl Fn(&mut Self, usize) -> Option<T>) -> io::Result<T> {
+        let mut part = 0;
+        loop {
+            while part < self.parts.len() {
+                if let Some(taken) = take(self, part) {
+                    return Ok(taken);
+                }
+                part += 1;
+            }
+            self.add_part()?;
+        }
+    }
+
+    /// Makes a connection for a subscription, and enters it into the directory. Memory is claimed for `samples` samples that go through
+    /// it; for any number of them if that is `usize::MAX`.
+    pub(crate) fn connect(
+        &mut self,
+        subscription: Gid,
+        shape: Shape,
+        samples: usize,
+    ) -> io::Result<(Connection, ConnectionPlace)> {
+        // Both in one part: the queues refer to their memory by its distance.
+        let (block, queues) = self.find_room(|control, part| {
+            let block = control.take(part, BLOCK_BYTES as u64)?;
+            let queues = control.take_last(part, shape.queues_bytes() as u64);
+            if queues.is_none() {
+                control.give_back(block);
+            }
+            Some((block, queues?))
+        })?;
+        let place = ConnectionPlace { block, queues, shape, subscription };
+        let made = self.make(&place, subscription, samples).and_then(|connection| {
+            self.enter(&place)?;
+            Ok((connection, place))
+        });
+        made.inspect_err(|_| {
+            self.give_back(block);
+            self.give_back(queues);
+        })
+    }
+
+    /// Claims the memory of a connection, and makes it.
+    fn make(&mut self, place: &ConnectionPlace, subscription: Gid, samples: usize) -> io::Result<Connection> {
+        let ConnectionPlace { block, queues, shape, .. } = *place;
+        self.claim(block, 0, BLOCK_BYTES as u64)?;
+        self.claim_queues(place, samples)?;
+        let map = &self.parts[block.part].1;
+        let (block_at, queues_at) = (block.range.offset as usize, queues.range.offset as usize);
+        // SAFETY: both stretches lie within the part, and were nobody's; the memory that is written has been claimed.
+        let connection = unsafe { Connection::create(map, block_at, queues_at, subscription, shape) }?;
+        if samples == usize::MAX {
+            connection.note_claimed(queues_at);
+        }
+        Ok(connection)
+    }
+
+    /// Claims the memory of the queues that `samples` samples touch.
+    pub(crate) fn claim_queues(&mut self, place: &ConnectionPlace, samples: usize) -> io::Result<()> {
+        for (at, len) in place.shape.touched(samples) {
+            self.claim(place.queues, at as u64, len as u64)?;
+        }
+        Ok(())
+    }
+
+    fn enter(&mut self, place: &ConnectionPlace) -> io::Result<()> {
+        let offset = self.parts[place.block.part].0.offset + place.block.range.offset;
+        let enter = |entry: &DirectoryEntry| {
+            entry.key.store(key(place.subscription), Ordering::Relaxed);
+            // Release: pairs with the Acquire in `View::find`; the connection is made.
+            entry.block.store(offset, Ordering::Release);
+        };
+        let word = self.head().directory.load(Ordering::Relaxed);
+        let entries = directory(&self.parts, word).unwrap_or(&[]);
+        if let Some(entry) = entries.iter().find(|entry| entry.block.load(Ordering::Relaxed) == 0) {
+            enter(entry);
+            return Ok(());
+        }
+        let (former, wanted) = (entries.len(), 2 * entries.len());
+        let bytes = (wanted * size_of::<DirectoryEntry>()) as u64;
+        let larger = self.find_room(|control, part| control.take(part, bytes))?;
+        self.claim(larger, 0, bytes).inspect_err(|_| self.free[larger.part].give_back(larger.range))?;
+        let new_word = directory_word(self.parts[larger.part].0.offset + larger.range.offset, wanted);
+        let (Some(old), Some(new)) = (directory(&self.parts, word), directory(&self.parts, new_word)) else {
+            return Err(io::Error::other("the directory is not where it was"));
+        };
+        for (index, entry) in new.iter().enumerate() {
+            let of = |get: fn(&DirectoryEntry) -> &AtomicU64| {
+                old.get(index).map_or(0, |old| get(old).load(Ordering::Relaxed))
+            };
+            entry.key.store(of(|entry| &entry.key), Ordering::Relaxed);
+            entry.block.store(of(|entry| &entry.block), Ordering::Relaxed);
+        }
+        enter(&new[former]);
+        // Release: as above. Who still reads the former one finds what was there.
+        self.head().directory.store(new_word, Ordering::Release);
+        let (offset, _) = directory_place(word);
+        let part = self.parts.iter().position(|(range, _)| (range.offset..range.end()).contains(&offset));
+        if let Some(part) = part {
+            let range = Range {
+                offset: offset - self.parts[part].0.offset,
+                len: (former * size_of::<DirectoryEntry>()) as u64,
+            };
+            self.free[part].give_back(range);
+        }
+        Ok(())
+    }
+
+    /// The subscription is done with its connection: its memory is free again.
+    pub(crate) fn disconnect(&mut self, connection: &Connection, place: ConnectionPlace) {
+        let offset = self.parts[place.block.part].0.offset + place.block.range.offset;
+        let entries = directory(&self.parts, self.head().directory.load(Ordering::Relaxed)).unwrap_or(&[]);
+        for entry in entries.iter().filter(|entry| entry.block.load(Ordering::Relaxed) == offset) {
+            entry.block.store(0, Ordering::Release);
+        }
+        connection.erase();
+        self.give_back(place.block);
+        self.give_back(place.queues);
+    }
+
+    /// Tells peers of a segment.
+    pub(crate) fn show_segment(&self, segment: &Segment) {
+        if let Some(words) = self.head().segments.get(segment.id()) {
+            words.sample_bytes.store(segment.sample_bytes() as u64, Ordering::Relaxed);
+            // Release: pairs with the Acquire of who maps it.
+            words.place.store(Place::to_word(segment.range), Ordering::Release);
+            self.head().grown.fetch_add(1, Ordering::Release);
+        }
+    }
+
+    pub(crate) fn hide_segment(&self, id: usize) {
+        if let Some(words) = self.head().segments.get(id) {
+            words.place.store(0, Ordering::Release);
+            self.head().grown.fetch_add(1, Ordering::Release);
+        }
+    }
+
+    /// The publisher has ended: what it sent stays to be taken.
+    pub(crate) fn end(&self) {
+        self.head().ended.store(1, Ordering::Release);
+    }
+
+    /// Gives all of it back to the file: no subscription uses it any more.
+    pub(crate) fn release(self) {
+        self.head().magic.store(0, Ordering::Release);
+        self.parts.iter().for_each(|(range, _)| self.memory.release(*range));
+    }
+}
+
+/// A publisher's memory as a subscription's participant sees it.
+pub(crate) struct View {
+    parts: Vec<(Range, Arc<Mapping>)>,
+}
+
+impl View {
+    /// What lies at the place that a publisher's entry names. `None`: it is not that publisher's memory.
+    pub(crate) fn open(first: Range, map: Arc<Mapping>, gid: Gid) -> Option<Self> {
+        if map.len_bytes() < HEAD_BYTES as usize {
+            return None;
+        }
+        let view = View { parts: vec![(first, map)] };
+        let head = view.head();
+        let found = head.magic.load(Ordering::Acquire) == MAGIC
+            && Gid::from_words([head.gid[0].load(Ordering::Relaxed), head.gid[1].load(Ordering::Relaxed)])
+                == gid;
+        found.then_some(view)
+    }
+
+    pub(crate) fn of_own(control: &Control) -> Self {
+        View { parts: control.parts() }
+    }
+
+    pub(crate) fn head(&self) -> &PublisherHead {
+        head(&self.parts[0].1)
+    }
+
+    /// Parts that are there and not mapped yet.
+    pub(crate) fn missing(&self) -> Vec<Range> {
+        let words = self.head().parts.iter().map(|place| place.load(Ordering::Acquire));
+        let places = words.filter_map(Place::from_word);
+        places.filter(|place| !self.parts.iter().any(|(range, _)| range == place)).collect()
+    }
+
+    pub(crate) fn add(&mut self, range: Range, map: Arc<Mapping>) {
+        self.parts.push((range, map));
+    }
+
+    /// The connection of a subscription, if the publisher's participant has made one.
+    pub(crate) fn find(&self, subscription: Gid) -> Option<Connection> {
+        // Acquire: pairs with the Release in `Control::enter`.
+        let entries = directory(&self.parts, self.head().directory.load(Ordering::Acquire))?;
+        let wanted = key(subscription);
+        entries.iter().filter(|entry| entry.key.load(Ordering::Relaxed) == wanted).find_map(|entry| {
+            let (map, at) = find(&self.parts, entry.block.load(Ordering::Acquire))?;
+            Connection::open(map, at).filter(|connection| connection.subscription() == subscription)
+        })
+    }
+
+    /// All connections that there are.
+    pub(crate) fn connections(&self) -> Vec<Connection> {
+        let word = self.head().directory.load(Ordering::Acquire);
+        let entries = directory(&self.parts, word).unwrap_or(&[]);
+        let open = |entry: &DirectoryEntry| {
+            let (map, at) = find(&self.parts, entry.block.load(Ordering::Acquire))?;
+            Connection::open(map, at)
+        };
+        entries.iter().filter_map(open).collect()
+    }
+
+    /// Whether the publisher ended in an orderly way.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.head().ended.load(Ordering::Acquire) != 0
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use crate::graph::domain::Domain;
+    use crate::participant::file::Peer;
+    use crate::tests::isolated;
+
+    const SHAPE: Shape = Shape { depth: 10, held: 4 };
+
+    fn gid(n: u64) -> Gid {
+        Gid::of(5, n)
+    }
+
+    fn view(peer: &Peer, place: u64, of: Gid) -> View {
+        let first = Place::from_word(place).unwrap();
+        let map = peer.map(&[first], true).unwrap().unwrap().pop().unwrap();
+        View::open(first, map, of).unwrap()
+    }
+
+    fn map_missing(view: &mut View, peer: &Peer) {
+        for range in view.missing() {
+            let map = peer.map(&[range], true).unwrap().unwrap().pop().unwrap();
+            view.add(range, map);
+        }
+    }
+
+    #[test]
+    fn a_thousand_connections_are_found_from_outside() {
+        isolated();
+        let _domain = Domain::join(220).unwrap();
+        let memory = Arc::new(OwnMemory::create(220).unwrap());
+        memory.create_arena();
+        let peer = Peer::open(220, memory.id()).unwrap().unwrap();
+        let mut control = Control::create(&memory, gid(1)).unwrap();
+        let mut early = view(&peer, control.place(), gid(1));
+        assert!(early.find(gid(100)).is_none());
+        let mut made: Vec<_> =
+            (100..1100).map(|n| control.connect(gid(n), SHAPE, 10).map(|made| (n, made)).unwrap()).collect();
+        let mut late = view(&peer, control.place(), gid(1));
+        for view in [&mut early, &mut late] {
+            map_missing(view, &peer);
+            for (n, (connection, _)) in &made {
+                let found = view.find(gid(*n)).unwrap();
+                connection.block().out.sent.store(*n, Ordering::Relaxed);
+                assert_eq!(found.block().out.sent.load(Ordering::Relaxed), *n);
+            }
+            assert!(view.find(gid(99)).is_none());
+            assert_eq!(view.connections().len(), 1000);
+        }
+        // What is given back is used again.
+        let parts = control.parts().len();
+        for _ in 0..3 {
+            for (_, (connection, place)) in made.drain(..) {
+                control.disconnect(&connection, place);
+            }
+            assert!(late.connections().is_empty());
+            made = (100..1100).map(|n| (n, control.connect(gid(n), SHAPE, 10).unwrap())).collect();
+            assert_eq!(control.parts().len(), parts);
+        }
+        assert!(!late.has_ended());
+        control.end();
+        assert!(late.has_ended());
+        let place = Place::from_word(control.place()).unwrap();
+        drop(made);
+        control.release();
+        let map = peer.map(&[place], true).unwrap().unwrap().pop().unwrap();
+        assert!(View::open(place, map, gid(1)).is_none(), "it is nobody's");
+        memory.retire();
+    }
+
+    #[test]
+    fn deep_queues_take_memory_as_they_are_used() {
+        isolated();
+        let _domain = Domain::join(221).unwrap();
+        let memory = Arc::new(OwnMemory::create(221).unwrap());
+        let blocks =
+            || std::os::unix::fs::MetadataExt::blocks(&std::fs::metadata(memory.path()).unwrap()) * 512;
+        let mut control = Control::create(&memory, gid(1)).unwrap();
+        let before = blocks();
+        let shape = Shape { depth: 1000, held: 4 };
+        let made: Vec<_> = (0..100).map(|n| control.connect(gid(n), shape, 0).unwrap()).collect();
+        let unused = blocks() - before;
+        assert!(unused < 200 << 10, "{unused} bytes for 100 connections");
+        made.iter().for_each(|(_, place)| control.claim_queues(place, 1000).unwrap());
+        assert!(blocks() - before >= 100 * shape.queues_bytes() as u64);
+        memory.retire();
+    }
+
+    #[test]
+    fn lies_are_no_connections() {
+        isolated();
+        let _domain = Domain::join(219).unwrap();
+        let memory = Arc::new(OwnMemory::create(219).unwrap());
+        memory.create_arena();
+        let peer = Peer::open(219, memory.id()).unwrap().unwrap();
+        let mut control = Control::create(&memory, gid(1)).unwrap();
+        let _made = control.connect(gid(7), SHAPE, 10).unwrap();
+        let view = view(&peer, control.place(), gid(1));
+        let head = control.head();
+        let truth = head.directory.load(Ordering::Relaxed);
+        for lie in [0, u64::MAX, 1, truth | 0xffff, truth << 1] {
+            head.directory.store(lie, Ordering::Relaxed);
+            assert!(view.find(gid(7)).is_none() || lie == truth | 0xffff, "{lie:x}");
+            let _ = view.connections();
+        }
+        head.directory.store(truth, Ordering::Relaxed);
+        let entry = &directory(&control.parts, truth).unwrap()[0];
+        let block = entry.block.load(Ordering::Relaxed);
+        for lie in [u64::MAX, block + 1, block + 64, 8] {
+            entry.block.store(lie, Ordering::Relaxed);
+            assert!(view.find(gid(7)).is_none() && view.connections().is_empty(), "{lie:x}");
+        }
+        for lie in [u64::MAX, 1 << 63, (1 << 40) + 3] {
+            head.parts[3].store(lie, Ordering::Relaxed);
+            assert!(view.missing().iter().all(|range| peer.map(&[*range], true).unwrap().is_none()));
+        }
+        memory.retire();
+    }
+}

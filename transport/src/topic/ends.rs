@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The ends of a topic that a publisher or a subscription has to do with: those that it matches, and those that it cannot match.
+//!
+//! Kept by whoever matches; a monitor gets a copy when something changed, without a lock.
+
+use super::compatibility::QosPolicyKind;
+use super::header::Gid;
+use super::subscription::Life;
+use crate::qos::Qos;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use tautline_rt::{LatestReader, LatestWriter, latest};
+
+/// What keeps two ends of a topic apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Mismatch {
+    Qos(QosPolicyKind),
+    Type,
+}
+
+/// An end as the other kind of end sees it.
+#[derive(Clone)]
+pub(crate) struct End {
+    pub(crate) gid: Gid,
+    /// `None`: they match.
+    pub(crate) mismatch: Option<Mismatch>,
+    pub(crate) qos: Qos,
+    /// It is a gateway's or a bridge's, and stands for ends on other hosts, which are listed themselves.
+    pub(crate) is_relay: bool,
+    /// On another host.
+    pub(crate) is_remote: bool,
+    /// Of the end of a service that carries responses: the end of the same client or server that carries requests.
+    pub(crate) partner: Option<u64>,
+    /// Of a matched publisher that has to show that it is alive: where it does.
+    pub(crate) life: Option<Life>,
+}
+
+impl End {
+    fn is_matched_here(&self) -> bool {
+        self.mismatch.is_none() && !self.is_remote
+    }
+}
+
+/// All of them in the order of their gids, as a monitor gets them.
+#[derive(Clone, Default)]
+pub(crate) struct EndList {
+    pub(crate) ends: Vec<End>,
+    /// How many went without a word, so far.
+    pub(crate) killed: u64,
+}
+
+/// The list that is kept.
+#[derive(Default)]
+pub(crate) struct Ends {
+    list: BTreeMap<Gid, End>,
+    /// Of this host.
+    matched: usize,
+    killed: u64,
+    monitors: Vec<LatestWriter<Arc<EndList>>>,
+    has_changed: bool,
+}
+
+impl Ends {
+    pub(crate) fn contains(&self, gid: Gid) -> bool {
+        self.list.contains_key(&gid)
+    }
+
+    /// Adds an end, or what has become of it.
+    pub(crate) fn set(&mut self, end: End) {
+        self.matched += usize::from(end.is_matched_here());
+        let former = self.list.insert(end.gid, end);
+        self.matched -= usize::from(former.is_some_and(|former| former.is_matched_here()));
+        self.has_changed = true;
+    }
+
+    /// Takes an end from the list. True if it matched.
+    pub(crate) fn remove(&mut self, gid: Gid, was_killed: bool) -> bool {
+        let Some(end) = self.list.remove(&gid) else { return false };
+        self.has_changed = true;
+        self.matched -= usize::from(end.is_matched_here());
+        let matched = end.mismatch.is_none();
+        self.killed += u64::from(matched && was_killed && !end.is_relay);
+        matched
+    }
+
+    /// Ends on other hosts, in place of those before.
+    pub(crate) fn set_remote(&mut self, gids: &[Gid]) {
+        let is_gone = |end: &End| end.is_remote && !gids.contains(&end.gid);
+        let gone: Vec<Gid> = self.list.values().filter(|end| is_gone(end)).map(|end| end.gid).collect();
+        // That they end and that they die look alike from here.
+        for gid in gone {
+            self.remove(gid, true);
+        }
+        for &gid in gids {
+            if !self.list.contains_key(&gid) {
+                let (mismatch, qos, partner, life) = (None, Qos::default(), None, None);
+                self.set(End { gid, mismatch, qos, is_relay: false, is_remote: true, partner, life });
+            }
+        }
+    }
+
+    /// Tells monitors, if anything changed since this was last called, and says whether it did.
+    pub(crate) fn tell(&mut self, matched: &AtomicUsize) -> bool {
+        if !std::mem::take(&mut self.has_changed) {
+            return false;
+        }
+        matched.store(self.matched, Ordering::Release);
+        self.monitors.retain(|monitor| !monitor.is_abandoned());
+        if !self.monitors.is_empty() {
+            let list = Arc::new(self.to_list());
+            self.monitors.iter_mut().for_each(|monitor| monitor.write(list.clone()));
+        }
+        true
+    }
+
+    fn to_list(&self) -> EndList {
+        EndList { ends: self.list.values().cloned().collect(), killed: self.killed }
+    }
+
+    /// What a new monitor reads.
+    pub(crate) fn monitor(&mut self) -> LatestReader<Arc<EndList>> {
+        let (writer, reader) = latest(Arc::new(self.to_list()));
+        self.monitors.push(writer);
+        reader
+    }
+}

@@ -1,0 +1,276 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Whose one side's half of a connection is: the thread's that publishes or takes, or whoever's that sets up. Without a lock.
+//!
+//! ```text
+//!                adopt (thread)                 finish (thread)
+//!       NEW ----------------------> LIVE ---------------------------> DONE
+//!     setup's                  the thread's                         setup's
+//!      |  ^ |                                                          ^
+//!      |  | +---------------------- retire (setup) --------------------+
+//!      |  +--- give_back (setup)
+//!      +-----> HELD
+//!   hold (setup)
+//! ```
+//!
+//! A new half is setup's before it is in a table that was handed over to the thread. From then on setup takes it for a moment
+//! ([`hold`](HandOver::hold)), which may fail, and hands over a table again, for the thread may have passed it over meanwhile.
+//! What setup [retires](HandOver::retire) while it is the thread's the thread finishes when it next finds a table.
+
+use crate::sync::{AtomicU32, Ordering};
+
+/// The lowest bits of the word.
+const PHASE: u32 = 0b11;
+const NEW: u32 = 0;
+const HELD: u32 = 1;
+const LIVE: u32 = 2;
+const DONE: u32 = 3;
+/// Setup wants it back for good.
+const RETIRED: u32 = 0b100;
+
+/// Who has the half.
+pub(crate) struct HandOver(AtomicU32);
+
+/// What came of a [`retire`](HandOver::retire).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Retired {
+    /// It was not retired before.
+    pub(crate) is_first: bool,
+    /// It was setup's, which is to finish it.
+    pub(crate) is_setups: bool,
+}
+
+impl HandOver {
+    pub(crate) fn new() -> Self {
+        HandOver(AtomicU32::new(NEW))
+    }
+
+    /// Acquire: pairs with the Release of whoever hands it over.
+    fn word(&self) -> u32 {
+        self.0.load(Ordering::Acquire)
+    }
+
+    fn is_in(&self, phase: u32) -> bool {
+        self.word() & PHASE == phase
+    }
+
+    /// From one state to another, if it is in that.
+    fn go(&self, from: u32, to: u32) -> bool {
+        self.0.compare_exchange(from, to, Ordering::AcqRel, Ordering::Acquire).is_ok()
+    }
+
+    /// Whether no thread has adopted it.
+    pub(crate) fn is_new(&self) -> bool {
+        self.is_in(NEW)
+    }
+
+    /// Whether it is the thread's.
+    pub(crate) fn is_live(&self) -> bool {
+        self.is_in(LIVE)
+    }
+
+    /// Whether it is setup's for good.
+    pub(crate) fn is_done(&self) -> bool {
+        self.is_in(DONE)
+    }
+
+    pub(crate) fn is_retired(&self) -> bool {
+        self.word() & RETIRED != 0
+    }
+
+    /// Setup takes it for a moment. False: it is the thread's, or retired.
+    pub(crate) fn hold(&self) -> bool {
+        self.go(NEW, HELD)
+    }
+
+    /// Setup is done with what it held.
+    pub(crate) fn give_back(&self) {
+        let is_given = self.go(HELD, NEW);
+        debug_assert!(is_given, "setup holds it, under its lock");
+    }
+
+    /// The thread takes it over for good, if it is new and wanted.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn adopt(&self) -> bool {
+        self.word() == NEW && self.go(NEW, LIVE)
+    }
+
+    /// The thread is done with it.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn finish(&self) {
+        self.0.store(DONE | RETIRED, Ordering::Release);
+    }
+
+    /// Setup wants it back. If it is the thread's, that finishes it when it next finds a table.
+    pub(crate) fn retire(&self) -> Retired {
+        let is_first = self.0.fetch_or(RETIRED, Ordering::AcqRel) & RETIRED == 0;
+        Retired { is_first, is_setups: self.go(NEW | RETIRED, DONE | RETIRED) }
+    }
+
+    /// Setup takes it back, when there is no thread any more that uses it.
+    pub(crate) fn retire_finally(&self) -> Retired {
+        let before = self.0.swap(DONE | RETIRED, Ordering::AcqRel);
+        Retired { is_first: before & RETIRED == 0, is_setups: before & PHASE != DONE }
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn from_setup_to_the_thread_and_back() {
+        let half = HandOver::new();
+        assert!(half.is_new() && half.hold() && !half.adopt() && !half.is_live());
+        half.give_back();
+        assert!(half.adopt() && half.is_live() && !half.adopt() && !half.hold());
+        assert_eq!(half.retire(), Retired { is_first: true, is_setups: false });
+        assert_eq!(half.retire(), Retired { is_first: false, is_setups: false });
+        assert!(half.is_live() && half.is_retired() && !half.is_done());
+        half.finish();
+        assert!(half.is_done() && half.is_retired());
+        assert_eq!(half.retire_finally(), Retired { is_first: false, is_setups: false });
+
+        let unseen = HandOver::new();
+        assert_eq!(unseen.retire(), Retired { is_first: true, is_setups: true });
+        assert!(unseen.is_done() && !unseen.adopt() && !unseen.hold());
+        let used = HandOver::new();
+        assert!(used.adopt());
+        assert_eq!(used.retire_finally(), Retired { is_first: true, is_setups: true });
+        assert!(used.is_done());
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+mod loom_tests {
+    use super::*;
+    use crate::sync::{AtomicU64, fence};
+    use loom::cell::UnsafeCell;
+    use loom::sync::Arc;
+    use tautline_rt::latest;
+
+    /// What belongs to a half: loom reports it if both sides touch it at once, or one before the other's work is seen.
+    struct Half(UnsafeCell<Vec<u64>>);
+    // SAFETY: for the model; loom checks the accesses.
+    unsafe impl Sync for Half {}
+    // SAFETY: as above.
+    unsafe impl Send for Half {}
+
+    impl Half {
+        fn new() -> Self {
+            Half(UnsafeCell::new(Vec::new()))
+        }
+
+        fn add(&self, what: u64) {
+            // SAFETY: for the model.
+            self.0.with_mut(|list| unsafe { (*list).push(what) });
+        }
+
+        fn last(&self) -> u64 {
+            // SAFETY: for the model.
+            self.0.with(|list| unsafe { (*list).last().copied().unwrap_or(0) })
+        }
+
+        fn list(&self) -> Vec<u64> {
+            // SAFETY: for the model.
+            self.0.with(|list| unsafe { (*list).clone() })
+        }
+    }
+
+    /// Adopted, held, retired in any order: one side at a time has the half, and it is finished once.
+    #[test]
+    fn loom_a_half_is_one_sides_at_a_time_and_finished_once() {
+        const FINISHED: u64 = 99;
+        loom::model(|| {
+            let both = Arc::new((HandOver::new(), Half::new()));
+            let thread = {
+                let both = both.clone();
+                loom::thread::spawn(move || {
+                    let (turn, half) = &*both;
+                    if turn.adopt() {
+                        half.add(1);
+                    }
+                    // As when it finds a table.
+                    if turn.is_live() && turn.is_retired() {
+                        half.add(FINISHED);
+                        turn.finish();
+                    }
+                })
+            };
+            let (turn, half) = &*both;
+            if turn.hold() {
+                half.add(2);
+                turn.give_back();
+            }
+            if turn.retire().is_setups {
+                half.add(FINISHED);
+            }
+            thread.join().unwrap();
+            // The thread found no table since: it finds the next one, or has ended.
+            if turn.retire_finally().is_setups {
+                half.add(FINISHED);
+            }
+            let list = half.list();
+            assert_eq!(list.iter().filter(|what| **what == FINISHED).count(), 1, "{list:?}");
+            assert_eq!(list.last(), Some(&FINISHED), "{list:?}");
+        });
+    }
+
+    /// A late joiner gets what is kept, and what is published while it is set up: each sample once, in order. As `publish_loan` and
+    /// `PublisherCore::connect` do it.
+    #[test]
+    fn loom_a_late_joiner_gets_each_sample_once() {
+        let mut builder = loom::model::Builder::new();
+        builder.preemption_bound = Some(4);
+        builder.check(|| {
+            let both = Arc::new((HandOver::new(), Half::new()));
+            let published = Arc::new(AtomicU64::new(0));
+            let (mut table, mut tables) = latest(false);
+            let thread = {
+                let (both, published) = (both.clone(), published.clone());
+                loom::thread::spawn(move || {
+                    let (turn, half) = &*both;
+                    let mut refresh = |sequence_number: u64| {
+                        if tables.is_fresh() && *tables.read() && turn.adopt() {
+                            (half.last() + 1..=sequence_number).for_each(|number| half.add(number));
+                        }
+                        turn.is_live()
+                    };
+                    for number in 1..=2 {
+                        if refresh(number - 1) {
+                            half.add(number);
+                        }
+                        published.store(number, Ordering::Release);
+                        fence(Ordering::SeqCst);
+                        refresh(number);
+                    }
+                })
+            };
+            let (turn, half) = &*both;
+            let preload = |published: u64| {
+                let is_held = turn.hold();
+                if is_held {
+                    (half.last() + 1..=published).for_each(|number| half.add(number));
+                    turn.give_back();
+                }
+                is_held
+            };
+            let mut loaded = published.load(Ordering::Acquire);
+            assert!(preload(loaded), "nobody has seen it");
+            loop {
+                table.write(true);
+                fence(Ordering::SeqCst);
+                let published = published.load(Ordering::Acquire);
+                if !turn.is_new() || published == loaded || !preload(published) {
+                    break;
+                }
+                loaded = published;
+            }
+            thread.join().unwrap();
+            assert_eq!(half.list(), [1, 2]);
+        });
+    }
+}

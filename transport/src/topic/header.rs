@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What travels with every sample.
+
+use std::fmt;
+
+/// Global identifier of a publisher, subscription, client or server, unique among all of a domain: 16 bytes, as in the rmw_zenoh
+/// attachment.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[repr(C)]
+pub struct Gid(pub [u8; 16]);
+
+impl Gid {
+    /// That of the port `number` of a participant.
+    pub(crate) fn of(participant: u64, number: u64) -> Self {
+        Gid::from_words([participant, number])
+    }
+
+    /// Of a port on this host: its participant and its number there.
+    pub(crate) fn words(self) -> [u64; 2] {
+        let value = u128::from_le_bytes(self.0);
+        [value as u64, (value >> 64) as u64]
+    }
+
+    pub(crate) fn from_words([low, high]: [u64; 2]) -> Self {
+        Gid((u128::from(low) | u128::from(high) << 64).to_le_bytes())
+    }
+
+    pub(crate) fn participant(self) -> u64 {
+        self.words()[0]
+    }
+
+    /// Of the port, among those of its participant.
+    pub(crate) fn number(self) -> u64 {
+        self.words()[1]
+    }
+}
+
+impl fmt::Debug for Gid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:032x}", u128::from_be_bytes(self.0))
+    }
+}
+
+/// Where a message comes from and when it was sent. Of a message from another host, number, time and publisher are what
+/// they were there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct MessageInfo {
+    /// Counts the publisher's messages, from 1.
+    pub sequence_number: u64,
+    /// When the message was published, by the system's clock: nanoseconds since 1970.
+    pub source_timestamp_ns: i64,
+    /// When the message appeared on this host, on `CLOCK_MONOTONIC`: the release of its callback.
+    pub released_ns: u64,
+    /// Who published it.
+    pub publisher_gid: Gid,
+}
+
+/// What a sample is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum SampleKind {
+    Message,
+    /// In place of a response: nobody answers this request.
+    NoAnswer,
+}
+
+/// What a sample begins with. In another process's hands: a claim, but one of which every value is harmless: a wrong number is a
+/// wrong count.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub(crate) struct SampleHeader {
+    /// Counts the samples of the port that sent this one, from 1: what losses are counted from.
+    pub(crate) sequence_number: u64,
+    pub(crate) released_ns: u64,
+    /// Length of the body and what kind of sample it is: see [`body`](Self::body).
+    pub(crate) length_and_kind: u64,
+    /// When it is no longer delivered, on `CLOCK_MONOTONIC`; [`NEVER`] without a lifespan.
+    pub(crate) expires_ns: u64,
+    pub(crate) source_timestamp_ns: i64,
+    /// As published first: those of the port, unless the message came from another host.
+    pub(crate) source_sequence_number: u64,
+    pub(crate) source_gid: Gid,
+}
+
+pub(crate) const HEADER_BYTES: usize = size_of::<SampleHeader>();
+
+/// What `expires_ns` says of a sample without a lifespan.
+pub(crate) const NEVER: u64 = u64::MAX;
+
+/// The highest bits of `length_and_kind`.
+const KIND_SHIFT: u32 = 56;
+
+impl SampleHeader {
+    /// Says how long the body is, as CDR: a plain type's memory without its trailing padding; and what the sample is.
+    pub(crate) fn set_body(&mut self, len_bytes: usize, kind: SampleKind) {
+        self.length_and_kind = len_bytes as u64 | (kind as u64) << KIND_SHIFT;
+    }
+
+    /// How long the body is, a claim, and what the sample is.
+    pub(crate) fn body(&self) -> (usize, SampleKind) {
+        let len_bytes = usize::try_from(self.length_and_kind & ((1 << KIND_SHIFT) - 1)).unwrap_or(usize::MAX);
+        let is_message = self.length_and_kind >> KIND_SHIFT == SampleKind::Message as u64;
+        (len_bytes, if is_message { SampleKind::Message } else { SampleKind::NoAnswer })
+    }
+
+    /// What identifies the message in a trace; `port` sent it, `address` is its body's.
+    pub(crate) fn trace_id(&self, port: Gid, address: usize) -> tautline_trace::MessageId {
+        tautline_trace::MessageId {
+            sequence_number: self.sequence_number,
+            source_timestamp_ns: self.source_timestamp_ns,
+            gid: port.words(),
+            address,
+        }
+    }
+
+    pub(crate) fn info(&self) -> MessageInfo {
+        MessageInfo {
+            sequence_number: self.source_sequence_number,
+            source_timestamp_ns: self.source_timestamp_ns,
+            released_ns: self.released_ns,
+            publisher_gid: self.source_gid,
+        }
+    }
+}
+
+const _: () = assert!(HEADER_BYTES == 64);

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Samples that may be dropped in any thread, without a lock.
+//!
+//! What came through a queue goes back through a queue, and both have one user on this side: the thread that takes. So a sample
+//! never leaves its subscription: it stays on a shelf, and what the user holds is its index and the address of its body. To drop it
+//! is to set a bit; the subscription takes the marked ones off the shelf when it next takes.
+//!
+//! ```text
+//!             lend (subscription)       drop Lent (any thread)      reclaim (subscription)
+//!    free ----------------------> out ----------------------> back -----------------------> free
+//! ```
+
+use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
+use futures::task::AtomicWaker;
+use std::any::Any;
+use std::cell::{RefCell, UnsafeCell};
+use std::sync::Arc;
+use std::task::Waker;
+
+/// Holds the samples that are out, for one subscription.
+pub(crate) struct Shelf<S> {
+    shared: Arc<Shared<S>>,
+    free: RefCell<Vec<usize>>,
+}
+
+// SAFETY: see Shared; the rest is plain data.
+unsafe impl<S> Send for Shelf<S> {}
+
+struct Shared<S> {
+    /// A place is touched by the Shelf while it is free or back, and by nobody while it is out.
+    places: Box<[UnsafeCell<Option<S>>]>,
+    back: Box<[AtomicU64]>,
+    /// Somebody was refused a sample because all places are out: the next one that comes back wakes it.
+    starved: AtomicU32,
+    waker: AtomicWaker,
+    /// Dropped after all samples, when the shelf and the last of them that was out are gone.
+    _end: Box<dyn Any + Send + Sync>,
+}
+
+// SAFETY: through a shared reference a Lent only sets bits and wakes. Places are touched by the Shelf, which is not Sync,
+// or by the last owner's drop. What samples have in common with each other belongs to one subscription, as the Shelf does, so one
+// thread at a time uses it; if only Lents are left, nobody but the last of them does.
+unsafe impl<S> Send for Shared<S> {}
+// SAFETY: as above.
+unsafe impl<S> Sync for Shared<S> {}
+
+impl<S> Shelf<S> {
+    /// `end` is dropped when the shelf and everything that was ever on it is gone.
+    pub(crate) fn new(places: usize, end: impl Any + Send + Sync) -> Self {
+        let shared = Shared {
+            places: (0..places).map(|_| UnsafeCell::new(None)).collect(),
+            back: (0..places.div_ceil(64)).map(|_| AtomicU64::new(0)).collect(),
+            starved: AtomicU32::new(0),
+            waker: AtomicWaker::new(),
+            _end: Box::new(end),
+        };
+        Shelf { shared: Arc::new(shared), free: RefCell::new((0..places).rev().collect()) }
+    }
+
+    /// Drops the samples that came back. Returns false if every place is out even so.
+    ///
+    /// # Real-time
+    /// Wait-free, O(places / 64 + samples back); no allocation; no syscall.
+    pub(crate) fn reclaim(&self) -> bool {
+        let mut free = self.free.borrow_mut();
+        for (index, word) in self.shared.back.iter().enumerate() {
+            if word.load(Ordering::Relaxed) == 0 {
+                continue;
+            }
+            // Acquire: pairs with the Release in Lent::drop; its reads of the sample are over.
+            let mut bits = word.swap(0, Ordering::Acquire);
+            while bits != 0 {
+                let place = index * 64 + bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                if let Some(cell) = self.shared.places.get(place) {
+                    // SAFETY: the place is back, so it is the Shelf's alone.
+                    drop(unsafe { (*cell.get()).take() });
+                    free.push(place); // never more than there are places: does not allocate
+                }
+            }
+        }
+        !free.is_empty()
+    }
+
+    /// Puts a sample on the shelf. `None` if every place is out: see [`reclaim`](Self::reclaim).
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub(crate) fn lend(&self, sample: S) -> Option<Lent<S>> {
+        let place = self.free.borrow_mut().pop()?;
+        // SAFETY: the place is free, so it is the Shelf's alone.
+        unsafe { *self.shared.places.get(place)?.get() = Some(sample) };
+        Some(Lent { shared: self.shared.clone(), place })
+    }
+
+    /// Wakes `waker` when a sample next comes back. True if one came back meanwhile: look again.
+    pub(crate) fn wake_when_back(&self, waker: &Waker) -> bool {
+        self.shared.waker.register(waker);
+        self.shared.starved.store(1, Ordering::Relaxed);
+        // Either the one who drops sees `starved`, or its bit is seen here.
+        fence(Ordering::SeqCst);
+        self.shared.back.iter().any(|word| word.load(Ordering::Relaxed) != 0)
+    }
+}
+
+/// One sample that is out. May be dropped in any thread, also after its subscription.
+pub(crate) struct Lent<S> {
+    shared: Arc<Shared<S>>,
+    place: usize,
+}
+
+impl<S> Drop for Lent<S> {
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall, unless the subscription's task waits for a sample to come back. The last one
+    /// after its subscription was dropped frees the shelf.
+    fn drop(&mut self) {
+        let Some(word) = self.shared.back.get(self.place / 64) else { return };
+        word.fetch_or(1 << (self.place % 64), Ordering::Release);
+        fence(Ordering::SeqCst);
+        if self.shared.starved.load(Ordering::Relaxed) != 0
+            && self.shared.starved.swap(0, Ordering::Relaxed) != 0
+        {
+            self.shared.waker.wake();
+        }
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use std::rc::Rc;
+
+    #[test]
+    fn places_run_out_and_come_back_from_any_thread() {
+        let shelf = Shelf::new(70, ());
+        let out: Vec<_> = (0..70).map(|n| shelf.lend(n).unwrap()).collect();
+        assert!(shelf.lend(70).is_none() && !shelf.reclaim());
+        std::thread::spawn(move || drop(out)).join().unwrap();
+        assert!(shelf.reclaim());
+        assert_eq!((0..100).map_while(|n| shelf.lend(n)).count(), 70);
+    }
+
+    #[test]
+    fn a_sample_is_dropped_by_the_shelf_or_by_the_last_holder() {
+        let count = Rc::new(());
+        let shelf = Shelf::new(2, ());
+        let (first, second) = (shelf.lend(count.clone()).unwrap(), shelf.lend(count.clone()).unwrap());
+        drop(first);
+        assert_eq!(Rc::strong_count(&count), 3, "still on the shelf");
+        shelf.reclaim();
+        assert_eq!(Rc::strong_count(&count), 2);
+        drop(shelf);
+        assert_eq!(Rc::strong_count(&count), 2, "out, and the shelf is gone");
+        drop(second);
+        assert_eq!(Rc::strong_count(&count), 1);
+    }
+
+    #[test]
+    fn the_end_comes_after_the_last_sample() {
+        struct Note(&'static str, Arc<std::sync::Mutex<Vec<&'static str>>>);
+        impl Drop for Note {
+            fn drop(&mut self) {
+                self.1.lock().unwrap().push(self.0);
+            }
+        }
+        let notes = Arc::<std::sync::Mutex<Vec<_>>>::default();
+        let note = |what| Note(what, notes.clone());
+        let shelf = Shelf::new(2, note("end"));
+        let out = [shelf.lend(note("first")).unwrap(), shelf.lend(note("second")).unwrap()];
+        drop(shelf);
+        std::thread::spawn(move || drop(out)).join().unwrap();
+        assert_eq!(*notes.lock().unwrap(), ["first", "second", "end"]);
+    }
+
+    #[test]
+    fn who_was_refused_is_woken() {
+        let (waker, woken) = counting_waker();
+        let shelf = Shelf::new(1, ());
+        let lent = shelf.lend(()).unwrap();
+        assert!(!shelf.wake_when_back(&waker));
+        drop(lent);
+        assert_eq!(woken.load(std::sync::atomic::Ordering::SeqCst), 1);
+        assert!(shelf.wake_when_back(&waker), "one is back already");
+    }
+
+    fn counting_waker() -> (Waker, Arc<std::sync::atomic::AtomicUsize>) {
+        struct Count(Arc<std::sync::atomic::AtomicUsize>);
+        impl std::task::Wake for Count {
+            fn wake(self: Arc<Self>) {
+                self.0.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+            }
+        }
+        let count = Arc::<std::sync::atomic::AtomicUsize>::default();
+        (Waker::from(Arc::new(Count(count.clone()))), count)
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+mod loom_tests {
+    use super::*;
+    use loom::cell::Cell as LoomCell;
+
+    /// A sample that loom watches: reading it after it was taken off the shelf is an error.
+    struct Watched(loom::sync::Arc<LoomCell<u32>>);
+    // SAFETY: for the model; loom checks the accesses.
+    unsafe impl Send for Watched {}
+
+    impl Drop for Watched {
+        fn drop(&mut self) {
+            self.0.set(1);
+        }
+    }
+
+    #[test]
+    fn loom_a_sample_is_reclaimed_after_its_last_read() {
+        loom::model(|| {
+            struct Holder(Lent<Watched>, loom::sync::Arc<LoomCell<u32>>);
+            // SAFETY: as above.
+            unsafe impl Send for Holder {}
+            let cell = loom::sync::Arc::new(LoomCell::new(0));
+            let shelf = Shelf::new(1, ());
+            let holder = Holder(shelf.lend(Watched(cell.clone())).unwrap(), cell);
+            let reader = loom::thread::spawn(move || {
+                let holder = holder;
+                assert_eq!(holder.1.get(), 0);
+                drop(holder.0);
+            });
+            while !shelf.reclaim() {
+                loom::thread::yield_now();
+            }
+            reader.join().unwrap();
+        });
+    }
+}

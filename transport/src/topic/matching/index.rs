@@ -1,0 +1,347 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which ports other participants have, by the hash of their topics' names. What a port is like stays in its participant's record until
+//! somebody asks.
+
+use crate::error::TransportError;
+use crate::graph::domain::Domain;
+use crate::graph::log::{Kind, Reader};
+use crate::graph::record::{PortKind, PortRecord, RemotePortRecord};
+use crate::graph::{EndpointKind, NodeName};
+use crate::participant::file::{Peer, Peers};
+use crate::topic::Topic;
+use crate::topic::header::Gid;
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::Arc;
+
+/// Most ends on other hosts that a port tells its monitors of: what others declare costs it no more than this.
+const MOST_REMOTE: usize = 256;
+
+pub(super) struct Index {
+    own: u64,
+    epoch: Option<u32>,
+    members: HashMap<u64, Member>,
+    by_topic: HashMap<u64, Ends>,
+    /// Topics of which other hosts have others than before.
+    remote_changes: BTreeSet<u64>,
+    retries: Vec<Found>,
+    /// Participants whose records cannot be read: said once.
+    refused: HashSet<u64>,
+}
+
+/// Entries of records by who has them: the participant and the number of the entry.
+#[derive(Default)]
+struct Ends {
+    ports: BTreeMap<Gid, usize>,
+    remote: BTreeMap<Gid, usize>,
+}
+
+struct Member {
+    generation: u64,
+    grown: u32,
+    peer: Arc<Peer>,
+    reader: Reader,
+    /// The topics of its ports, and of those of other hosts that it tells of.
+    ports: HashMap<u64, u64>,
+    remote: HashMap<u64, u64>,
+}
+
+/// A port: whose, and on what topic.
+pub(super) type Found = (Gid, u64);
+
+/// What has changed since the last look.
+#[derive(Debug, Default)]
+pub(super) struct News {
+    pub(super) added: Vec<Found>,
+    /// Ports that have gone: whose, on what topic, and whether with their process.
+    pub(super) removed: Vec<(Gid, u64, bool)>,
+    /// A participant has gone.
+    pub(super) gone: bool,
+    /// Something could not be read, and may be later.
+    pub(super) is_refused: bool,
+    /// Participants whose publishers have other segments of samples than before.
+    pub(super) grown: BTreeSet<u64>,
+}
+
+impl Index {
+    pub(super) fn new(own: u64) -> Self {
+        Index {
+            own,
+            epoch: None,
+            members: HashMap::new(),
+            by_topic: HashMap::new(),
+            remote_changes: BTreeSet::new(),
+            retries: Vec::new(),
+            refused: HashSet::new(),
+        }
+    }
+
+    pub(super) fn own(&self) -> u64 {
+        self.own
+    }
+
+    /// Reads on in the records that have changed.
+    pub(super) fn look(&mut self, domain: &Domain, peers: &mut Peers) -> News {
+        let mut news = News { added: std::mem::take(&mut self.retries), ..News::default() };
+        let epoch = domain.epoch();
+        let is_same = self.epoch == Some(epoch);
+        let mut seen = HashSet::new();
+        let own = self.own;
+        for member in domain.members().filter(|member| member.id != own) {
+            seen.insert(member.id);
+            if let Some(known) = self.members.get_mut(&member.id) {
+                if known.grown != member.grown {
+                    known.grown = member.grown;
+                    news.grown.insert(member.id);
+                }
+                if known.generation == member.generation {
+                    continue;
+                }
+            } else if is_same && self.refused.contains(&member.id) {
+                continue;
+            }
+            match self.read(domain.number(), member.id, peers, &mut news) {
+                Ok(()) => {
+                    self.refused.remove(&member.id);
+                    if let Some(known) = self.members.get_mut(&member.id) {
+                        (known.generation, known.grown) = (member.generation, member.grown);
+                    }
+                }
+                Err(error) => {
+                    news.is_refused |= error.is_passing();
+                    if self.refused.insert(member.id) {
+                        super::complain(&error);
+                    }
+                }
+            }
+        }
+        let gone: Vec<u64> = self.members.keys().filter(|id| !seen.contains(id)).copied().collect();
+        for id in gone {
+            news.gone = true;
+            self.forget(id, &mut news);
+        }
+        self.refused.retain(|id| seen.contains(id));
+        self.epoch = Some(epoch).filter(|_| !news.is_refused);
+        news
+    }
+
+    fn read(
+        &mut self,
+        domain: u32,
+        id: u64,
+        peers: &mut Peers,
+        news: &mut News,
+    ) -> Result<(), TransportError> {
+        let member = match self.members.entry(id) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(place) => {
+                let Some(peer) = peers.get(domain, id)? else { return Ok(()) };
+                let (generation, grown, reader) = Default::default();
+                let (ports, remote) = Default::default();
+                place.insert(Member { generation, grown, peer, reader, ports, remote })
+            }
+        };
+        let peer = member.peer.clone();
+        let map = |range| Ok(peer.map(&[range], false)?.and_then(|mut maps| maps.pop()));
+        let read = member.reader.read(peer.head(), map)?;
+        let mut former = (HashMap::new(), HashMap::new());
+        if read.anew {
+            former = (std::mem::take(&mut member.ports), std::mem::take(&mut member.remote));
+        }
+        for (entry, position) in read.entries {
+            let (number, hash, gid) = (entry.number, entry.hash, Gid::of(id, entry.number));
+            match entry.kind {
+                Kind::Port => {
+                    member.ports.insert(number, hash);
+                    self.by_topic.entry(hash).or_default().ports.insert(gid, position);
+                    if former.0.remove(&number).is_none() {
+                        news.added.push((gid, hash));
+                    }
+                }
+                Kind::RemotePort => {
+                    member.remote.insert(number, hash);
+                    self.by_topic.entry(hash).or_default().remote.insert(gid, position);
+                    if former.1.remove(&number).is_none() {
+                        self.remote_changes.insert(hash);
+                    }
+                }
+                Kind::Gone => {
+                    // One that came and went between two looks is no news.
+                    news.added.retain(|(added, ..)| *added != gid);
+                    if let Some(hash) = member.ports.remove(&number) {
+                        remove(&mut self.by_topic, hash, |ends| ends.ports.remove(&gid));
+                        news.removed.push((gid, hash, false));
+                    }
+                    if let Some(hash) = member.remote.remove(&number) {
+                        remove(&mut self.by_topic, hash, |ends| ends.remote.remove(&gid));
+                        self.remote_changes.insert(hash);
+                    }
+                }
+                Kind::Node | Kind::RemoteService | Kind::Relay => {}
+            }
+        }
+        // What was there before the record was written anew, and is no longer.
+        for (number, hash) in former.0 {
+            let gid = Gid::of(id, number);
+            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(&gid));
+            news.removed.push((gid, hash, false));
+        }
+        for (number, hash) in former.1 {
+            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(&Gid::of(id, number)));
+            self.remote_changes.insert(hash);
+        }
+        if read.is_damaged {
+            return Err(TransportError::Damaged { path: peer.path().to_owned() });
+        }
+        Ok(())
+    }
+
+    /// A participant has gone, and all its ports.
+    fn forget(&mut self, id: u64, news: &mut News) {
+        let Some(member) = self.members.remove(&id) else { return };
+        for (number, hash) in member.ports {
+            let gid = Gid::of(id, number);
+            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(&gid));
+            news.removed.push((gid, hash, true));
+        }
+        for (number, hash) in member.remote {
+            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(&Gid::of(id, number)));
+            self.remote_changes.insert(hash);
+        }
+    }
+
+    /// Those whose records could not be read.
+    pub(super) fn refused(&self) -> impl Iterator<Item = u64> + '_ {
+        self.refused.iter().copied()
+    }
+
+    /// What is to be found again by the next look.
+    pub(super) fn try_again(&mut self, found: Found) {
+        self.retries.push(found);
+    }
+
+    /// Whether the next look finds something though nothing changes until then.
+    pub(super) fn has_retries(&self) -> bool {
+        !self.retries.is_empty() || !self.remote_changes.is_empty()
+    }
+
+    /// What is said of a port. `None` if it has gone, or is to be found again by the next look.
+    pub(super) fn port(&mut self, (gid, hash): Found) -> Option<PortRecord> {
+        let position = *self.by_topic.get(&hash)?.ports.get(&gid)?;
+        let member = self.members.get(&gid.participant())?;
+        let Some(entry) = member.reader.entry(member.peer.head(), position) else {
+            // Its record was written anew since.
+            self.retries.push((gid, hash));
+            return None;
+        };
+        (entry.kind == Kind::Port && Gid::of(gid.participant(), entry.number) == gid)
+            .then(|| PortRecord::parse(&entry.body))?
+    }
+
+    /// The ports of a kind that other participants have on a topic; others may be found by the next look.
+    pub(super) fn ports(&mut self, hash: u64, kind: PortKind) -> Vec<(Gid, PortRecord)> {
+        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.keys());
+        let gids: Vec<Gid> = ends.copied().collect();
+        let ports = gids.into_iter().filter_map(|gid| Some((gid, self.port((gid, hash))?)));
+        ports.filter(|(_, port)| port.kind == kind).collect()
+    }
+
+    /// The participants that have ports on a topic.
+    pub(super) fn participants(&self, hash: u64) -> BTreeSet<u64> {
+        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.keys());
+        ends.map(|gid| gid.participant()).collect()
+    }
+
+    /// The ends of a kind that other hosts have of a topic and that can match: sorted, each once.
+    pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Vec<Gid> {
+        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| &ends.remote);
+        let nobody = NodeName { namespace: "/".into(), name: "_".into() };
+        let changes = &mut self.remote_changes;
+        let end = |(gid, position): (&Gid, &usize)| {
+            let member = self.members.get(&gid.participant())?;
+            let Some(entry) = member.reader.entry(member.peer.head(), *position) else {
+                // As in `port`.
+                changes.insert(hash);
+                return None;
+            };
+            let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody);
+            let fits = end.kind == EndpointKind::from(kind)
+                && end.topic == topic.name
+                && topic.topic_type.agrees_with(&end.topic_type);
+            fits.then_some(end.gid)
+        };
+        let mut gids: Vec<Gid> = ends.filter_map(end).collect();
+        gids.sort_unstable();
+        gids.dedup();
+        gids.truncate(MOST_REMOTE);
+        gids
+    }
+
+    pub(super) fn take_remote_changes(&mut self) -> BTreeSet<u64> {
+        std::mem::take(&mut self.remote_changes)
+    }
+}
+
+fn remove(by_topic: &mut HashMap<u64, Ends>, hash: u64, remove: impl FnOnce(&mut Ends) -> Option<usize>) {
+    if let Some(ends) = by_topic.get_mut(&hash) {
+        remove(ends);
+        if ends.ports.is_empty() && ends.remote.is_empty() {
+            by_topic.remove(&hash);
+        }
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use crate::graph::log::hash_of;
+    use crate::graph::own::OwnRecord;
+    use crate::graph::record::QosRecord;
+    use crate::participant::file::OwnMemory;
+    use crate::qos::Qos;
+    use crate::tests::isolated;
+
+    fn port(topic: &str) -> PortRecord {
+        PortRecord {
+            node: None,
+            kind: PortKind::Subscription,
+            topic: topic.into(),
+            type_name: "a/msg/B".into(),
+            hash: None,
+            body_bytes: None,
+            qos: QosRecord::from(&Qos::default()),
+            relay: false,
+            slot: 0,
+            at: 1,
+            partner: None,
+        }
+    }
+
+    #[test]
+    fn what_moves_between_two_looks_is_found_by_the_next_one() {
+        isolated();
+        let domain = Domain::join(217).unwrap();
+        let memory = Arc::new(OwnMemory::create(217).unwrap());
+        memory.create_arena();
+        let record = OwnRecord::new(&domain, &memory);
+        record.publish(domain.add(memory.id()).unwrap());
+        let add = |topic: &str| record.add_port(record.number(), &port(topic)).unwrap();
+        add("/a");
+        let (mut index, mut peers) = (Index::new(1), Peers::default());
+        let added = index.look(&domain, &mut peers).added;
+        let [found] = added[..] else { panic!("{added:?}") };
+        assert_eq!((index.port(found), index.has_retries()), (Some(port("/a")), false));
+        // Its record is written anew, as it gets longer.
+        (0..100).for_each(|n| add(&format!("/b{n}")));
+        assert_eq!((index.port(found), index.has_retries()), (None, true));
+        let added = index.look(&domain, &mut peers).added;
+        assert!(added.contains(&found) && added.len() == 101, "{added:?}");
+        assert_eq!((index.port(found), index.has_retries()), (Some(port("/a")), false));
+        assert_eq!(index.ports(hash_of("/a"), PortKind::Subscription), [(found.0, port("/a"))]);
+        record.remove(found.0.number());
+        let news = index.look(&domain, &mut peers);
+        assert_eq!((news.added, news.removed), (vec![], vec![(found.0, found.1, false)]));
+        assert_eq!((index.port(found), index.has_retries()), (None, false), "it has gone");
+        memory.retire();
+    }
+}

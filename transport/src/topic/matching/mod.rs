@@ -1,0 +1,575 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who finds publishers and subscriptions for each other, and connects them.
+//!
+//! Each participant connects its own publishers: it alone writes into their memory. Whoever makes a port says so in its record first
+//! and looks for others after that, so of two that are made at once at least one sees the other:
+//!
+//! - A new publisher connects all subscriptions that it finds, of whatever participant, before anybody can publish with it.
+//! - A new subscription connects itself to the publishers of its own participant, and calls the janitors of the others, which connect
+//!   it ([`Matcher::look`]). It waits for them, not for ever: a process may be stopped.
+//! - What is connected a subscription's participant finds in the publisher's memory, and maps what is needed to take from it.
+//!
+//! So threads that publish and take find everything done. All of this is guarded by one lock per participant, which they do not take.
+
+mod index;
+mod source;
+
+pub(crate) use source::Source;
+
+use crate::error::TransportError;
+use crate::graph::domain::Domain;
+use crate::graph::own::OwnRecord;
+use crate::graph::record::{PortKind, PortRecord};
+use crate::graph::{Entry, RemoteGraph};
+use crate::participant::Reached;
+use crate::participant::file::{OwnMemory, Peers};
+use crate::topic::header::Gid;
+use crate::topic::publisher::core::{Outcome, PublisherCore, Target};
+use crate::topic::subscription::core::{Expected, SubscriptionCore};
+use index::{Index, News};
+use source::PeerPublishers;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tautline_rt::clock::monotonic_ns;
+
+/// How long a new subscription waits for the participants of publishers that are there.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+pub(crate) struct Matcher {
+    domain: Arc<Domain>,
+    memory: Arc<OwnMemory>,
+    record: Arc<OwnRecord>,
+    state: Mutex<State>,
+}
+
+struct State {
+    domain: Arc<Domain>,
+    peers: Peers,
+    index: Index,
+    peer_publishers: PeerPublishers,
+    publishers: BTreeMap<u64, Arc<PublisherCore>>,
+    subscriptions: BTreeMap<u64, Arc<SubscriptionCore>>,
+    /// The same by the hash of their topics' names.
+    by_topic: HashMap<u64, Own>,
+    /// Publishers with subscriptions that have gone and still hold samples.
+    held_up: BTreeSet<u64>,
+    /// Publishers that have ended, until nobody uses what they sent.
+    departing: BTreeMap<u64, Arc<PublisherCore>>,
+    /// Subscriptions that have gone, until their samples are back.
+    returning: Vec<Arc<SubscriptionCore>>,
+}
+
+/// The ports of this participant on a topic, by their numbers.
+#[derive(Default)]
+struct Own {
+    publishers: BTreeSet<u64>,
+    subscriptions: BTreeSet<u64>,
+}
+
+/// What a change of the domain, or of an own port, makes necessary.
+#[derive(Default)]
+struct Work {
+    /// Own ports that something was done to.
+    publishers: BTreeMap<u64, Arc<PublisherCore>>,
+    subscriptions: BTreeMap<u64, Arc<SubscriptionCore>>,
+    /// Participants whose janitors are to look.
+    calls: BTreeSet<u64>,
+    /// Publishers that subscriptions of this participant are done with.
+    closed: BTreeSet<Gid>,
+    outcome: Looked,
+}
+
+/// What came of a look.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Looked {
+    /// Something is left that only time can finish.
+    pub(crate) is_pending: bool,
+    /// A participant has gone.
+    pub(crate) has_gone: bool,
+}
+
+impl Work {
+    fn publisher(&mut self, core: &Arc<PublisherCore>) {
+        self.publishers.entry(number_of(core.gid)).or_insert_with(|| core.clone());
+    }
+
+    fn subscription(&mut self, core: &Arc<SubscriptionCore>) {
+        self.subscriptions.entry(number_of(core.gid)).or_insert_with(|| core.clone());
+    }
+}
+
+fn number_of(gid: Gid) -> u64 {
+    gid.words()[1]
+}
+
+impl Matcher {
+    pub(crate) fn new(domain: &Arc<Domain>, memory: &Arc<OwnMemory>, record: &Arc<OwnRecord>) -> Self {
+        let state = State {
+            domain: domain.clone(),
+            peers: Peers::default(),
+            index: Index::new(memory.id()),
+            peer_publishers: PeerPublishers::default(),
+            publishers: BTreeMap::new(),
+            subscriptions: BTreeMap::new(),
+            by_topic: HashMap::new(),
+            held_up: BTreeSet::new(),
+            departing: BTreeMap::new(),
+            returning: Vec::new(),
+        };
+        let (domain, memory, record) = (domain.clone(), memory.clone(), record.clone());
+        Matcher { domain, memory, record, state: Mutex::new(state) }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Does `what` with the lock held, and what it makes necessary; then calls whom that concerns.
+    fn work<T>(&self, what: impl FnOnce(&mut State, &mut Work) -> T) -> (T, Looked) {
+        let mut work = Work::default();
+        let result = {
+            let mut state = self.state();
+            let result = what(&mut state, &mut work);
+            state.settle(&mut work);
+            result
+        };
+        if !work.calls.is_empty() {
+            for member in self.domain.members().filter(|member| work.calls.contains(&member.id)) {
+                self.domain.call(member.place);
+            }
+        }
+        (result, work.outcome)
+    }
+
+    /// As [`work`](Self::work), for others than the janitor, which does later what cannot be done now.
+    fn work_and_leave<T>(&self, what: impl FnOnce(&mut State, &mut Work) -> T) -> T {
+        let (result, outcome) = self.work(what);
+        if let Some(place) = self.record.place().filter(|_| outcome.is_pending) {
+            self.domain.call(place);
+        }
+        result
+    }
+
+    /// Makes a publisher known, and connects the subscriptions that are there.
+    pub(crate) fn add_publisher(
+        &self,
+        core: &Arc<PublisherCore>,
+        node: Option<&Entry>,
+    ) -> Result<(), TransportError> {
+        let port = core.record(node.map(|node| node.number));
+        let added = self.work_and_leave(|state, work| {
+            self.record.add_port(number_of(core.gid), &port)?;
+            state.publishers.insert(number_of(core.gid), core.clone());
+            state.by_topic.entry(core.hash()).or_default().publishers.insert(number_of(core.gid));
+            state.connect_all(core, work)
+        });
+        added.inspect_err(|_| self.remove_publisher(core))
+    }
+
+    /// Makes a subscription known, and has it connected to the publishers that are there.
+    pub(crate) fn add_subscription(
+        &self,
+        core: &Arc<SubscriptionCore>,
+        node: Option<&Entry>,
+    ) -> Result<(), TransportError> {
+        let port = core.record(node.map(|node| node.number));
+        let added = self.work_and_leave(|state, work| {
+            self.record.add_port(number_of(core.gid), &port)?;
+            state.subscriptions.insert(number_of(core.gid), core.clone());
+            state.by_topic.entry(core.hash()).or_default().subscriptions.insert(number_of(core.gid));
+            state.find_all(core, work)
+        });
+        // Who made it drops it if it is refused, and so it is taken back.
+        added?;
+        self.wait_for_connections(core);
+        Ok(())
+    }
+
+    /// Until the participants of all publishers that are there have connected a new subscription, or patience is over: then what comes
+    /// from those that are missing comes as soon as their processes go on.
+    fn wait_for_connections(&self, core: &Arc<SubscriptionCore>) {
+        let Some(place) = self.record.place().filter(|_| core.expected() > 0) else { return };
+        let calls = self.domain.calls(place);
+        let end = Instant::now() + PATIENCE;
+        loop {
+            // Before the look: who connects it calls this participant.
+            let seen = calls.0.load(Ordering::Acquire);
+            let left = self.work_and_leave(|state, work| {
+                state.look(work);
+                work.subscription(core);
+                let left = core.attach();
+                work.outcome.is_pending |= left.is_err();
+                left
+            });
+            // What was refused the janitor tries again.
+            let Ok(left) = left.inspect_err(complain) else { return };
+            let patience = end.saturating_duration_since(Instant::now());
+            if left == 0 {
+                return;
+            }
+            if patience.is_zero() {
+                tracing::warn!(
+                    "{}: {left} publishers do not answer: are their processes stopped, or without processor time? What they \
+                     send comes when they do",
+                    core.topic.named()
+                );
+                return;
+            }
+            calls.wait(seen, Some(monotonic_ns() + u64::try_from(patience.as_nanos()).unwrap_or(u64::MAX)));
+        }
+    }
+
+    /// Says what other hosts have, and calls those whose ports that concerns.
+    pub(crate) fn set_remote(&self, remote: &RemoteGraph) -> Result<(), TransportError> {
+        let mut topics = BTreeSet::new();
+        let said = self.record.set_remote(remote, &mut topics);
+        self.work_and_leave(|state, work| {
+            // Who has made a port since then has seen it.
+            state.look(work);
+            work.calls.extend(topics.iter().flat_map(|hash| state.index.participants(*hash)));
+        });
+        said
+    }
+
+    /// A publisher that is used has made a segment, which its subscriptions are to map.
+    pub(crate) fn announce_segments(&self, core: &Arc<PublisherCore>) {
+        self.work_and_leave(|_, work| work.publisher(core));
+    }
+
+    /// The publisher has ended: nobody publishes any more.
+    pub(crate) fn remove_publisher(&self, core: &Arc<PublisherCore>) {
+        self.work_and_leave(|state, work| {
+            // Before it is seen to have gone: it has ended, not died.
+            core.end();
+            self.record.remove(number_of(core.gid));
+            state.publishers.remove(&number_of(core.gid));
+            for subscription in state.own_subscriptions(core.hash()) {
+                subscription.disconnect(core.gid, false);
+                work.subscription(&subscription);
+            }
+            work.calls.extend(state.index.participants(core.hash()));
+            state.forget(core.hash(), number_of(core.gid));
+            state.departing.insert(number_of(core.gid), core.clone());
+            work.closed.insert(core.gid);
+        });
+    }
+
+    /// The subscription has gone; samples of it may be out.
+    pub(crate) fn remove_subscription(&self, core: &Arc<SubscriptionCore>) {
+        self.work_and_leave(|state, work| {
+            self.record.remove(number_of(core.gid));
+            state.subscriptions.remove(&number_of(core.gid));
+            state.returning.push(core.clone());
+            state.close_returned(work);
+            for publisher in state.own_publishers(core.hash()) {
+                state.disconnect(&publisher, core.gid, false, work);
+            }
+            work.calls.extend(state.index.participants(core.hash()));
+            state.forget(core.hash(), number_of(core.gid));
+        });
+    }
+
+    /// For the janitor: looks at what has changed in the domain since the last time, and does what is to be done for this participant's
+    /// ports.
+    pub(crate) fn look(&self) -> Looked {
+        let look = |state: &mut State, work: &mut Work| {
+            state.look(work);
+            // Who is done with an ended publisher elsewhere has called.
+            let departing: Vec<u64> = state.departing.keys().copied().collect();
+            state.release(departing);
+        };
+        self.work(look).1
+    }
+
+    /// The participant ends. True if somebody may still look for what its publishers have sent.
+    pub(crate) fn is_awaited(&self) -> bool {
+        let members: BTreeSet<u64> = self.domain.members().map(|member| member.id).collect();
+        let own = self.memory.id();
+        self.state().departing.values().any(|core| core.is_awaited(|id| id != own && members.contains(&id)))
+    }
+}
+
+impl State {
+    fn own_publishers(&self, hash: u64) -> Vec<Arc<PublisherCore>> {
+        let own = self.by_topic.get(&hash).into_iter().flat_map(|own| &own.publishers);
+        own.filter_map(|number| self.publishers.get(number).cloned()).collect()
+    }
+
+    fn own_subscriptions(&self, hash: u64) -> Vec<Arc<SubscriptionCore>> {
+        let own = self.by_topic.get(&hash).into_iter().flat_map(|own| &own.subscriptions);
+        own.filter_map(|number| self.subscriptions.get(number).cloned()).collect()
+    }
+
+    fn forget(&mut self, hash: u64, number: u64) {
+        let Some(own) = self.by_topic.get_mut(&hash) else { return };
+        own.publishers.remove(&number);
+        own.subscriptions.remove(&number);
+        if own.publishers.is_empty() && own.subscriptions.is_empty() {
+            self.by_topic.remove(&hash);
+        }
+    }
+
+    /// Connects a new publisher to all subscriptions that are there.
+    fn connect_all(&mut self, core: &Arc<PublisherCore>, work: &mut Work) -> Result<(), TransportError> {
+        work.publisher(core);
+        // First what has changed, so that nothing is new later that is there now.
+        self.look(work);
+        // Those that cannot be seen now may see this one.
+        work.calls.extend(self.index.refused());
+        let own = self.own_subscriptions(core.hash());
+        let own: Vec<_> =
+            own.into_iter().map(|subscription| (subscription.record(None), subscription)).collect();
+        let peers = self.index.ports(core.hash(), PortKind::Subscription);
+        let ports = own.iter().map(|(port, _)| port).chain(peers.iter().map(|(_, port)| port));
+        core.expect(ports.filter(|port| port.topic == core.topic.name))?;
+        let port = core.record(None);
+        for (requested, subscription) in own {
+            self.connect_own((core, &port), (&subscription, requested), work)?;
+        }
+        for (gid, port) in peers {
+            self.connect_peer(core, gid, port, work)?;
+        }
+        core.set_remote(&self.index.remote(core.hash(), PortKind::Subscription, &core.topic));
+        Ok(())
+    }
+
+    /// Finds the publishers that are there for a new subscription.
+    fn find_all(&mut self, core: &Arc<SubscriptionCore>, work: &mut Work) -> Result<(), TransportError> {
+        work.subscription(core);
+        self.look(work);
+        work.calls.extend(self.index.refused());
+        let requested = core.record(None);
+        for publisher in self.own_publishers(core.hash()) {
+            let port = publisher.record(None);
+            self.connect_own((&publisher, &port), (core, requested.clone()), work)?;
+        }
+        for (gid, port) in self.index.ports(core.hash(), PortKind::Publisher) {
+            if let Err(error) = self.expect_peer(core, gid, port, work) {
+                self.index.try_again((gid, core.hash()));
+                complain(&error);
+            }
+        }
+        core.set_remote(&self.index.remote(core.hash(), PortKind::Publisher, &core.topic));
+        if let Err(error) = core.attach() {
+            work.outcome.is_pending = true;
+            complain(&error);
+        }
+        Ok(())
+    }
+
+    /// Connects a publisher and a subscription of this participant.
+    fn connect_own(
+        &mut self,
+        (publisher, offered): (&Arc<PublisherCore>, &PortRecord),
+        (subscription, requested): (&Arc<SubscriptionCore>, PortRecord),
+        work: &mut Work,
+    ) -> Result<(), TransportError> {
+        if offered.topic != requested.topic {
+            return Ok(());
+        }
+        work.publisher(publisher);
+        work.subscription(subscription);
+        let reached = Reached::Own(subscription.slot.doorbell().clone());
+        publisher.connect(&Target { gid: subscription.gid, port: requested, reached })?;
+        let source = Source::Own(publisher.clone());
+        subscription.expect(Expected { gid: publisher.gid, port: offered.clone(), source });
+        subscription.attach().map(drop)
+    }
+
+    /// Connects a publisher to a subscription of another participant.
+    fn connect_peer(
+        &mut self,
+        core: &Arc<PublisherCore>,
+        gid: Gid,
+        port: PortRecord,
+        work: &mut Work,
+    ) -> Result<(), TransportError> {
+        if port.topic != core.topic.name {
+            return Ok(());
+        }
+        let Some(peer) = self.peers.get(self.domain.number(), gid.participant())? else { return Ok(()) };
+        work.publisher(core);
+        let target = Target { gid, port, reached: Reached::Peer(peer) };
+        if core.connect(&target)? == Outcome::Connected {
+            work.calls.insert(gid.participant());
+        }
+        Ok(())
+    }
+
+    /// A publisher of another participant is there.
+    fn expect_peer(
+        &mut self,
+        core: &Arc<SubscriptionCore>,
+        gid: Gid,
+        port: PortRecord,
+        work: &mut Work,
+    ) -> Result<(), TransportError> {
+        if port.topic != core.topic.name {
+            return Ok(());
+        }
+        let Some(peer) = self.peers.get(self.domain.number(), gid.participant())? else { return Ok(()) };
+        let Some(source) = self.peer_publishers.get(&peer, gid, port.at)? else { return Ok(()) };
+        work.subscription(core);
+        if core.expect(Expected { gid, port, source }) {
+            work.calls.insert(gid.participant());
+        }
+        Ok(())
+    }
+
+    fn disconnect(&mut self, core: &Arc<PublisherCore>, subscription: Gid, is_dead: bool, work: &mut Work) {
+        work.publisher(core);
+        if core.disconnect(subscription, is_dead) {
+            self.held_up.insert(number_of(core.gid));
+        }
+    }
+
+    /// Reads what other participants' records say that is new, and connects or disconnects what is concerned. What is refused now is
+    /// tried again.
+    fn look(&mut self, work: &mut Work) {
+        let News { added, removed, gone, is_refused, grown } = self.index.look(&self.domain, &mut self.peers);
+        work.outcome.has_gone |= gone;
+        work.outcome.is_pending |= is_refused;
+        for (gid, hash, is_dead) in removed {
+            for core in self.own_publishers(hash) {
+                self.disconnect(&core, gid, is_dead, work);
+            }
+            for core in self.own_subscriptions(hash) {
+                core.disconnect(gid, is_dead);
+                work.subscription(&core);
+            }
+        }
+        for (gid, hash) in added {
+            if !self.by_topic.contains_key(&hash) {
+                continue;
+            }
+            let Some(port) = self.index.port((gid, hash)) else { continue };
+            let result = match port.kind {
+                PortKind::Subscription => {
+                    let mut own = self.own_publishers(hash).into_iter();
+                    own.try_for_each(|core| self.connect_peer(&core, gid, port.clone(), work))
+                }
+                PortKind::Publisher => {
+                    let mut own = self.own_subscriptions(hash).into_iter();
+                    own.try_for_each(|core| self.expect_peer(&core, gid, port.clone(), work))
+                }
+            };
+            if let Err(error) = result {
+                self.index.try_again((gid, hash));
+                complain(&error);
+            }
+        }
+        for hash in self.index.take_remote_changes() {
+            for core in self.own_publishers(hash) {
+                core.set_remote(&self.index.remote(hash, PortKind::Subscription, &core.topic));
+                work.publisher(&core);
+            }
+            for core in self.own_subscriptions(hash) {
+                core.set_remote(&self.index.remote(hash, PortKind::Publisher, &core.topic));
+                work.subscription(&core);
+            }
+        }
+        let grown: Vec<Gid> = grown.into_iter().flat_map(|id| self.peer_publishers.grown(id)).collect();
+        for core in self.subscriptions.values() {
+            let has_called =
+                core.has_called.load(Ordering::Acquire) && core.has_called.swap(false, Ordering::AcqRel);
+            if has_called {
+                work.outcome.is_pending |= core.map_segments(None).is_err();
+                work.subscription(core);
+            } else if !grown.is_empty() {
+                for publisher in &grown {
+                    work.outcome.is_pending |= core.map_segments(Some(*publisher)).is_err();
+                }
+                work.subscription(core);
+            }
+            if core.is_unfinished() {
+                work.outcome.is_pending |= core.attach().is_err();
+                work.subscription(core);
+            }
+        }
+        self.close_returned(work);
+        if self.held_up.is_empty() {
+            return;
+        }
+        let is_there = self.members();
+        for number in std::mem::take(&mut self.held_up) {
+            let Some(core) = self.publishers.get(&number) else { continue };
+            if core.disconnect_closed(&is_there) {
+                self.held_up.insert(number);
+            }
+            work.publisher(core);
+        }
+    }
+
+    /// Says of a participant whether it is there.
+    fn members(&self) -> impl Fn(u64) -> bool + use<> {
+        let members: BTreeSet<u64> = self.domain.members().map(|member| member.id).collect();
+        let own = self.index.own();
+        move |id| id == own || members.contains(&id)
+    }
+
+    /// Gives back the memory of those of these ended publishers that no subscription uses any more.
+    fn release(&mut self, numbers: impl IntoIterator<Item = u64>) {
+        if self.departing.is_empty() {
+            return;
+        }
+        let is_there = self.members();
+        for number in numbers {
+            if self.departing.get(&number).is_some_and(|core| core.release(&is_there)) {
+                self.departing.remove(&number);
+            }
+        }
+    }
+
+    /// Subscriptions that have gone, and whose samples are back by now, are done with.
+    fn close_returned(&mut self, work: &mut Work) {
+        self.returning.retain(|core| {
+            let is_returned = core.is_returned.load(Ordering::Acquire);
+            if is_returned {
+                work.closed.extend(core.close());
+            }
+            !is_returned
+        });
+    }
+
+    /// Hands over what has changed to the threads that publish and take, and gives back what nobody uses any more.
+    fn settle(&mut self, work: &mut Work) {
+        // Segments of samples that publishers have made are mapped before samples come from there.
+        let publishers = std::mem::take(&mut work.publishers);
+        for core in publishers.values().filter(|core| core.take_grown()) {
+            work.calls.extend(core.participants());
+            for subscription in self.own_subscriptions(core.hash()) {
+                work.outcome.is_pending |= subscription.map_segments(Some(core.gid)).is_err();
+                work.subscription(&subscription);
+            }
+        }
+        // Before the publishers: a server knows that a client has gone before it cannot answer it any more.
+        for core in work.subscriptions.values() {
+            let (closed, is_closing) = core.settle();
+            work.closed.extend(closed);
+            work.outcome.is_pending |= is_closing;
+        }
+        publishers.values().for_each(|core| core.settle());
+        work.outcome.is_pending |= self.index.has_retries();
+        let own = self.index.own();
+        work.calls.extend(work.closed.iter().map(|gid| gid.participant()));
+        work.calls.remove(&own);
+        let closed = work.closed.range(Gid::of(own, 0)..).take_while(|gid| gid.participant() == own);
+        let numbers: Vec<u64> = closed.map(|gid| gid.number()).collect();
+        self.release(numbers);
+        self.peer_publishers.forget();
+    }
+}
+
+/// Once for each text, for it is tried again and again.
+fn complain(error: &TransportError) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let text = error.to_string();
+    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+    if said.len() < 64 && said.insert(text.clone()) {
+        tracing::warn!(
+            "ports of this process and of another one are not connected, and that is tried again: {text} (said once)"
+        );
+    }
+}

@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Where a subscription gets what a publisher sends: the publisher's memory, of this participant or mapped from another's file.
+
+use crate::error::TransportError;
+use crate::participant::Reached;
+use crate::participant::file::{Peer, Place};
+use crate::participant::ranges::Range;
+use crate::topic::connection::Connection;
+use crate::topic::control::View;
+use crate::topic::header::Gid;
+use crate::topic::pool::SEGMENTS;
+use crate::topic::publisher::core::PublisherCore;
+use crate::topic::subscription::receiver::{SegmentView, SegmentViews};
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use tautline_rt::shm::Mapping;
+
+/// A publisher's memory.
+#[derive(Clone)]
+pub(crate) enum Source {
+    Own(Arc<PublisherCore>),
+    Peer(Arc<PeerPublisher>),
+}
+
+impl Source {
+    /// The connection of a subscription, if there is one by now. Another participant's publisher is to serve it, unless it has gone: a
+    /// subscription that is attached gets what is published from then on.
+    pub(crate) fn connection(
+        &self,
+        subscription: Gid,
+        has_gone: bool,
+    ) -> Result<Option<Connection>, TransportError> {
+        match self {
+            // Handed over to its thread before whoever attaches it lets go of the lock.
+            Source::Own(core) => Ok(core.view().and_then(|view| view.find(subscription))),
+            Source::Peer(peer) => {
+                let connection = peer.connection(subscription)?;
+                Ok(connection.filter(|connection| has_gone || connection.block().out.is_served()))
+            }
+        }
+    }
+
+    /// The publisher's segments of samples, mapped. The same as before if there are no others.
+    pub(crate) fn segments(&self) -> Result<SegmentViews, TransportError> {
+        match self {
+            Source::Own(core) => Ok(core.segment_views()),
+            Source::Peer(peer) => peer.segments(),
+        }
+    }
+
+    /// Where the publisher is rung.
+    pub(crate) fn reached(&self) -> Reached {
+        match self {
+            Source::Own(core) => Reached::Own(core.slot.doorbell().clone()),
+            Source::Peer(peer) => Reached::Peer(peer.peer.clone()),
+        }
+    }
+
+    /// Whether the publisher said that it ended.
+    pub(crate) fn has_ended(&self) -> bool {
+        match self {
+            Source::Own(_) => true,
+            Source::Peer(peer) => peer.state().view.has_ended(),
+        }
+    }
+}
+
+/// A publisher of another participant, whose memory is mapped once for all subscriptions of this one.
+pub(crate) struct PeerPublisher {
+    peer: Arc<Peer>,
+    state: Mutex<State>,
+}
+
+struct State {
+    view: View,
+    segments: SegmentViews,
+    grown: Option<u32>,
+}
+
+impl PeerPublisher {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn connection(&self, subscription: Gid) -> Result<Option<Connection>, TransportError> {
+        let mut state = self.state();
+        self.map_parts(&mut state.view)?;
+        Ok(state.view.find(subscription))
+    }
+
+    fn map_parts(&self, view: &mut View) -> Result<(), TransportError> {
+        let missing = view.missing();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        // One that is not there is a lie, and nothing is found in it.
+        let Some(maps) = self.peer.map(&missing, true)? else { return Ok(()) };
+        missing.into_iter().zip(maps).for_each(|(range, map)| view.add(range, map));
+        Ok(())
+    }
+
+    fn segments(&self) -> Result<SegmentViews, TransportError> {
+        let mut state = self.state();
+        // Before the look: what changes meanwhile changes it again.
+        let grown = state.view.head().grown.load(Ordering::Acquire);
+        if state.grown == Some(grown) {
+            return Ok(state.segments.clone());
+        }
+        let mut segments: Vec<Option<SegmentView>> = state.segments.to_vec();
+        segments.resize(SEGMENTS, None);
+        let words = state.view.head().segments.iter();
+        let told: Vec<(u64, usize)> = words
+            .map(|words| {
+                let place = words.place.load(Ordering::Acquire);
+                (place, usize::try_from(words.sample_bytes.load(Ordering::Relaxed)).unwrap_or(0))
+            })
+            .collect();
+        for (known, (place, sample_bytes)) in segments.iter_mut().zip(told) {
+            if known.as_ref().is_some_and(|known| known.place == place && known.sample_bytes == sample_bytes)
+            {
+                continue;
+            }
+            *known = None;
+            if let Some(range) = Place::from_word(place).filter(|_| sample_bytes > 0)
+                && let Some(map) = self.map_segment(range)?
+            {
+                *known = Some(SegmentView { map, sample_bytes, place });
+            }
+        }
+        while segments.last().is_some_and(Option::is_none) {
+            segments.pop();
+        }
+        state.segments = segments.into();
+        state.grown = Some(grown);
+        Ok(state.segments.clone())
+    }
+
+    fn map_segment(&self, range: Range) -> Result<Option<Arc<Mapping>>, TransportError> {
+        let Some(map) = self.peer.map(&[range], false)?.and_then(|mut maps| maps.pop()) else {
+            return Ok(None);
+        };
+        // So that taking faults no page. If it fails, as of memory that is claimed on use, it does.
+        let _ = map.populate(0, map.len_bytes(), false);
+        Ok(Some(map))
+    }
+}
+
+/// The publishers of other participants that this one's subscriptions use.
+#[derive(Default)]
+pub(crate) struct PeerPublishers {
+    known: BTreeMap<Gid, Weak<PeerPublisher>>,
+}
+
+impl PeerPublishers {
+    /// The memory of the publisher `gid`, which begins where its record says. `None`: it is not there any more.
+    pub(crate) fn get(
+        &mut self,
+        peer: &Arc<Peer>,
+        gid: Gid,
+        at: u64,
+    ) -> Result<Option<Source>, TransportError> {
+        if let Some(known) = self.known.get(&gid).and_then(Weak::upgrade) {
+            return Ok(Some(Source::Peer(known)));
+        }
+        let Some(first) = Place::from_word(at) else { return Ok(None) };
+        let Some(map) = peer.map(&[first], true)?.and_then(|mut maps| maps.pop()) else { return Ok(None) };
+        let Some(view) = View::open(first, map, gid) else { return Ok(None) };
+        let state = Mutex::new(State { view, segments: Arc::from([]), grown: None });
+        let publisher = Arc::new(PeerPublisher { peer: peer.clone(), state });
+        self.known.insert(gid, Arc::downgrade(&publisher));
+        Ok(Some(Source::Peer(publisher)))
+    }
+
+    /// Those of a participant that have other segments than were mapped.
+    pub(crate) fn grown(&self, participant: u64) -> Vec<Gid> {
+        let of_it = self.known.range(Gid::of(participant, 0)..);
+        let of_it = of_it.take_while(|(gid, _)| gid.participant() == participant);
+        let has_grown = |publisher: &PeerPublisher| {
+            let state = publisher.state();
+            state.grown.is_some_and(|grown| grown != state.view.head().grown.load(Ordering::Acquire))
+        };
+        let grown = of_it.filter(|(_, publisher)| publisher.upgrade().is_some_and(|one| has_grown(&one)));
+        grown.map(|(gid, _)| *gid).collect()
+    }
+
+    /// Forgets those that nobody uses.
+    pub(crate) fn forget(&mut self) {
+        self.known.retain(|_, publisher| publisher.strong_count() > 0);
+    }
+}

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! How much shared memory a publisher needs.
+
+use super::header::HEADER_BYTES;
+use crate::qos::{Durability, Limits, Qos};
+
+/// Samples start at multiples of this.
+pub(crate) const SAMPLE_ALIGNMENT: usize = 64;
+/// Bodies are CDR, whose alignment is at most 8.
+pub(crate) const BODY_ALIGNMENT: usize = 8;
+
+/// The payload that holds a body of `len_bytes`, which is at most [`Limits::MAX_MESSAGE_BYTES`].
+pub(crate) fn padded(len_bytes: usize) -> usize {
+    len_bytes.max(1).next_multiple_of(BODY_ALIGNMENT)
+}
+
+/// What a sample with a body of `len_bytes` takes.
+pub(crate) fn sample_bytes(len_bytes: usize) -> usize {
+    (HEADER_BYTES + padded(len_bytes)).next_multiple_of(SAMPLE_ALIGNMENT)
+}
+
+/// The samples of a publisher whose memory was grown for a body of `len_bytes`: a power of two.
+pub(crate) fn grown_sample_bytes(len_bytes: usize) -> usize {
+    sample_bytes(len_bytes).next_power_of_two()
+}
+
+/// What the subscriptions of a publisher ask of its memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Demand {
+    /// The greatest depth, and what is kept for late joiners.
+    pub(crate) depth: usize,
+    /// What all of them may hold.
+    pub(crate) held: usize,
+    /// What is kept for late joiners.
+    pub(crate) kept: usize,
+}
+
+impl Demand {
+    /// Whatever subscriptions there are.
+    pub(crate) fn of_publisher(qos: &Qos) -> Self {
+        let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
+        Demand { depth: kept, held: 0, kept }
+    }
+
+    pub(crate) fn join(&mut self, depth: usize, held: usize) {
+        self.depth = self.depth.max(depth);
+        self.held = self.held.saturating_add(held);
+    }
+
+    /// Samples that a publisher can have in flight, so that no loan fails for want of memory.
+    ///
+    /// Every queue was given the same samples and keeps the newest of them, so all queues together, and what is kept for late
+    /// joiners, hold no more than the newest `depth`. An older sample is one that a subscription holds, or that the publisher has
+    /// loaned: while it loans it sends nothing, so meanwhile no sample grows old, and a subscription that gives one back and takes
+    /// another takes one of the newest. Only a late joiner that is being connected right now has a queue that the publisher does not
+    /// fill yet, with what was kept when that began.
+    pub(crate) fn samples(self, loans: usize) -> usize {
+        self.depth.saturating_add(self.held).saturating_add(self.kept).saturating_add(loans)
+    }
+}
+
+/// Shared memory of one publisher.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TopicMemory {
+    /// Samples that can be in flight.
+    pub samples: usize,
+    /// Bytes of one.
+    pub sample_bytes: usize,
+    /// Bytes that are claimed with [`Claim::Ahead`](crate::Claim::Ahead): for all samples. With
+    /// [`Claim::OnUse`](crate::Claim::OnUse) it is the most that is ever claimed.
+    pub claimed_bytes: usize,
+}
+
+/// The memory of one publisher of messages of `body_bytes` that offers `qos`, with `subscriptions` subscriptions of at most `depth`, of
+/// which each may hold `limits.held` samples.
+///
+/// For a type without a fixed size `body_bytes` is the largest message, and `limits.message_bytes` is at least that. If it
+/// is not, each larger message doubles the samples' size until it fits, in a new segment of as many samples; the old
+/// segment goes when its last sample has come back.
+///
+/// ```
+/// # use tautline_transport::{Limits, Qos, topic_memory};
+/// let limits = Limits { held: 2, loans: 1, ..Limits::default() };
+/// let camera = topic_memory(8 << 20, Qos::keep_last(1), limits, 3, 4);
+/// assert_eq!((camera.samples, camera.sample_bytes), (4 + 3 * 2 + 1, (8 << 20) + 64));
+/// ```
+pub fn topic_memory(
+    body_bytes: usize,
+    qos: Qos,
+    limits: Limits,
+    subscriptions: usize,
+    depth: usize,
+) -> TopicMemory {
+    let mut demand = Demand::of_publisher(&qos);
+    demand.join(depth, subscriptions.saturating_mul(limits.held));
+    let (samples, sample_bytes) = (demand.samples(limits.loans), sample_bytes(body_bytes));
+    TopicMemory { samples, sample_bytes, claimed_bytes: samples.saturating_mul(sample_bytes) }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sample_has_room_for_its_body() {
+        for len in (0..100_000).step_by(7) {
+            assert!(sample_bytes(len) >= HEADER_BYTES + len && sample_bytes(len) < HEADER_BYTES + len + 72);
+            assert!(
+                grown_sample_bytes(len).is_power_of_two() && grown_sample_bytes(len) >= sample_bytes(len)
+            );
+        }
+        assert_eq!(HEADER_BYTES, 64, "docs/memory.md says so");
+    }
+}

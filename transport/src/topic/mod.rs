@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Topics: publishers and subscriptions, what lies in shared memory between them, and how they find each other.
+//!
+//! A publisher has memory of its own in its participant's file: samples ([`pool`]), and for each subscription a [`connection`], two
+//! queues of iceoryx2's. Who sets up ([`matching`]) makes and breaks connections; the threads that publish and take only use them.
+
+pub(crate) mod chunks;
+pub(crate) mod compatibility;
+pub(crate) mod connection;
+pub(crate) mod control;
+pub(crate) mod ends;
+pub(crate) mod hand_over;
+pub(crate) mod header;
+pub(crate) mod lending;
+pub(crate) mod matching;
+pub(crate) mod memory;
+pub(crate) mod monitor;
+pub(crate) mod pool;
+pub(crate) mod publisher;
+pub(crate) mod subscription;
+pub(crate) mod topic_type;
+pub(crate) mod typed;
+
+use crate::error::TransportError;
+use crate::graph::record::{MAX_NAME_BYTES, PortRecord, is_topic};
+use crate::qos::{Limits, Qos};
+use crate::schema_store;
+use ends::Mismatch;
+use topic_type::TopicType;
+
+/// A topic as one end sees it.
+#[derive(Clone, Debug)]
+pub(crate) struct Topic {
+    pub(crate) name: String,
+    /// What this end knows of its type.
+    pub(crate) topic_type: TopicType,
+}
+
+impl Topic {
+    /// Checks what an end of a topic is to be, and keeps the definition of its type.
+    pub(crate) fn check(
+        name: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
+        if !is_topic(name) {
+            return Err(TransportError::TopicName {
+                topic: name.escape_default().to_string(),
+                reason: format!("it has 1 to {MAX_NAME_BYTES} bytes, no control characters and no ':'"),
+            });
+        }
+        qos.check(name)?;
+        limits.check(name)?;
+        topic_type.check(name)?;
+        let message_bytes = topic_type.body_bytes.map_or(limits.message_bytes, |bytes| bytes.max(1));
+        Limits { message_bytes, ..limits }.check(name)?;
+        // Only what its bringer knows the hash of.
+        schema_store::keep(topic_type);
+        Ok(Topic { name: name.to_owned(), topic_type: topic_type.clone() })
+    }
+
+    /// What it is called in what users read: that of a service's requests is the service.
+    pub(crate) fn named(&self) -> String {
+        crate::error::named(&self.name)
+    }
+
+    /// Says, where an end is made or another one appears, that they get nothing from each other.
+    fn warn_of_mismatch(&self, mismatch: Mismatch, here: &str, there: &str, port: &PortRecord) {
+        match mismatch {
+            Mismatch::Qos(policy) => tracing::warn!(
+                "{}: this {here} and a {there} get nothing from each other: what is offered does not meet the {policy} that is \
+                 requested (docs/qos.md)",
+                self.named()
+            ),
+            Mismatch::Type => tracing::warn!(
+                "{}: this {here} and a {there} get nothing from each other: one is of '{}', the other of '{}'; rename one of \
+                 them, or use the same type",
+                self.named(),
+                self.topic_type.describe(),
+                port.topic_type().describe()
+            ),
+        }
+    }
+}

@@ -1,0 +1,269 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What becomes of a publisher's or a subscription's matches, of their liveliness and of lost messages: a monitor compares what
+//! is there with what it saw before.
+//!
+//! A monitor belongs to whoever wants to know, in any thread; the publisher or subscription goes on without noticing it. It is
+//! told when to look by a ring of the slot it was made with: when the other ends of the topic change, when messages are lost, and
+//! when the publisher or subscription ends. What is due at a time is told by the sampler, from a [`Pulse`](crate::Pulse).
+//!
+//! A gateway's ports are no ends of the topic: the ends on other hosts are, for which they stand.
+
+mod publisher;
+mod subscription;
+
+pub use publisher::{PublisherChanges, PublisherMonitor};
+pub use subscription::{SubscriptionChanges, SubscriptionMonitor};
+
+use super::compatibility::QosPolicyKind;
+use super::ends::{End, EndList, Mismatch};
+use super::header::Gid;
+use std::sync::Arc;
+use tautline_doorbell::Slot;
+use tautline_rt::LatestReader;
+
+/// How many ends of the topic fit this one: `total_count` have come so far, `current_count` are there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Matched {
+    /// All that ever matched.
+    pub total_count: u64,
+    /// Those that came since the last event.
+    pub total_count_change: u64,
+    /// Those that are there.
+    pub current_count: u64,
+    /// How many more, or fewer, than at the last event.
+    pub current_count_change: i64,
+}
+
+/// Ends of the topic were found that do not fit this one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IncompatibleQos {
+    /// All that were found.
+    pub total_count: u64,
+    /// Those found since the last event.
+    pub total_count_change: u64,
+    /// What kept the last of them apart.
+    pub last_policy_kind: QosPolicyKind,
+}
+
+/// Ends of the topic were found whose type is another one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IncompatibleType {
+    /// All that were found.
+    pub total_count: u64,
+    /// Those found since the last event.
+    pub total_count_change: u64,
+}
+
+/// How many of the matched publishers are alive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LivelinessChanged {
+    /// Those that are alive.
+    pub alive_count: u64,
+    /// Those that let their lease pass, and those found killed, or on other hosts no longer found, since the last event.
+    pub not_alive_count: u64,
+    /// The difference from the last event.
+    pub alive_count_change: i64,
+    /// The difference from the last event.
+    pub not_alive_count_change: i64,
+}
+
+/// Messages were overwritten before they were taken: see [`Counters::lost`](crate::Counters::lost).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MessageLost {
+    /// All so far.
+    pub total_count: u64,
+    /// Those since the last event.
+    pub total_count_change: u64,
+}
+
+/// The slot that is rung for the events of a publisher or subscription, as long as its monitor lives.
+struct Events {
+    watched: Arc<Slot>,
+    events: usize,
+}
+
+impl Events {
+    fn new(watched: &Arc<Slot>, events: &Slot) -> Self {
+        watched.doorbell().arena().set_events(watched.index(), events.index());
+        Events { watched: watched.clone(), events: events.index() }
+    }
+}
+
+impl Drop for Events {
+    fn drop(&mut self) {
+        self.watched.doorbell().arena().clear_events(self.watched.index(), self.events);
+    }
+}
+
+/// The ends of the topic that are there.
+struct Ends {
+    list: LatestReader<Arc<EndList>>,
+    is_first: bool,
+    /// As at the last look, in the order of their gids.
+    known: Vec<Known>,
+    former: Vec<Known>,
+    matched: u64,
+    total: u64,
+    incompatible_qos: u64,
+    incompatible_type: u64,
+    killed: u64,
+}
+
+#[derive(Clone, Copy)]
+struct Known {
+    gid: Gid,
+    mismatch: Option<Mismatch>,
+}
+
+/// What became of them.
+#[derive(Default)]
+struct Changes {
+    matched: Option<Matched>,
+    incompatible_qos: Option<IncompatibleQos>,
+    incompatible_type: Option<IncompatibleType>,
+    /// How many went without a word.
+    killed: u64,
+}
+
+impl Ends {
+    fn new(list: LatestReader<Arc<EndList>>) -> Self {
+        let (known, former) = Default::default();
+        let (matched, total, incompatible_qos, incompatible_type, killed) = Default::default();
+        Ends {
+            list,
+            is_first: true,
+            known,
+            former,
+            matched,
+            total,
+            incompatible_qos,
+            incompatible_type,
+            killed,
+        }
+    }
+
+    /// Those that are there, as at the last update: see [`is_end`].
+    fn iter(&self) -> impl Iterator<Item = &End> {
+        self.list.current().ends.iter().filter(|end| is_end(end))
+    }
+
+    /// Looks for changes since the last time.
+    ///
+    /// # Real-time
+    /// One load if nothing changed; else O(ends), and allocates if there are more than ever before.
+    fn update(&mut self) -> Changes {
+        if !std::mem::take(&mut self.is_first) && !self.list.is_fresh() {
+            return Changes::default();
+        }
+        let (matched, total) = (self.matched, self.total);
+        let (qos, types) = (self.incompatible_qos, self.incompatible_type);
+        std::mem::swap(&mut self.known, &mut self.former);
+        self.known.clear();
+        self.matched = 0;
+        let (list, mut last_policy) = (self.list.read(), None);
+        // Both are in the order of their gids.
+        let mut former = self.former.iter().peekable();
+        for end in list.ends.iter().filter(|end| is_end(end)) {
+            while former.next_if(|known| known.gid < end.gid).is_some() {}
+            let is_new =
+                former.peek().is_none_or(|known| known.gid != end.gid || known.mismatch != end.mismatch);
+            match end.mismatch {
+                None => {
+                    self.matched += 1;
+                    self.total += u64::from(is_new);
+                }
+                Some(Mismatch::Qos(policy)) if is_new => {
+                    self.incompatible_qos += 1;
+                    last_policy = Some(policy);
+                }
+                Some(Mismatch::Type) if is_new => self.incompatible_type += 1,
+                Some(_) => {}
+            }
+            self.known.push(Known { gid: end.gid, mismatch: end.mismatch });
+        }
+        let killed = list.killed - self.killed;
+        self.killed = list.killed;
+        let came = self.total - total;
+        // As many as there were and came, unless some went.
+        let has_changed = came > 0 || self.matched != matched;
+        Changes {
+            matched: has_changed.then_some(Matched {
+                total_count: self.total,
+                total_count_change: came,
+                current_count: self.matched,
+                current_count_change: self.matched as i64 - matched as i64,
+            }),
+            incompatible_qos: last_policy.map(|last_policy_kind| IncompatibleQos {
+                total_count: self.incompatible_qos,
+                total_count_change: self.incompatible_qos - qos,
+                last_policy_kind,
+            }),
+            incompatible_type: (self.incompatible_type > types).then_some(IncompatibleType {
+                total_count: self.incompatible_type,
+                total_count_change: self.incompatible_type - types,
+            }),
+            killed,
+        }
+    }
+}
+
+/// Whether it is an end of the topic itself: not one that stands for others, which are listed.
+fn is_end(end: &End) -> bool {
+    !end.is_relay
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use crate::qos::Qos;
+    use tautline_rt::latest;
+
+    fn end(n: u8, mismatch: Option<Mismatch>) -> End {
+        let (is_relay, is_remote) = (n > 100, false);
+        End {
+            gid: Gid([n; 16]),
+            mismatch,
+            qos: Qos::default(),
+            is_relay,
+            is_remote,
+            partner: None,
+            life: None,
+        }
+    }
+
+    #[test]
+    fn ends_come_and_go() {
+        let (mut writer, reader) = latest(Arc::<EndList>::default());
+        let mut ends = Ends::new(reader);
+        let deadline = Some(Mismatch::Qos(QosPolicyKind::Deadline));
+        let mut update = |list: &[(u8, Option<Mismatch>)], killed: u64| {
+            let listed = list.iter().map(|(n, mismatch)| end(*n, *mismatch)).collect();
+            writer.write(Arc::new(EndList { ends: listed, killed }));
+            let changes = ends.update();
+            (
+                changes
+                    .matched
+                    .map(|m| (m.total_count, m.total_count_change, m.current_count, m.current_count_change)),
+                changes.incompatible_qos.map(|i| (i.total_count, i.total_count_change, i.last_policy_kind)),
+                changes.incompatible_type.map(|i| (i.total_count, i.total_count_change)),
+                changes.killed,
+            )
+        };
+        assert_eq!(update(&[], 0), (None, None, None, 0));
+        assert_eq!(
+            update(&[(1, None), (2, deadline), (101, None)], 0),
+            (Some((1, 1, 1, 1)), Some((1, 1, QosPolicyKind::Deadline)), None, 0),
+            "and one that stands for others"
+        );
+        assert_eq!(update(&[(1, None), (2, deadline)], 0), (None, None, None, 0), "nothing new");
+        assert_eq!(update(&[(3, None)], 1), (Some((2, 1, 1, 0)), None, None, 1), "one for another");
+        assert_eq!(update(&[], 1), (Some((2, 0, 0, -1)), None, None, 0));
+        assert_eq!(update(&[(2, deadline)], 1).1, Some((2, 1, QosPolicyKind::Deadline)), "it came again");
+        assert_eq!(
+            update(&[(2, None), (5, Some(Mismatch::Type))], 1),
+            (Some((3, 1, 1, 1)), None, Some((1, 1)), 0)
+        );
+        assert!(ends.update().matched.is_none(), "nobody wrote");
+        assert_eq!(ends.iter().count(), 2);
+    }
+}

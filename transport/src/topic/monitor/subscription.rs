@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use super::{
+    Changes, Ends, Events, IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost,
+};
+use crate::qos::{Qos, nanoseconds};
+use crate::topic::subscription::core::SubscriptionCore;
+use crate::topic::subscription::{Counters, RawSubscription};
+use std::sync::Arc;
+use std::time::Duration;
+use tautline_doorbell::{Pulse, PulseOf, Slot};
+
+/// Tells what becomes of a subscription's publishers and of what they send. See [`RawSubscription::monitor`].
+pub struct SubscriptionMonitor {
+    core: Arc<SubscriptionCore>,
+    counters: Arc<Counters>,
+    ends: Ends,
+    /// As at the last event.
+    lost: u64,
+    alive: u64,
+    not_alive: u64,
+    /// Of those not alive.
+    killed: u64,
+    _events: Events,
+}
+
+/// What changed since a subscription's monitor last looked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SubscriptionChanges {
+    /// Publishers came or went.
+    pub matched: Option<Matched>,
+    /// Publishers came that do not offer what the subscription requests.
+    pub incompatible_qos: Option<IncompatibleQos>,
+    /// Publishers of another type came.
+    pub incompatible_type: Option<IncompatibleType>,
+    /// Publishers came to life or died.
+    pub liveliness: Option<LivelinessChanged>,
+    /// Messages were lost.
+    pub message_lost: Option<MessageLost>,
+    /// When to look again though nothing rings: when the next lease of a publisher ends.
+    pub look_again_ns: Option<u64>,
+}
+
+/// A publisher that is not alive is looked for this often at most.
+const SHORTEST_NS: u64 = 1_000_000;
+
+impl RawSubscription {
+    /// What tells of this subscription's publishers, when `events` is rung. There is one at a time: a second one takes the first
+    /// one's place.
+    ///
+    /// # Real-time
+    /// Setup only.
+    pub fn monitor(&self, events: &Slot) -> SubscriptionMonitor {
+        let core = self.core().clone();
+        // Before the list: what changes meanwhile rings.
+        let _events = Events::new(&core.slot, events);
+        let (counters, ends) = (self.counters(), Ends::new(core.monitor()));
+        SubscriptionMonitor { core, counters, ends, lost: 0, alive: 0, not_alive: 0, killed: 0, _events }
+    }
+}
+
+impl SubscriptionMonitor {
+    /// What changed by `now_ns`, on `CLOCK_MONOTONIC`. The first time: since there was nothing.
+    ///
+    /// # Real-time
+    /// O(publishers); no syscall; allocates if there are more publishers than ever before.
+    pub fn look(&mut self, now_ns: u64) -> SubscriptionChanges {
+        let Changes { matched, incompatible_qos, incompatible_type, killed } = self.ends.update();
+        let mut changes = SubscriptionChanges {
+            matched,
+            incompatible_qos,
+            incompatible_type,
+            ..SubscriptionChanges::default()
+        };
+        let (mut alive, mut not_alive) = (0, 0);
+        for end in self.ends.iter().filter(|end| end.mismatch.is_none()) {
+            let lease = end.qos.liveliness_lease_duration.map(nanoseconds);
+            let (Some(life), Some(lease_ns)) = (&end.life, lease) else {
+                alive += 1;
+                continue;
+            };
+            let due_ns = life.alive_ns().saturating_add(lease_ns);
+            let is_alive = due_ns > now_ns;
+            *if is_alive { &mut alive } else { &mut not_alive } += 1;
+            // One that comes to life again rings nobody: it is looked for once in each lease. Leases are what others ask for: a
+            // very short one is no reason to look all the time.
+            let again_ns = if is_alive { due_ns } else { now_ns.saturating_add(lease_ns.max(SHORTEST_NS)) };
+            changes.look_again_ns = Some(changes.look_again_ns.map_or(again_ns, |other| other.min(again_ns)));
+        }
+        changes.liveliness = self.note_liveliness(alive, not_alive, killed);
+        let lost = self.counters.lost();
+        if lost != self.lost {
+            changes.message_lost =
+                Some(MessageLost { total_count: lost, total_count_change: lost.saturating_sub(self.lost) });
+            self.lost = lost;
+        }
+        changes
+    }
+
+    fn note_liveliness(&mut self, alive: u64, not_alive: u64, killed: u64) -> Option<LivelinessChanged> {
+        if killed == 0 && alive == self.alive && not_alive + self.killed == self.not_alive {
+            return None;
+        }
+        // Those killed before are forgotten now.
+        self.killed = killed;
+        let not_alive = not_alive + killed;
+        let changed = LivelinessChanged {
+            alive_count: alive,
+            not_alive_count: not_alive,
+            alive_count_change: alive as i64 - self.alive as i64,
+            not_alive_count_change: not_alive as i64 - self.not_alive as i64,
+        };
+        (self.alive, self.not_alive) = (alive, not_alive);
+        Some(changed)
+    }
+
+    /// Whether the subscription has gone.
+    pub fn has_ended(&self) -> bool {
+        self.core.slot.is_retired()
+    }
+
+    /// The quality of service that the subscription requests.
+    pub fn qos(&self) -> &Qos {
+        &self.core.qos
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        &self.core.topic.name
+    }
+
+    /// When a sample last came, taken or not, and how long the next one may take, if the subscription has a deadline.
+    pub fn deadline(&self) -> Option<(Pulse, Duration)> {
+        Some((self.core.slot.pulse(PulseOf::Sample), self.qos().deadline?))
+    }
+}
+
+impl std::fmt::Debug for SubscriptionMonitor {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SubscriptionMonitor").field("topic", &self.topic()).finish_non_exhaustive()
+    }
+}

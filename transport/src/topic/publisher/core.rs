@@ -1,0 +1,611 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The part of a publisher that is set up: its memory, and which subscriptions it is connected to. Shared by the publisher and by whoever
+//! finds subscriptions for it; the thread that publishes works with what is handed over to it: see [`sender`](super::sender).
+
+use super::PublisherRole;
+use super::history::History;
+use super::sender::{Live, Sender, Spare, Table, words_for};
+use crate::error::TransportError;
+use crate::graph::log::hash_of;
+use crate::graph::own::OwnRecord;
+use crate::graph::record::{PortKind, PortRecord, QosRecord};
+use crate::participant::Reached;
+use crate::participant::file::OwnMemory;
+use crate::qos::{Claim, Durability, History as KeepWhat, Limits, Qos};
+use crate::topic::Topic;
+use crate::topic::chunks::{Chunks, Keyed};
+use crate::topic::connection::{ReaderState, Shape};
+use crate::topic::control::{ConnectionPlace, Control, View};
+use crate::topic::ends::{End, Ends, Mismatch};
+use crate::topic::header::Gid;
+use crate::topic::memory::{Demand, grown_sample_bytes, sample_bytes};
+use crate::topic::pool::{MAX_SAMPLES, Pool, Segment};
+use crate::topic::subscription::receiver::{SegmentView, SegmentViews};
+use std::collections::BTreeSet;
+use std::io;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tautline_doorbell::Slot;
+use tautline_rt::{LatestWriter, latest};
+
+/// Samples that a publisher whose memory is claimed on use claims at once, at least.
+const FIRST_SAMPLES: usize = 4;
+/// A publisher of responses has memory for so many from the start: each of its clients gets others.
+const FIRST_RESPONSES: usize = 16;
+/// Below this many bytes a publisher that needs more samples gets twice as many, so that it seldom needs more.
+const DOUBLED_BYTES: usize = 1 << 20;
+
+pub(crate) struct PublisherCore {
+    pub(crate) gid: Gid,
+    pub(crate) topic: Topic,
+    pub(crate) qos: Qos,
+    pub(crate) limits: Limits,
+    pub(crate) is_relay: bool,
+    /// Each sample goes to one subscription: responses.
+    pub(crate) is_addressed: bool,
+    /// Of a server's responses: the port of its requests.
+    partner: Option<u64>,
+    pub(crate) slot: Arc<Slot>,
+    pub(crate) history: Option<History>,
+    /// The number of the last sample that was published.
+    pub(crate) published: AtomicU64,
+    /// Subscriptions on this host that match.
+    pub(crate) matched: AtomicUsize,
+    setup: Mutex<Setup>,
+}
+
+/// Guarded by a lock that publishing never takes, but for a message that is longer than all before.
+struct Setup {
+    memory: Arc<OwnMemory>,
+    record: Arc<OwnRecord>,
+    control: Option<Control>,
+    pool: Pool,
+    /// Of the samples that are loaned. There may be segments of shorter ones, until nobody uses them.
+    sample_bytes: usize,
+    /// There are other segments than when this was last asked.
+    has_grown: bool,
+    senders: Chunks<Connected>,
+    /// Those that are in no table yet that was handed over.
+    unserved: Vec<Arc<Sender>>,
+    /// How many of those are retired.
+    retired: usize,
+    /// How long their lists of samples that are out are at least, or will be, in words.
+    words: usize,
+    /// What they ask for.
+    demand: Demand,
+    ends: Ends,
+    table: LatestWriter<Arc<Table>>,
+    is_stale: bool,
+}
+
+/// A subscription that is connected.
+#[derive(Clone)]
+pub(super) struct Connected {
+    subscription: Gid,
+    pub(super) sender: Arc<Sender>,
+    place: ConnectionPlace,
+    shape: Shape,
+    /// A longer list for the publishing thread to take, if it has not done so.
+    pub(super) spare: Option<Arc<Spare>>,
+}
+
+impl Keyed for Connected {
+    fn key(&self) -> Gid {
+        self.subscription
+    }
+}
+
+/// A subscription as its record describes it.
+pub(crate) struct Target {
+    pub(crate) gid: Gid,
+    pub(crate) port: PortRecord,
+    pub(crate) reached: Reached,
+}
+
+/// What became of a subscription.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Outcome {
+    Connected,
+    /// It was known already, or does not match.
+    Nothing,
+}
+
+impl PublisherCore {
+    /// Makes the memory of a publisher that has no subscription yet.
+    pub(crate) fn create(
+        (memory, record): (&Arc<OwnMemory>, &Arc<OwnRecord>),
+        gid: Gid,
+        topic: Topic,
+        qos: Qos,
+        limits: Limits,
+        role: PublisherRole,
+        slot: Arc<Slot>,
+    ) -> Result<(Arc<Self>, Live), TransportError> {
+        let history = (qos.durability == Durability::TransientLocal).then(|| History::new(qos.depth));
+        let sample_bytes = sample_bytes(topic.topic_type.body_bytes.unwrap_or(limits.message_bytes));
+        let control = Control::create(memory, gid).map_err(|source| TransportError::Memory {
+            topic: topic.name.clone(),
+            bytes: 4096,
+            sample_bytes,
+            source,
+        })?;
+        let claims_on_use = limits.claim == Claim::OnUse;
+        let first = Arc::new(Table::empty(Pool::default(), sample_bytes, claims_on_use));
+        let (table, reader) = latest(first);
+        let setup = Setup {
+            memory: memory.clone(),
+            record: record.clone(),
+            has_grown: false,
+            demand: Demand::of_publisher(&qos),
+            control: Some(control),
+            pool: Pool::default(),
+            sample_bytes,
+            senders: Chunks::default(),
+            unserved: Vec::new(),
+            retired: 0,
+            words: 0,
+            ends: Ends::default(),
+            table,
+            is_stale: true,
+        };
+        let core = PublisherCore {
+            gid,
+            topic,
+            qos,
+            limits,
+            is_relay: role.is_relay,
+            is_addressed: role.is_addressed,
+            partner: role.partner,
+            slot,
+            history,
+            published: AtomicU64::new(0),
+            matched: AtomicUsize::new(0),
+            setup: Mutex::new(setup),
+        };
+        {
+            let mut setup = core.setup();
+            core.grow(&mut setup, None)?;
+            core.hand_over(&mut setup);
+        }
+        Ok((Arc::new(core), Live::new(reader)))
+    }
+
+    fn setup(&self) -> MutexGuard<'_, Setup> {
+        self.setup.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What others read of it.
+    pub(crate) fn record(&self, node: Option<u64>) -> PortRecord {
+        let setup = self.setup();
+        PortRecord {
+            node,
+            kind: PortKind::Publisher,
+            topic: self.topic.name.clone(),
+            type_name: self.topic.topic_type.name.to_string(),
+            hash: self.topic.topic_type.hash.as_ref().map(ToString::to_string),
+            body_bytes: self.topic.topic_type.body_bytes.map(|bytes| bytes as u64),
+            qos: QosRecord::from(&self.qos),
+            relay: self.is_relay,
+            slot: self.slot.index() as u32,
+            at: setup.control.as_ref().map_or(0, Control::place),
+            partner: self.partner,
+        }
+    }
+
+    pub(crate) fn hash(&self) -> u64 {
+        hash_of(&self.topic.name)
+    }
+
+    /// Connects a subscription, unless it is connected or does not match. Call [`settle`](Self::settle) afterwards.
+    ///
+    /// # Errors
+    /// There is no shared memory for it: nothing has changed.
+    pub(crate) fn connect(&self, target: &Target) -> Result<Outcome, TransportError> {
+        let mut setup = self.setup();
+        if setup.control.is_none() || setup.ends.contains(target.gid) {
+            return Ok(Outcome::Nothing);
+        }
+        let qos = target.port.qos.qos();
+        let mismatch = self.mismatch(&target.port, &qos);
+        let is_relay = target.port.relay;
+        let partner = target.port.partner;
+        let end = End { gid: target.gid, mismatch, qos, is_relay, is_remote: false, partner, life: None };
+        if let Some(mismatch) = mismatch {
+            self.topic.warn_of_mismatch(mismatch, "publisher", "subscription", &target.port);
+            setup.ends.set(end);
+            return Ok(Outcome::Nothing);
+        }
+        let slot = target.port.slot as usize;
+        if !target.reached.reach(slot)? {
+            // Its memory has gone: so will it.
+            return Ok(Outcome::Nothing);
+        }
+        let shape = Shape::of(&target.port);
+        self.grow(&mut setup, Some(shape))?;
+        let is_on_use = self.limits.claim == Claim::OnUse;
+        let Setup { control: Some(control), pool, sample_bytes, .. } = &mut *setup else {
+            return Ok(Outcome::Nothing);
+        };
+        let refuse = |source| self.no_memory(shape.queues_bytes() as u64, *sample_bytes, source);
+        let connected = control.connect(target.gid, shape, if is_on_use { 0 } else { usize::MAX });
+        let (connection, place) = connected.map_err(refuse)?;
+        let keeps_all = qos.history == KeepWhat::KeepAll;
+        let reached = (target.reached.clone(), slot);
+        let sender = Sender::new(
+            target.gid,
+            shape.depth,
+            keeps_all,
+            target.port.partner,
+            reached,
+            connection,
+            pool.end(),
+        );
+        let history = self.history.as_ref().filter(|_| qos.durability == Durability::TransientLocal);
+        if let Some(history) = history {
+            if is_on_use {
+                control.claim_queues(&place, self.qos.depth.min(shape.depth)).map_err(refuse)?;
+            }
+            sender.preload(history, self.published.load(Ordering::Acquire), pool);
+        }
+        let (subscription, sender) = (target.gid, Arc::new(sender));
+        setup.unserved.push(sender.clone());
+        setup.senders.insert(Connected { subscription, sender, place, shape, spare: None });
+        self.join(&mut setup.demand, shape);
+        setup.ends.set(end);
+        setup.is_stale = true;
+        if history.is_some() {
+            // Before the next one is served: there is memory for one.
+            self.hand_over(&mut setup);
+            self.top_up(&mut setup);
+        }
+        Ok(Outcome::Connected)
+    }
+
+    fn mismatch(&self, port: &PortRecord, requested: &Qos) -> Option<Mismatch> {
+        if !self.topic.topic_type.agrees_with(&port.topic_type()) {
+            return Some(Mismatch::Type);
+        }
+        let is_relayed = self.is_relay || port.relay;
+        self.qos.incompatibility(requested).filter(|_| !is_relayed).map(Mismatch::Qos)
+    }
+
+    fn no_memory(&self, bytes: u64, sample_bytes: usize, source: io::Error) -> TransportError {
+        TransportError::Memory { topic: self.topic.name.clone(), bytes, sample_bytes, source }
+    }
+
+    fn join(&self, demand: &mut Demand, Shape { depth, held }: Shape) {
+        match self.is_addressed {
+            // Each queue has other samples.
+            true => demand.depth = demand.depth.saturating_add(depth),
+            false => demand.join(depth, 0),
+        }
+        demand.join(0, held);
+    }
+
+    /// Makes room for what subscriptions will ask for that are about to be connected, at once.
+    ///
+    /// # Errors
+    /// There is no shared memory for it.
+    pub(crate) fn expect<'a>(
+        &self,
+        ports: impl Iterator<Item = &'a PortRecord>,
+    ) -> Result<(), TransportError> {
+        let mut setup = self.setup();
+        let fits = |port: &&PortRecord| self.mismatch(port, &port.qos.qos()).is_none();
+        self.grow(&mut setup, ports.filter(fits).map(Shape::of))
+    }
+
+    /// How many samples are to be there before they are needed.
+    fn ahead(&self, demand: Demand) -> usize {
+        let all = demand.samples(self.limits.loans);
+        match self.limits.claim {
+            Claim::OnUse => 0,
+            Claim::Ahead if self.is_addressed => all.min(self.limits.loans + FIRST_RESPONSES),
+            Claim::Ahead => all,
+        }
+    }
+
+    /// Makes samples until there are as many as are to be there, for the subscriptions that are connected and for `more`.
+    fn grow(&self, setup: &mut Setup, more: impl IntoIterator<Item = Shape>) -> Result<(), TransportError> {
+        let mut demand = setup.demand;
+        more.into_iter().for_each(|shape| self.join(&mut demand, shape));
+        let (wanted, there) = (self.ahead(demand), setup.pool.samples(setup.sample_bytes));
+        if there >= wanted {
+            return Ok(());
+        }
+        self.add_samples(setup, wanted - there)
+    }
+
+    fn add_samples(&self, setup: &mut Setup, needed: usize) -> Result<(), TransportError> {
+        let sample_bytes = setup.sample_bytes;
+        let there = setup.pool.samples(sample_bytes);
+        let is_small = (there + needed).saturating_mul(sample_bytes) < DOUBLED_BYTES;
+        let is_crowded = setup.pool.segments().count() >= crate::topic::pool::SEGMENTS / 2;
+        let samples = if is_small || is_crowded { needed.max(there) } else { needed };
+        let bytes = samples.saturating_mul(sample_bytes) as u64;
+        let refuse = |source| self.no_memory(bytes, sample_bytes, source);
+        let too_many = || io::Error::other("more samples, or segments of samples, than a publisher can have");
+        let id = setup.pool.next_id().filter(|_| samples <= MAX_SAMPLES).ok_or_else(|| refuse(too_many()))?;
+        let range = setup.memory.reserve(bytes).map_err(refuse)?;
+        let make = || {
+            setup.memory.claim(range)?;
+            let map = setup.memory.map(range)?;
+            map.populate(0, map.len_bytes(), true)?;
+            Ok(map)
+        };
+        let map = make().map_err(|source| {
+            setup.memory.release(range);
+            refuse(source)
+        })?;
+        // What is mapped in whole pages is used.
+        let samples = (map.len_bytes() / sample_bytes).clamp(samples, MAX_SAMPLES);
+        let segment = Arc::new(Segment::new(id, range, map, sample_bytes, samples, setup.pool.end()));
+        setup.pool.add(segment.clone());
+        if let Some(control) = &setup.control {
+            control.show_segment(&segment);
+        }
+        setup.record.grew();
+        setup.has_grown = true;
+        setup.is_stale = true;
+        Ok(())
+    }
+
+    /// One more sample is needed, of a publisher whose memory is claimed on use, or of responses.
+    pub(crate) fn claim_more(&self) -> io::Result<()> {
+        let mut setup = self.setup();
+        let there = setup.pool.samples(setup.sample_bytes);
+        let most = setup.demand.samples(self.limits.loans);
+        let more = there.max(FIRST_SAMPLES).min(most.saturating_sub(there));
+        if more == 0 {
+            return Err(io::Error::other("all samples are in use"));
+        }
+        self.add_samples(&mut setup, more).map_err(|error| match error {
+            TransportError::Memory { source, .. } => source,
+            other => io::Error::other(other.to_string()),
+        })?;
+        self.hand_over(&mut setup);
+        Ok(())
+    }
+
+    /// A message of `len_bytes` is longer than all before: from now on samples are as long as it needs, or twice that at most.
+    pub(crate) fn lengthen(&self, len_bytes: usize) -> io::Result<usize> {
+        let mut setup = self.setup();
+        let (before, wanted) = (setup.sample_bytes, grown_sample_bytes(len_bytes));
+        if wanted <= before {
+            return Ok(before);
+        }
+        setup.sample_bytes = wanted;
+        if let Err(error) = self.grow(&mut setup, None) {
+            setup.sample_bytes = before;
+            return Err(io::Error::other(error.to_string()));
+        }
+        self.forget_short_segments(&mut setup);
+        self.hand_over(&mut setup);
+        Ok(wanted)
+    }
+
+    /// Segments of shorter samples, of which none is used.
+    fn forget_short_segments(&self, setup: &mut Setup) {
+        let is_short =
+            |segment: &&Arc<Segment>| segment.sample_bytes() < setup.sample_bytes && segment.is_unused();
+        let short: Vec<_> = setup.pool.segments().filter(is_short).cloned().collect();
+        for segment in short {
+            setup.pool.remove(segment.id());
+            if let Some(control) = &setup.control {
+                control.hide_segment(segment.id());
+            }
+            setup.memory.release(segment.range);
+            setup.record.grew();
+            setup.is_stale = true;
+        }
+    }
+
+    /// Memory of a subscription's queue for `samples`, if that is claimed as it is used.
+    pub(crate) fn claim_queues(&self, subscription: Gid, samples: usize) -> io::Result<()> {
+        let mut setup = self.setup();
+        let Setup { control: Some(control), senders, .. } = &mut *setup else { return Ok(()) };
+        match senders.get(subscription) {
+            Some(connected) => control.claim_queues(&connected.place, samples),
+            None => Ok(()),
+        }
+    }
+
+    /// The subscription has gone, perhaps with its process. True if it lives on in samples that are out: see
+    /// [`disconnect_closed`](Self::disconnect_closed). Call [`settle`](Self::settle) afterwards.
+    pub(crate) fn disconnect(&self, subscription: Gid, is_dead: bool) -> bool {
+        let mut setup = self.setup();
+        setup.ends.remove(subscription, is_dead);
+        let Setup { senders, pool, is_stale, retired, .. } = &mut *setup;
+        let Some(Connected { sender, .. }) = senders.get(subscription) else { return false };
+        if !is_dead && sender.block().back.state() != ReaderState::Closed {
+            sender.leave();
+            return true;
+        }
+        *retired += usize::from(sender.retire(pool));
+        *is_stale = true;
+        false
+    }
+
+    /// Subscriptions that have gone and closed their connections by now, or whose participants are no longer there, are retired. True if
+    /// there are others.
+    pub(crate) fn disconnect_closed(&self, is_there: impl Fn(u64) -> bool) -> bool {
+        let mut setup = self.setup();
+        let Setup { senders, pool, is_stale, retired, .. } = &mut *setup;
+        let mut is_held_up = false;
+        for sender in senders.iter().map(|connected| &connected.sender).filter(|sender| sender.is_leaving()) {
+            let is_closed = sender.block().back.state() == ReaderState::Closed;
+            if is_closed || !is_there(sender.subscription.participant()) {
+                *retired += usize::from(sender.retire(pool));
+                *is_stale = true;
+            } else {
+                is_held_up = true;
+            }
+        }
+        is_held_up
+    }
+
+    /// Whether it has made segments since this was last asked.
+    pub(crate) fn take_grown(&self) -> bool {
+        std::mem::take(&mut self.setup().has_grown)
+    }
+
+    /// Those who have its subscriptions.
+    pub(crate) fn participants(&self) -> BTreeSet<u64> {
+        self.setup().senders.iter().map(|connected| connected.sender.subscription.participant()).collect()
+    }
+
+    /// The ends on other hosts.
+    pub(crate) fn set_remote(&self, gids: &[Gid]) {
+        self.setup().ends.set_remote(gids);
+    }
+
+    /// Hands over what has changed, and tells monitors.
+    pub(crate) fn settle(&self) {
+        let mut setup = self.setup();
+        self.forget_drained(&mut setup);
+        self.forget_short_segments(&mut setup);
+        if setup.is_stale {
+            self.hand_over(&mut setup);
+            self.top_up(&mut setup);
+        }
+        if setup.ends.tell(&self.matched) {
+            self.slot.doorbell().arena().ring_events(self.slot.index());
+            // It may wait for room in a queue that has gone.
+            self.slot.ring();
+        }
+    }
+
+    /// What was published while a late joiner was set up, by a thread that had not seen it yet: it gets that, too. The publishing thread
+    /// looks for a new table after it has published, and this looks for what was published after the table was handed over: one of
+    /// them sees it.
+    fn top_up(&self, setup: &mut Setup) {
+        let Some(history) = &self.history else { return };
+        std::sync::atomic::fence(Ordering::SeqCst);
+        // A publisher that publishes so fast takes over what it is handed.
+        for _ in 0..64 {
+            let published = self.published.load(Ordering::Acquire);
+            let mut has_more = false;
+            for Connected { sender, .. } in setup.senders.iter() {
+                if sender.lacks(published) && sender.preload(history, published, &setup.pool) == Some(true) {
+                    sender.ring();
+                    has_more = true;
+                }
+            }
+            if !has_more {
+                return;
+            }
+            // What the publishing thread passed over while it was held.
+            self.hand_over(setup);
+            std::sync::atomic::fence(Ordering::SeqCst);
+        }
+    }
+
+    fn forget_drained(&self, setup: &mut Setup) {
+        if setup.retired == 0 {
+            return;
+        }
+        let Setup { senders, retired, control, is_stale, demand, .. } = setup;
+        let drained = senders.iter().filter(|connected| connected.sender.is_drained());
+        let drained: Vec<Gid> = drained.map(Keyed::key).collect();
+        if drained.is_empty() {
+            return;
+        }
+        for connected in drained.iter().filter_map(|gid| senders.remove(*gid)) {
+            if let Some(control) = control {
+                control.disconnect(connected.sender.connection(), connected.place);
+            }
+        }
+        *retired -= drained.len();
+        *is_stale = true;
+        *demand = Demand::of_publisher(&self.qos);
+        senders.iter().for_each(|connected| self.join(demand, connected.shape));
+    }
+
+    fn hand_over(&self, setup: &mut Setup) {
+        setup.is_stale = false;
+        let words = words_for(setup.pool.end());
+        if setup.words < words {
+            setup.words = words;
+            let short = setup.senders.iter().filter(|connected| connected.sender.room() < words * 64);
+            for gid in short.map(Keyed::key).collect::<Vec<_>>() {
+                // One that nobody has published to yet gets its longer list at once.
+                if let Some(connected) = setup.senders.get_mut(gid).filter(|one| !one.sender.enlarge(words)) {
+                    connected.spare = Some(Arc::new(Spare::new(words)));
+                }
+            }
+        }
+        let table = Table {
+            senders: setup.senders.clone(),
+            pool: setup.pool.clone(),
+            sample_bytes: setup.sample_bytes,
+            claims_on_use: self.limits.claim == Claim::OnUse,
+        };
+        setup.table.write(Arc::new(table));
+        setup.unserved.drain(..).for_each(|sender| sender.block().out.serve());
+    }
+
+    /// What a subscription of the same process maps.
+    pub(crate) fn view(&self) -> Option<View> {
+        self.setup().control.as_ref().map(View::of_own)
+    }
+
+    /// What a subscription of the same process reads samples from.
+    pub(crate) fn segment_views(&self) -> SegmentViews {
+        let setup = self.setup();
+        let mut views: Vec<Option<SegmentView>> = Vec::new();
+        for segment in setup.pool.segments() {
+            views.resize(views.len().max(segment.id() + 1), None);
+            let (map, sample_bytes) = (segment.map.clone(), segment.sample_bytes());
+            views[segment.id()] = Some(SegmentView { map, sample_bytes, place: segment.range.offset });
+        }
+        views.into()
+    }
+
+    pub(crate) fn monitor(&self) -> tautline_rt::LatestReader<Arc<crate::topic::ends::EndList>> {
+        self.setup().ends.monitor()
+    }
+
+    /// The publisher has ended: nobody publishes any more. What was sent stays until it was taken.
+    pub(crate) fn end(&self) {
+        let mut setup = self.setup();
+        if let Some(history) = &self.history {
+            history.release(&setup.pool);
+        }
+        if let Some(control) = &setup.control {
+            control.end();
+        }
+        setup.is_stale = false;
+    }
+
+    /// Gives the memory back, if the publisher has ended and no subscription uses it: `is_there` says which participants are alive.
+    /// False if that is still to be.
+    pub(crate) fn release(&self, is_there: impl Fn(u64) -> bool) -> bool {
+        let mut setup = self.setup();
+        let Setup { senders, pool, retired, .. } = &mut *setup;
+        let is_done = |sender: &Sender| {
+            sender.block().back.state() == ReaderState::Closed || !is_there(sender.subscription.participant())
+        };
+        for sender in senders.iter().map(|connected| &connected.sender).filter(|sender| is_done(sender)) {
+            *retired += usize::from(sender.retire_finally(pool));
+        }
+        self.forget_drained(&mut setup);
+        if setup.senders.len() > 0 {
+            return false;
+        }
+        let segments: Vec<_> = setup.pool.segments().map(|segment| segment.range).collect();
+        segments.into_iter().for_each(|range| setup.memory.release(range));
+        setup.pool = Pool::default();
+        if let Some(control) = setup.control.take() {
+            control.release();
+        }
+        true
+    }
+
+    /// Whether a subscription that lives has not found its connection yet.
+    pub(crate) fn is_awaited(&self, is_there: impl Fn(u64) -> bool) -> bool {
+        let setup = self.setup();
+        setup.senders.iter().any(|Connected { sender, .. }| {
+            sender.block().back.state() == ReaderState::Unknown && is_there(sender.subscription.participant())
+        })
+    }
+}

@@ -1,0 +1,521 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Loaning and publishing.
+//!
+//! In `publish`, in this order: subscriptions that came or went are taken over; room is checked if this publisher keeps all; the
+//! header is written; the sample is kept for late joiners, if that is asked for, and submitted to every subscription; the doorbells
+//! are rung.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::RawPublisher;
+use super::sender::{Live, Sender};
+use crate::error::{LoanError, PublishError};
+use crate::qos::Claim;
+use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
+use crate::topic::memory::{padded, sample_bytes};
+use crate::topic::pool::Segment;
+use core::future::poll_fn;
+use core::mem::ManuallyDrop;
+use core::ops::{Deref, DerefMut};
+use core::ptr::NonNull;
+use core::sync::atomic::{Ordering, fence};
+use core::task::Poll;
+use tautline_doorbell::PulseOf;
+use tautline_rt::clock::{monotonic_ns, wall_ns};
+
+/// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it gives it
+/// back unsent.
+pub struct RawLoan<'p> {
+    publisher: &'p RawPublisher,
+    /// It stays as long as one of its samples is out: this one.
+    segment: NonNull<Segment>,
+    index: usize,
+    payload: NonNull<[u8]>,
+    len_bytes: usize,
+}
+
+/// A loan `L` that was not published. Nothing was sent; the loan is untouched.
+pub enum Unpublished<L> {
+    /// A keep-all subscription has no room.
+    Full(L),
+    /// There is no shared memory for the queue of a subscription of a publisher whose memory is claimed on use.
+    OutOfMemory(L),
+}
+
+impl<L> Unpublished<L> {
+    pub(crate) fn map<M>(self, change: impl FnOnce(L) -> M) -> Unpublished<M> {
+        match self {
+            Unpublished::Full(loan) => Unpublished::Full(change(loan)),
+            Unpublished::OutOfMemory(loan) => Unpublished::OutOfMemory(change(loan)),
+        }
+    }
+
+    /// The loan.
+    pub fn into_loan(self) -> L {
+        let (Unpublished::Full(loan) | Unpublished::OutOfMemory(loan)) = self;
+        loan
+    }
+
+    /// Why it was not published.
+    pub fn error(&self) -> PublishError {
+        match self {
+            Unpublished::Full(_) => PublishError::Full,
+            Unpublished::OutOfMemory(_) => PublishError::Loan(LoanError::OutOfMemory),
+        }
+    }
+}
+
+impl<L> core::fmt::Display for Unpublished<L> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        self.error().fmt(f)
+    }
+}
+
+impl<L> core::error::Error for Unpublished<L> {}
+
+impl<L> core::fmt::Debug for Unpublished<L> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Unpublished::Full(_) => "Full",
+            Unpublished::OutOfMemory(_) => "OutOfMemory",
+        })
+    }
+}
+
+impl<L> From<Unpublished<L>> for PublishError {
+    fn from(unpublished: Unpublished<L>) -> Self {
+        unpublished.error()
+    }
+}
+
+/// What is left behind where there is no room.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum WhenFull {
+    /// Nothing: the caller tries again when it likes.
+    Leave,
+    /// A request to be rung at the next take.
+    Ask,
+}
+
+/// What a sample's header says of its origin.
+#[derive(Clone, Copy)]
+pub(crate) enum Stamp {
+    /// Published and released now.
+    Now,
+    /// Published now, released at this `CLOCK_MONOTONIC` time.
+    ReleasedAt(u64),
+    /// Published elsewhere, released now, to be delivered for so many nanoseconds.
+    As(MessageInfo, u64),
+}
+
+/// What a sample is and to whom it goes.
+#[derive(Clone, Copy)]
+pub(crate) struct Sending {
+    pub(crate) stamp: Stamp,
+    pub(crate) when_full: WhenFull,
+    pub(crate) kind: SampleKind,
+    /// To this subscription alone.
+    pub(crate) to: Option<Gid>,
+}
+
+impl Sending {
+    const fn of(stamp: Stamp) -> Self {
+        Sending { stamp, when_full: WhenFull::Leave, kind: SampleKind::Message, to: None }
+    }
+}
+
+impl RawPublisher {
+    /// Loans a sample for a body of `len_bytes`. Its content is unspecified: zeros, or an earlier message of this publisher;
+    /// write every byte.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall. For a type without a fixed size, a body that
+    /// is longer than `Limits::message_bytes` and than all before takes a larger segment, and a publisher whose memory is claimed on
+    /// use may take more samples: allocates, maps memory, takes a lock.
+    ///
+    /// # Errors
+    /// [`LoanError::Exhausted`]: `Limits::loans` are out already. [`LoanError::TooLarge`]: longer than the topic's fixed size,
+    /// rounded up to 8, or than `Limits::message_bytes` without `Limits::may_grow`, or than
+    /// [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES). [`LoanError::OutOfMemory`].
+    pub fn loan(&self, len_bytes: usize) -> Result<RawLoan<'_>, LoanError> {
+        if len_bytes > self.most_bytes {
+            return Err(LoanError::TooLarge);
+        }
+        if self.core.slot.is_retired() {
+            return Err(LoanError::Ended);
+        }
+        if self.loaned.get() >= self.core.limits.loans {
+            return Err(LoanError::Exhausted);
+        }
+        let needed_bytes = sample_bytes(len_bytes);
+        if needed_bytes > self.sample_bytes.get() {
+            self.lengthen(len_bytes)?;
+        }
+        let mut live = self.live.borrow_mut();
+        live.refresh(self.core.history.as_ref());
+        live.reclaim();
+        let (segment, index) = match take(&live) {
+            Some(taken) => taken,
+            None => {
+                self.claim_more()?;
+                live.refresh(self.core.history.as_ref());
+                take(&live).ok_or(LoanError::OutOfMemory)?
+            }
+        };
+        // SAFETY: the segment is in the table, and stays while one of its samples has a reference, which this one has now.
+        let payload = unsafe { segment.as_ref() }.payload(index);
+        self.loaned.set(self.loaned.get() + 1);
+        let mut loan = RawLoan { publisher: self, segment, index, payload, len_bytes };
+        // What is not the body's is zero, whatever was here before.
+        let padded = padded(len_bytes);
+        if let Some(rest) = loan.all_mut().get_mut(len_bytes..padded) {
+            rest.fill(0);
+        }
+        Ok(loan)
+    }
+
+    /// From now on samples are longer.
+    #[cold]
+    fn lengthen(&self, len_bytes: usize) -> Result<(), LoanError> {
+        let after = self.core.lengthen(len_bytes).map_err(|_| LoanError::OutOfMemory)?;
+        self.shared.matcher.announce_segments(&self.core);
+        let before = self.sample_bytes.replace(after);
+        // Who claims on use has asked for it, and claims the sample next: that is counted.
+        if self.core.limits.claim == Claim::Ahead {
+            self.note_growth(len_bytes, before, after);
+        }
+        Ok(())
+    }
+
+    #[cold]
+    fn claim_more(&self) -> Result<(), LoanError> {
+        self.core.claim_more().map_err(|_| LoanError::OutOfMemory)?;
+        self.shared.matcher.announce_segments(&self.core);
+        let sample_bytes = self.sample_bytes.get();
+        self.note_growth(0, sample_bytes, sample_bytes);
+        Ok(())
+    }
+
+    /// Copies `body` into a loan and publishes it.
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan) and [`RawLoan::publish`], and one copy of the body.
+    ///
+    /// # Errors
+    /// [`PublishError`]; nothing was sent.
+    pub fn publish(&self, body: &[u8]) -> Result<(), PublishError> {
+        let mut loan = self.loan(body.len())?;
+        loan.copy_from_slice(body);
+        loan.publish().map_err(PublishError::from)
+    }
+
+    /// Publishes a loan. See [`RawLoan::publish`].
+    pub(crate) fn publish_loan<'p>(
+        &'p self,
+        loan: RawLoan<'p>,
+        sending: Sending,
+    ) -> Result<(), Unpublished<RawLoan<'p>>> {
+        if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
+            self.counters.silenced.fetch_add(1, Ordering::Relaxed);
+            return Ok(());
+        }
+        let core = &*self.core;
+        let mut live = self.live.borrow_mut();
+        live.refresh(core.history.as_ref());
+        if self.keep_all && !has_room(&live, sending) {
+            return Err(Unpublished::Full(loan));
+        }
+        if live.table().claims_on_use && !self.claim_queues(&live, sending.to) {
+            return Err(Unpublished::OutOfMemory(loan));
+        }
+        let number = live.next_number(sending.to);
+        let now_ns = monotonic_ns();
+        let (released_ns, source, lifespan_ns) = match sending.stamp {
+            Stamp::As(source, left_ns) => (now_ns, source, left_ns.min(self.lifespan_ns)),
+            Stamp::Now => (now_ns, self.info(number), self.lifespan_ns),
+            Stamp::ReleasedAt(released_ns) => (released_ns, self.info(number), self.lifespan_ns),
+        };
+        let mut header = SampleHeader {
+            sequence_number: number,
+            released_ns,
+            expires_ns: now_ns.saturating_add(lifespan_ns),
+            source_timestamp_ns: source.source_timestamp_ns,
+            source_sequence_number: source.sequence_number,
+            source_gid: source.publisher_gid,
+            ..SampleHeader::default()
+        };
+        header.set_body(loan.len_bytes, sending.kind);
+        tautline_trace::publish(self.trace.id(), &header.trace_id(core.gid, loan.payload.addr().get()));
+        let (segment, index) = loan.into_sample();
+        // SAFETY: the sample has a reference until the end of this, so its segment stays.
+        let segment = unsafe { segment.as_ref() };
+        // SAFETY: it was loaned, so nobody else uses it.
+        unsafe { segment.header(index).write(header) };
+        let chunk = segment.offset(index).to_word();
+        if core.qos.deadline.is_some() {
+            core.slot.note(PulseOf::Sample, now_ns);
+        }
+        if self.is_manual {
+            self.show_life(&live, now_ns);
+        }
+        let pool = &live.table().pool;
+        if let Some(history) = &core.history {
+            segment.add(index);
+            if let Some((former, former_index)) = history.keep(number, chunk).and_then(|word| pool.find(word))
+            {
+                former.release(former_index);
+            }
+        }
+        for sender in live.table().receiving(sending.to) {
+            segment.add(index);
+            sender.note_sample(now_ns);
+            // SAFETY: it is live, so its sending half is this thread's.
+            unsafe { sender.submit(number, chunk, pool) };
+        }
+        segment.release(index);
+        // Release: pairs with the Acquire of who sets up a late joiner; what is kept is kept.
+        core.published.store(live.sequence_number, Ordering::Release);
+        // The sample is queued before the flags are read and the bells are rung: a subscription either is rung, or looks into its queue
+        // after this. And a late joiner that has been set up meanwhile either was given this sample, or gets it here.
+        fence(Ordering::SeqCst);
+        if core.history.is_some() {
+            live.refresh(core.history.as_ref());
+        }
+        live.ring(sending.to);
+        Ok(())
+    }
+
+    /// Claims the memory of queues that one more sample needs. False if there is none.
+    #[cold]
+    fn claim_queues(&self, live: &Live, to: Option<Gid>) -> bool {
+        live.table().receiving(to).all(|sender| {
+            // SAFETY: it is live, so its sending half is this thread's.
+            unsafe { sender.claim(|samples| self.core.claim_queues(sender.subscription, samples).is_ok()) }
+        })
+    }
+
+    /// Says that this publisher is alive, as publishing does: for one whose liveliness is manual and that has nothing to say.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; no syscall.
+    pub fn assert_liveliness(&self) {
+        let mut live = self.live.borrow_mut();
+        live.refresh(self.core.history.as_ref());
+        self.show_life(&live, monotonic_ns());
+    }
+
+    fn show_life(&self, live: &Live, now_ns: u64) {
+        self.core.slot.note(PulseOf::Liveliness, now_ns);
+        for sender in live.table().receiving(None) {
+            sender.block().out.alive_ns.store(now_ns, Ordering::Relaxed);
+        }
+    }
+
+    /// What this publisher's own message says of itself.
+    fn info(&self, sequence_number: u64) -> MessageInfo {
+        MessageInfo {
+            sequence_number,
+            source_timestamp_ns: wall_ns(),
+            released_ns: 0,
+            publisher_gid: self.core.gid,
+        }
+    }
+
+    /// Whether every subscription there is has taken all that was sent, as far as it is known. Those that come or go meanwhile may be
+    /// counted or not.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; no syscall.
+    pub fn is_taken(&self) -> bool {
+        let mut live = self.live.borrow_mut();
+        live.refresh(self.core.history.as_ref());
+        // Acquire: pairs with the Release of the subscription's take.
+        let is_taken = |sender: &Sender| {
+            sender.block().back.taken.load(Ordering::Acquire)
+                >= sender.block().out.sent.load(Ordering::Relaxed)
+        };
+        live.table().receiving(None).all(is_taken)
+    }
+
+    /// The subscription whose client sends requests through the port `partner`, if responses to it arrive.
+    pub(crate) fn subscription_of(&self, partner: Gid) -> Option<Gid> {
+        let mut live = self.live.borrow_mut();
+        live.refresh(self.core.history.as_ref());
+        let [participant, number] = partner.words();
+        let is_it = |sender: &&Sender| {
+            sender.partner == Some(number) && sender.subscription.participant() == participant
+        };
+        live.table().receiving(None).find(is_it).map(|sender| sender.subscription)
+    }
+}
+
+/// A free sample of the size that is loaned.
+fn take(live: &Live) -> Option<(NonNull<Segment>, usize)> {
+    let table = live.table();
+    let of_size = table.pool.segments().filter(|segment| segment.sample_bytes() == table.sample_bytes);
+    of_size.into_iter().find_map(|segment| Some((NonNull::from(&**segment), segment.take()?)))
+}
+
+/// Whether each keep-all subscription can queue one more. Only this publisher fills its queues, so room stays room.
+fn has_room(live: &Live, sending: Sending) -> bool {
+    for sender in live.table().receiving(sending.to).filter(|sender| sender.keeps_all) {
+        let block = sender.block();
+        let full = || {
+            let sent = block.out.sent.load(Ordering::Relaxed);
+            // A queue that nothing was put into yet has taken nothing either.
+            let taken = block.back.taken.load(Ordering::Acquire).max(sender.before());
+            sent.saturating_sub(taken) >= sender.depth && sent != 0
+        };
+        if full() {
+            if sending.when_full == WhenFull::Leave {
+                return false;
+            }
+            // Ask to be rung, then look again: either the subscription sees the request or its take is seen here.
+            block.out.waiting.store(1, Ordering::Relaxed);
+            fence(Ordering::SeqCst);
+            if full() {
+                return false;
+            }
+        }
+    }
+    true
+}
+
+impl<'p> RawLoan<'p> {
+    /// The whole payload: the body and the zeros that follow it, up to a multiple of 8.
+    pub(crate) fn payload(&self) -> &[u8] {
+        // SAFETY: the sample is this loan's; the memory is mapped, so every byte has a value.
+        let all = unsafe { self.payload.as_ref() };
+        all.get(..padded(self.len_bytes)).unwrap_or_default()
+    }
+
+    /// As [`payload`](Self::payload).
+    pub(crate) fn payload_mut(&mut self) -> &mut [u8] {
+        let padded = padded(self.len_bytes);
+        self.all_mut().get_mut(..padded).unwrap_or_default()
+    }
+
+    fn all_mut(&mut self) -> &mut [u8] {
+        // SAFETY: as in `payload`; and `&mut self` is the only way to it.
+        unsafe { self.payload.as_mut() }
+    }
+
+    /// The sample, which has one reference.
+    fn into_sample(self) -> (NonNull<Segment>, usize) {
+        let loan = ManuallyDrop::new(self);
+        loan.publisher.loaned.set(loan.publisher.loaned.get() - 1);
+        (loan.segment, loan.index)
+    }
+
+    pub(crate) fn publish_with(self, sending: Sending) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publisher.publish_loan(self, sending)
+    }
+
+    /// Publishes the sample to every subscription. It never waits: a slow keep-last subscription loses its oldest
+    /// sample and counts it; with a full keep-all subscription, and if this publisher keeps all, nothing is sent and the
+    /// loan comes back.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
+    /// sleeps and is woken directly; no other syscall.
+    /// When subscriptions have come or gone since the last call: O(subscriptions x samples / 64) besides. A publisher whose memory
+    /// is claimed on use may make system calls.
+    ///
+    /// # Errors
+    /// [`Unpublished`], with the loan: nothing was sent.
+    pub fn publish(self) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publish_with(Sending::of(Stamp::Now))
+    }
+
+    /// Publishes with a release time of the caller's: what response times are measured from, such as the instant at
+    /// which a periodic publisher should have woken. In `CLOCK_MONOTONIC` nanoseconds.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publish_with(Sending::of(Stamp::ReleasedAt(released_ns)))
+    }
+
+    /// Publishes a message that came from another host: subscriptions read its number, time stamp and publisher in their
+    /// [`MessageInfo`]. It is released here and now, and losses are counted by this publisher's own numbers, so messages of
+    /// many remote publishers may go through one port.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_as(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publish_with(Sending::of(Stamp::As(source, NEVER)))
+    }
+
+    /// As [`publish_as`](Self::publish_as), for a message that is still to be delivered for `left`: what its publisher's lifespan
+    /// leaves of it.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_as_for(
+        self,
+        source: MessageInfo,
+        left: core::time::Duration,
+    ) -> Result<(), Unpublished<RawLoan<'p>>> {
+        let left_ns = u64::try_from(left.as_nanos()).unwrap_or(NEVER);
+        self.publish_with(Sending::of(Stamp::As(source, left_ns)))
+    }
+
+    /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
+    /// one takes the first one's place, which then waits until it is polled for another reason.
+    ///
+    /// # Real-time
+    /// Each poll as [`publish`](Self::publish); woken through this process's sampler when a subscription has taken.
+    ///
+    /// # Errors
+    /// [`PublishError::Loan`]: there is no memory.
+    pub async fn publish_when_ready(self) -> Result<(), PublishError> {
+        let mut waiting = Some(self);
+        poll_fn(|context| {
+            let Some(loan) = waiting.take() else { return Poll::Ready(Ok(())) };
+            loan.publisher.core.slot.waker().register(context.waker());
+            match loan.publish_with(Sending { when_full: WhenFull::Ask, ..Sending::of(Stamp::Now) }) {
+                Ok(()) => Poll::Ready(Ok(())),
+                Err(Unpublished::Full(loan)) => {
+                    waiting = Some(loan);
+                    Poll::Pending
+                }
+                Err(refused) => Poll::Ready(Err(refused.error())),
+            }
+        })
+        .await
+    }
+}
+
+impl Drop for RawLoan<'_> {
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    fn drop(&mut self) {
+        self.publisher.loaned.set(self.publisher.loaned.get() - 1);
+        // SAFETY: the sample has this loan's reference until here, so its segment is there.
+        unsafe { self.segment.as_ref() }.release(self.index);
+    }
+}
+
+impl Deref for RawLoan<'_> {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        self.payload().get(..self.len_bytes).unwrap_or_default()
+    }
+}
+
+impl DerefMut for RawLoan<'_> {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        let len_bytes = self.len_bytes;
+        self.payload_mut().get_mut(..len_bytes).unwrap_or_default()
+    }
+}

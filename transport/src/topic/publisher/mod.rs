@@ -1,0 +1,288 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Publishers of bytes: loan, write in place, publish. What is above knows the type.
+
+pub(crate) mod core;
+mod gate;
+mod history;
+mod hot;
+mod sender;
+
+pub use gate::Gate;
+pub use hot::{RawLoan, Unpublished};
+pub(crate) use hot::{Sending, Stamp, WhenFull};
+
+use crate::error::TransportError;
+use crate::graph::{EndpointKind, Entry, TopicEndpoint};
+use crate::participant::{Participant, Shared};
+use crate::qos::{History, Limits, Liveliness, Qos, nanoseconds};
+use crate::topic::Topic;
+use crate::topic::header::{Gid, NEVER};
+use crate::topic::memory::{padded, sample_bytes};
+use crate::topic::topic_type::TopicType;
+use core::PublisherCore;
+use futures::StreamExt;
+use sender::Live;
+use std::cell::{Cell, RefCell};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use tautline_doorbell::{PulseOf, Slot};
+use tautline_rt::clock::monotonic_ns;
+
+/// Publishes bodies of CDR on one topic, of whatever type. What is written is not looked at.
+///
+/// May be moved to another thread, and is used by one at a time.
+pub struct RawPublisher {
+    core: Arc<PublisherCore>,
+    live: RefCell<Live>,
+    /// How many loans are out.
+    loaned: Cell<usize>,
+    keep_all: bool,
+    gate: Option<Gate>,
+    /// Whether it has to show that it is alive.
+    is_manual: bool,
+    /// `u64::MAX` without one.
+    lifespan_ns: u64,
+    trace: tautline_trace::Object,
+    /// The longest body that it sends.
+    most_bytes: usize,
+    /// Bytes of a sample that fits without a larger segment.
+    sample_bytes: Cell<usize>,
+    counters: Arc<PublisherCounters>,
+    shared: Arc<Shared>,
+    /// Whose it is: that is there at least as long.
+    _node: Option<Arc<Entry>>,
+}
+
+/// What happened to one publisher's memory, readable from any thread.
+#[derive(Debug, Default)]
+pub struct PublisherCounters {
+    growths: AtomicU64,
+    silenced: AtomicU64,
+}
+
+impl PublisherCounters {
+    /// How often a message was longer than any before and than `Limits::message_bytes`, or needed a sample that was not claimed
+    /// ahead, so that a segment had to be made: allocations and system calls in a loan. 0 is what a real-time publisher should
+    /// read.
+    pub fn growths(&self) -> u64 {
+        self.growths.load(Ordering::Relaxed)
+    }
+
+    /// Messages that were not sent because the publisher's [`Gate`] was shut.
+    pub fn silenced(&self) -> u64 {
+        self.silenced.load(Ordering::Relaxed)
+    }
+}
+
+/// What a publisher is made for, besides its topic.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct PublisherRole {
+    /// It passes on what others published.
+    pub(crate) is_relay: bool,
+    /// Each sample goes to one subscription: responses.
+    pub(crate) is_addressed: bool,
+    /// Of a server's responses: the port of its requests.
+    pub(crate) partner: Option<u64>,
+    /// The number of the port, if that was known before.
+    pub(crate) number: Option<u64>,
+}
+
+impl RawPublisher {
+    pub(crate) fn create(
+        participant: &Participant,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+        role: PublisherRole,
+    ) -> Result<Self, TransportError> {
+        let shared = participant.shared.clone();
+        let topic = Topic::check(topic, topic_type, qos, limits)?;
+        let slot = Arc::new(shared.doorbell.claim()?);
+        slot.note(PulseOf::Liveliness, monotonic_ns());
+        let gid = Gid::of(shared.memory.id(), role.number.unwrap_or_else(|| shared.record.number()));
+        let trace = tautline_trace::publisher_init(&topic.name, qos.depth, gid.words());
+        let home = (&shared.memory, &shared.record);
+        let (core, live) = PublisherCore::create(home, gid, topic, qos, limits, role, slot)?;
+        shared.matcher.add_publisher(&core, participant.node.as_deref())?;
+        participant.adopt(&core.slot);
+        let fixed_bytes = core.topic.topic_type.body_bytes;
+        let stated_bytes = fixed_bytes.unwrap_or(limits.message_bytes);
+        let may_grow = limits.may_grow && fixed_bytes.is_none();
+        let most_bytes = if may_grow { Limits::MAX_MESSAGE_BYTES } else { padded(stated_bytes) };
+        Ok(RawPublisher {
+            live: RefCell::new(live),
+            loaned: Cell::new(0),
+            keep_all: qos.history == History::KeepAll,
+            gate: None,
+            is_manual: qos.liveliness == Liveliness::ManualByTopic,
+            lifespan_ns: qos.lifespan.map_or(NEVER, nanoseconds),
+            trace,
+            most_bytes,
+            sample_bytes: Cell::new(sample_bytes(stated_bytes)),
+            counters: Arc::default(),
+            core,
+            shared,
+            _node: participant.node.clone(),
+        })
+    }
+
+    /// The same, silent while `gate` is shut: publishing then succeeds, and is counted, but nothing is sent.
+    #[must_use]
+    pub fn with_gate(mut self, gate: Gate) -> Self {
+        self.gate = Some(gate);
+        self
+    }
+
+    /// What its monitor watches.
+    pub(crate) fn core(&self) -> &Arc<PublisherCore> {
+        &self.core
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        &self.core.topic.name
+    }
+
+    /// The quality of service that was asked for.
+    pub fn qos(&self) -> Qos {
+        self.core.qos
+    }
+
+    /// This publisher's identifier.
+    pub fn gid(&self) -> Gid {
+        self.core.gid
+    }
+
+    /// This publisher's limits; `message_bytes` is the type's size if that is fixed.
+    pub fn limits(&self) -> Limits {
+        let fixed = self.core.topic.topic_type.body_bytes;
+        let limits = self.core.limits;
+        let (message_bytes, may_grow) =
+            (fixed.unwrap_or(limits.message_bytes), limits.may_grow && fixed.is_none());
+        Limits { message_bytes, may_grow, ..limits }
+    }
+
+    /// What this publisher knows of the topic's type.
+    pub fn topic_type(&self) -> &TopicType {
+        &self.core.topic.topic_type
+    }
+
+    /// How many samples were sent.
+    pub fn sent(&self) -> u64 {
+        self.core.published.load(Ordering::Acquire)
+    }
+
+    /// Its slot, which is rung when the topic's ports change.
+    pub(crate) fn slot(&self) -> &Slot {
+        &self.core.slot
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<PublisherCounters> {
+        self.counters.clone()
+    }
+
+    /// Memory had to be claimed for a sample.
+    #[cold]
+    fn note_growth(&self, len_bytes: usize, before: usize, after: usize) {
+        let is_first = self.counters.growths.fetch_add(1, Ordering::Relaxed) == 0;
+        if is_first && after != before {
+            tracing::warn!(
+                "{}: a message of {len_bytes} bytes does not fit into this publisher's samples of {before}, which \
+                 take {after} from now on: that took a new segment, which is not real-time; set `Limits::message_bytes` to \
+                 the largest message (said once; `PublisherCounters::growths` counts)",
+                self.core.topic.named()
+            );
+        }
+    }
+
+    /// Number of subscriptions on this host that match. Those that a gateway stands for are not counted.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn subscription_count(&self) -> usize {
+        self.core.matched.load(Ordering::Acquire)
+    }
+
+    /// As [`subscription_count`](Self::subscription_count), to be asked from any thread.
+    pub fn matched(&self) -> MatchedCount {
+        MatchedCount(MatchedOf::Publisher(self.core.clone()))
+    }
+
+    /// Waits until the topic has a subscription, on this host or on one that a gateway tells of. The future borrows nothing of
+    /// the publisher, looks when the graph changes and not otherwise, and allocates: it is not for callbacks with deadlines.
+    ///
+    /// # Errors
+    /// [`TransportError::Thread`] if the thread that looks at the graph, one for all of a participant, cannot be started. The
+    /// future's: those of [`Participant::graph`].
+    pub fn wait_for_subscriptions(
+        &self,
+    ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<>, TransportError> {
+        let participant = Participant { shared: self.shared.clone(), node: None };
+        let topic = self.topic().to_owned();
+        // Before the first look: nothing that happens after it is missed.
+        let mut events = participant.graph_events()?;
+        Ok(async move {
+            let is_wanted =
+                |end: &Arc<TopicEndpoint>| end.kind == EndpointKind::Subscription && end.topic == topic;
+            while !participant.graph()?.endpoints.iter().any(is_wanted) {
+                // It does not end: the participant is alive.
+                events.next().await;
+            }
+            Ok(())
+        })
+    }
+}
+
+/// How many ends of the other kind match an end of a topic: a count that any thread may read.
+#[derive(Clone)]
+pub struct MatchedCount(pub(crate) MatchedOf);
+
+#[derive(Clone)]
+pub(crate) enum MatchedOf {
+    Publisher(Arc<PublisherCore>),
+    Subscription(Arc<crate::topic::subscription::core::SubscriptionCore>),
+}
+
+impl MatchedCount {
+    /// The count.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn get(&self) -> usize {
+        let count: &AtomicUsize = match &self.0 {
+            MatchedOf::Publisher(core) => &core.matched,
+            MatchedOf::Subscription(core) => &core.matched,
+        };
+        count.load(Ordering::Acquire)
+    }
+}
+
+impl std::fmt::Debug for MatchedCount {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("MatchedCount").field(&self.get()).finish()
+    }
+}
+
+impl AsRef<RawPublisher> for RawPublisher {
+    fn as_ref(&self) -> &RawPublisher {
+        self
+    }
+}
+
+impl std::fmt::Debug for RawPublisher {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RawPublisher")
+            .field("topic", &self.topic())
+            .field("gid", &self.gid())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Drop for RawPublisher {
+    fn drop(&mut self) {
+        self.core.slot.retire();
+        self.shared.matcher.remove_publisher(&self.core);
+    }
+}

@@ -1,0 +1,534 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! One subscription as its publisher sees it, and the table of all of them.
+//!
+//! Subscriptions come and go by the hands of whoever sets things up: under the publisher's setup lock. The thread that publishes takes
+//! no lock: it finds a new table ([`Table`]) when it next publishes. Who may use a sender's sending half (the publisher's end of the
+//! queues, and the list of samples that are out) its [`HandOver`] says. Setup holds a new one if the publisher published something
+//! meanwhile that a late joiner is to get; one that is retired is drained by whoever has it.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::core::Connected;
+use super::history::History;
+use crate::participant::Reached;
+use crate::topic::chunks::Chunks;
+use crate::topic::connection::{Block, Connection};
+use crate::topic::hand_over::HandOver;
+use crate::topic::header::Gid;
+use crate::topic::pool::Pool;
+use core::cell::UnsafeCell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
+use tautline_doorbell::{Flags, Pulse, PulseOf, Sleeper};
+use tautline_rt::{LatestReader, clock::monotonic_ns};
+
+/// What a publisher knows of a subscription.
+pub(crate) struct Sender {
+    pub(crate) subscription: Gid,
+    pub(crate) depth: u64,
+    /// A publisher that keeps all must not overwrite in its queue.
+    pub(crate) keeps_all: bool,
+    /// Of a client's responses: the port of its requests.
+    pub(crate) partner: Option<u64>,
+    reached: Reached,
+    slot: usize,
+    connection: Connection,
+    turn: HandOver,
+    /// The subscription has gone, and samples of it are out.
+    leaving: AtomicBool,
+    /// As far as it was preloaded; all there is if it gets nothing that was published before.
+    loaded: AtomicU64,
+    /// How many samples the list of those that are out has room for.
+    room: AtomicUsize,
+    half: UnsafeCell<Half>,
+}
+
+/// The sending half.
+struct Half {
+    /// The samples that were submitted and did not come back: a bit for each number.
+    out: Box<[u64]>,
+    /// The number of the last sample that was submitted, or was there when it was preloaded.
+    last: u64,
+    /// It gets what is kept for late joiners.
+    wants_history: bool,
+    /// How many samples have gone through.
+    submitted: u64,
+    /// For how many the memory of the queues is claimed, if that is claimed as it is used.
+    claimed: usize,
+    /// Who is to be woken for the sample that is being published.
+    sleeper: Option<Sleeper>,
+}
+
+// SAFETY: `half` is used by one side at a time: `turn` says whose it is, and hands it over with Release and Acquire. The rest is
+// atomics and what does not change.
+unsafe impl Sync for Sender {}
+// SAFETY: as above; nothing in it belongs to a thread.
+unsafe impl Send for Sender {}
+
+/// What the thread that publishes works with: made anew when subscriptions or segments have come or gone.
+pub(crate) struct Table {
+    /// Those of a participant next to each other.
+    pub(super) senders: Chunks<Connected>,
+    pub(crate) pool: Pool,
+    /// What samples are loaned from: the segments of this size.
+    pub(crate) sample_bytes: usize,
+    /// Whether memory of queues is claimed as it is used.
+    pub(crate) claims_on_use: bool,
+}
+
+/// A longer list of the samples that are out, for the thread that publishes, which leaves the one that it had there.
+pub(crate) struct Spare {
+    list: UnsafeCell<Box<[u64]>>,
+}
+
+// SAFETY: `list` is touched by the thread that publishes alone.
+unsafe impl Sync for Spare {}
+
+impl Spare {
+    #[allow(clippy::disallowed_macros, reason = "set-up")]
+    pub(crate) fn new(words: usize) -> Self {
+        Spare { list: UnsafeCell::new(vec![0; words].into_boxed_slice()) }
+    }
+}
+
+/// Memory of queues is claimed for so many samples more at once: a page.
+const CLAIMED_AT_ONCE: usize = 512;
+
+/// How many words a list of so many samples has.
+pub(crate) fn words_for(samples: usize) -> usize {
+    samples.div_ceil(64)
+}
+
+impl Sender {
+    #[allow(clippy::too_many_arguments, clippy::disallowed_macros, reason = "set-up")]
+    pub(crate) fn new(
+        subscription: Gid,
+        depth: usize,
+        keeps_all: bool,
+        partner: Option<u64>,
+        (reached, slot): (Reached, usize),
+        connection: Connection,
+        samples: usize,
+    ) -> Self {
+        connection.block().out.alive_ns.store(monotonic_ns(), Ordering::Relaxed);
+        let out = vec![0; words_for(samples)].into_boxed_slice();
+        let half = Half { out, last: 0, wants_history: false, submitted: 0, claimed: 0, sleeper: None };
+        Sender {
+            subscription,
+            depth: depth as u64,
+            keeps_all,
+            partner,
+            reached,
+            slot,
+            connection,
+            turn: HandOver::new(),
+            leaving: AtomicBool::new(false),
+            loaded: AtomicU64::new(u64::MAX),
+            room: AtomicUsize::new(words_for(samples) * 64),
+            half: UnsafeCell::new(half),
+        }
+    }
+
+    pub(crate) fn block(&self) -> &Block {
+        self.connection.block()
+    }
+
+    pub(crate) fn connection(&self) -> &Connection {
+        &self.connection
+    }
+
+    pub(crate) fn room(&self) -> usize {
+        self.room.load(Ordering::Acquire)
+    }
+
+    fn flags(&self) -> Option<&Flags> {
+        self.reached.arena().flags(self.slot)
+    }
+
+    /// Whether the thread that publishes uses it, and samples go to it.
+    pub(crate) fn is_live(&self) -> bool {
+        self.turn.is_live()
+    }
+
+    /// Whether it was retired and setup may forget it.
+    pub(crate) fn is_drained(&self) -> bool {
+        self.turn.is_done()
+    }
+
+    pub(crate) fn is_retired(&self) -> bool {
+        self.turn.is_retired()
+    }
+
+    /// Setup: the subscription has gone, and samples of it are out.
+    pub(crate) fn leave(&self) {
+        self.leaving.store(true, Ordering::Release);
+    }
+
+    pub(crate) fn is_leaving(&self) -> bool {
+        self.leaving.load(Ordering::Relaxed) && !self.is_retired()
+    }
+
+    /// Setup: the subscription has gone. Its samples come back at once if no thread has published since it came, else when one next
+    /// does. False if it was retired before.
+    pub(crate) fn retire(&self, pool: &Pool) -> bool {
+        let retired = self.turn.retire();
+        if retired.is_setups {
+            // SAFETY: it was setup's, and stays so.
+            unsafe { self.drain(pool) };
+        }
+        retired.is_first
+    }
+
+    /// Setup: as [`retire`](Self::retire), when no thread publishes any more.
+    pub(crate) fn retire_finally(&self, pool: &Pool) -> bool {
+        let retired = self.turn.retire_finally();
+        if retired.is_setups {
+            // SAFETY: nobody publishes.
+            unsafe { self.drain(pool) };
+        }
+        retired.is_first
+    }
+
+    /// Gives back every sample that is out.
+    ///
+    /// # Safety
+    /// For who has the sending half.
+    unsafe fn drain(&self, pool: &Pool) {
+        // SAFETY: as the caller promises.
+        let half = unsafe { &mut *self.half.get() };
+        for (word, bits) in half.out.iter_mut().enumerate() {
+            while *bits != 0 {
+                let number = word * 64 + bits.trailing_zeros() as usize;
+                *bits &= *bits - 1;
+                pool.release_number(number);
+            }
+        }
+    }
+
+    /// Submits a sample; the oldest comes back if the queue is full.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For who has the sending half. The sample has a reference for this.
+    pub(crate) unsafe fn submit(&self, number: u64, chunk: u64, pool: &Pool) {
+        // SAFETY: as the caller promises.
+        let half = unsafe { &mut *self.half.get() };
+        let block = self.connection.block();
+        if block.out.start.load(Ordering::Relaxed) == 0 {
+            block.out.start.store(number, Ordering::Relaxed);
+        }
+        block.out.sent.store(number, Ordering::Relaxed);
+        half.last = number;
+        half.submitted += 1;
+        if let Some((segment, index)) = pool.find(chunk) {
+            set(&mut half.out, segment.number(index), true);
+        }
+        // SAFETY: the sending half.
+        if let Some(oldest) = unsafe { self.connection.submit(chunk) } {
+            release(&mut half.out, oldest, pool);
+        }
+    }
+
+    /// Takes back what the subscription has returned.
+    ///
+    /// # Real-time
+    /// Wait-free, O(depth + held); no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For who has the sending half.
+    unsafe fn reclaim(&self, pool: &Pool) {
+        // SAFETY: as the caller promises.
+        let half = unsafe { &mut *self.half.get() };
+        // As many as there can be: more would be another process's lie.
+        for _ in 0..=half.out.len() * 64 {
+            // SAFETY: the sending half.
+            let Some(chunk) = (unsafe { self.connection.take_back() }) else { return };
+            release(&mut half.out, chunk, pool);
+        }
+    }
+
+    /// The number of the sample before the first one that is for it.
+    pub(crate) fn before(&self) -> u64 {
+        self.block().out.start.load(Ordering::Relaxed).saturating_sub(1)
+    }
+
+    /// Tells a subscription that has a deadline that a sample comes now.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn note_sample(&self, now_ns: u64) {
+        if self.flags().is_some_and(Flags::has_deadline) {
+            self.reached.arena().set_pulse(Pulse { slot: self.slot, of: PulseOf::Sample }, now_ns);
+        }
+    }
+
+    /// Has `claim` claim the memory of the queues for as many samples as will have gone through after the next one, unless that was
+    /// done. False if there is none.
+    ///
+    /// # Safety
+    /// For who has the sending half.
+    pub(crate) unsafe fn claim(&self, claim: impl FnOnce(usize) -> bool) -> bool {
+        // SAFETY: as the caller promises.
+        let half = unsafe { &mut *self.half.get() };
+        let needed = half.submitted as usize + 1;
+        if needed <= half.claimed {
+            return true;
+        }
+        // A page of each queue at a time.
+        let wanted = needed.saturating_add(CLAIMED_AT_ONCE);
+        let is_claimed = claim(wanted);
+        if is_claimed {
+            half.claimed = if wanted as u64 > 2 * (self.depth + 1) { usize::MAX } else { wanted };
+        }
+        is_claimed
+    }
+
+    /// Setup: gives a new subscription what is kept for late joiners, the newest `depth`, unless it has got that. `None`: it is the
+    /// publishing thread's by now, which does the same. True if there was something.
+    pub(crate) fn preload(&self, history: &History, published: u64, pool: &Pool) -> Option<bool> {
+        if !self.turn.hold() {
+            return None;
+        }
+        // SAFETY: it is this function's until it is given back.
+        let last = unsafe { (*self.half.get()).last };
+        let mut count = 0;
+        history.each_kept(last, published, self.depth, pool, |number, chunk| {
+            // SAFETY: as above; `each_kept` has pinned the sample.
+            unsafe { self.submit(number, chunk, pool) };
+            count += 1;
+        });
+        // SAFETY: as above. What could not be had was overwritten meanwhile: it is lost, or what follows comes in its place.
+        unsafe { (*self.half.get()).last = last.max(published) };
+        // SAFETY: as above.
+        unsafe { (*self.half.get()).wants_history = true };
+        self.loaded.store(published, Ordering::Relaxed);
+        self.turn.give_back();
+        Some(count > 0)
+    }
+
+    /// Setup: makes the list of samples that are out longer. False if it is the publishing thread's.
+    #[allow(clippy::disallowed_macros, reason = "set-up")]
+    pub(crate) fn enlarge(&self, words: usize) -> bool {
+        if !self.turn.hold() {
+            return false;
+        }
+        // SAFETY: it is this function's until it is given back.
+        unsafe { (*self.half.get()).enlarge(&mut vec![0; words].into_boxed_slice()) };
+        self.room.store(words * 64, Ordering::Release);
+        self.turn.give_back();
+        true
+    }
+
+    /// Setup: whether it is new, gets what is kept for late joiners, and has not got all that.
+    pub(crate) fn lacks(&self, published: u64) -> bool {
+        self.turn.is_new() && self.loaded.load(Ordering::Relaxed) < published
+    }
+
+    /// Rings it, after it was [preloaded](Self::preload).
+    pub(crate) fn ring(&self) {
+        self.reached.arena().ring(self.slot);
+    }
+}
+
+impl Half {
+    /// Takes a longer list in place of the one that it has, and leaves that.
+    fn enlarge(&mut self, longer: &mut Box<[u64]>) {
+        if longer.len() > self.out.len() {
+            longer.iter_mut().zip(&self.out).for_each(|(new, old)| *new = *old);
+            core::mem::swap(longer, &mut self.out);
+        }
+    }
+}
+
+fn set(out: &mut [u64], number: usize, is_out: bool) -> bool {
+    let Some(word) = out.get_mut(number / 64) else { return false };
+    let (bit, before) = (1 << (number % 64), *word);
+    *word = if is_out { before | bit } else { before & !bit };
+    before & bit != 0
+}
+
+/// A sample came back: it has one reference less, if it was out.
+fn release(out: &mut [u64], chunk: u64, pool: &Pool) {
+    let Some((segment, index)) = pool.find(chunk) else { return };
+    if set(out, segment.number(index), false) {
+        segment.release(index);
+    }
+}
+
+/// Which sleepers of an arena were woken for a sample.
+#[derive(Default)]
+struct Woken {
+    sampler: bool,
+    /// A bit for each.
+    threads: [u64; 4],
+}
+
+impl Woken {
+    /// True if it was not among them.
+    fn add(&mut self, sleeper: Sleeper) -> bool {
+        match sleeper {
+            Sleeper::Sampler => !core::mem::replace(&mut self.sampler, true),
+            Sleeper::Thread(thread) => !set(&mut self.threads, thread, true),
+        }
+    }
+}
+
+impl Table {
+    /// The subscriptions that a sample goes to: all, or one; not those that have gone and only hold samples.
+    ///
+    /// # Real-time
+    /// O(subscriptions).
+    pub(crate) fn receiving(&self, to: Option<Gid>) -> impl Iterator<Item = &Sender> {
+        let is_meant = move |sender: &&Sender| {
+            to.is_none_or(|to| sender.subscription == to) && !sender.leaving.load(Ordering::Relaxed)
+        };
+        self.live().filter(is_meant)
+    }
+
+    /// Those whose sending half is the publishing thread's.
+    fn live(&self) -> impl Iterator<Item = &Sender> {
+        self.senders.iter().map(|connected| &*connected.sender).filter(|sender| sender.is_live())
+    }
+
+    pub(crate) fn empty(pool: Pool, sample_bytes: usize, claims_on_use: bool) -> Self {
+        Table { senders: Default::default(), pool, sample_bytes, claims_on_use }
+    }
+}
+
+/// What the thread that publishes knows of subscriptions and samples.
+pub(crate) struct Live {
+    table: LatestReader<Arc<Table>>,
+    /// The number of the last sample that was published.
+    pub(crate) sequence_number: u64,
+}
+
+impl Live {
+    pub(crate) fn new(table: LatestReader<Arc<Table>>) -> Self {
+        Live { table, sequence_number: 0 }
+    }
+
+    /// Looks whether subscriptions or segments have come or gone, and takes over what has.
+    ///
+    /// # Real-time
+    /// Wait-free: one load. When they have: O(subscriptions x samples / 64) and, for each late joiner, O(history); no allocation; no
+    /// syscall.
+    #[inline]
+    pub(crate) fn refresh(&mut self, history: Option<&History>) {
+        if self.table.is_fresh() {
+            self.adopt(history);
+        }
+    }
+
+    #[cold]
+    fn adopt(&mut self, history: Option<&History>) {
+        let sequence_number = self.sequence_number;
+        let table = self.table.read();
+        for Connected { sender, spare, .. } in table.senders.iter() {
+            if sender.turn.adopt()
+                && let Some(history) = history
+            {
+                // SAFETY: it is this thread's now.
+                unsafe { sender.catch_up(history, sequence_number, &table.pool) };
+            }
+            if !sender.is_live() {
+                continue;
+            }
+            if let Some(spare) = spare {
+                // SAFETY: this is the thread that publishes, and the sender is its own.
+                let (longer, half) = unsafe { (&mut *spare.list.get(), &mut *sender.half.get()) };
+                half.enlarge(longer);
+                sender.room.store(half.out.len() * 64, Ordering::Release);
+            }
+            if sender.is_retired() {
+                // SAFETY: it is this thread's.
+                unsafe { sender.drain(&table.pool) };
+                sender.turn.finish();
+            }
+        }
+    }
+
+    /// The number of the next sample: each subscription counts for itself what is sent to it alone.
+    pub(crate) fn next_number(&mut self, to: Option<Gid>) -> u64 {
+        self.sequence_number += 1;
+        match to {
+            None => self.sequence_number,
+            Some(_) => self.table().receiving(to).next().map_or(0, |sender| {
+                // SAFETY: it is live, so its sending half is this thread's.
+                unsafe { (*sender.half.get()).last + 1 }
+            }),
+        }
+    }
+
+    /// The table. Call [`refresh`](Self::refresh) before.
+    #[inline]
+    pub(crate) fn table(&self) -> &Table {
+        // One that came since is adopted by the next `refresh`.
+        self.table.current()
+    }
+
+    /// Rings every subscription that got the sample, but for those that poll by themselves and those that are still taking what they
+    /// were rung for. All are marked before anybody is woken: whoever sleeps for several wakes once.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
+    /// sleeps and is woken directly.
+    pub(crate) fn ring(&self, to: Option<Gid>) {
+        let table = self.table();
+        for sender in table.receiving(to) {
+            // SAFETY: it is live, so its sending half is this thread's.
+            let half = unsafe { &mut *sender.half.get() };
+            half.sleeper = sender.reached.arena().mark_sample(sender.slot);
+        }
+        fence(Ordering::SeqCst);
+        let (mut last, mut woken) = (None, Woken::default());
+        for sender in table.receiving(to) {
+            // SAFETY: as above.
+            let Some(sleeper) = (unsafe { (*sender.half.get()).sleeper }) else { continue };
+            let arena = sender.reached.arena();
+            // Those of an arena are next to each other; which bells they lead to, their threads say at any time.
+            if last.replace(arena.id()) != Some(arena.id()) {
+                woken = Woken::default();
+            }
+            if woken.add(sleeper) {
+                arena.wake(sleeper);
+            }
+        }
+    }
+
+    /// Takes back what subscriptions have returned.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall.
+    pub(crate) fn reclaim(&self) {
+        let table = self.table();
+        for sender in table.live() {
+            // SAFETY: it is live, so it is this thread's.
+            unsafe { sender.reclaim(&table.pool) };
+        }
+    }
+}
+
+impl Sender {
+    /// What was published between its preloading and now and is kept: it missed that.
+    ///
+    /// # Safety
+    /// For who has the sending half.
+    unsafe fn catch_up(&self, history: &History, published: u64, pool: &Pool) {
+        // SAFETY: as the caller promises.
+        let (last, wants_history) = unsafe { ((*self.half.get()).last, (*self.half.get()).wants_history) };
+        if !wants_history {
+            return;
+        }
+        for number in history.first_kept(published).max(last.saturating_add(1))..=published {
+            if let Some(chunk) = history.kept(number) {
+                if let Some((segment, index)) = pool.find(chunk) {
+                    segment.add(index);
+                }
+                // SAFETY: as the caller promises; the reference was added just now.
+                unsafe { self.submit(number, chunk, pool) };
+            }
+        }
+    }
+}

@@ -1,0 +1,402 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The part of a subscription that is set up: which publishers it is connected to. Shared by the subscription and by whoever finds
+//! publishers for it; the thread that takes works with what is handed over to it: see [`receiver`](super::receiver).
+
+use super::receiver::{Entry, Live, Receiver, Table};
+use super::{Life, SubscriptionRole};
+use crate::error::TransportError;
+use crate::graph::log::hash_of;
+use crate::graph::record::{PortKind, PortRecord, QosRecord};
+use crate::qos::{Limits, Liveliness, Qos};
+use crate::topic::Topic;
+use crate::topic::chunks::{Chunks, Keyed};
+use crate::topic::connection::{ReaderState, Shape};
+use crate::topic::ends::{End, EndList, Ends, Mismatch};
+use crate::topic::header::Gid;
+use crate::topic::matching::Source;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tautline_doorbell::Slot;
+use tautline_rt::{LatestReader, LatestWriter, latest};
+
+/// Publishers that have ended with samples that no take has seen: of more, the samples of the one that ended first are lost, and
+/// counted.
+const UNSEEN: usize = 64;
+
+pub(crate) struct SubscriptionCore {
+    pub(crate) gid: Gid,
+    pub(crate) topic: Topic,
+    pub(crate) qos: Qos,
+    pub(crate) limits: Limits,
+    pub(crate) is_relay: bool,
+    /// Of a client's responses: the port of its requests.
+    partner: Option<u64>,
+    pub(crate) slot: Arc<Slot>,
+    /// Publishers on this host that match.
+    pub(crate) matched: AtomicUsize,
+    /// Samples of ended publishers that no take has seen and none will.
+    pub(crate) forgotten: AtomicU64,
+    /// The subscription has gone, and all its samples are back.
+    pub(crate) is_returned: AtomicBool,
+    /// The thread that takes wants whoever sets up to look: a sample cannot be reached, or an ended publisher has nothing left.
+    pub(crate) has_called: AtomicBool,
+    /// Publishers that are expected, and that are to be closed.
+    unfinished: AtomicUsize,
+    setup: Mutex<Setup>,
+}
+
+struct Setup {
+    attached: Chunks<Attached>,
+    /// Those of them that have ended, in that order.
+    ended: Vec<Gid>,
+    /// Publishers that have ended and that a sample, or the table of the taking thread, still refers to.
+    closing: Vec<Attached>,
+    /// Publishers whose participant has not made a connection yet.
+    expected: Vec<Expected>,
+    ends: Ends,
+    table: LatestWriter<Arc<Table>>,
+    is_stale: bool,
+}
+
+#[derive(Clone)]
+pub(super) struct Attached {
+    publisher: Gid,
+    source: Source,
+    pub(super) entry: Entry,
+}
+
+impl Keyed for Attached {
+    fn key(&self) -> Gid {
+        self.publisher
+    }
+}
+
+/// A publisher as its record describes it.
+pub(crate) struct Expected {
+    pub(crate) gid: Gid,
+    pub(crate) port: PortRecord,
+    pub(crate) source: Source,
+}
+
+impl SubscriptionCore {
+    pub(crate) fn create(
+        gid: Gid,
+        topic: Topic,
+        qos: Qos,
+        limits: Limits,
+        role: SubscriptionRole,
+        slot: Arc<Slot>,
+    ) -> (Arc<Self>, Live) {
+        let (table, reader) = latest(Arc::<Table>::default());
+        let setup = Setup {
+            attached: Chunks::default(),
+            ended: Vec::new(),
+            closing: Vec::new(),
+            expected: Vec::new(),
+            ends: Ends::default(),
+            table,
+            is_stale: false,
+        };
+        let core = SubscriptionCore {
+            gid,
+            topic,
+            qos,
+            limits,
+            is_relay: role.is_relay,
+            partner: role.partner,
+            slot,
+            matched: AtomicUsize::new(0),
+            forgotten: AtomicU64::new(0),
+            is_returned: AtomicBool::new(false),
+            has_called: AtomicBool::new(false),
+            unfinished: AtomicUsize::new(0),
+            setup: Mutex::new(setup),
+        };
+        (Arc::new(core), Live::new(reader))
+    }
+
+    fn setup(&self) -> MutexGuard<'_, Setup> {
+        self.setup.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What others read of it.
+    pub(crate) fn record(&self, node: Option<u64>) -> PortRecord {
+        PortRecord {
+            node,
+            kind: PortKind::Subscription,
+            topic: self.topic.name.clone(),
+            type_name: self.topic.topic_type.name.to_string(),
+            hash: self.topic.topic_type.hash.as_ref().map(ToString::to_string),
+            body_bytes: self.topic.topic_type.body_bytes.map(|bytes| bytes as u64),
+            qos: QosRecord::from(&self.qos),
+            relay: self.is_relay,
+            slot: self.slot.index() as u32,
+            at: self.limits.held as u64,
+            partner: self.partner,
+        }
+    }
+
+    pub(crate) fn hash(&self) -> u64 {
+        hash_of(&self.topic.name)
+    }
+
+    /// A publisher is there. True if its participant is to make a connection, which [`attach`](Self::attach) then finds.
+    pub(crate) fn expect(&self, expected: Expected) -> bool {
+        let mut setup = self.setup();
+        let gid = expected.gid;
+        if setup.ends.contains(gid) || setup.expected.iter().any(|other| other.gid == gid) {
+            return false;
+        }
+        let qos = expected.port.qos.qos();
+        match self.mismatch(&expected.port, &qos) {
+            Some(mismatch) => {
+                self.topic.warn_of_mismatch(mismatch, "subscription", "publisher", &expected.port);
+                let is_relay = expected.port.relay;
+                setup.ends.set(End {
+                    gid,
+                    mismatch: Some(mismatch),
+                    qos,
+                    is_relay,
+                    is_remote: false,
+                    partner: None,
+                    life: None,
+                });
+                false
+            }
+            None => {
+                setup.expected.push(expected);
+                self.note_unfinished(&setup);
+                true
+            }
+        }
+    }
+
+    fn mismatch(&self, port: &PortRecord, offered: &Qos) -> Option<Mismatch> {
+        if !self.topic.topic_type.agrees_with(&port.topic_type()) {
+            return Some(Mismatch::Type);
+        }
+        offered.incompatibility(&self.qos).filter(|_| !(self.is_relay || port.relay)).map(Mismatch::Qos)
+    }
+
+    /// Attaches publishers that are expected and whose participants have made a connection by now. Returns how many are still expected.
+    /// Call [`settle`](Self::settle) afterwards.
+    ///
+    /// # Errors
+    /// The system refuses to map a publisher's memory; others were attached.
+    pub(crate) fn attach(&self) -> Result<usize, TransportError> {
+        let mut setup = self.setup();
+        let mut error = None;
+        let mut waiting = Vec::new();
+        for expected in std::mem::take(&mut setup.expected) {
+            match self.try_attach(&mut setup, &expected, false) {
+                Ok(true) => {}
+                Ok(false) => waiting.push(expected),
+                Err(refused) => {
+                    error = Some(refused);
+                    waiting.push(expected);
+                }
+            }
+        }
+        setup.expected = waiting;
+        self.note_unfinished(&setup);
+        error.map_or(Ok(setup.expected.len()), Err)
+    }
+
+    fn try_attach(
+        &self,
+        setup: &mut Setup,
+        expected: &Expected,
+        has_gone: bool,
+    ) -> Result<bool, TransportError> {
+        let Expected { gid, port, source } = expected;
+        let Some(connection) = source.connection(self.gid, has_gone)? else { return Ok(false) };
+        let slot = port.slot as usize;
+        let reached = source.reached();
+        reached.reach(slot)?;
+        let segments = source.segments()?;
+        connection.bring_in(Shape { depth: self.qos.depth, held: self.limits.held });
+        connection.block().back.set_state(ReaderState::Attached);
+        let receiver = Arc::new(Receiver::new(*gid, connection, reached, slot));
+        let qos = port.qos.qos();
+        let has_lease =
+            qos.liveliness == Liveliness::ManualByTopic && qos.liveliness_lease_duration.is_some();
+        let life = has_lease.then(|| Life::of(&receiver));
+        setup.ends.set(End {
+            gid: *gid,
+            mismatch: None,
+            qos,
+            is_relay: port.relay,
+            is_remote: false,
+            partner: port.partner,
+            life,
+        });
+        let entry = Entry { receiver, segments, has_ended: false };
+        setup.attached.insert(Attached { publisher: *gid, source: source.clone(), entry });
+        setup.is_stale = true;
+        Ok(true)
+    }
+
+    /// How many publishers are expected.
+    pub(crate) fn expected(&self) -> usize {
+        self.setup().expected.len()
+    }
+
+    /// Whether publishers are expected, or are to be closed.
+    pub(crate) fn is_unfinished(&self) -> bool {
+        self.unfinished.load(Ordering::Relaxed) != 0
+    }
+
+    fn note_unfinished(&self, setup: &Setup) {
+        self.unfinished.store(setup.expected.len() + setup.closing.len(), Ordering::Relaxed);
+    }
+
+    /// A publisher has gone. `is_dead`: with its participant, so that it was killed unless its memory says that it ended. Call [`settle`](Self::settle) afterwards.
+    pub(crate) fn disconnect(&self, publisher: Gid, is_dead: bool) {
+        let mut setup = self.setup();
+        // One last time: what it sent before it was found.
+        let is_expected = |expected: &Expected| expected.gid == publisher;
+        if let Some(place) = setup.expected.iter().position(is_expected) {
+            let expected = setup.expected.remove(place);
+            if !matches!(self.try_attach(&mut setup, &expected, true), Ok(true)) {
+                return;
+            }
+        }
+        let mut was_killed = false;
+        if let Some(attached) = setup.attached.get_mut(publisher).filter(|attached| !attached.entry.has_ended)
+        {
+            was_killed = is_dead && !attached.source.has_ended();
+            // If that is refused what lies there is lost, and counted.
+            if let Ok(segments) = attached.source.segments() {
+                attached.entry.segments = segments;
+            }
+            attached.entry.has_ended = true;
+            setup.ended.push(publisher);
+            setup.is_stale = true;
+        }
+        setup.ends.remove(publisher, was_killed);
+    }
+
+    /// Maps segments that a publisher has made since the last time; all of them if none is named.
+    ///
+    /// # Errors
+    /// The system refuses.
+    pub(crate) fn map_segments(&self, publisher: Option<Gid>) -> Result<(), TransportError> {
+        let mut setup = self.setup();
+        let Setup { attached, is_stale, .. } = &mut *setup;
+        let all = || attached.iter().map(Keyed::key).collect();
+        for gid in publisher.map_or_else(all, |gid| vec![gid]) {
+            let Some(known) = attached.get(gid).filter(|known| !known.entry.has_ended) else { continue };
+            let segments = known.source.segments()?;
+            if !Arc::ptr_eq(&segments, &known.entry.segments)
+                && let Some(known) = attached.get_mut(gid)
+            {
+                known.entry.segments = segments;
+                *is_stale = true;
+            }
+        }
+        Ok(())
+    }
+
+    /// The ends on other hosts.
+    pub(crate) fn set_remote(&self, gids: &[Gid]) {
+        self.setup().ends.set_remote(gids);
+    }
+
+    /// Hands over what has changed, rings for it, and tells monitors. Returns the publishers whose connections were closed,
+    /// and whether some are still to be.
+    pub(crate) fn settle(&self) -> (Vec<Gid>, bool) {
+        let mut setup = self.setup();
+        self.forget_unseen(&mut setup);
+        // Closing hands over what is new, too.
+        let was_stale = setup.is_stale;
+        let (closed, is_closing) = close_done(&mut setup);
+        self.note_unfinished(&setup);
+        let is_stale = setup.is_stale;
+        if is_stale {
+            hand_over(&mut setup);
+        }
+        if setup.ends.tell(&self.matched) {
+            self.slot.doorbell().arena().ring_events(self.slot.index());
+        }
+        if was_stale || is_stale {
+            // What came before it was attached was announced to nobody; and what is closed is still in the former table. Last: a
+            // client looks at its servers when it is rung.
+            self.slot.ring();
+        }
+        (closed, is_closing)
+    }
+
+    /// Of publishers that have ended and that no take has seen, only the newest stay, and those that sent nothing not at all.
+    fn forget_unseen(&self, setup: &mut Setup) {
+        let ended = setup.ended.iter().filter_map(|gid| setup.attached.get(*gid));
+        let unseen: Vec<_> = ended.filter(|attached| attached.entry.receiver.is_new()).collect();
+        let too_many = unseen.len().saturating_sub(UNSEEN);
+        let mut has_forgotten = false;
+        for (place, attached) in unseen.into_iter().enumerate() {
+            if (place < too_many || !attached.entry.receiver.has_samples())
+                && let Some(lost) = attached.entry.receiver.forget()
+            {
+                self.forgotten.fetch_add(lost, Ordering::Relaxed);
+                has_forgotten = true;
+            }
+        }
+        setup.is_stale |= has_forgotten;
+    }
+
+    /// The subscription has gone and its samples are back: its publishers may have their memory again. Returns those.
+    pub(crate) fn close(&self) -> Vec<Gid> {
+        let mut setup = self.setup();
+        setup.expected.clear();
+        let close = |attached: &Attached| {
+            attached.entry.receiver.block().back.set_state(ReaderState::Closed);
+            attached.publisher
+        };
+        let attached = std::mem::take(&mut setup.attached);
+        let closing = std::mem::take(&mut setup.closing);
+        let attached = attached.iter().chain(&closing);
+        let closed = attached.map(close).collect();
+        // Nobody takes any more: nothing keeps what was there mapped.
+        (0..3).for_each(|_| setup.table.write(Arc::default()));
+        closed
+    }
+
+    pub(crate) fn monitor(&self) -> LatestReader<Arc<EndList>> {
+        self.setup().ends.monitor()
+    }
+}
+
+fn hand_over(setup: &mut Setup) {
+    setup.is_stale = false;
+    setup.table.write(Arc::new(Table { attached: setup.attached.clone() }));
+}
+
+/// Publishers that are done, once neither the taking thread's table nor a sample refers to them any more, may have their memory again.
+/// Returns those, and whether there are others that are referred to.
+fn close_done(setup: &mut Setup) -> (Vec<Gid>, bool) {
+    let Setup { attached, ended, closing, .. } = setup;
+    ended.retain(|gid| {
+        let is_done = attached.get(*gid).is_none_or(|attached| attached.entry.receiver.is_done());
+        if is_done {
+            closing.extend(attached.remove(*gid));
+        }
+        !is_done
+    });
+    if setup.closing.is_empty() {
+        return (Vec::new(), false);
+    }
+    // The tables that were handed over before come back, one by one, and are dropped here; the one that the taking thread has, when it
+    // has taken a new one.
+    (0..2).for_each(|_| hand_over(setup));
+    let mut closed = Vec::new();
+    setup.closing.retain(|attached| {
+        let stays = Arc::strong_count(&attached.entry.receiver) > 1;
+        if !stays {
+            attached.entry.receiver.block().back.set_state(ReaderState::Closed);
+            closed.push(attached.publisher);
+        }
+        stays
+    });
+    let is_closing = !setup.closing.is_empty();
+    setup.is_stale = is_closing;
+    (closed, is_closing)
+}

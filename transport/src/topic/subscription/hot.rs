@@ -1,0 +1,367 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Taking samples.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::receiver::{Held, Look, Taken};
+use super::{Counters, RawSubscription, Run};
+use crate::error::TakeError;
+use crate::qos::History;
+use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
+use crate::topic::lending::Lent;
+use crate::topic::memory::padded;
+use core::pin::Pin;
+use core::ptr::NonNull;
+use core::sync::atomic::{AtomicU64, Ordering};
+use core::task::{Context, Poll};
+use futures::Stream;
+use tautline_msgs::cdr::{DecodeError, DecodeFault, FieldPath};
+use tautline_rt::clock::monotonic_ns;
+
+/// A body in shared memory. At most `Limits::held` of one subscription are alive at once; they may be dropped in any
+/// thread.
+pub struct RawSample {
+    /// The body and what follows it, up to a multiple of 8.
+    payload: NonNull<[u8]>,
+    body_bytes: usize,
+    info: MessageInfo,
+    kind: SampleKind,
+    port_gid: Gid,
+    port_sequence_number: u64,
+    _lent: Lent<Held>,
+}
+
+// SAFETY: a RawSample reads its payload through `&[u8]`, and `_lent` may be dropped anywhere.
+unsafe impl Send for RawSample {}
+// SAFETY: as above.
+unsafe impl Sync for RawSample {}
+
+impl RawSample {
+    /// The message's CDR, without the 4 encapsulation bytes, at an address that is a multiple of 8. Nobody has looked
+    /// whether it is a message of the topic's type.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn body(&self) -> &[u8] {
+        self.payload().get(..self.body_bytes).unwrap_or_default()
+    }
+
+    /// The body and what follows it, up to a multiple of 8.
+    pub(crate) fn payload(&self) -> &[u8] {
+        // SAFETY: `payload` are the bytes of a sample that `_lent` keeps on its shelf, mapped. A publisher does not write
+        // to a sample that a subscription holds.
+        unsafe { self.payload.as_ref() }
+    }
+
+    /// Sequence number, time stamps, publisher.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn info(&self) -> MessageInfo {
+        self.info
+    }
+
+    pub(crate) fn kind(&self) -> SampleKind {
+        self.kind
+    }
+
+    /// The publisher on this host that the message came through: [`MessageInfo::publisher_gid`], unless that one is on
+    /// another host.
+    pub fn port_gid(&self) -> Gid {
+        self.port_gid
+    }
+
+    /// Counts what went through that port, from 1, whoever published it first.
+    pub fn port_sequence_number(&self) -> u64 {
+        self.port_sequence_number
+    }
+}
+
+impl core::fmt::Debug for RawSample {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("RawSample").field("body_bytes", &self.body_bytes).field("info", &self.info).finish()
+    }
+}
+
+impl RawSubscription {
+    /// Takes the oldest sample of a publisher, if there is one. Samples that have expired are passed over: after 16 in one call it
+    /// returns `None` and rings this subscription's doorbell, as if what is behind them had just been published.
+    ///
+    /// # Real-time
+    /// Lock-free, O(publishers), at most 16 samples looked at: a publisher that overwrites what is being taken makes it take what
+    /// comes next. No allocation; no syscall, except one futex wake if a keep-all publisher waits for room and its sampler sleeps, one
+    /// if messages were lost and somebody watches for that, one if 16 were passed over and this process's sampler sleeps, and one
+    /// for each publisher that has ended, or sends from memory that is not mapped here yet.
+    ///
+    /// # Errors
+    /// [`TakeError`]. A sample whose header is invalid is consumed.
+    pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
+        let mut patience = Patience::new();
+        let taken = self.take(&mut patience);
+        if matches!(taken, Ok(None)) {
+            self.go_on_later(&patience);
+        }
+        taken
+    }
+
+    /// Whether there is something to take; it may have expired.
+    ///
+    /// # Real-time
+    /// Wait-free, O(publishers); no allocation; no syscall.
+    pub fn has_samples(&self) -> bool {
+        let mut live = self.live.borrow_mut();
+        live.refresh();
+        live.has_samples()
+    }
+
+    /// Whether this publisher is connected, and has not ended.
+    pub(crate) fn has_publisher(&self, publisher: Gid) -> bool {
+        let mut live = self.live.borrow_mut();
+        live.refresh();
+        live.has(publisher)
+    }
+
+    /// If there may be more behind what was passed over: whoever waits for the doorbell comes again.
+    pub(crate) fn go_on_later(&self, patience: &Patience) {
+        if patience.is_over() {
+            self.slot().ring();
+        }
+    }
+
+    /// Takes the oldest sample, passing over what is not for the user. `None`: there is none, or the patience is over.
+    fn take(&self, patience: &mut Patience) -> Result<Option<RawSample>, TakeError> {
+        if self.core().forgotten.load(Ordering::Relaxed) != 0 {
+            self.note_lost(self.core().forgotten.swap(0, Ordering::Relaxed));
+        }
+        let mut live = self.live.borrow_mut();
+        live.refresh();
+        while !patience.is_over() {
+            if !self.shelf.reclaim() {
+                return Err(TakeError::TooManyHeld);
+            }
+            let Some(taken) = live.take(|look| self.note_look(look)) else {
+                if self.stop_draining() {
+                    // What was queued before its publisher could see that it must ring again.
+                    continue;
+                }
+                return Ok(None);
+            };
+            patience.spend();
+            if self.core().qos.history == History::KeepAll {
+                taken.receiver().ring_if_waiting();
+            }
+            if taken.lost != 0 {
+                self.note_lost(taken.lost);
+            }
+            self.counters.note_queue(taken.waiting.min(self.core().qos.depth as u64));
+            if has_expired(&taken.header) {
+                add(&self.counters.expired, 1);
+                continue;
+            }
+            add(&self.counters.received, 1);
+            return self.lend(taken).map(Some);
+        }
+        Ok(None)
+    }
+
+    /// Something else than a sample was found. Whoever sets up has to do something.
+    #[cold]
+    fn note_look(&self, look: &Look) {
+        if let Look::Settled(lost) = look
+            && *lost != 0
+        {
+            self.note_lost(*lost);
+        }
+        if !self.core().has_called.swap(true, Ordering::AcqRel) {
+            self.departure.shared.call_janitor();
+        }
+    }
+
+    fn lend(&self, taken: Taken) -> Result<RawSample, TakeError> {
+        let Taken { held, header, payload, .. } = taken;
+        let port_gid = held.publisher();
+        // The length is another process's claim.
+        let (body_bytes, kind) = header.body();
+        let Some(body) = first(payload, body_bytes) else {
+            self.note_invalid();
+            drop(held);
+            let fault = DecodeFault::End { needed: body_bytes, left: payload.len() };
+            let (type_name, path) = ("sample", FieldPath::EMPTY);
+            return Err(TakeError::Invalid(DecodeError { type_name, path, offset: 0, fault }));
+        };
+        let lent = self.shelf.lend(held).ok_or(TakeError::TooManyHeld)?;
+        tautline_trace::take(self.trace.id(), &header.trace_id(port_gid, payload.addr().get()));
+        Ok(RawSample {
+            payload: body,
+            body_bytes,
+            info: header.info(),
+            kind,
+            port_gid,
+            port_sequence_number: header.sequence_number,
+            _lent: lent,
+        })
+    }
+
+    /// Counts lost messages, and tells who wants to know: the only case in which a take rings.
+    fn note_lost(&self, lost: u64) {
+        add(&self.counters.lost, lost);
+        let slot = self.slot();
+        slot.doorbell().arena().ring_events(slot.index());
+    }
+
+    /// Counts a sample that is not a message of the type that its reader expects.
+    pub(crate) fn note_invalid(&self) {
+        add(&self.counters.invalid, 1);
+    }
+
+    /// Takes the oldest valid sample, if there is one. Invalid ones are counted and passed over, like those that
+    /// [`try_take`](Self::try_take) passes over: 16 of all kinds in one call. Refusals are counted.
+    ///
+    /// # Real-time
+    /// As [`try_take`](Self::try_take).
+    ///
+    /// # Errors
+    /// [`TakeError`], but not [`TakeError::Invalid`].
+    pub fn try_take_valid(&self) -> Result<Option<RawSample>, TakeError> {
+        let mut patience = Patience::new();
+        let taken = self.take_valid(&mut patience);
+        if matches!(taken, Ok(None)) {
+            self.go_on_later(&patience);
+        }
+        taken
+    }
+
+    /// As [`try_take_valid`](Self::try_take_valid), without a ring when the patience is over.
+    pub(crate) fn take_valid(&self, patience: &mut Patience) -> Result<Option<RawSample>, TakeError> {
+        loop {
+            match self.take(patience) {
+                Err(TakeError::Invalid(_)) => {}
+                Err(refused) => {
+                    add(&self.counters.refused, 1);
+                    return Err(refused);
+                }
+                taken => return taken,
+            }
+        }
+    }
+
+    /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
+    ///
+    /// # Real-time
+    /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
+    /// of the thread have a turn.
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
+        self.poll_within(context, &mut Patience::new())
+    }
+
+    /// As [`poll_take`](Self::poll_take). Pending with the patience over: there may be more, and the task is woken for it.
+    pub(crate) fn poll_within(&self, context: &mut Context<'_>, patience: &mut Patience) -> Poll<RawSample> {
+        self.slot().waker().register(context.waker());
+        while !patience.is_over() {
+            match self.take(patience) {
+                Ok(Some(sample)) => {
+                    self.note_taken();
+                    return Poll::Ready(sample);
+                }
+                Ok(None) if patience.is_over() => break,
+                Ok(None) => return Poll::Pending,
+                Err(TakeError::Invalid(_)) => {}
+                // Not rung for, so that it may drain on: the shelf wakes.
+                Err(TakeError::TooManyHeld) => {
+                    add(&self.counters.refused, 1);
+                    patience.spend();
+                    if !self.shelf.wake_when_back(context.waker()) {
+                        patience.end();
+                        return Poll::Pending;
+                    }
+                }
+            }
+        }
+        context.waker().wake_by_ref();
+        Poll::Pending
+    }
+
+    /// The first of a row may be the last, too. From the second on it is a backlog, and while that lasts rings are for nothing.
+    fn note_taken(&self) {
+        match self.run.get() {
+            Run::Waiting => self.run.set(Run::Took),
+            Run::Took => {
+                self.slot().flags().start_draining();
+                self.run.set(Run::Draining);
+            }
+            Run::Draining => {}
+        }
+    }
+
+    /// Publishers ring again. Whether they did not: look into the queue once more.
+    fn stop_draining(&self) -> bool {
+        let was_draining = self.run.replace(Run::Waiting) == Run::Draining;
+        if was_draining {
+            self.slot().flags().stop_draining();
+        }
+        was_draining
+    }
+}
+
+/// The part of a payload that holds a body of `body_bytes`. `None`: it is longer than the payload.
+fn first(payload: NonNull<[u8]>, body_bytes: usize) -> Option<NonNull<[u8]>> {
+    let is_there = body_bytes <= payload.len();
+    is_there.then(|| NonNull::slice_from_raw_parts(payload.cast(), padded(body_bytes).min(payload.len())))
+}
+
+/// A publisher that sends nothing but what is passed over must not keep a thread busy: so many are looked at in one call.
+const LOOKS: usize = 16;
+
+/// How many samples a call still looks at.
+pub(crate) struct Patience(usize);
+
+impl Patience {
+    pub(crate) fn new() -> Self {
+        Patience(LOOKS)
+    }
+
+    fn spend(&mut self) {
+        self.0 = self.0.saturating_sub(1);
+    }
+
+    fn end(&mut self) {
+        self.0 = 0;
+    }
+
+    /// There may be more, but another time.
+    pub(crate) fn is_over(&self) -> bool {
+        self.0 == 0
+    }
+}
+
+impl Stream for RawSubscription {
+    type Item = RawSample;
+
+    /// # Real-time
+    /// As [`RawSubscription::try_take`]. Ends with its node, if it has one.
+    fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<RawSample>> {
+        match self.poll_take(context) {
+            // After the waker was registered: whoever ends the node after this look wakes the task.
+            Poll::Pending if self.has_ended() => Poll::Ready(None),
+            poll => poll.map(Some),
+        }
+    }
+}
+
+impl Counters {
+    fn note_queue(&self, waiting: u64) {
+        if waiting > self.max_queue.load(Ordering::Relaxed) {
+            self.max_queue.store(waiting, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Whether its publisher's lifespan is over. Without one the clock is not read.
+fn has_expired(header: &SampleHeader) -> bool {
+    header.expires_ns != NEVER && monotonic_ns() >= header.expires_ns
+}
+
+/// Only the subscription's thread writes its counters: a load and a store, no locked instruction.
+pub(super) fn add(counter: &AtomicU64, n: u64) {
+    counter.store(counter.load(Ordering::Relaxed).saturating_add(n), Ordering::Relaxed);
+}

@@ -1,0 +1,284 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Subscriptions to bytes: take a sample and read it in place, or poll for one from a task. What is above knows the type.
+
+pub(crate) mod core;
+mod hot;
+pub(crate) mod receiver;
+
+pub(crate) use hot::Patience;
+pub use hot::RawSample;
+
+use crate::error::TransportError;
+use crate::graph::Entry;
+use crate::participant::{Participant, Shared};
+use crate::qos::{Limits, Qos};
+use crate::topic::Topic;
+use crate::topic::connection::Connection;
+use crate::topic::header::Gid;
+use crate::topic::lending::Shelf;
+use crate::topic::publisher::{MatchedCount, MatchedOf};
+use crate::topic::topic_type::TopicType;
+use core::SubscriptionCore;
+use receiver::{Held, Live, Receiver};
+use std::cell::{Cell, RefCell};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
+use tautline_doorbell::{Joined, Slot, ThreadBell};
+
+/// Receives bodies of CDR from one topic, of whatever type. A stream of [`RawSample`]s, or
+/// [`try_take`](RawSubscription::try_take).
+///
+/// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
+/// back to the publisher when this subscription next takes.
+pub struct RawSubscription {
+    // Dropped in this order.
+    live: RefCell<Live>,
+    shelf: Shelf<Held>,
+    /// What the polls before found.
+    run: Cell<Run>,
+    /// The callback thread that publishers wake.
+    thread: RefCell<Option<Joined>>,
+    trace: tautline_trace::Object,
+    counters: Arc<Counters>,
+    departure: Departure,
+    /// Whose it is: that is there at least as long.
+    _node: Option<Arc<Entry>>,
+}
+
+/// How polls go.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Run {
+    /// The last one found nothing: publishers ring.
+    Waiting,
+    /// It found a sample.
+    Took,
+    /// Those before it did, too: publishers need not ring.
+    Draining,
+}
+
+/// What happened to the messages of one subscription, readable from any thread.
+#[derive(Debug, Default)]
+pub struct Counters {
+    received: AtomicU64,
+    lost: AtomicU64,
+    invalid: AtomicU64,
+    refused: AtomicU64,
+    expired: AtomicU64,
+    max_queue: AtomicU64,
+}
+
+impl Counters {
+    /// Messages taken.
+    pub fn received(&self) -> u64 {
+        self.received.load(Ordering::Relaxed)
+    }
+
+    /// Messages that were overwritten before they were taken: what is missing in the numbers of each publisher.
+    pub fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
+    }
+
+    /// Samples thrown away because their bytes are not a valid message.
+    pub fn invalid(&self) -> u64 {
+        self.invalid.load(Ordering::Relaxed)
+    }
+
+    /// Polls of the stream that found it unable to take: too many samples held.
+    pub fn refused(&self) -> u64 {
+        self.refused.load(Ordering::Relaxed)
+    }
+
+    /// Messages not delivered because they were older than their publisher's lifespan when they were to be taken.
+    pub fn expired(&self) -> u64 {
+        self.expired.load(Ordering::Relaxed)
+    }
+
+    /// Most messages of one publisher that waited at once, in samples, seen when taking; at most the depth.
+    pub fn max_queue(&self) -> u64 {
+        self.max_queue.load(Ordering::Relaxed)
+    }
+}
+
+/// What a subscription is made for, besides its topic.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SubscriptionRole {
+    /// What it gets is passed on.
+    pub(crate) is_relay: bool,
+    /// Of a client's responses: the port of its requests.
+    pub(crate) partner: Option<u64>,
+    /// The number of the port, if that was known before.
+    pub(crate) number: Option<u64>,
+}
+
+impl RawSubscription {
+    pub(crate) fn create(
+        participant: &Participant,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+        role: SubscriptionRole,
+    ) -> Result<Self, TransportError> {
+        let shared = participant.shared.clone();
+        let topic = Topic::check(topic, topic_type, qos, limits)?;
+        let slot = Arc::new(shared.doorbell.claim()?);
+        slot.flags().set_deadline(qos.deadline.is_some());
+        let gid = Gid::of(shared.memory.id(), role.number.unwrap_or_else(|| shared.record.number()));
+        let trace = tautline_trace::subscription_init(&topic.name, qos.depth);
+        let (core, live) = SubscriptionCore::create(gid, topic, qos, limits, role, slot);
+        let returned = Returned { core: Arc::downgrade(&core), shared: shared.clone() };
+        let subscription = RawSubscription {
+            live: RefCell::new(live),
+            shelf: Shelf::new(limits.held, returned),
+            run: Cell::new(Run::Waiting),
+            thread: RefCell::new(None),
+            trace,
+            counters: Arc::default(),
+            departure: Departure { core: core.clone(), shared: shared.clone() },
+            _node: participant.node.clone(),
+        };
+        shared.matcher.add_subscription(&core, participant.node.as_deref())?;
+        participant.adopt(&core.slot);
+        Ok(subscription)
+    }
+
+    pub(crate) fn core(&self) -> &Arc<SubscriptionCore> {
+        &self.departure.core
+    }
+
+    fn slot(&self) -> &Slot {
+        &self.departure.core.slot
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        &self.core().topic.name
+    }
+
+    /// This subscription's identifier.
+    pub fn gid(&self) -> Gid {
+        self.core().gid
+    }
+
+    /// The quality of service that was asked for.
+    pub fn qos(&self) -> Qos {
+        self.core().qos
+    }
+
+    /// This subscription's limits.
+    pub fn limits(&self) -> Limits {
+        self.core().limits
+    }
+
+    /// What this subscription knows of the topic's type.
+    pub fn topic_type(&self) -> &TopicType {
+        &self.core().topic.topic_type
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.counters.clone()
+    }
+
+    /// What trace events call this subscription.
+    pub fn trace_id(&self) -> tautline_trace::ObjectId {
+        self.trace.id()
+    }
+
+    /// Number of publishers on this host that match; those of a gateway or bridge are among them.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn publisher_count(&self) -> usize {
+        self.core().matched.load(Ordering::Acquire)
+    }
+
+    /// As [`publisher_count`](Self::publisher_count), to be asked from any thread.
+    pub fn matched(&self) -> MatchedCount {
+        MatchedCount(MatchedOf::Subscription(self.core().clone()))
+    }
+
+    /// Whether its node has ended: nothing comes any more.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn has_ended(&self) -> bool {
+        self.slot().is_retired()
+    }
+
+    /// Says which callback thread publishers wake, instead of the sampler: that which polls this subscription from now on, and
+    /// sleeps on `bell` alone. `None`: the sampler again. The caller looks into the queue after this.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions of the thread); no allocation; no syscall. If the bell's 63 places are taken, or if it is another
+    /// participant's, the sampler is rung as before.
+    pub fn wake_thread(&self, bell: Option<&Arc<ThreadBell>>) {
+        let mut thread = self.thread.borrow_mut();
+        // Left before it is joined anew: both set the route.
+        *thread = None;
+        *thread = bell.and_then(|bell| bell.join(self.slot()));
+    }
+
+    /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback). If it no longer does, its
+    /// doorbell is rung once, for what came meanwhile.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; at most one futex wake.
+    pub fn set_quiet(&self, is_quiet: bool) {
+        self.slot().flags().set_quiet(is_quiet);
+        if !is_quiet {
+            self.slot().ring();
+        }
+    }
+}
+
+impl AsRef<RawSubscription> for RawSubscription {
+    fn as_ref(&self) -> &RawSubscription {
+        self
+    }
+}
+
+/// Tells whoever sets things up that the subscription has gone.
+struct Departure {
+    core: Arc<SubscriptionCore>,
+    shared: Arc<Shared>,
+}
+
+impl Drop for Departure {
+    fn drop(&mut self) {
+        self.core.slot.retire();
+        self.shared.matcher.remove_subscription(&self.core);
+    }
+}
+
+/// Dropped when the subscription and its last sample have gone, by whichever thread that is.
+struct Returned {
+    core: Weak<SubscriptionCore>,
+    shared: Arc<Shared>,
+}
+
+impl Drop for Returned {
+    /// # Real-time
+    /// Wait-free; one futex wake.
+    fn drop(&mut self) {
+        if let Some(core) = self.core.upgrade() {
+            core.is_returned.store(true, Ordering::Release);
+            self.shared.call_janitor();
+        }
+    }
+}
+
+/// Where a publisher shows that it is alive.
+#[derive(Clone)]
+pub(crate) struct Life(Arc<Connection>);
+
+impl Life {
+    pub(crate) fn of(receiver: &Receiver) -> Self {
+        Life(receiver.connection().clone())
+    }
+
+    /// When it last did.
+    pub(crate) fn alive_ns(&self) -> u64 {
+        self.0.block().out.alive_ns.load(Ordering::Relaxed)
+    }
+}

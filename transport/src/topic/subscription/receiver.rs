@@ -1,0 +1,336 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! One publisher as its subscription sees it, and the table of all of them.
+//!
+//! As on the other side, publishers come and go by the hands of whoever sets things up, and the thread that takes finds a new
+//! [`Table`] when it next takes. A receiver is the taking thread's from when that has seen it until it has settled what an ended
+//! publisher sent; what no take has seen of an ended publisher setup may forget. [`HandOver`] says whose it is.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::core::Attached;
+use crate::participant::Reached;
+use crate::topic::chunks::Chunks;
+use crate::topic::connection::{Block, Connection};
+use crate::topic::hand_over::HandOver;
+use crate::topic::header::{Gid, HEADER_BYTES, SampleHeader};
+use crate::topic::pool::ChunkOffset;
+use core::cell::UnsafeCell;
+use core::ptr::NonNull;
+use std::sync::Arc;
+use std::sync::atomic::{Ordering, fence};
+use tautline_rt::LatestReader;
+use tautline_rt::shm::Mapping;
+
+/// What a subscription knows of a publisher.
+pub(crate) struct Receiver {
+    pub(crate) publisher: Gid,
+    connection: Arc<Connection>,
+    /// Where the publisher is rung when it waits for room.
+    reached: Reached,
+    slot: usize,
+    turn: HandOver,
+    half: UnsafeCell<Half>,
+}
+
+/// What the thread that takes keeps.
+struct Half {
+    /// The number of the sample that is expected next; 0 before the first one.
+    next: u64,
+    /// Taken from the queue, but in a segment that is not mapped here yet.
+    parked: Option<u64>,
+}
+
+// SAFETY: `half` is used by the thread that takes, once it has adopted the receiver; by nobody before, and by nobody after it is done.
+// The rest is atomics and what does not change.
+unsafe impl Sync for Receiver {}
+// SAFETY: as above; nothing in it belongs to a thread.
+unsafe impl Send for Receiver {}
+
+/// A segment of a publisher's samples, mapped here.
+#[derive(Clone)]
+pub(crate) struct SegmentView {
+    pub(crate) map: Arc<Mapping>,
+    pub(crate) sample_bytes: usize,
+    /// Where it lies in the publisher's file: its id may be another's later.
+    pub(crate) place: u64,
+}
+
+/// By their ids.
+pub(crate) type SegmentViews = Arc<[Option<SegmentView>]>;
+
+/// What the thread that takes works with: made anew when publishers, or segments of theirs, have come or gone.
+#[derive(Default)]
+pub(crate) struct Table {
+    pub(super) attached: Chunks<Attached>,
+}
+
+impl Table {
+    fn entries(&self) -> impl Iterator<Item = &Entry> {
+        self.attached.iter().map(|attached| &attached.entry)
+    }
+}
+
+/// A publisher in the table.
+#[derive(Clone)]
+pub(crate) struct Entry {
+    pub(crate) receiver: Arc<Receiver>,
+    pub(crate) segments: SegmentViews,
+    /// All that it sent is in its queue, and all segments that could be mapped are.
+    pub(crate) has_ended: bool,
+}
+
+/// A sample that lies on the shelf: it goes back to its publisher when it is dropped.
+pub(crate) struct Held {
+    receiver: Arc<Receiver>,
+    chunk: u64,
+    /// Its segment stays mapped.
+    _map: Arc<Mapping>,
+}
+
+impl Held {
+    pub(crate) fn publisher(&self) -> Gid {
+        self.receiver.publisher
+    }
+}
+
+impl Drop for Held {
+    /// # Real-time
+    /// Wait-free; no syscall: whoever sets up has the receiver and the mapping as long as one of these is left.
+    fn drop(&mut self) {
+        // SAFETY: samples are dropped by the subscription's thread, or by the last that has one when the subscription is gone.
+        unsafe { self.receiver.connection.give_back(self.chunk) };
+    }
+}
+
+/// A sample that was taken.
+pub(crate) struct Taken {
+    pub(crate) held: Held,
+    pub(crate) header: SampleHeader,
+    /// All of the sample behind its header.
+    pub(crate) payload: NonNull<[u8]>,
+    /// Samples missing before this one.
+    pub(crate) lost: u64,
+    /// Samples of this publisher that waited, this one included.
+    pub(crate) waiting: u64,
+}
+
+/// What came of a look at a publisher's queue.
+pub(crate) enum Look {
+    Taken(Taken),
+    /// A sample is there and cannot be reached yet: whoever sets up maps its segment and rings. There may be more behind it.
+    Parked,
+    Empty,
+    /// The publisher has ended and nothing of it is left; so many samples never came.
+    Settled(u64),
+}
+
+impl Receiver {
+    #[allow(clippy::disallowed_methods, reason = "set-up")]
+    pub(crate) fn new(publisher: Gid, connection: Connection, reached: Reached, slot: usize) -> Self {
+        Receiver {
+            publisher,
+            connection: Arc::new(connection),
+            reached,
+            slot,
+            turn: HandOver::new(),
+            half: UnsafeCell::new(Half { next: 0, parked: None }),
+        }
+    }
+
+    pub(crate) fn block(&self) -> &Block {
+        self.connection.block()
+    }
+
+    pub(crate) fn connection(&self) -> &Arc<Connection> {
+        &self.connection
+    }
+
+    /// Whether nothing more comes from it, or goes back to it but what is on the shelf.
+    pub(crate) fn is_done(&self) -> bool {
+        self.turn.is_done()
+    }
+
+    /// Setup: forgets a publisher that has ended and that no take has seen, with what it sent: returns how many samples that are.
+    pub(crate) fn forget(&self) -> Option<u64> {
+        self.turn.retire().is_setups.then(|| self.unseen())
+    }
+
+    /// How many samples it has sent, of which none was taken.
+    fn unseen(&self) -> u64 {
+        let (start, sent) = (&self.block().out.start, &self.block().out.sent);
+        match start.load(Ordering::Relaxed) {
+            0 => 0,
+            start => (sent.load(Ordering::Relaxed) + 1).saturating_sub(start),
+        }
+    }
+
+    /// Whether no take has seen it.
+    pub(crate) fn is_new(&self) -> bool {
+        self.turn.is_new()
+    }
+
+    /// Setup: whether something is queued.
+    pub(crate) fn has_samples(&self) -> bool {
+        !self.connection.is_empty()
+    }
+
+    /// Takes the oldest sample.
+    ///
+    /// # Real-time
+    /// Lock-free: a publisher that overwrites what is to be taken makes it take the next one; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For the thread that takes, of a live receiver.
+    unsafe fn look(self: &Arc<Self>, segments: &SegmentViews, has_ended: bool) -> Look {
+        // SAFETY: as the caller promises.
+        let half = unsafe { &mut *self.half.get() };
+        // SAFETY: as the caller promises.
+        let Some(chunk) = half.parked.take().or_else(|| unsafe { self.connection.take() }) else {
+            return if has_ended { self.settle(half) } else { Look::Empty };
+        };
+        let Some((view, payload)) = locate(chunk, segments) else {
+            if has_ended {
+                // It will never be reached: the samples after it, or its end, show that it is lost.
+                // SAFETY: as the caller promises.
+                unsafe { self.connection.give_back(chunk) };
+            } else {
+                half.parked = Some(chunk);
+            }
+            return Look::Parked;
+        };
+        // SAFETY: a sample that was submitted is not written before it was returned, and lies within the mapping.
+        let header = unsafe { payload.cast::<u8>().byte_sub(HEADER_BYTES).cast::<SampleHeader>().read() };
+        let number = header.sequence_number;
+        if half.next == 0 {
+            half.next = self.block().out.start.load(Ordering::Relaxed);
+        }
+        let lost = number.saturating_sub(half.next);
+        // Numbers are another process's claims: too large a one is a wrong count, not an overflow.
+        half.next = half.next.max(number.saturating_add(1));
+        let waiting = self.block().out.sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(number);
+        // Release: pairs with the Acquire in the publisher's check for room.
+        self.block().back.taken.store(number, Ordering::Release);
+        let held = Held { receiver: self.clone(), chunk, _map: view.map.clone() };
+        Look::Taken(Taken { held, header, payload, lost, waiting })
+    }
+
+    /// The queue of an ended publisher is empty: what it sent and never came is lost.
+    fn settle(&self, half: &Half) -> Look {
+        let sent = self.block().out.sent.load(Ordering::Relaxed);
+        let lost = if half.next == 0 { self.unseen() } else { (sent + 1).saturating_sub(half.next) };
+        self.turn.finish();
+        Look::Settled(lost)
+    }
+
+    /// Rings the publisher if it waits for room, after a take.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; one futex wake if the publisher waits and its sampler sleeps.
+    pub(crate) fn ring_if_waiting(&self) {
+        // The take before is visible before the request is looked at; see the publisher's check for room.
+        fence(Ordering::SeqCst);
+        let waiting = &self.block().out.waiting;
+        if waiting.load(Ordering::Relaxed) != 0 && waiting.swap(0, Ordering::Relaxed) != 0 {
+            self.reached.arena().ring(self.slot);
+        }
+    }
+}
+
+impl Taken {
+    pub(crate) fn receiver(&self) -> &Receiver {
+        &self.held.receiver
+    }
+}
+
+/// Where a sample lies: all of it behind its header. `None`: its segment is not mapped here, or there is no such sample.
+fn locate(chunk: u64, segments: &SegmentViews) -> Option<(&SegmentView, NonNull<[u8]>)> {
+    let ChunkOffset { segment, offset_bytes } = ChunkOffset::from_word(chunk);
+    let view = segments.get(segment)?.as_ref()?;
+    let end = offset_bytes.checked_add(view.sample_bytes)?;
+    if end > view.map.len_bytes()
+        || !offset_bytes.is_multiple_of(view.sample_bytes)
+        || view.sample_bytes <= HEADER_BYTES
+    {
+        return None;
+    }
+    // SAFETY: within the mapping, as checked.
+    let start = unsafe { view.map.start().byte_add(offset_bytes + HEADER_BYTES).cast::<u8>() };
+    Some((view, NonNull::slice_from_raw_parts(start, view.sample_bytes - HEADER_BYTES)))
+}
+
+/// What the thread that takes knows of publishers.
+pub(crate) struct Live {
+    table: LatestReader<Arc<Table>>,
+    /// The receiver that the next look begins with.
+    next: usize,
+    /// How many samples in a row came from it.
+    in_a_row: usize,
+}
+
+/// After so many samples of one publisher others have a turn.
+const IN_A_ROW: usize = 16;
+
+impl Live {
+    pub(crate) fn new(table: LatestReader<Arc<Table>>) -> Self {
+        Live { table, next: 0, in_a_row: 0 }
+    }
+
+    /// Looks whether publishers have come or gone, and takes over what has.
+    ///
+    /// # Real-time
+    /// Wait-free: one load; O(publishers) when they have.
+    pub(crate) fn refresh(&mut self) {
+        if self.table.is_fresh() {
+            // One that was adopted before, or forgotten, is not adopted.
+            self.table.read().entries().for_each(|entry| _ = entry.receiver.turn.adopt());
+            (self.next, self.in_a_row) = (0, 0);
+        }
+    }
+
+    /// Takes the oldest sample of a publisher; tells `each` what else was found on the way.
+    ///
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall.
+    pub(crate) fn take(&mut self, mut each: impl FnMut(&Look)) -> Option<Taken> {
+        let table = self.table.current();
+        let count = table.attached.len();
+        for (place, Attached { entry, .. }) in table.attached.iter_from(self.next) {
+            if !entry.receiver.turn.is_live() {
+                continue;
+            }
+            // SAFETY: it is live, and this is the thread that takes.
+            match unsafe { entry.receiver.look(&entry.segments, entry.has_ended) } {
+                Look::Taken(taken) => {
+                    self.in_a_row = if place == self.next { self.in_a_row + 1 } else { 1 };
+                    self.next = place;
+                    if self.in_a_row >= IN_A_ROW {
+                        (self.next, self.in_a_row) = ((place + 1) % count, 0);
+                    }
+                    return Some(taken);
+                }
+                Look::Empty => {}
+                other => each(&other),
+            }
+        }
+        None
+    }
+
+    /// Whether this publisher is there, and has not ended.
+    ///
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall.
+    pub(crate) fn has(&self, publisher: Gid) -> bool {
+        self.table.current().entries().any(|entry| entry.receiver.publisher == publisher && !entry.has_ended)
+    }
+
+    /// Whether a publisher has something queued.
+    ///
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall.
+    pub(crate) fn has_samples(&self) -> bool {
+        self.table
+            .current()
+            .entries()
+            .any(|entry| entry.receiver.turn.is_live() && entry.receiver.has_samples())
+    }
+}

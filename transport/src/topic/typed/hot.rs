@@ -1,0 +1,470 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Loans and samples of a type, written and read in shared memory.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::{Publisher, Subscription};
+use crate::error::{LoanError, PublishError, TakeError};
+use crate::topic::header::MessageInfo;
+use crate::topic::publisher::{RawLoan, RawPublisher, Unpublished};
+use crate::topic::subscription::{Patience, RawSample, RawSubscription};
+use core::fmt;
+use core::marker::PhantomData;
+use core::mem::MaybeUninit;
+use core::ops::{Deref, DerefMut};
+use core::pin::Pin;
+use core::task::{Context, Poll};
+use futures::Stream;
+use tautline_msgs::cdr::{DecodeError, FieldPath, Fill, WriteError, WriteFault, fill, sized_len};
+use tautline_msgs::{Body, Message, Plain};
+
+impl<T: Message> Publisher<T> {
+    /// Loans a sample to write in place, as `&mut T`. Its content is a valid `T` but otherwise unspecified: zeros, or an
+    /// earlier message of this publisher; write what the message needs.
+    ///
+    /// A loan stays in its thread: a future that keeps one over an `.await` is not `Send`, even if the loan was published by then.
+    /// Loan and publish in a block or function of its own, or run the future with `Node::spawn_local`.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall. For a type with bool, char or enum fields,
+    /// O(number of these) to check that the memory holds a valid `T`.
+    ///
+    /// # Errors
+    /// [`LoanError::Exhausted`]: `Limits::loans` are out already.
+    pub fn loan(&self) -> Result<Loan<'_, T>, LoanError>
+    where
+        T: Plain,
+    {
+        Loan::of_plain(&self.raw)
+    }
+
+    /// [`loan`](Self::loan) by r2r's name. The loan is published with its own [`publish`](Loan::publish).
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan).
+    ///
+    /// # Errors
+    /// As [`loan`](Self::loan).
+    pub fn borrow_loaned_message(&self) -> Result<Loan<'_, T>, LoanError>
+    where
+        T: Plain,
+    {
+        self.loan()
+    }
+
+    /// Loans a sample for a message of these lengths, to be [written](Unwritten::write) in place.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall; linear in the number of fields and of elements that
+    /// have sizes of their own. A message that is longer than `Limits::message_bytes` and than all before takes a larger
+    /// segment: allocates, maps memory.
+    ///
+    /// # Errors
+    /// [`LoanError`]: see [`RawPublisher::loan`](crate::RawPublisher::loan).
+    pub fn loan_with<'s>(&self, sizes: T::Sizes<'s>) -> Result<Unwritten<'_, 's, T>, LoanError>
+    where
+        T: Fill,
+    {
+        Unwritten::of_sizes(&self.raw, sizes)
+    }
+
+    /// Writes `message` into a loan and publishes it.
+    ///
+    /// # Real-time
+    /// As [`RawPublisher::loan`](crate::RawPublisher::loan) and [`Loan::publish`], and one copy of the message.
+    ///
+    /// # Errors
+    /// [`PublishError`]; nothing was sent.
+    pub fn publish(&self, message: &T) -> Result<(), PublishError> {
+        let mut raw = self.raw.loan(message.cdr_len())?;
+        message.encode(&mut raw)?;
+        raw.publish().map_err(PublishError::from)
+    }
+
+    /// [`publish`](Self::publish) by r2r's name, for a message in the form that r2r has for C.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_native(&self, message: &mut impl AsRef<T>) -> Result<(), PublishError> {
+        self.publish((*message).as_ref())
+    }
+}
+
+/// A sample for a message of stated lengths, not written yet. Dropping it gives it back.
+///
+/// ```
+/// # use tautline_transport::{Limits, Participant, Qos};
+/// use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
+///
+/// # let participant = Participant::new(122)?;
+/// # let (qos, limits) = (Qos::default(), Limits::default());
+/// let subscription = participant.create_subscription::<Image>("/image", qos, limits)?;
+/// let publisher = participant.create_publisher::<Image>("/image", qos, limits)?;
+///
+/// let sizes = ImageSizes { encoding: "mono8".len(), data: 640 * 480, ..ImageSizes::default() };
+/// let loan = publisher.loan_with(sizes)?.write(|image| {
+///     (image.height.set(480), image.width.set(640), image.step.set(640));
+///     image.encoding.set("mono8")?;
+///     image.data.slice_mut().fill(200); // in shared memory
+///     image.default_rest();
+///     Ok(())
+/// })?;
+/// loan.publish().expect("keep-last never refuses");
+///
+/// let sample = subscription.try_take()?.expect("it was just published");
+/// let image = sample.view();
+/// assert_eq!((image.encoding(), image.data().len()), ("mono8", 307_200)); // from shared memory
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// It cannot be published before it is written:
+///
+/// ```compile_fail,E0599
+/// # use tautline_transport::Publisher;
+/// # use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
+/// fn send(publisher: Publisher<Image>) {
+///     publisher.loan_with(ImageSizes::default()).unwrap().publish().unwrap();
+/// }
+/// ```
+#[must_use = "nothing is sent before it is written and published"]
+pub struct Unwritten<'p, 's, T: Message + Fill> {
+    raw: RawLoan<'p>,
+    sizes: T::Sizes<'s>,
+}
+
+impl<'p, 's, T: Message + Fill> Unwritten<'p, 's, T> {
+    pub(crate) fn of_sizes(publisher: &'p RawPublisher, sizes: T::Sizes<'s>) -> Result<Self, LoanError> {
+        let raw = publisher.loan(sized_len::<T>(sizes))?;
+        Ok(Unwritten { raw, sizes })
+    }
+
+    /// Lets `write` set each field in place, and checks that none was forgotten. What it does not write of a sequence's
+    /// `slice_mut` holds zeros, or an earlier message of this publisher.
+    ///
+    /// # Real-time
+    /// Wait-free but for `write`; no allocation; no syscall. Linear in the number of fields, and of bools in sequences and
+    /// arrays.
+    ///
+    /// # Errors
+    /// [`WriteError`]: a length over its bound, a field that was not set, an error of `write`. The loan is given back.
+    pub fn write(
+        mut self,
+        write: impl for<'a> FnOnce(&mut T::Writer<'a, 's>) -> Result<(), WriteError>,
+    ) -> Result<Loan<'p, T>, WriteError> {
+        fill::<T>(self.sizes, &mut self.raw, write)?;
+        // A `&mut T` will be given out, and safe code can have replaced a writer by one that writes elsewhere.
+        let is_whole = |body: Body<'_>| T::view(body).is_ok();
+        if T::PLAIN.is_some() && !Body::new(self.raw.payload(), self.raw.len()).is_ok_and(is_whole) {
+            return Err(WriteError { type_name: T::TYPE_NAME, field: "", fault: WriteFault::Elsewhere });
+        }
+        Ok(Loan { raw: self.raw, _message: PhantomData })
+    }
+}
+
+impl<T: Message + Fill> fmt::Debug for Unwritten<'_, '_, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Unwritten").field("body_bytes", &self.raw.len()).finish_non_exhaustive()
+    }
+}
+
+/// A message in a loan, ready to be published; one of a plain type is a `&mut T` in shared memory. Dropping it gives it
+/// back unsent.
+#[must_use = "nothing is sent before it is published"]
+pub struct Loan<'p, T: Message> {
+    /// If `T` is plain, its payload starts with a valid `T`.
+    raw: RawLoan<'p>,
+    _message: PhantomData<fn(T)>,
+}
+
+impl<'p, T: Message + Plain> Loan<'p, T> {
+    pub(crate) fn of_plain(publisher: &'p RawPublisher) -> Result<Self, LoanError> {
+        let mut raw = publisher.loan(T::CDR_SIZE)?;
+        let memory = raw.payload_mut();
+        if memory.len() < size_of::<T>() || memory.as_ptr().align_offset(align_of::<T>()) != 0 {
+            return Err(LoanError::TooLarge);
+        }
+        // Only this publisher writes here, and only whole messages; zeros are a valid `T` too. Another process that broke
+        // the rules must still not make an invalid `T`.
+        if !T::ALWAYS_VALID && T::validate(memory).is_err() {
+            memory.fill(0);
+        }
+        Ok(Loan { raw, _message: PhantomData })
+    }
+}
+
+impl<'p, T: Message> Loan<'p, T> {
+    /// Publishes the sample to every subscription. It never waits: a slow keep-last subscription loses its oldest
+    /// sample and counts it; with a full keep-all subscription, and if this publisher keeps all, nothing is sent and the
+    /// loan comes back.
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
+    /// sleeps and is woken directly; no other syscall.
+    /// When subscriptions have come or gone since the last call: O(subscriptions x samples / 64) besides. For a plain type with
+    /// padding between its fields, O(number of these) to zero it.
+    ///
+    /// # Errors
+    /// [`Unpublished`], with the loan: nothing was sent.
+    pub fn publish(self) -> Result<(), Unpublished<Loan<'p, T>>> {
+        let published = self.ready().publish();
+        published.map_err(|unpublished| unpublished.map(Loan::back))
+    }
+
+    /// Publishes with a release time of the caller's: what response times are measured from, such as the instant at
+    /// which a periodic publisher should have woken. In `CLOCK_MONOTONIC` nanoseconds.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<Loan<'p, T>>> {
+        let published = self.ready().publish_released_at(released_ns);
+        published.map_err(|unpublished| unpublished.map(Loan::back))
+    }
+
+    /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
+    /// one takes the first one's place, which then waits until it is polled for another reason.
+    ///
+    /// # Real-time
+    /// Each poll as [`publish`](Self::publish); woken through this process's sampler when a subscription has taken.
+    ///
+    /// # Errors
+    /// As [`RawLoan::publish_when_ready`].
+    pub async fn publish_when_ready(self) -> Result<(), PublishError> {
+        self.ready().publish_when_ready().await
+    }
+
+    /// The message as bytes that may be sent: what a plain value's padding held before stays here.
+    pub(crate) fn ready(mut self) -> RawLoan<'p> {
+        let body_bytes = self.raw.len();
+        let memory = self.raw.payload_mut();
+        T::clear_gaps(memory);
+        memory.get_mut(body_bytes..).unwrap_or_default().fill(0);
+        self.raw
+    }
+
+    /// What became bytes, again.
+    pub(crate) fn back(raw: RawLoan<'p>) -> Self {
+        Loan { raw, _message: PhantomData }
+    }
+}
+
+impl<T: Message + Plain> Deref for Loan<'_, T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
+        // SAFETY: the payload starts with a valid T, at a multiple of 8: `loan` and `write` checked it, the latter through
+        // `T::view`, of which `PLAIN` is the proof. Only whole `T`s were written there since.
+        unsafe { &*self.raw.payload().as_ptr().cast() }
+    }
+}
+
+impl<T: Message + Plain> DerefMut for Loan<'_, T> {
+    fn deref_mut(&mut self) -> &mut T {
+        const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
+        // SAFETY: as in deref; the loan is borrowed mutably and no subscription has it yet.
+        unsafe { &mut *self.raw.payload_mut().as_mut_ptr().cast() }
+    }
+}
+
+impl<T: Message> fmt::Debug for Loan<'_, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Loan").field("body_bytes", &self.raw.len()).finish_non_exhaustive()
+    }
+}
+
+/// A message in shared memory, checked when it was taken: read in place through its [`view`](Sample::view); one of a plain
+/// type derefs to `T`. At most `Limits::held` of one subscription are alive at once; they may be dropped in any thread.
+pub struct Sample<T: Message> {
+    /// Borrows from `raw`, whatever its lifetime says; given out only for as long as that is borrowed. `MaybeUninit`, though
+    /// always set: passing a reference to a function promises that its memory stays as it is until that returns, but the
+    /// memory goes back to its publisher when `raw` is dropped, maybe within.
+    view: MaybeUninit<T::View<'static>>,
+    raw: RawSample,
+}
+
+impl<T: Message> Sample<T> {
+    /// Checks the bytes once.
+    pub(crate) fn new(raw: RawSample) -> Result<Self, DecodeError> {
+        let payload: *const [u8] = raw.payload();
+        // SAFETY: the payload is mapped and unchanged as long as `raw` lives, wherever that moves. What borrows it is kept
+        // beside `raw` and is not used after it.
+        let payload: &'static [u8] = unsafe { &*payload };
+        let body = Body::new(payload, raw.body().len()).map_err(|fault| DecodeError {
+            type_name: T::TYPE_NAME,
+            path: FieldPath::EMPTY,
+            offset: 0,
+            fault,
+        })?;
+        let view = MaybeUninit::new(T::view(body)?);
+        Ok(Sample { view, raw })
+    }
+
+    /// Reads the message in place: `&T` for a plain type, else getters. Costs nothing: the message was checked when it was
+    /// taken.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn view(&self) -> T::View<'_> {
+        // SAFETY: set in `new`, and a view is Copy. It is given out for as long as `self`, and with it `raw`, is borrowed.
+        T::shorten(unsafe { self.view.assume_init() })
+    }
+
+    /// The message as an owned one: allocates its strings and sequences.
+    pub fn to_owned(&self) -> T {
+        T::owned(self.view())
+    }
+
+    /// Sequence number, time stamps, publisher.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn info(&self) -> MessageInfo {
+        self.raw.info()
+    }
+
+    /// The sample's bytes.
+    pub fn raw(&self) -> &RawSample {
+        &self.raw
+    }
+}
+
+/// The type's own derive made it a message, or generated code did: what somebody else's [`Message::view`] accepts need not
+/// be a `T`.
+///
+/// ```compile_fail,E0080
+/// # use tautline_msgs::{Body, Definition, Message, cdr::DecodeError};
+/// #[derive(Message, Clone, Copy)]
+/// #[message(nested, crate = "tautline_msgs")]
+/// #[repr(C)]
+/// struct Flag {
+///     raised: bool,
+/// }
+///
+/// impl Message for Flag {
+///     type View<'a> = ();
+///     const TYPE_NAME: &'static str = "demo_msgs/msg/Flag";
+///     const TYPE_HASH: Option<&'static str> = None;
+///     const DEFINITION: Option<&'static Definition> = None;
+///     const FIXED_LEN: Option<usize> = Some(1);
+///     fn view(_: Body<'_>) -> Result<(), DecodeError> {
+///         Ok(())
+///     }
+///     fn shorten<'short, 'long: 'short>((): ()) {}
+///     fn owned((): ()) -> Self {
+///         Flag { raised: false }
+///     }
+/// }
+///
+/// fn main() {
+///     let read: fn(&tautline_transport::Sample<Flag>) -> bool = |sample| sample.raised;
+///     std::hint::black_box(read);
+/// }
+/// ```
+impl<T: Message + Plain> Deref for Sample<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
+        // SAFETY: `T::view` accepted the payload in `new`, so that it starts with a valid `T`: `PLAIN` is the proof. It stays
+        // where and as it is as long as `raw` lives.
+        unsafe { &*self.raw.payload().as_ptr().cast() }
+    }
+}
+
+/// The message's, through its view.
+impl<T: Message> fmt::Debug for Sample<T>
+where
+    for<'a> T::View<'a>: fmt::Debug,
+{
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.view().fmt(f)
+    }
+}
+
+impl<T: Message> Subscription<T> {
+    /// Takes the oldest sample of a publisher, if there is one. Passes over what [`RawSubscription::try_take`] passes over.
+    ///
+    /// # Real-time
+    /// As [`RawSubscription::try_take`]. The message is checked: see [`Message::view`].
+    ///
+    /// # Errors
+    /// [`TakeError`]. An invalid sample is consumed.
+    ///
+    /// [`RawSubscription::try_take`]: crate::RawSubscription::try_take
+    pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
+        let Some(raw) = self.raw.try_take()? else { return Ok(None) };
+        check(&self.raw, raw).map(Some).map_err(TakeError::Invalid)
+    }
+
+    /// Takes the oldest valid sample, if there is one. Invalid ones are counted and passed over, like those that
+    /// [`try_take`](Self::try_take) passes over: 16 of all kinds in one call. Refusals are counted.
+    ///
+    /// # Real-time
+    /// As [`try_take`](Self::try_take): of at most 16 samples the message is checked.
+    ///
+    /// # Errors
+    /// [`TakeError`], but not [`TakeError::Invalid`].
+    pub fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
+        take_valid(&self.raw)
+    }
+
+    /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
+    ///
+    /// # Real-time
+    /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
+    /// of the thread have a turn.
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+        poll_take(&self.raw, context)
+    }
+}
+
+/// As [`Subscription::try_take_valid`].
+pub(crate) fn take_valid<T: Message>(raw: &RawSubscription) -> Result<Option<Sample<T>>, TakeError> {
+    let mut patience = Patience::new();
+    while let Some(taken) = raw.take_valid(&mut patience)? {
+        if let Ok(sample) = check(raw, taken) {
+            return Ok(Some(sample));
+        }
+    }
+    raw.go_on_later(&patience);
+    Ok(None)
+}
+
+/// As [`Subscription::poll_take`].
+pub(crate) fn poll_take<T: Message>(raw: &RawSubscription, context: &mut Context<'_>) -> Poll<Sample<T>> {
+    let mut patience = Patience::new();
+    while let Poll::Ready(taken) = raw.poll_within(context, &mut patience) {
+        if let Ok(sample) = check(raw, taken) {
+            return Poll::Ready(sample);
+        }
+    }
+    Poll::Pending
+}
+
+fn check<T: Message>(raw: &RawSubscription, taken: RawSample) -> Result<Sample<T>, DecodeError> {
+    let checked = Sample::new(taken);
+    if checked.is_err() {
+        raw.note_invalid();
+    }
+    checked
+}
+
+impl<T: Message> Stream for Subscription<T> {
+    type Item = Sample<T>;
+
+    /// # Real-time
+    /// As [`Subscription::try_take`]. Ends with its node, if it has one.
+    fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
+        match self.poll_take(context) {
+            // After the waker was registered: whoever ends the node after this look wakes the task.
+            Poll::Pending if self.raw().has_ended() => Poll::Ready(None),
+            poll => poll.map(Some),
+        }
+    }
+}

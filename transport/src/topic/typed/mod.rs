@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Publishers and subscriptions of a type: a thin layer over those of bytes.
+
+mod cdr;
+mod hot;
+
+pub use hot::{Loan, Sample, Unwritten};
+pub(crate) use hot::{poll_take, take_valid};
+
+use crate::error::TransportError;
+use crate::participant::Participant;
+use crate::qos::{Limits, Qos};
+use crate::topic::header::Gid;
+use crate::topic::publisher::{Gate, PublisherCounters, RawPublisher};
+use crate::topic::subscription::{Counters, RawSubscription};
+use crate::topic::topic_type::TopicType;
+use std::marker::PhantomData;
+use std::sync::Arc;
+use tautline_msgs::Message;
+
+/// Publishes messages of type `T` on one topic: written in place after [`loan`](Publisher::loan) or, where sizes differ,
+/// [`loan_with`](Publisher::loan_with); or owned ones, with [`publish`](Publisher::publish).
+///
+/// May be moved to another thread, and is used by one at a time.
+pub struct Publisher<T> {
+    raw: RawPublisher,
+    _message: PhantomData<fn(T)>,
+}
+
+impl<T: Message> Publisher<T> {
+    pub(crate) fn create(
+        participant: &Participant,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
+        let raw = participant.create_raw_publisher(topic, &TopicType::of::<T>(), qos, limits)?;
+        Ok(Publisher { raw, _message: PhantomData })
+    }
+
+    /// The same, silent while `gate` is shut: see [`RawPublisher::with_gate`].
+    #[must_use]
+    pub fn with_gate(self, gate: Gate) -> Self {
+        Publisher { raw: self.raw.with_gate(gate), ..self }
+    }
+
+    /// The publisher of bytes below.
+    pub fn raw(&self) -> &RawPublisher {
+        &self.raw
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.raw.topic()
+    }
+
+    /// The quality of service that was asked for.
+    pub fn qos(&self) -> Qos {
+        self.raw.qos()
+    }
+
+    /// This publisher's identifier.
+    pub fn gid(&self) -> Gid {
+        self.raw.gid()
+    }
+
+    /// This publisher's limits: see [`RawPublisher::limits`].
+    pub fn limits(&self) -> Limits {
+        self.raw.limits()
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<PublisherCounters> {
+        self.raw.counters()
+    }
+
+    /// Says that this publisher is alive: see [`RawPublisher::assert_liveliness`].
+    ///
+    /// # Real-time
+    /// Wait-free, O(subscriptions); no allocation; no syscall.
+    pub fn assert_liveliness(&self) {
+        self.raw.assert_liveliness();
+    }
+
+    /// Number of subscriptions on this host that match.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn subscription_count(&self) -> usize {
+        self.raw.subscription_count()
+    }
+
+    /// [`subscription_count`](Self::subscription_count) by r2r's name: those of this process count, too.
+    ///
+    /// # Errors
+    /// None; the result is r2r's.
+    pub fn get_inter_process_subscription_count(&self) -> Result<usize, TransportError> {
+        Ok(self.subscription_count())
+    }
+
+    /// [`RawPublisher::wait_for_subscriptions`] by r2r's name.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn wait_for_inter_process_subscribers(
+        &self,
+    ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<T>, TransportError> {
+        self.raw.wait_for_subscriptions()
+    }
+}
+
+impl<T> AsRef<RawPublisher> for Publisher<T> {
+    fn as_ref(&self) -> &RawPublisher {
+        &self.raw
+    }
+}
+
+impl<T> std::fmt::Debug for Publisher<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Publisher")
+            .field("topic", &self.raw.topic())
+            .field("gid", &self.raw.gid())
+            .finish_non_exhaustive()
+    }
+}
+
+/// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`try_take`](Subscription::try_take).
+///
+/// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
+/// back to the publisher when this subscription next takes.
+pub struct Subscription<T> {
+    raw: RawSubscription,
+    _message: PhantomData<fn() -> T>,
+}
+
+impl<T: Message> Subscription<T> {
+    pub(crate) fn create(
+        participant: &Participant,
+        topic: &str,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
+        let raw = participant.create_raw_subscription(topic, &TopicType::of::<T>(), qos, limits)?;
+        Ok(Subscription { raw, _message: PhantomData })
+    }
+
+    /// The subscription to bytes below.
+    pub fn raw(&self) -> &RawSubscription {
+        &self.raw
+    }
+
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.raw.topic()
+    }
+
+    /// The quality of service that was asked for.
+    pub fn qos(&self) -> Qos {
+        self.raw.qos()
+    }
+
+    /// This subscription's limits.
+    pub fn limits(&self) -> Limits {
+        self.raw.limits()
+    }
+
+    /// The counters, to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.raw.counters()
+    }
+
+    /// What trace events call this subscription.
+    pub fn trace_id(&self) -> tautline_trace::ObjectId {
+        self.raw.trace_id()
+    }
+
+    /// Number of publishers on this host that match.
+    pub fn publisher_count(&self) -> usize {
+        self.raw.publisher_count()
+    }
+
+    /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback). See
+    /// [`RawSubscription::set_quiet`].
+    pub fn set_quiet(&self, quiet: bool) {
+        self.raw.set_quiet(quiet);
+    }
+}

@@ -1,0 +1,508 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline`.
+
+use crate::machine;
+use crate::steps::{Outcome, Steps, announce};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// What is left out of r2r's dependencies besides its own crates: only its bench uses that.
+const BENCH: &str = "criterion";
+
+/// r2r's build script sets one of these for each message that there is; its examples ask for this one.
+const CFG: &str = "r2r__rosgraph_msgs__msg__Clock";
+
+/// Examples that run together, each in a scope of its own, with their arguments and what they are to print. One that is not said
+/// to end is killed when all have printed theirs.
+const RUNS: [&[Program]; 15] = [
+    &[program("clock", &["rostime", "systemtime", "steadytime"]).ends()],
+    &[program("serialization", &["as json", "Hello, world"]).ends()],
+    &[program("publishers", &["All done!"]).ends()],
+    &[program("wall_timer", &["timer called (9)", "exiting"]).ends()],
+    &[program(
+        "parameters --ros-args -p key1:=[hello,world] -p key2:=5.5 -r __ns:=/demo -r __node:=my_node",
+        &[
+            "node fully qualified name: /demo/my_node",
+            "key1 - StringArray([\"hello\", \"world\"])",
+            "key2 - Double(5.5)",
+        ],
+    )],
+    &[program(
+        "parameters_derive --ros-args -p par1:=5.1 -p nested.par4:=42 -r __ns:=/demo -r __node:=my_node",
+        &["node fully qualified name: /demo/my_node", "par1: 5.1", "par3: \"initial value\"", "par4: 42"],
+    )],
+    &[program(
+        "logging --ros-args --log-level DEBUG",
+        &["debug msg: 0", "info msg 1", "i = 2", "fatal msg 0x4"],
+    )],
+    // Simulated time goes at a tenth of the speed.
+    &[
+        program("sim_time_publisher", &["Publishing time 0."]),
+        program(
+            "timer_sim_time --ros-args -p use_sim_time:=true",
+            &["Timer called (0)", "current time ros="],
+        ),
+    ],
+    &[
+        program("action_server", &["Got goal request with order 5"]),
+        program("action_client", &["goal accepted", "new feedback msg"]).ends(),
+    ],
+    &[
+        program("action_server", &["Got goal request with order 5"]),
+        program("action_client_untyped", &["goal accepted", "new feedback msg"]).ends(),
+    ],
+    &[
+        program("service", &["passing request on to delayed service", "responding with: 90 + 9 = 99"]),
+        program("client", &["90 + 9 = 99", "done."]),
+    ],
+    &[
+        program("tokio_service", &[]),
+        program("untyped_client", &["{\"sum\":99}", "done."]),
+        program("tokio_client", &["service available.", "14"]),
+    ],
+    &[
+        program("tokio_publisher", &[]),
+        program("tokio_subscriber", &["topic: new msg: hello from r2r"]),
+        program("rostopic_list", &["/topic: [\"std_msgs/msg/String\"]"]),
+        program("rostopic_echo /topic", &["type: std_msgs/msg/String", "\"data\": \"hello from r2r\""]),
+        program("subscriber", &["topic2: new msg: {\"data\":\"(0): new msg: hello from r2r\"}"]),
+    ],
+    &[
+        program("tokio_raw_publisher", &[]),
+        program("tokio", &["topic2: new msg: (0): new msg: ", "shared state is 1"]),
+    ],
+    &[
+        program("tokio_examples", &["topic: new msg: hello from r2r", "service available.", "14"]),
+        program(
+            "tokio_raw_subscriber",
+            &["... using ros: String { data: \"hello from r2r\" }", "... using cdr: "],
+        ),
+    ],
+];
+
+/// r2r's server rejects one goal in four, at random, at which its clients panic: they try again so often.
+const REJECTED: &str = "goal rejected by server";
+const TRIES: usize = 20;
+
+/// Far longer than any of them takes.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+#[derive(Clone, Copy)]
+struct Program {
+    /// The name and the arguments.
+    line: &'static str,
+    says: &'static [&'static str],
+    ends: bool,
+}
+
+const fn program(line: &'static str, says: &'static [&'static str]) -> Program {
+    Program { line, says, ends: false }
+}
+
+impl Program {
+    const fn ends(self) -> Self {
+        Program { ends: true, ..self }
+    }
+
+    fn name(&self) -> &'static str {
+        self.line.split(' ').next().unwrap_or(self.line)
+    }
+}
+
+/// `cargo xtask r2r-tests`: some minutes.
+pub fn run() -> ExitCode {
+    let mut steps = Steps::new();
+    let mut built = BTreeMap::new();
+    let mut targets = BTreeSet::new();
+    steps.step("r2r-tests: build", || match Source::find().and_then(|source| source.build()) {
+        Ok((all, executables)) => {
+            (targets, built) = (all, executables);
+            let left: Vec<&str> = targets
+                .iter()
+                .filter(|target| !built.contains_key(*target))
+                .map(|(_, name)| &**name)
+                .collect();
+            if left.is_empty() {
+                Outcome::Ok
+            } else {
+                Outcome::Failed(format!("not built: {}", left.join(", ")))
+            }
+        }
+        Err(reason) => Outcome::Failed(reason),
+    });
+    for target in targets.iter().filter(|(kind, _)| kind == "test") {
+        let name = format!("r2r-tests: test {}", target.1);
+        match built.get(target) {
+            Some(executable) => drop(steps.step(&name, || test(executable))),
+            None => drop(steps.step(&name, || Outcome::Failed("not built".to_owned()))),
+        }
+    }
+    examples(&mut steps, &targets, &built);
+    steps.finish()
+}
+
+/// Runs all at once: most of them wait.
+fn examples(steps: &mut Steps, targets: &BTreeSet<Target>, built: &BTreeMap<Target, PathBuf>) {
+    let example = |name: &str| ("example".to_owned(), name.to_owned());
+    std::thread::scope(|scope| {
+        let start = |run: &'static [Program]| {
+            let paths: Option<Vec<&PathBuf>> =
+                run.iter().map(|program| built.get(&example(program.name()))).collect();
+            (run, paths.map(|paths| scope.spawn(move || together(run, &paths))))
+        };
+        let started: Vec<_> = RUNS.into_iter().map(start).collect();
+        for (run, running) in started {
+            let names: Vec<&str> = run.iter().map(Program::name).collect();
+            steps.step(&format!("r2r-tests: example {}", names.join(" + ")), || {
+                match running.map(|running| running.join()) {
+                    Some(Ok(outcome)) => outcome,
+                    Some(Err(_)) => Outcome::Failed("this program panicked".to_owned()),
+                    None => Outcome::Failed("not built".to_owned()),
+                }
+            });
+        }
+    });
+    let run: BTreeSet<Target> =
+        RUNS.iter().flat_map(|run| run.iter()).map(|program| example(program.name())).collect();
+    for (_, name) in targets.iter().filter(|target| target.0 == "example" && !run.contains(*target)) {
+        steps.step(&format!("r2r-tests: example {name}"), || {
+            Outcome::Failed("nothing here says how to run it".to_owned())
+        });
+    }
+}
+
+/// A test or an example: its kind, as cargo calls it, and its name.
+type Target = (String, String);
+
+/// r2r as cargo has it.
+struct Source {
+    folder: PathBuf,
+    edition: String,
+    dependencies: String,
+    targets: BTreeSet<Target>,
+}
+
+impl Source {
+    fn find() -> Result<Source, String> {
+        let mut command = Command::new("cargo");
+        command.args([
+            "metadata",
+            "--format-version",
+            "1",
+            "--locked",
+            "--features",
+            "bench",
+            "--manifest-path",
+        ]);
+        command.arg(machine::root().join("bridge-ros/Cargo.toml"));
+        announce(&command);
+        let output = command.stderr(Stdio::inherit()).output().map_err(|error| error.to_string())?;
+        let metadata: Value =
+            serde_json::from_slice(&output.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
+        let packages = metadata["packages"].as_array().ok_or("cargo metadata lists no packages")?;
+        let r2r = packages
+            .iter()
+            .find(|package| package["name"] == "r2r")
+            .ok_or("the bridge does not depend on r2r")?;
+        let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        let all = |name: &str| r2r[name].as_array().cloned().unwrap_or_default();
+        let target = |target: Value| (text(&target["kind"][0]), text(&target["name"]));
+        let manifest = PathBuf::from(text(&r2r["manifest_path"]));
+        Ok(Source {
+            folder: manifest.parent().unwrap_or(&manifest).to_owned(),
+            edition: text(&r2r["edition"]),
+            dependencies: dependencies(&all("dependencies")),
+            targets: all("targets")
+                .into_iter()
+                .map(target)
+                .filter(|(kind, _)| kind == "test" || kind == "example")
+                .collect(),
+        })
+    }
+
+    /// Makes a package of the tests and the examples and builds what can be built. Returns all, and the executables.
+    fn build(self) -> Result<(BTreeSet<Target>, BTreeMap<Target, PathBuf>), String> {
+        let package = machine::target_dir().join("r2r-tests");
+        self.write(&package).map_err(|error| format!("{}: {error}", package.display()))?;
+        let mut command = Command::new("cargo");
+        command.args([
+            "build",
+            "--tests",
+            "--examples",
+            "--keep-going",
+            "--message-format=json-render-diagnostics",
+        ]);
+        command.arg("--manifest-path").arg(package.join("Cargo.toml"));
+        // Of their own: examples of this workspace have the same names.
+        command.arg("--target-dir").arg(package.join("target"));
+        announce(&command);
+        let output = command.stderr(Stdio::inherit()).output().map_err(|error| error.to_string())?;
+        let messages = String::from_utf8_lossy(&output.stdout);
+        let executables =
+            messages.lines().filter_map(|line| executable(&serde_json::from_str(line).ok()?)).collect();
+        Ok((self.targets, executables))
+    }
+
+    fn write(&self, package: &Path) -> std::io::Result<()> {
+        for folder in ["tests", "examples", "src"] {
+            let to = package.join(folder);
+            if to.exists() {
+                fs::remove_dir_all(&to)?;
+            }
+            fs::create_dir_all(&to)?;
+        }
+        for folder in ["tests", "examples"] {
+            for entry in fs::read_dir(self.folder.join(folder))? {
+                let path = entry?.path();
+                fs::write(package.join(folder).join(path.file_name().unwrap_or_default()), fs::read(&path)?)?;
+            }
+        }
+        let root = machine::root();
+        let manifest = format!(
+            "[package]\nname = \"r2r-tests\"\nedition = \"{}\"\n\n[workspace]\n\n\
+             [dependencies]\nr2r = {{ package = \"tautline\", path = \"{}\", features = [\"ros_all\"] }}\n{}",
+            self.edition,
+            root.join("node").display(),
+            self.dependencies
+        );
+        fs::write(package.join("Cargo.toml"), manifest)?;
+        let script = format!(
+            "fn main() {{\n    println!(\"cargo:rustc-check-cfg=cfg({CFG})\");\n    println!(\"cargo:rustc-cfg={CFG}\");\n}}\n"
+        );
+        fs::write(package.join("build.rs"), script)?;
+        // A package has a library or a program.
+        fs::write(package.join("src/lib.rs"), "")?;
+        // The workspace's versions, and those that were found for the rest.
+        let lock = package.join("Cargo.lock");
+        if lock.exists() { Ok(()) } else { fs::copy(root.join("Cargo.lock"), lock).map(drop) }
+    }
+}
+
+/// Those of r2r that its tests and examples may use, as lines of a manifest.
+fn dependencies(all: &[Value]) -> String {
+    let mut lines = BTreeMap::new();
+    for dependency in all {
+        let name = dependency["name"].as_str().unwrap_or_default();
+        if dependency["kind"] == "build" || name.starts_with("r2r") || name == BENCH {
+            continue;
+        }
+        let (version, features) = (&dependency["req"], &dependency["features"]);
+        lines.insert(name, format!("{name} = {{ version = {version}, features = {features} }}\n"));
+    }
+    lines.into_values().collect()
+}
+
+/// The program that cargo says it has made.
+fn executable(message: &Value) -> Option<(Target, PathBuf)> {
+    let target = &message["target"];
+    let path = message["executable"].as_str()?;
+    Some(((target["kind"][0].as_str()?.to_owned(), target["name"].as_str()?.to_owned()), path.into()))
+}
+
+/// Runs a program of tests.
+fn test(executable: &Path) -> Outcome {
+    let scope = Scope::new();
+    let mut running = match Running::start(executable, "", &scope) {
+        Ok(running) => running,
+        Err(error) => return Outcome::Failed(error.to_string()),
+    };
+    let status = running.wait();
+    running.end();
+    println!("{}", running.said());
+    match status {
+        Some(true) => Outcome::Ok,
+        Some(false) => Outcome::Failed("some fail".to_owned()),
+        None => Outcome::Failed(format!("not within {} s", PATIENCE.as_secs())),
+    }
+}
+
+/// Runs examples together until all have done what they are to do.
+fn together(programs: &[Program], paths: &[&PathBuf]) -> Outcome {
+    for _ in 0..TRIES {
+        let scope = Scope::new();
+        let mut all = Vec::new();
+        for (program, path) in programs.iter().zip(paths) {
+            let arguments = program.line.strip_prefix(program.name()).unwrap_or_default();
+            match Running::start(path, arguments, &scope) {
+                Ok(running) => all.push((program, running)),
+                Err(error) => return Outcome::Failed(format!("{}: {error}", program.name())),
+            }
+        }
+        let end = Instant::now() + PATIENCE;
+        let mut outcome = None;
+        while outcome.is_none() {
+            std::thread::sleep(Duration::from_millis(10));
+            outcome = outcome_of(&mut all, end);
+        }
+        all.iter_mut().for_each(|(_, running)| running.end());
+        if all.iter().any(|(_, running)| running.said().contains(REJECTED)) {
+            continue;
+        }
+        let is_ok = matches!(outcome, Some(Outcome::Ok));
+        for (program, running) in all.iter().filter(|_| !is_ok) {
+            println!("{} said:\n{}", program.name(), running.said());
+        }
+        return outcome.unwrap_or(Outcome::Ok);
+    }
+    Outcome::Failed(format!("{REJECTED}, {TRIES} times"))
+}
+
+/// How it ended, if it has.
+fn outcome_of(all: &mut [(&Program, Running)], end: Instant) -> Option<Outcome> {
+    let mut is_done = true;
+    for (program, running) in all {
+        let name = program.name();
+        let (status, said) = (running.status(), running.said());
+        let missing = program.says.iter().find(|text| !said.contains(**text));
+        let failed = |what: &str| Some(Outcome::Failed(format!("{name} {what}")));
+        if said.contains("panicked at") {
+            return failed("panicked");
+        }
+        match (status, missing) {
+            (Some(false), _) => return failed("failed"),
+            (Some(true), Some(missing)) => return failed(&format!("ended without '{missing}'")),
+            (None, Some(missing)) if Instant::now() > end => {
+                return failed(&format!("did not say '{missing}' within {} s", PATIENCE.as_secs()));
+            }
+            (None, None) if program.ends && Instant::now() > end => {
+                return failed(&format!("did not end within {} s", PATIENCE.as_secs()));
+            }
+            (None, _) => is_done &= missing.is_none() && !program.ends,
+            (Some(true), None) => {}
+        }
+    }
+    is_done.then_some(Outcome::Ok)
+}
+
+/// A part of Tautline that nobody else sees; dropping it removes what programs left there that were killed.
+struct Scope(String);
+
+impl Scope {
+    fn new() -> Self {
+        static COUNT: Mutex<u32> = Mutex::new(0);
+        let mut count = COUNT.lock().unwrap_or_else(PoisonError::into_inner);
+        *count += 1;
+        Scope(format!("r2r-{}-{count}", std::process::id()))
+    }
+}
+
+impl Drop for Scope {
+    fn drop(&mut self) {
+        let ending = format!(".{}", self.0);
+        for folder in ["/dev/shm", "/tmp"] {
+            for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+                let name = entry.file_name();
+                let name = name.to_string_lossy();
+                if name.starts_with("taut") && name.ends_with(&ending) {
+                    let _ = fs::remove_dir_all(entry.path());
+                }
+            }
+        }
+    }
+}
+
+/// A program, and what it has said on both of its outputs; dropping it ends it.
+struct Running {
+    child: Child,
+    said: Arc<Mutex<String>>,
+    readers: Vec<std::thread::JoinHandle<()>>,
+}
+
+impl Running {
+    fn start(path: &Path, arguments: &str, scope: &Scope) -> std::io::Result<Self> {
+        let mut command = Command::new(path);
+        command.args(arguments.split_whitespace()).env("TAUT_SCOPE", &scope.0);
+        command.env_remove("TAUT_DOMAIN").env_remove("ROS_DOMAIN_ID");
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.env("TAUT_REALTIME", "off");
+        }
+        announce(&command);
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+        let said = Arc::new(Mutex::new(String::new()));
+        let readers = [child.stdout.take().map(reader(&said)), child.stderr.take().map(reader(&said))];
+        Ok(Running { child, said, readers: readers.into_iter().flatten().collect() })
+    }
+
+    fn said(&self) -> String {
+        self.said.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Whether it has succeeded, once it has ended.
+    fn status(&mut self) -> Option<bool> {
+        match self.child.try_wait() {
+            Ok(status) => status.map(|status| status.success()),
+            Err(_) => Some(false),
+        }
+        .inspect(|_| self.readers.drain(..).for_each(|reader| drop(reader.join())))
+    }
+
+    /// The same, when it has ended or taken too long.
+    fn wait(&mut self) -> Option<bool> {
+        let end = Instant::now() + PATIENCE;
+        while self.status().is_none() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        self.status()
+    }
+
+    fn end(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        self.readers.drain(..).for_each(|reader| drop(reader.join()));
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// Notes what comes.
+fn reader<R: Read + Send + 'static>(said: &Arc<Mutex<String>>) -> impl Fn(R) -> std::thread::JoinHandle<()> {
+    let said = said.clone();
+    move |output| {
+        let said = said.clone();
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                *said.lock().unwrap_or_else(PoisonError::into_inner) += &format!("{line}\n");
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn dependencies_are_r2rs_but_for_its_own_crates() {
+        let one = |name: &str, kind: Value| json!({ "name": name, "kind": kind, "req": "^1.2", "features": ["derive"] });
+        let all = [
+            one("serde", Value::Null),
+            one("r2r_rcl", Value::Null),
+            one("rand", json!("dev")),
+            one("syn", json!("build")),
+        ];
+        let line = |name: &str| format!("{name} = {{ version = \"^1.2\", features = [\"derive\"] }}\n");
+        assert_eq!(dependencies(&all), line("rand") + &line("serde"));
+    }
+
+    #[test]
+    fn what_cargo_has_made_is_found() {
+        let message = json!({ "target": { "kind": ["example"], "name": "clock" }, "executable": "/x/clock" });
+        let made = (("example".to_owned(), "clock".to_owned()), PathBuf::from("/x/clock"));
+        assert_eq!(executable(&message), Some(made));
+        assert_eq!(
+            executable(&json!({ "target": { "kind": ["lib"], "name": "r2r" }, "executable": null })),
+            None
+        );
+    }
+}
