@@ -11,6 +11,7 @@ mod report;
 use clap::Parser;
 use ends::{Job, MAX_MESSAGES, Role, Side};
 use report::{Cpu, Phase, Received};
+use rustix::process::{Pid, Signal};
 use std::error::Error;
 use std::io::{BufRead, BufReader, Write};
 use std::path::PathBuf;
@@ -213,11 +214,19 @@ impl Drop for Profile {
     }
 }
 
-/// A process that ends when this is dropped.
+/// A process that ends when this is dropped: with its input, or by a signal. One that is killed leaves what it had in shared memory.
 struct Ended(Child);
 
 impl Drop for Ended {
     fn drop(&mut self) {
+        const PATIENCE: Duration = Duration::from_secs(5);
+        if self.0.stdin.take().is_none() {
+            let _ = rustix::process::kill_process(Pid::from_child(&self.0), Signal::TERM);
+        }
+        let since = Instant::now();
+        while matches!(self.0.try_wait(), Ok(None)) && since.elapsed() < PATIENCE {
+            std::thread::sleep(Duration::from_millis(5));
+        }
         let _ = self.0.kill();
         let _ = self.0.wait();
     }

@@ -154,7 +154,7 @@ impl Node {
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
         let participant = &ctx.shared.participant;
         let handle = participant.create_node(&name, &namespace)?;
-        if participant.graph()?.nodes.iter().filter(|node| node.name == *handle.name()).count() > 1 {
+        if participant.node_count(handle.name()) > 1 {
             tracing::warn!(
                 "there is another node called {}: who asks for it by its name may get either; rename one with __node or __ns",
                 handle.name()

@@ -10,7 +10,7 @@ use rustix::fs::{self, AtFlags, Mode, OFlags};
 use rustix::io::Errno;
 use std::fs::File;
 use std::io::{self, Read, Write};
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::sync::Once;
 
@@ -69,9 +69,12 @@ impl SchemaStore {
         }
         let folder = self.make()?;
         match fs::statat(&folder, hash, AtFlags::SYMLINK_NOFOLLOW) {
-            // An empty file may be what a crash of the system left.
             Ok(stat) if stat.st_size > 0 || text.is_empty() => return Ok(()),
-            Ok(_) | Err(Errno::NOENT) => {}
+            // What a crash of the system left.
+            Ok(_) => {}
+            // Without a name until it is whole, so that who is killed leaves nothing. Not every file system can do that.
+            Err(Errno::NOENT) if link_whole(&folder, hash, text) => return Ok(()),
+            Err(Errno::NOENT) => {}
             Err(error) => return Err(error.into()),
         }
         let (process, thread) = (rustix::process::getpid(), rustix::thread::gettid());
@@ -158,6 +161,19 @@ pub(crate) fn keep(topic_type: &TopicType) {
             );
         });
     }
+}
+
+/// Puts a file there whole. False if that cannot be done in this way; true also if somebody else was faster.
+fn link_whole(folder: impl AsFd, name: &str, text: &str) -> bool {
+    let flags = OFlags::TMPFILE | OFlags::WRONLY | OFlags::CLOEXEC;
+    let Ok(file) = fs::openat(&folder, ".", flags, Mode::RUSR | Mode::WUSR) else { return false };
+    let mut file = File::from(file);
+    let unnamed = format!("/proc/self/fd/{}", file.as_raw_fd());
+    let link = || match fs::linkat(fs::CWD, unnamed, folder, name, AtFlags::SYMLINK_FOLLOW) {
+        Ok(()) | Err(Errno::EXIST) => true,
+        Err(_) => false,
+    };
+    file.write_all(text.as_bytes()).is_ok() && link()
 }
 
 fn check_hash(hash: &str) -> io::Result<()> {

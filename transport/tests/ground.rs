@@ -11,7 +11,7 @@ use std::io::Write;
 use std::os::fd::AsRawFd;
 use support::{
     Count, IMAGE_BYTES, Image, Part, clean, domain, folder, participants, say, shared_memory, take_all,
-    wait_for, wait_for_the_end,
+    wait_for, wait_for_some, wait_for_the_end,
 };
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{
@@ -272,12 +272,9 @@ fn removed(domain: u32) {
         || log.lines().iter().filter(|line| line.contains(&own) && line.contains("RemoveIPC=no")).count();
     wait_for("a word on it", || said() != 0);
     say("noticed and said");
-    let mut taken = None;
-    wait_for("a message", || {
-        taken = out.try_take().unwrap().map(|sample| *sample);
-        taken.is_some()
-    });
-    back.publish(&taken.unwrap()).unwrap();
+    let taken = wait_for_some("a message", || out.try_take().unwrap());
+    back.publish(&taken).unwrap();
+    drop(taken);
     wait_for_the_end();
     assert_eq!(said(), 1, "once");
 }
@@ -384,12 +381,7 @@ fn full(domain: u32) {
 
 /// Whether these bytes come next, perhaps in a moment.
 fn is_next(subscription: &RawSubscription, bytes: &[u8]) -> bool {
-    let mut sample = None;
-    wait_for("a sample", || {
-        sample = subscription.try_take().unwrap();
-        sample.is_some()
-    });
-    sample.unwrap().body() == bytes
+    wait_for_some("a sample", || subscription.try_take().unwrap()).body() == bytes
 }
 
 #[test]

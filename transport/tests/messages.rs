@@ -7,7 +7,7 @@ mod support;
 
 use rand::rngs::StdRng;
 use rand::{Rng, RngExt, SeedableRng};
-use support::{Part, clean, domain, place_of, say, wait_for, wait_for_the_end};
+use support::{Part, clean, domain, place_of, say, wait_for_some, wait_for_the_end};
 use tautline_msgs::cdr::{DecodeFault, EncodeFault, WriteError, WriteFault};
 use tautline_msgs::{Message, Plain};
 use tautline_ros_msgs::geometry_msgs::msg::{Point32, PoseStamped, Twist};
@@ -132,7 +132,7 @@ fn images_and_clouds_of_another_process_are_read_in_that_ones_segment() {
         assert_eq!((last.inode, last.offset), (first.inode, first.offset + data.len() - 1));
     };
 
-    let sample = images.try_take().unwrap().unwrap();
+    let sample = wait_for_some("the image", || images.try_take().unwrap());
     let image = sample.view();
     assert_eq!((image.header().frame_id(), image.encoding()), (FRAME, "mono8"));
     assert_eq!((image.height(), image.width(), image.is_bigendian()), (2048, 4096, 0));
@@ -141,7 +141,7 @@ fn images_and_clouds_of_another_process_are_read_in_that_ones_segment() {
     );
     is_at(image.data(), &image_place);
 
-    let cloud_sample = clouds.try_take().unwrap().unwrap();
+    let cloud_sample = wait_for_some("the cloud", || clouds.try_take().unwrap());
     let cloud = cloud_sample.view();
     let fields: Vec<_> = cloud.fields().iter().map(|field| (field.name(), field.offset())).collect();
     assert_eq!(fields, FIELDS.into_iter().zip([0, 4, 8, 12]).collect::<Vec<_>>());
@@ -517,12 +517,7 @@ fn late_joiners_get_messages_of_every_length() {
     }
     let subscription = participant.create_subscription::<Image>("/late", qos, limits).unwrap();
     for (number, data) in (2..).zip(&lengths[1..]) {
-        let mut sample = None;
-        wait_for("the history", || {
-            sample = subscription.try_take().unwrap();
-            sample.is_some()
-        });
-        let sample = sample.unwrap();
+        let sample = wait_for_some("the history", || subscription.try_take().unwrap());
         assert_eq!((sample.view().data().len(), sample.info().sequence_number), (*data, number));
         assert!(sample.view().data().iter().zip(0u32..).all(|(pixel, n)| *pixel == (n >> 4) as u8));
     }

@@ -6,7 +6,9 @@ mod support;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use std::collections::VecDeque;
-use support::{Count, Part, claimed, clean, domain, place_of, say, wait_for, wait_for_the_end};
+use support::{
+    Count, Part, claimed, clean, domain, place_of, say, wait_for, wait_for_some, wait_for_the_end,
+};
 use tautline_msgs::Message;
 use tautline_transport::{
     Gid, Limits, LoanError, MessageInfo, Participant, PublishError, Qos, RawSample, RawSubscription,
@@ -44,12 +46,7 @@ fn random(what: &str) -> StdRng {
 
 /// As soon as there is one: a segment that another process made is mapped by the janitor.
 fn await_sample(subscription: &RawSubscription) -> RawSample {
-    let mut sample = None;
-    wait_for("a sample", || {
-        sample = take(subscription);
-        sample.is_some()
-    });
-    sample.unwrap()
+    wait_for_some("a sample", || take(subscription))
 }
 
 /// The child's part of the tests here; without its variable it is no test.
@@ -316,12 +313,7 @@ fn late_joiners_get_messages_of_any_size_and_origin() {
     for round in 0..2 {
         let subscription = participant.create_raw_subscription("/text", &text, qos, limits(16)).unwrap();
         for (n, &len_bytes) in lengths.iter().enumerate() {
-            let mut sample = None;
-            wait_for("the history", || {
-                sample = take(&subscription);
-                sample.is_some()
-            });
-            let sample = sample.unwrap();
+            let sample = wait_for_some("the history", || take(&subscription));
             assert!(sample.body() == body(len_bytes, n as u8), "round {round}, message {n}");
             assert_eq!(sample.info().publisher_gid, Gid([n as u8; 16]));
             assert_eq!(sample.port_gid(), publisher.gid());

@@ -4,7 +4,7 @@
 mod support;
 
 use futures::FutureExt;
-use support::{Part, clean, domain, folder, participants, say, wait_for, wait_for_the_end};
+use support::{Part, clean, domain, folder, participants, say, wait_for, wait_for_some, wait_for_the_end};
 use tautline_transport::{
     Limits, Participant, RawClient, RawPending, RawSample, RawServer, RequestId, ServiceError, ServiceType,
     TransportError,
@@ -63,12 +63,7 @@ fn ask(client: &RawClient, body: &[u8]) -> RawPending {
 }
 
 fn take(server: &RawServer) -> RawSample {
-    let mut request = None;
-    wait_for("a request", || {
-        request = server.try_take().unwrap();
-        request.is_some()
-    });
-    request.unwrap()
+    wait_for_some("a request", || server.try_take().unwrap())
 }
 
 fn respond(server: &RawServer, request: &RawSample, body: &[u8]) {

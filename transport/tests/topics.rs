@@ -5,7 +5,8 @@ mod support;
 
 use std::time::Duration;
 use support::{
-    Count, IMAGE_BYTES, Image, Part, clean, domain, place_of, say, take_all, wait_for, wait_for_the_end,
+    Count, IMAGE_BYTES, Image, Part, clean, domain, place_of, say, take_all, wait_for, wait_for_some,
+    wait_for_the_end,
 };
 use tautline_msgs::Message;
 use tautline_transport::{
@@ -113,12 +114,7 @@ fn an_image_of_another_process_is_read_in_that_ones_segment() {
         participant.create_subscription::<Image>("/image", Qos::keep_last(2), DEFAULT).unwrap();
     let mut part = Part::start("image", 131);
     let written = part.hear();
-    let mut sample = None;
-    wait_for("the image", || {
-        sample = subscription.try_take().unwrap();
-        sample.is_some()
-    });
-    let sample = sample.unwrap();
+    let sample = wait_for_some("the image", || subscription.try_take().unwrap());
     let read = place_of(&raw const sample.data);
     assert_eq!(format!("{} {} {}", read.path, read.inode, read.offset), written);
     assert_eq!((&sample.data[..8], sample.data[IMAGE_BYTES - 1]), (&b"tautline"[..], 7));

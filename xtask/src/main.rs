@@ -122,6 +122,18 @@ enum Bench {
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
     },
+    /// What a domain of many processes, topics and ends costs: idle, looked at, joined, under load
+    Domain {
+        /// Fewer processes and topics: a minute and a half
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Passed on: see --help there
+        #[arg(last = true)]
+        arguments: Vec<String>,
+    },
     /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it
     Parameters {
         /// Fewer rounds: some seconds
@@ -186,6 +198,23 @@ enum Stress {
         #[arg(long, value_name = "N", default_value_t = 10_000_000)]
         rings: u64,
     },
+    /// Kills processes at random instants, and at each of their system calls; others must not notice
+    #[command(after_help = "Examples:
+  cargo xtask stress kills
+  cargo xtask stress kills --kills 20000 --seed 7
+  cargo xtask stress kills --exhaustive
+  cargo run --release -p tautline-kills -- syscalls --at attach:212:after")]
+    Kills {
+        /// How many processes are killed at random instants
+        #[arg(long, value_name = "N", default_value_t = 1000)]
+        kills: u64,
+        /// What is random goes by this [default: random]
+        #[arg(long, value_name = "S")]
+        seed: Option<u64>,
+        /// At every system call instead of 2,000 of them
+        #[arg(long)]
+        exhaustive: bool,
+    },
 }
 
 fn main() -> ExitCode {
@@ -216,6 +245,9 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Deadlines { quick, json }) => {
             steps::run(&mut bench("deadlines", quick, json.as_deref()))
         }
+        Verb::Bench(Bench::Domain { quick, json, arguments }) => {
+            steps::run(&mut bench_domain(quick, json.as_deref(), &arguments))
+        }
         Verb::Bench(Bench::Parameters { quick, json }) => {
             steps::run(&mut bench("parameters", quick, json.as_deref()))
         }
@@ -233,12 +265,42 @@ fn main() -> ExitCode {
         }
         Verb::Fuzz { runs, targets } => fuzz::run(runs, &targets),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
+        Verb::Stress(Stress::Kills { kills, seed, exhaustive }) => {
+            let mut steps = Steps::new();
+            stress_kills(&mut steps, kills, seed, exhaustive);
+            steps.finish()
+        }
     }
 }
 
 fn stress_doorbell(rings: u64) -> Command {
     let mut command = steps::cargo("test --release -p tautline-doorbell --lib stress -- --nocapture");
     command.env("TAUT_STRESS_RINGS", rings.to_string());
+    command
+}
+
+/// At random instants, then at system calls.
+fn stress_kills(steps: &mut Steps, kills: u64, seed: Option<u64>, exhaustive: bool) {
+    let seeded = |mut command: Command| {
+        command.args(seed.map(|seed| format!("--seed={seed}")));
+        command
+    };
+    let run = "run --release -p tautline-kills --";
+    let mut random = seeded(steps::cargo(&format!("{run} random --kills {kills}")));
+    steps.command("stress: kills at random", &mut random);
+    let all = if exhaustive { " --all" } else { "" };
+    let mut calls = seeded(steps::cargo(&format!("{run} syscalls{all}")));
+    steps.command("stress: kills at system calls", &mut calls);
+}
+
+/// In a package of its own: it needs many processes of nodes, and iceoryx2.
+fn bench_domain(quick: bool, json: Option<&std::path::Path>, arguments: &[String]) -> Command {
+    let mut command = steps::cargo("run --release -p tautline-bench-domain --");
+    command.args(quick.then_some("--quick"));
+    if let Some(path) = json {
+        command.arg("--json").arg(path);
+    }
+    command.args(arguments);
     command
 }
 

@@ -118,6 +118,12 @@ impl Program {
 /// `cargo xtask r2r-tests`: some minutes.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
+    all(&mut steps);
+    steps.finish()
+}
+
+/// Builds all, runs all.
+pub fn all(steps: &mut Steps) {
     let mut built = BTreeMap::new();
     let mut targets = BTreeSet::new();
     steps.step("r2r-tests: build", || match Source::find().and_then(|source| source.build()) {
@@ -143,8 +149,7 @@ pub fn run() -> ExitCode {
             None => drop(steps.step(&name, || Outcome::Failed("not built".to_owned()))),
         }
     }
-    examples(&mut steps, &targets, &built);
-    steps.finish()
+    examples(steps, &targets, &built);
 }
 
 /// Runs all at once: most of them wait.

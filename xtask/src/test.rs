@@ -8,13 +8,16 @@ use crate::reports::{
 };
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
-    bench, bridge, compare as comparison, examples, fuzz, lttng, packages, paper as evaluation, peers,
-    programs, r2r, reference, ros, services as round_trips, stress_doorbell,
+    bench, bench_domain, bridge, compare as comparison, examples, fuzz, lttng, packages, paper as evaluation,
+    peers, programs, r2r, r2r_tests, reference, ros, services as round_trips, stress_doorbell, stress_kills,
 };
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
 const RINGS: u64 = 1_000_000;
+
+/// Within two minutes; `cargo xtask stress kills` kills as many as it is told to.
+const KILLS: u64 = 1000;
 
 /// Runs every step, whatever fails. `quick` leaves out what takes minutes.
 pub fn run(scope: &Scope, quick: bool) -> ExitCode {
@@ -41,9 +44,12 @@ pub fn run(scope: &Scope, quick: bool) -> ExitCode {
         programs::test(&mut steps);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 13] = [
+    let slow: [(&str, Step); 16] = [
         ("bench: bridge", bridge::bench_of_tests),
         ("stress: doorbell", stress),
+        ("stress: kills", |steps| stress_kills(steps, KILLS, None, false)),
+        ("bench: domain", domain),
+        ("r2r: its own tests", r2r_tests::all),
         ("bench: trace", trace),
         ("bench: parameters", parameters),
         ("bench: wake", wake),
@@ -337,6 +343,11 @@ fn services(steps: &mut Steps) {
 /// It runs; what it says belongs to the machine.
 fn trace(steps: &mut Steps) {
     steps.command("bench: trace", &mut bench("trace", true, None));
+}
+
+/// A quick run: no process hangs or stays; what it says belongs to the machine.
+fn domain(steps: &mut Steps) {
+    steps.command("bench: domain", &mut bench_domain(true, None, &[]));
 }
 
 /// As [`trace`].

@@ -52,11 +52,16 @@ impl Place {
     /// Files that the processes of an experiment, which have all ended, have left in shared memory.
     pub fn left_behind(&self, experiment: Experiment) -> Result<Row> {
         let files = match fs::read_dir(self.folder()) {
-            Ok(files) => files.count(),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => 0,
+            Ok(files) => files.collect::<std::io::Result<Vec<_>>>()?,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             Err(error) => return Err(error.into()),
         };
-        Ok(Row::of(experiment, 0, "files left in /dev/shm", "files").value(files as f64).at_most(0.0))
+        let names: Vec<String> =
+            files.iter().map(|file| file.file_name().to_string_lossy().into_owned()).collect();
+        if !names.is_empty() {
+            eprintln!("left in {}: {}", self.folder().display(), names.join(", "));
+        }
+        Ok(Row::of(experiment, 0, "files left in /dev/shm", "files").value(names.len() as f64).at_most(0.0))
     }
 
     /// A gate that is closed.

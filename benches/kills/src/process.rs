@@ -113,6 +113,12 @@ impl Process {
         serde_json::from_str(&line).ok()
     }
 
+    /// The next line that it says, unless it ends before.
+    pub fn hear_or_end(&mut self) -> Option<Said> {
+        let line = self.lines.recv_timeout(2 * PATIENCE).ok()?;
+        serde_json::from_str(&line).ok()
+    }
+
     pub fn expect_ready(&mut self) -> Result<()> {
         match self.hear()? {
             Said::Ready => Ok(()),
@@ -222,6 +228,7 @@ pub enum Said {
     Graph(crate::inspector::Graph),
     Met(crate::inspector::Met),
     Late(crate::inspector::Late),
+    Friend(crate::scenes::Friend),
     /// A step of a scene has been reached.
     At(String),
 }

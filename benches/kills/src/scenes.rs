@@ -212,7 +212,7 @@ fn be_victim(domain: u32) -> Result<()> {
 struct Ends {
     participant: Participant,
     numbers: Publisher<UInt64>,
-    kept: Publisher<UInt64>,
+    _kept: Publisher<UInt64>,
     all: Publisher<UInt64>,
     server: Server<AddTwoInts::Service>,
     client: Client<AddTwoInts::Service>,
@@ -230,7 +230,7 @@ impl Ends {
         (0..5).try_for_each(|data| kept.publish(&UInt64 { data }))?;
         Ok(Ends {
             numbers: publisher(&participant, FRIENDS_NUMBERS, Qos::default())?,
-            kept,
+            _kept: kept,
             all: publisher(&participant, FRIENDS_ALL, all_qos())?,
             server: server(&participant, FRIENDS_ADD)?,
             client: client(&participant, ADD)?,

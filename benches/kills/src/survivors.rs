@@ -403,13 +403,12 @@ fn client(context: &Context) -> Result<()> {
             result.map(drop)
         };
         let late = std::future::poll_fn(|context| alarm.poll(context));
-        let outcome = block_on(async {
+        block_on(async {
             futures::select_biased! {
                 outcome = pursue.fuse() => outcome,
                 () = late.fuse() => Err(Error::ServiceTimeout { service: ACTORS_FIBONACCI.into(), timeout: PATIENCE }),
             }
-        });
-        outcome
+        })
     });
     for command in commands {
         if command == "stop" {

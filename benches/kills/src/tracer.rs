@@ -7,6 +7,7 @@ use rand::RngExt;
 use rand::rngs::SmallRng;
 use std::collections::BTreeSet;
 use std::io;
+use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
 /// Where in a system call.
@@ -48,12 +49,13 @@ pub struct End {
     pub number: Option<u64>,
 }
 
-/// Follows a process of this thread's process, which waits and has one thread, until it ends. Kills it at `point`.
-pub fn follow(pid: u32, point: Option<Point>) -> Result<End> {
+/// Follows a process of this thread's process, which waits and has one thread, until it ends. Says when it has begun. Kills it at `point`.
+pub fn follow(pid: u32, point: Option<Point>, started: &Sender<()>) -> Result<End> {
     let pid = pid_t::try_from(pid)?;
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE | libc::PTRACE_O_EXITKILL;
     ptrace(libc::PTRACE_SEIZE, pid, options as usize)?;
     ptrace(libc::PTRACE_INTERRUPT, pid, 0)?;
+    started.send(())?;
     let mut within = BTreeSet::new();
     let mut end = End { calls: 0, is_killed: false, code: None, at: Instant::now(), number: None };
     loop {

@@ -179,8 +179,11 @@ impl Domain {
 
     /// Takes a place for a participant.
     pub(crate) fn add(&self, id: u64) -> Result<usize, TransportError> {
-        let take =
-            |member: &Member| member.id.compare_exchange(0, id, Ordering::AcqRel, Ordering::Relaxed).is_ok();
+        // Looked at before: places that are taken stay in everybody's cache.
+        let take = |member: &Member| {
+            member.id.load(Ordering::Relaxed) == 0
+                && member.id.compare_exchange(0, id, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+        };
         let place = self.layout().members.iter().position(take);
         let place = place.ok_or(TransportError::Members { domain: self.number, limit: MEMBERS })?;
         self.layout().end.fetch_max(place as u32 + 1, Ordering::AcqRel);
@@ -190,8 +193,10 @@ impl Domain {
 
     /// Frees the place of a participant, if it has one. True if it had.
     pub(crate) fn remove(&self, id: u64) -> bool {
-        let free =
-            |member: &Member| member.id.compare_exchange(id, 0, Ordering::AcqRel, Ordering::Relaxed).is_ok();
+        let free = |member: &Member| {
+            member.id.load(Ordering::Relaxed) == id
+                && member.id.compare_exchange(id, 0, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+        };
         let removed = self.layout().members.iter().any(free);
         if removed {
             self.advance();

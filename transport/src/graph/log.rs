@@ -13,7 +13,7 @@
 //! | its length, these words included, a multiple of 8 | 4 |
 //! | its kind | 4 |
 //! | its number, by which a later entry takes it back | 8 |
-//! | the hash of the name of its topic, by which it is found | 8 |
+//! | the hash of the name of its topic, or of its node's, by which it is found | 8 |
 //! | what it says, and zeros | the rest |
 
 use crate::error::TransportError;
@@ -150,6 +150,14 @@ impl Log {
         let Some(bytes) = self.live.remove(&number) else { return Ok(()) };
         self.live_bytes -= bytes.len();
         self.append(&Entry { kind: Kind::Gone, number, hash: 0, body: Vec::new() }.encode())
+    }
+
+    /// How many entries that count are of this kind and have this hash.
+    pub(crate) fn count(&self, kind: Kind, hash: u64) -> usize {
+        let is_one = |bytes: &&Vec<u8>| {
+            bytes[4..8] == (kind as u32).to_ne_bytes() && bytes[16..HEAD_BYTES] == hash.to_ne_bytes()
+        };
+        self.live.values().filter(is_one).count()
     }
 
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {

@@ -250,6 +250,15 @@ impl Participant {
         self.shared.model().look(&self.shared.domain)
     }
 
+    /// How many nodes of the domain have this name. For who wants nothing else of the [`graph`](Self::graph), which takes time and
+    /// memory in proportion to all that there is.
+    ///
+    /// # Real-time
+    /// As [`graph`](Self::graph).
+    pub fn node_count(&self, name: &NodeName) -> usize {
+        self.shared.matcher.nodes(log::hash_of(&name.full_name()))
+    }
+
     /// The topics of the domain, sorted by name, without those that make services.
     ///
     /// # Real-time

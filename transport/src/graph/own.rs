@@ -103,13 +103,19 @@ impl OwnRecord {
         let number = {
             let mut state = self.state();
             let number = state.log.number();
-            let entry = log::Entry { kind: Kind::Node, number, hash: 0, body: to_body(&node) };
+            let hash = hash_of(&node.full_name());
+            let entry = log::Entry { kind: Kind::Node, number, hash, body: to_body(&node) };
             state.log.add(&entry).map_err(self.failed())?;
             number
         };
         self.changed();
         let (record, has_ended, slots) = (self.clone(), AtomicBool::new(false), Mutex::default());
         Ok(Arc::new(Entry { record, number, node, has_ended, slots }))
+    }
+
+    /// How many nodes it has whose name has this hash.
+    pub(crate) fn nodes(&self, hash: u64) -> usize {
+        self.state().log.count(Kind::Node, hash)
     }
 
     /// Whether it says, or said, what other hosts have.
@@ -160,7 +166,7 @@ impl State {
                 Some(number) => number,
                 None => {
                     changed = true;
-                    self.add(Kind::Node, 0, to_body(node))?
+                    self.add(Kind::Node, hash_of(&node.full_name()), to_body(node))?
                 }
             };
             self.remote.nodes.insert(node.clone(), number);

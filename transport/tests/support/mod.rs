@@ -71,6 +71,16 @@ pub fn wait_for(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
+/// As [`wait_for`], for something.
+pub fn wait_for_some<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let mut found = None;
+    wait_for(what, || {
+        found = look();
+        found.is_some()
+    });
+    found.unwrap()
+}
+
 /// Tells a thread to stop when it is dropped, so that a test that fails does not wait for it for ever.
 pub struct Stop<'a>(pub &'a AtomicBool);
 

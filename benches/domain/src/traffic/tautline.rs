@@ -85,12 +85,12 @@ fn send<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Callbac
         node.set_topic_limits(&topic, limits())?;
         publishers.push(node.create_publisher(&topic, QosProfile::default().keep_last(job.depth()))?);
     }
-    let (own, ended) = (job.clone(), context.clone());
+    let (own, end) = (job.clone(), context.events().clone());
     let (sender, outcome) = mpsc::channel();
     let callback = node.spawn_callback(options, async move {
         let sent = publish_all(&own, &publishers);
         let _ = sender.send(sent.map(|measured| (measured, publishers)));
-        ended.shutdown();
+        end.stop();
     })?;
     node.spin()?;
     callback.join()?;
@@ -123,17 +123,18 @@ fn receive<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Call
         ends.push((node.subscribe_loaned(&topic, QosProfile::default().keep_last(job.depth()))?, inlet));
     }
     let (sender, outcome) = mpsc::channel();
-    let ended = context.clone();
+    // A callback that had the context would keep it alive.
+    let end = context.events().clone();
     let _callback = node.spawn_callback(options, async move {
         // Those alone that were woken are looked at.
         let all = ends.into_iter().map(|(messages, inlet)| take_all(messages, inlet));
         if let Err(error) = all.collect::<FuturesUnordered<_>>().try_collect::<()>().await {
             let _ = sender.send(error);
-            ended.shutdown();
+            end.stop();
         }
     })?;
-    let ended = context.clone();
-    on_stop(move || ended.shutdown());
+    let end = context.events().clone();
+    on_stop(move || end.stop());
     say(&Line::Ready(None));
     node.spin()?;
     if let Ok(error) = outcome.try_recv() {

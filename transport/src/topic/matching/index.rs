@@ -3,7 +3,7 @@
 //! somebody asks.
 
 use crate::error::TransportError;
-use crate::graph::domain::Domain;
+use crate::graph::domain::{Domain, Seen};
 use crate::graph::log::{Kind, Reader};
 use crate::graph::record::{PortKind, PortRecord, RemotePortRecord};
 use crate::graph::{EndpointKind, NodeName};
@@ -11,7 +11,7 @@ use crate::participant::file::{Peer, Peers};
 use crate::topic::Topic;
 use crate::topic::header::Gid;
 use std::collections::hash_map::Entry;
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 /// Most ends on other hosts that a port tells its monitors of: what others declare costs it no more than this.
@@ -21,6 +21,8 @@ pub(super) struct Index {
     own: u64,
     epoch: Option<u32>,
     members: HashMap<u64, Member>,
+    /// Those of them whose records were read to the end, by their places, as they were then.
+    read: Vec<Seen>,
     by_topic: HashMap<u64, Ends>,
     /// Topics of which other hosts have others than before.
     remote_changes: BTreeSet<u64>,
@@ -32,8 +34,40 @@ pub(super) struct Index {
 /// Entries of records by who has them: the participant and the number of the entry.
 #[derive(Default)]
 struct Ends {
-    ports: BTreeMap<Gid, usize>,
-    remote: BTreeMap<Gid, usize>,
+    ports: Positions,
+    remote: Positions,
+}
+
+/// Where ends are described, in the order of their gids. Most topics have few of them, and there are many topics: a map would take ten
+/// times the memory.
+#[derive(Default)]
+struct Positions(Vec<(Gid, usize)>);
+
+impl Positions {
+    fn find(&self, gid: Gid) -> Result<usize, usize> {
+        self.0.binary_search_by(|(other, _)| other.cmp(&gid))
+    }
+
+    fn get(&self, gid: Gid) -> Option<usize> {
+        self.find(gid).ok().map(|place| self.0[place].1)
+    }
+
+    fn insert(&mut self, gid: Gid, position: usize) {
+        match self.find(gid) {
+            Ok(place) => self.0[place].1 = position,
+            Err(place) => self.0.insert(place, (gid, position)),
+        }
+    }
+
+    fn remove(&mut self, gid: Gid) {
+        if let Ok(place) = self.find(gid) {
+            self.0.remove(place);
+        }
+    }
+
+    fn gids(&self) -> impl Iterator<Item = Gid> + '_ {
+        self.0.iter().map(|(gid, _)| *gid)
+    }
 }
 
 struct Member {
@@ -44,6 +78,8 @@ struct Member {
     /// The topics of its ports, and of those of other hosts that it tells of.
     ports: HashMap<u64, u64>,
     remote: HashMap<u64, u64>,
+    /// The names of its nodes, hashed.
+    nodes: HashMap<u64, u64>,
 }
 
 /// A port: whose, and on what topic.
@@ -69,6 +105,7 @@ impl Index {
             own,
             epoch: None,
             members: HashMap::new(),
+            read: Vec::new(),
             by_topic: HashMap::new(),
             remote_changes: BTreeSet::new(),
             retries: Vec::new(),
@@ -85,16 +122,29 @@ impl Index {
         let mut news = News { added: std::mem::take(&mut self.retries), ..News::default() };
         let epoch = domain.epoch();
         let is_same = self.epoch == Some(epoch);
-        let mut seen = HashSet::new();
         let own = self.own;
-        for member in domain.members().filter(|member| member.id != own) {
-            seen.insert(member.id);
+        let members: Vec<Seen> = domain.members().filter(|member| member.id != own).collect();
+        let mut before = std::mem::take(&mut self.read).into_iter().peekable();
+        let mut gone = Vec::new();
+        for &member in &members {
+            while let Some(former) = before.next_if(|former| former.place < member.place) {
+                gone.push(former.id);
+            }
+            match before.next_if(|former| former.place == member.place) {
+                Some(same) if same == member => {
+                    self.read.push(member);
+                    continue;
+                }
+                Some(former) if former.id != member.id => gone.push(former.id),
+                _ => {}
+            }
             if let Some(known) = self.members.get_mut(&member.id) {
                 if known.grown != member.grown {
                     known.grown = member.grown;
                     news.grown.insert(member.id);
                 }
                 if known.generation == member.generation {
+                    self.read.push(member);
                     continue;
                 }
             } else if is_same && self.refused.contains(&member.id) {
@@ -105,6 +155,7 @@ impl Index {
                     self.refused.remove(&member.id);
                     if let Some(known) = self.members.get_mut(&member.id) {
                         (known.generation, known.grown) = (member.generation, member.grown);
+                        self.read.push(member);
                     }
                 }
                 Err(error) => {
@@ -115,14 +166,20 @@ impl Index {
                 }
             }
         }
-        let gone: Vec<u64> = self.members.keys().filter(|id| !seen.contains(id)).copied().collect();
+        gone.extend(before.map(|former| former.id));
+        let is_there = |id: u64| members.iter().any(|member| member.id == id);
+        gone.extend(self.refused.extract_if(|id| !is_there(*id)));
         for id in gone {
-            news.gone = true;
+            news.gone |= self.members.contains_key(&id);
             self.forget(id, &mut news);
         }
-        self.refused.retain(|id| seen.contains(id));
         self.epoch = Some(epoch).filter(|_| !news.is_refused);
         news
+    }
+
+    /// How many nodes of other participants have the name that has this hash.
+    pub(super) fn nodes(&self, hash: u64) -> usize {
+        self.members.values().flat_map(|member| member.nodes.values()).filter(|of| **of == hash).count()
     }
 
     fn read(
@@ -137,8 +194,8 @@ impl Index {
             Entry::Vacant(place) => {
                 let Some(peer) = peers.get(domain, id)? else { return Ok(()) };
                 let (generation, grown, reader) = Default::default();
-                let (ports, remote) = Default::default();
-                place.insert(Member { generation, grown, peer, reader, ports, remote })
+                let (ports, remote, nodes) = Default::default();
+                place.insert(Member { generation, grown, peer, reader, ports, remote, nodes })
             }
         };
         let peer = member.peer.clone();
@@ -147,6 +204,7 @@ impl Index {
         let mut former = (HashMap::new(), HashMap::new());
         if read.anew {
             former = (std::mem::take(&mut member.ports), std::mem::take(&mut member.remote));
+            member.nodes.clear();
         }
         for (entry, position) in read.entries {
             let (number, hash, gid) = (entry.number, entry.hash, Gid::of(id, entry.number));
@@ -169,25 +227,27 @@ impl Index {
                     // One that came and went between two looks is no news.
                     news.added.retain(|(added, ..)| *added != gid);
                     if let Some(hash) = member.ports.remove(&number) {
-                        remove(&mut self.by_topic, hash, |ends| ends.ports.remove(&gid));
+                        remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
                         news.removed.push((gid, hash, false));
                     }
+                    member.nodes.remove(&number);
                     if let Some(hash) = member.remote.remove(&number) {
-                        remove(&mut self.by_topic, hash, |ends| ends.remote.remove(&gid));
+                        remove(&mut self.by_topic, hash, |ends| ends.remote.remove(gid));
                         self.remote_changes.insert(hash);
                     }
                 }
-                Kind::Node | Kind::RemoteService | Kind::Relay => {}
+                Kind::Node => drop(member.nodes.insert(number, hash)),
+                Kind::RemoteService | Kind::Relay => {}
             }
         }
         // What was there before the record was written anew, and is no longer.
         for (number, hash) in former.0 {
             let gid = Gid::of(id, number);
-            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(&gid));
+            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
             news.removed.push((gid, hash, false));
         }
         for (number, hash) in former.1 {
-            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(&Gid::of(id, number)));
+            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(Gid::of(id, number)));
             self.remote_changes.insert(hash);
         }
         if read.is_damaged {
@@ -201,11 +261,11 @@ impl Index {
         let Some(member) = self.members.remove(&id) else { return };
         for (number, hash) in member.ports {
             let gid = Gid::of(id, number);
-            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(&gid));
+            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
             news.removed.push((gid, hash, true));
         }
         for (number, hash) in member.remote {
-            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(&Gid::of(id, number)));
+            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(Gid::of(id, number)));
             self.remote_changes.insert(hash);
         }
     }
@@ -227,7 +287,7 @@ impl Index {
 
     /// What is said of a port. `None` if it has gone, or is to be found again by the next look.
     pub(super) fn port(&mut self, (gid, hash): Found) -> Option<PortRecord> {
-        let position = *self.by_topic.get(&hash)?.ports.get(&gid)?;
+        let position = self.by_topic.get(&hash)?.ports.get(gid)?;
         let member = self.members.get(&gid.participant())?;
         let Some(entry) = member.reader.entry(member.peer.head(), position) else {
             // Its record was written anew since.
@@ -240,24 +300,24 @@ impl Index {
 
     /// The ports of a kind that other participants have on a topic; others may be found by the next look.
     pub(super) fn ports(&mut self, hash: u64, kind: PortKind) -> Vec<(Gid, PortRecord)> {
-        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.keys());
-        let gids: Vec<Gid> = ends.copied().collect();
+        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.gids());
+        let gids: Vec<Gid> = ends.collect();
         let ports = gids.into_iter().filter_map(|gid| Some((gid, self.port((gid, hash))?)));
         ports.filter(|(_, port)| port.kind == kind).collect()
     }
 
     /// The participants that have ports on a topic.
     pub(super) fn participants(&self, hash: u64) -> BTreeSet<u64> {
-        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.keys());
+        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.gids());
         ends.map(|gid| gid.participant()).collect()
     }
 
     /// The ends of a kind that other hosts have of a topic and that can match: sorted, each once.
     pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Vec<Gid> {
-        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| &ends.remote);
+        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| &ends.remote.0);
         let nobody = NodeName { namespace: "/".into(), name: "_".into() };
         let changes = &mut self.remote_changes;
-        let end = |(gid, position): (&Gid, &usize)| {
+        let end = |(gid, position): &(Gid, usize)| {
             let member = self.members.get(&gid.participant())?;
             let Some(entry) = member.reader.entry(member.peer.head(), *position) else {
                 // As in `port`.
@@ -282,10 +342,10 @@ impl Index {
     }
 }
 
-fn remove(by_topic: &mut HashMap<u64, Ends>, hash: u64, remove: impl FnOnce(&mut Ends) -> Option<usize>) {
+fn remove(by_topic: &mut HashMap<u64, Ends>, hash: u64, remove: impl FnOnce(&mut Ends)) {
     if let Some(ends) = by_topic.get_mut(&hash) {
         remove(ends);
-        if ends.ports.is_empty() && ends.remote.is_empty() {
+        if ends.ports.0.is_empty() && ends.remote.0.is_empty() {
             by_topic.remove(&hash);
         }
     }

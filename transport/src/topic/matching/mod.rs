@@ -221,6 +221,15 @@ impl Matcher {
         }
     }
 
+    /// How many nodes of the domain have the name that has this hash.
+    pub(crate) fn nodes(&self, hash: u64) -> usize {
+        let others = self.work_and_leave(|state, work| {
+            state.look(work);
+            state.index.nodes(hash)
+        });
+        others + self.record.nodes(hash)
+    }
+
     /// Says what other hosts have, and calls those whose ports that concerns.
     pub(crate) fn set_remote(&self, remote: &RemoteGraph) -> Result<(), TransportError> {
         let mut topics = BTreeSet::new();
