@@ -419,6 +419,7 @@ fn two_participants_in_one_process() {
     let publisher = one.create_publisher::<Count>("/two", Qos::default(), DEFAULT).unwrap();
     let subscription = two.create_subscription::<Count>("/two", Qos::default(), DEFAULT).unwrap();
     let sampler = two.doorbell().claim_sampler().unwrap();
+    wait_for("the publisher", || subscription.publisher_count() == 1);
     sampler.drain(|_| ());
     publisher.publish(&Count { n: 3 }).unwrap();
     assert_eq!(sampler.drain(|_| ()), 1, "the subscription's participant is the one that is rung");

@@ -22,7 +22,7 @@ pub(super) struct Index {
     epoch: Option<u32>,
     members: HashMap<u64, Member>,
     /// Those of them whose records were read to the end, by their places, as they were then.
-    read: Vec<Seen>,
+    last: Vec<Seen>,
     by_topic: HashMap<u64, Ends>,
     /// Topics of which other hosts have others than before.
     remote_changes: BTreeSet<u64>,
@@ -105,7 +105,7 @@ impl Index {
             own,
             epoch: None,
             members: HashMap::new(),
-            read: Vec::new(),
+            last: Vec::new(),
             by_topic: HashMap::new(),
             remote_changes: BTreeSet::new(),
             retries: Vec::new(),
@@ -124,7 +124,7 @@ impl Index {
         let is_same = self.epoch == Some(epoch);
         let own = self.own;
         let members: Vec<Seen> = domain.members().filter(|member| member.id != own).collect();
-        let mut before = std::mem::take(&mut self.read).into_iter().peekable();
+        let mut before = std::mem::take(&mut self.last).into_iter().peekable();
         let mut gone = Vec::new();
         for &member in &members {
             while let Some(former) = before.next_if(|former| former.place < member.place) {
@@ -132,7 +132,7 @@ impl Index {
             }
             match before.next_if(|former| former.place == member.place) {
                 Some(same) if same == member => {
-                    self.read.push(member);
+                    self.last.push(member);
                     continue;
                 }
                 Some(former) if former.id != member.id => gone.push(former.id),
@@ -144,7 +144,7 @@ impl Index {
                     news.grown.insert(member.id);
                 }
                 if known.generation == member.generation {
-                    self.read.push(member);
+                    self.last.push(member);
                     continue;
                 }
             } else if is_same && self.refused.contains(&member.id) {
@@ -155,7 +155,7 @@ impl Index {
                     self.refused.remove(&member.id);
                     if let Some(known) = self.members.get_mut(&member.id) {
                         (known.generation, known.grown) = (member.generation, member.grown);
-                        self.read.push(member);
+                        self.last.push(member);
                     }
                 }
                 Err(error) => {
