@@ -279,18 +279,20 @@ fn stress_doorbell(rings: u64) -> Command {
     command
 }
 
-/// At random instants, then at system calls.
+/// At random instants, then at system calls. Containers are among the processes: in one go, so that all have the same features.
 fn stress_kills(steps: &mut Steps, kills: u64, seed: Option<u64>, exhaustive: bool) {
-    let seeded = |mut command: Command| {
-        command.args(seed.map(|seed| format!("--seed={seed}")));
+    let build = "build --release -p tautline-kills -p tautline-container -p tautline-demo-components";
+    if !steps.command("stress: kills: build", &mut steps::cargo(build)) {
+        return steps.skip("stress: kills", "not built");
+    }
+    let command = |arguments: &str| {
+        let mut command = Command::new(machine::target_dir().join("release/kills"));
+        command.args(arguments.split(' ')).args(seed.map(|seed| format!("--seed={seed}")));
         command
     };
-    let run = "run --release -p tautline-kills --";
-    let mut random = seeded(steps::cargo(&format!("{run} random --kills {kills}")));
-    steps.command("stress: kills at random", &mut random);
-    let all = if exhaustive { " --all" } else { "" };
-    let mut calls = seeded(steps::cargo(&format!("{run} syscalls{all}")));
-    steps.command("stress: kills at system calls", &mut calls);
+    steps.command("stress: kills at random", &mut command(&format!("random --kills {kills}")));
+    let all = if exhaustive { "syscalls --all" } else { "syscalls" };
+    steps.command("stress: kills at system calls", &mut command(all));
 }
 
 /// In a package of its own: it needs many processes of nodes, and iceoryx2.

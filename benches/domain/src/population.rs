@@ -131,20 +131,16 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
     let survivors =
         |count: usize| wait_until("all are matched", || Ok(publisher.subscription_count() == count));
     survivors(processes.len())?;
-    let mut buried = Distribution::new();
+    let mut deaths = Vec::new();
     for index in 0..rounds {
         let mut victim = bench.start(&Job::Node { index: size + index, gate: None, processes: None })?;
         made(&mut victim)?;
         survivors(processes.len() + 1)?;
-        buried.record(death(bench, &participant, &publisher, &mut victim)?);
+        deaths.push(death(bench, &participant, &publisher, &mut victim)?);
     }
-    let mut rows = vec![
-        row(size, "a killed process is out of the graph, of its peers and of /dev/shm", "ms")
-            .times_in(&buried, 1000.0)
-            .max_at_most(50.0),
-    ];
+    let mut rows = rows_of(size, "a killed process", &deaths);
     if processes.len() > 3 {
-        let mut of_wardens = Distribution::new();
+        let mut of_wardens = Vec::new();
         for _ in 0..3 {
             let folder = bench.place.folder();
             let mut index = None;
@@ -160,38 +156,79 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
             // It may be this one.
             let Some(index) = index else { break };
             let mut victim = processes.swap_remove(index);
-            of_wardens.record(death(bench, &participant, &publisher, &mut victim)?);
+            of_wardens.push(death(bench, &participant, &publisher, &mut victim)?);
         }
-        if !of_wardens.is_empty() {
-            rows.push(
-                row(size, "the same of the warden, which buries the others", "ms")
-                    .times_in(&of_wardens, 1000.0)
-                    .max_at_most(50.0),
-            );
-        }
+        rows.extend(rows_of(size, "a killed warden, which buries the others,", &of_wardens));
     }
     Ok(rows)
 }
 
-/// Kills a process; how long it takes until nothing of it is left, in nanoseconds.
+fn rows_of(size: usize, who: &str, deaths: &[Death]) -> Vec<Row> {
+    if deaths.is_empty() {
+        return Vec::new();
+    }
+    let times = |what: &str, of: fn(&Death) -> u64| {
+        let mut times = Distribution::new();
+        deaths.iter().for_each(|death| times.record(of(death)));
+        row(size, format!("{who} {what}"), "ms").times_in(&times, 1000.0)
+    };
+    vec![
+        times("is out of the graph", |death| death.graph),
+        times("is counted by no peer", |death| death.peer),
+        times("has no files", |death| death.files),
+        times("is cleaned up: all of that", |death| death.all()).max_at_most(50.0),
+    ]
+}
+
+/// How long it took after a kill, in nanoseconds.
+#[derive(Clone, Copy, Debug)]
+struct Death {
+    /// Until the graph is without it.
+    graph: u64,
+    /// Until a peer's publisher does not count its subscription any more.
+    peer: u64,
+    /// Until its files have gone.
+    files: u64,
+}
+
+impl Death {
+    fn all(self) -> u64 {
+        self.graph.max(self.peer).max(self.files)
+    }
+}
+
+/// Kills a process and waits until nothing of it is left.
 fn death(
     bench: &Bench<'_>,
     participant: &Participant,
     publisher: &Publisher<ParameterEvent>,
     victim: &mut Process<'_, Said>,
-) -> Result<u64> {
+) -> Result<Death> {
     let files = process::records(victim.id(), &bench.place.folder());
     if files.is_empty() {
         return Err("the process to be killed has no file in shared memory".into());
     }
     let (pid, before) = (victim.id(), publisher.subscription_count());
+    let mut death = [None; 3];
     let start_ns = monotonic_ns();
     victim.kill();
     wait_until("a killed process is buried", || {
-        let is_listed = participant.graph()?.nodes.iter().any(|node| node.pid == Some(pid));
-        Ok(!is_listed && publisher.subscription_count() < before && !files.iter().any(|file| file.exists()))
+        let is_so = |part: usize| -> Result<bool> {
+            Ok(match part {
+                0 => !participant.graph()?.nodes.iter().any(|node| node.pid == Some(pid)),
+                1 => publisher.subscription_count() < before,
+                _ => !files.iter().any(|file| file.exists()),
+            })
+        };
+        for (part, at) in death.iter_mut().enumerate() {
+            if at.is_none() && is_so(part)? {
+                *at = Some(monotonic_ns() - start_ns);
+            }
+        }
+        Ok(death.iter().all(Option::is_some))
     })?;
-    Ok(monotonic_ns() - start_ns)
+    let [graph, peer, files] = death.map(Option::unwrap_or_default);
+    Ok(Death { graph, peer, files })
 }
 
 /// Looks every 100 µs.

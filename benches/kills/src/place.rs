@@ -32,10 +32,6 @@ impl Place {
         Ok(Place { scope, before: all() })
     }
 
-    pub fn scope(&self) -> &str {
-        &self.scope
-    }
-
     /// Looks whether anything of this run is left, now that all of its processes have ended. Definitions of types are kept for tools
     /// on purpose: only whole ones.
     pub fn check(&self) -> Result<()> {

@@ -11,6 +11,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
+use tautline_rt::domain::scope;
 
 /// Longest time that anything is waited for: what takes longer hangs.
 pub const PATIENCE: Duration = Duration::from_secs(20);
@@ -52,13 +53,34 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// How to start a part of this program.
-pub fn command(name: &str, domain: u32, scope: &str, seed: u64, complaints: &Complaints) -> Result<Command> {
-    let mut command = Command::new(std::env::current_exe()?);
-    command.args(["part", name, "--seed", &seed.to_string()]);
-    command.env("TAUT_DOMAIN", domain.to_string()).env("TAUT_SCOPE", scope).env("TAUT_REALTIME", "off");
-    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(complaints.pipe.try_clone()?);
-    Ok(command)
+/// Where parts of this program play: a domain in this process's scope.
+#[derive(Clone)]
+pub struct Stage {
+    pub domain: u32,
+    pub complaints: Complaints,
+}
+
+impl Stage {
+    /// How to start a part.
+    pub fn command(&self, part: &str, seed: u64) -> Result<Command> {
+        let mut command = Command::new(std::env::current_exe()?);
+        command.args(["part", part, "--seed", &seed.to_string()]).stderr(self.complaints.pipe.try_clone()?);
+        command.env("TAUT_DOMAIN", self.domain.to_string()).env("TAUT_REALTIME", "off");
+        command.envs(scope()?.map(|scope| ("TAUT_SCOPE", scope)));
+        Ok(command)
+    }
+
+    /// Starts a part, and waits until it is ready.
+    pub fn start(&self, part: &str) -> Result<Process> {
+        let mut process = self.start_without_waiting(part)?;
+        process.expect_ready()?;
+        Ok(process)
+    }
+
+    pub fn start_without_waiting(&self, part: &str) -> Result<Process> {
+        let mut command = self.command(part, 0)?;
+        Process::start(part, command.stdin(Stdio::piped()).stdout(Stdio::piped()))
+    }
 }
 
 /// A part that is talked with, a line at a time. Killed when it is dropped.
@@ -72,7 +94,7 @@ pub struct Process {
 }
 
 impl Process {
-    pub fn start(name: &str, mut command: Command) -> Result<Self> {
+    fn start(name: &str, command: &mut Command) -> Result<Self> {
         let mut child = command.spawn()?;
         let (input, output) = (child.stdin.take(), child.stdout.take().ok_or("its output is a pipe")?);
         let (sender, lines) = channel();
@@ -201,6 +223,12 @@ impl Drop for Process {
             let _ = self.kill();
         }
     }
+}
+
+/// Kills a child that was not waited for.
+pub fn kill(pid: u32) -> Result<()> {
+    let pid = rustix::process::Pid::from_raw(pid.cast_signed()).ok_or("no process")?;
+    Ok(rustix::process::kill_process(pid, rustix::process::Signal::KILL)?)
 }
 
 /// What the threads of a process wait in.

@@ -7,7 +7,7 @@ use crate::actors::{self, Role};
 use crate::folder::{self, Watch};
 use crate::inspector::{Graph, Late, Met};
 use crate::place::{Place, folder};
-use crate::process::{Complaints, Holdings, PATIENCE, Process, Said, command};
+use crate::process::{Complaints, Holdings, PATIENCE, Process, Said, Stage, kill};
 use crate::survivors::{ACTORS_ADD, ACTORS_FIBONACCI, ADD, Asked, FULL, Received, Sent};
 use clap::Args;
 use rand::rngs::SmallRng;
@@ -26,6 +26,8 @@ const ANSWER: Duration = Duration::from_millis(100);
 /// So long files of the dead may stay.
 const STAY: Duration = Duration::from_millis(50);
 const CHECK_EVERY: usize = 100;
+/// Answers newcomers.
+const ECHO: &str = "survivor-echo";
 /// Checks with survivors before there is one without.
 const CHECKS_WITH_SURVIVORS: usize = 4;
 /// Processes that live until they are the warden, when there are no survivors.
@@ -55,11 +57,10 @@ pub fn run(options: &Options) -> Result<()> {
     let seed = options.seed.unwrap_or_else(rand::random);
     println!("{} kills of {} processes, seed {seed}", options.kills, options.actors);
     let place = Place::new()?;
-    let complaints = Complaints::collect()?;
+    let stage = Stage { domain: DOMAIN, complaints: Complaints::collect()? };
     let start = Instant::now();
     let mut run = Run {
-        place: &place,
-        complaints: complaints.clone(),
+        stage: stage.clone(),
         random: SmallRng::seed_from_u64(seed),
         actors: Vec::new(),
         wanted: options.actors,
@@ -73,7 +74,7 @@ pub fn run(options: &Options) -> Result<()> {
         let listing = folder::listing(DOMAIN);
         format!(
             "{error}\nafter {killed} kills, seed {seed}\n{listing}what the processes said last:\n{}",
-            complaints.text()
+            stage.complaints.text()
         )
     });
     drop(run);
@@ -101,9 +102,8 @@ struct Worst {
     stay: Duration,
 }
 
-struct Run<'p> {
-    place: &'p Place,
-    complaints: Complaints,
+struct Run {
+    stage: Stage,
     random: SmallRng,
     actors: Vec<Actor>,
     wanted: usize,
@@ -126,7 +126,7 @@ impl Drop for Actor {
     }
 }
 
-impl Run<'_> {
+impl Run {
     fn run(&mut self, kills: usize) -> Result<()> {
         for check in 0.. {
             let left = kills.saturating_sub(self.killed);
@@ -145,17 +145,10 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn start(&self, part: &str) -> Result<Process> {
-        let mut process =
-            Process::start(part, command(part, DOMAIN, self.place.scope(), 0, &self.complaints)?)?;
-        process.expect_ready()?;
-        Ok(process)
-    }
-
     fn start_actor(&mut self) -> Result<Actor> {
         let role = *Role::ALL.choose(&mut self.random).expect("there are roles");
         let seed = self.random.random();
-        let mut command = command(&role.part(), DOMAIN, self.place.scope(), seed, &self.complaints)?;
+        let mut command = self.stage.command(&role.part(), seed)?;
         let child = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn()?;
         let due = Instant::now() + self.random.random_range(Duration::ZERO..=LIFE);
         Ok(Actor { role, seed, child, due })
@@ -163,10 +156,10 @@ impl Run<'_> {
 
     fn with_survivors(&mut self, kills: usize) -> Result<()> {
         let mut survivors = Survivors {
-            subscription: self.start("survivor-subscription")?,
-            publisher: self.start("survivor-publisher")?,
-            server: self.start("survivor-server")?,
-            client: self.start("survivor-client")?,
+            subscription: self.stage.start("survivor-subscription")?,
+            publisher: self.stage.start("survivor-publisher")?,
+            server: self.stage.start("survivor-server")?,
+            client: self.stage.start("survivor-client")?,
         };
         survivors.publisher.tell("go")?;
         survivors.client.tell("go")?;
@@ -194,7 +187,7 @@ impl Run<'_> {
     fn without_survivors(&mut self, kills: usize) -> Result<()> {
         let mut idle = Vec::new();
         for _ in 0..IDLE {
-            idle.push(Idle { process: self.start("survivor-echo")?, is_ready: true });
+            idle.push(Idle { process: self.stage.start(ECHO)?, is_ready: true });
         }
         let watch = Watch::start(DOMAIN, STAY)?;
         self.kill(kills, &watch, false, &mut idle)?;
@@ -205,7 +198,7 @@ impl Run<'_> {
         }
         self.actors.clear();
         idle.clear();
-        let mut next = self.start("survivor-echo")?;
+        let mut next = self.stage.start(ECHO)?;
         let is_clean = || Ok(folder::of_none(DOMAIN, &[next.id()]).is_empty());
         wait("the next one to clean up", is_clean, || Ok(()))?;
         next.finish()
@@ -217,7 +210,7 @@ impl Run<'_> {
             let actor = self.start_actor()?;
             self.actors.push(actor);
         }
-        let mut inspector = self.start("inspector")?;
+        let mut inspector = self.stage.start("inspector")?;
         let (questions, asked) = channel::<usize>();
         let (told, answers) = channel();
         thread::scope(|scope| {
@@ -259,9 +252,7 @@ impl Run<'_> {
         let pid = idle.process.id();
         idle.process.kill()?;
         watch.died(pid);
-        let part = "survivor-echo";
-        let command = command(part, DOMAIN, self.place.scope(), 0, &self.complaints)?;
-        *idle = Idle { process: Process::start(part, command)?, is_ready: false };
+        *idle = Idle { process: self.stage.start_without_waiting(ECHO)?, is_ready: false };
         Ok(())
     }
 
@@ -463,11 +454,6 @@ fn check_answers(asked: &Asked) -> Result<()> {
         Some(error) => Err(format!("{ADD} has a server that lives, and a request ended with {error}").into()),
         None => Ok(()),
     }
-}
-
-pub fn kill(pid: u32) -> Result<()> {
-    let pid = rustix::process::Pid::from_raw(pid.cast_signed()).ok_or("no process")?;
-    Ok(rustix::process::kill_process(pid, rustix::process::Signal::KILL)?)
 }
 
 /// Waits until something is so, and looks meanwhile whether something is wrong.

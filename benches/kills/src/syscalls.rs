@@ -6,7 +6,7 @@ use crate::Result;
 use crate::folder::{listing, of_dead, stolen};
 use crate::inspector::Graph;
 use crate::place::{Place, folder};
-use crate::process::{Complaints, PATIENCE, Process, Said, command, threads};
+use crate::process::{Complaints, PATIENCE, Process, Said, Stage, kill, threads};
 use crate::scenes::{Friend, Scene};
 use crate::tracer::{self, End, Point, When};
 use clap::Args;
@@ -28,8 +28,8 @@ const HELD_BY_IDLE: usize = 32;
 
 #[derive(Args, Debug)]
 pub struct Options {
-    /// At how many points, evenly spread over all there are
-    #[arg(long, value_name = "N", default_value_t = 2000)]
+    /// At how many points, evenly spread over all there are; of those some are beyond the end
+    #[arg(long, value_name = "N", default_value_t = 2400)]
     points: usize,
     /// At all points
     #[arg(long)]
@@ -108,11 +108,11 @@ pub fn run(options: &Options) -> Result<()> {
     let seed = options.seed.unwrap_or_else(rand::random);
     let mut random = SmallRng::seed_from_u64(seed);
     let place = Place::new()?;
-    let complaints = Complaints::collect()?;
+    let stage = Stage { domain: 1, complaints: Complaints::collect()? };
     let start = Instant::now();
     let jobs = match options.at {
         Some(job) => vec![job; 20],
-        None => plan(options, &place, &complaints, &mut random)?,
+        None => plan(options, &stage, &mut random)?,
     };
     println!("{} points, seed {seed}", jobs.len());
     for scene in Scene::ALL {
@@ -123,8 +123,7 @@ pub fn run(options: &Options) -> Result<()> {
         if jobs.is_empty() {
             continue;
         }
-        let worst = play(scene, &jobs, options, &place, &complaints)
-            .map_err(|error| format!("{error}; seed {seed}"))?;
+        let worst = play(scene, &jobs, options, &stage).map_err(|error| format!("{error}; seed {seed}"))?;
         println!(
             "{:>6}: killed at {} points ({} more were beyond its end); at most: files of the dead {}, graph {}, the friend's own message {}, a \
              newcomer's {}, a publisher held up {}",
@@ -148,15 +147,10 @@ fn ms(time: Duration) -> String {
 }
 
 /// Which points: each call of each scene, in each way, or so many of them.
-fn plan(
-    options: &Options,
-    place: &Place,
-    complaints: &Complaints,
-    random: &mut SmallRng,
-) -> Result<Vec<Job>> {
+fn plan(options: &Options, stage: &Stage, random: &mut SmallRng) -> Result<Vec<Job>> {
     let mut all = Vec::new();
     for scene in Scene::ALL {
-        let mut lane = Lane::start(scene, 1, place, complaints)?;
+        let mut lane = Lane::start(scene, stage.clone())?;
         let mut calls = 0;
         for _ in 0..3 {
             let end = lane.play(None)?;
@@ -183,16 +177,10 @@ fn plan(
 }
 
 /// All points of a scene, by several lanes.
-fn play(
-    scene: Scene,
-    jobs: &[Job],
-    options: &Options,
-    place: &Place,
-    complaints: &Complaints,
-) -> Result<Worst> {
+fn play(scene: Scene, jobs: &[Job], options: &Options, stage: &Stage) -> Result<Worst> {
     let (next, worst) = (AtomicUsize::new(0), Mutex::new(Worst::default()));
     let play = |domain: u32| -> Result<()> {
-        let mut lane = Lane::start(scene, domain, place, complaints)?;
+        let mut lane = Lane::start(scene, Stage { domain, ..stage.clone() })?;
         lane.has_limits = !options.no_limits;
         while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
             lane.at = job.to_string();
@@ -207,8 +195,11 @@ fn play(
             if let Err(error) = result {
                 // The others need not go on.
                 next.store(jobs.len(), Ordering::Relaxed);
-                let (listing, said) = (listing(domain), complaints.text());
-                return Err(format!("{error}\nwhen it was killed at --at {job}\n{listing}what the processes said last:\n{said}").into());
+                let (listing, said) = (listing(domain), stage.complaints.text());
+                let at = &lane.at;
+                return Err(
+                    format!("{error}\nat {at}\n{listing}what the processes said last:\n{said}").into()
+                );
             }
         }
         worst.lock().unwrap_or_else(PoisonError::into_inner).join(&lane.worst);
@@ -222,11 +213,9 @@ fn play(
 }
 
 /// A domain in which a scene is played over and over.
-struct Lane<'p> {
+struct Lane {
     scene: Scene,
-    domain: u32,
-    place: &'p Place,
-    complaints: &'p Complaints,
+    stage: Stage,
     friend: Process,
     /// Files that it had open at the start.
     friends_files: usize,
@@ -238,45 +227,21 @@ struct Lane<'p> {
     at: String,
 }
 
-impl<'p> Lane<'p> {
-    fn start(scene: Scene, domain: u32, place: &'p Place, complaints: &'p Complaints) -> Result<Self> {
-        let start = |part: &str| {
-            let mut process = Process::start(part, command(part, domain, place.scope(), 0, complaints)?)?;
-            process.expect_ready()?;
-            Ok::<_, Box<dyn std::error::Error + Send + Sync>>(process)
-        };
-        let (mut friend, inspector) = (start("scene-friend")?, start("inspector")?);
+impl Lane {
+    fn start(scene: Scene, stage: Stage) -> Result<Self> {
+        let (mut friend, inspector) = (stage.start("scene-friend")?, stage.start("inspector")?);
         if scene != Scene::Warden {
             friend.tell("join")?;
             friend.expect_ready()?;
         }
         let friends_files = friend.holdings().files;
-        let (victim, worst) = (None, Worst::default());
-        Ok(Lane {
-            scene,
-            domain,
-            place,
-            complaints,
-            friend,
-            friends_files,
-            inspector,
-            victim,
-            worst,
-            has_limits: false,
-            at: String::new(),
-        })
-    }
-
-    fn start_part(&self, part: &str) -> Result<Process> {
-        let mut process =
-            Process::start(part, command(part, self.domain, self.place.scope(), 0, self.complaints)?)?;
-        process.expect_ready()?;
-        Ok(process)
+        let (victim, worst, has_limits, at) = Default::default();
+        Ok(Lane { scene, stage, friend, friends_files, inspector, victim, worst, has_limits, at })
     }
 
     /// Plays the scene once, and looks what it left.
     fn play(&mut self, point: Option<Point>) -> Result<End> {
-        let mut killed = self.start_part(&format!("scene-{}", self.scene.name()))?;
+        let mut killed = self.stage.start(&format!("scene-{}", self.scene.name()))?;
         let pid = killed.id();
         let (told, ended) = std::sync::mpsc::channel();
         let (end, direct) = thread::scope(|scope| -> Result<_> {
@@ -284,7 +249,8 @@ impl<'p> Lane<'p> {
             scope.spawn(move || told.send(tracer::follow(pid, point, &start)));
             killed.was_reaped();
             if started.recv().is_ok() {
-                killed.tell("go")?;
+                // It may be killed before it hears that.
+                let _ = killed.tell("go");
             }
             let direct = match self.scene {
                 Scene::Warden => self.direct(&mut killed),
@@ -293,13 +259,13 @@ impl<'p> Lane<'p> {
             let end = ended.recv_timeout(2 * PATIENCE);
             if end.is_err() {
                 let hangs = format!("it hangs: {}", threads(pid));
-                crate::random::kill(pid)?;
+                kill(pid)?;
                 return Err(hangs.into());
             }
             Ok((end??, direct?))
         })?;
-        if let Some(Said::Failed(why)) = killed.overhear() {
-            return Err(format!("it says {why}").into());
+        if let Some(number) = end.number {
+            self.at += &format!(" (system call {number})");
         }
         self.check(&end, pid, direct)?;
         Ok(end)
@@ -314,7 +280,7 @@ impl<'p> Lane<'p> {
         self.friend.expect_ready()?;
         let mut victim = match self.victim.take() {
             Some(victim) => victim,
-            None => self.start_part("scene-victim")?,
+            None => self.stage.start("scene-victim")?,
         };
         victim.ask("join")?;
         victim.kill()?;
@@ -333,7 +299,7 @@ impl<'p> Lane<'p> {
     fn check(&mut self, end: &End, pid: u32, victim: Option<(u32, Instant)>) -> Result<()> {
         let (start, before) = (Instant::now(), stolen());
         if self.scene == Scene::Warden {
-            if end.code.is_some() && folder(self.domain).exists() {
+            if end.code.is_some() && folder(self.stage.domain).exists() {
                 return Err("all have left, and the folder stays".into());
             }
             if end.code.is_some() || victim.is_none() || self.friend_has_left()? {
@@ -345,7 +311,7 @@ impl<'p> Lane<'p> {
             // Whoever cleans up may have come later.
             let since = if self.scene == Scene::Warden { start.max(died) } else { died };
             loop {
-                let left = of_dead(self.domain, pid);
+                let left = of_dead(self.stage.domain, pid);
                 if left.is_empty() {
                     break;
                 }
@@ -381,7 +347,7 @@ impl<'p> Lane<'p> {
         if self.scene == Scene::Warden {
             self.friend.tell("leave")?;
             self.friend.expect_ready()?;
-            if folder(self.domain).exists() {
+            if folder(self.stage.domain).exists() {
                 return Err("all have left or died, and the folder stays".into());
             }
         }

@@ -120,7 +120,7 @@ impl Candidate {
 
     /// Until it is stopped.
     fn run(self, office: Option<Office>) {
-        let mut office = office;
+        let (mut office, mut is_said) = (office, false);
         loop {
             match &mut office {
                 Some(office) => {
@@ -135,7 +135,11 @@ impl Candidate {
                     let taken = self.take_office();
                     let retry = taken.is_err().then_some(RETRY);
                     office = taken.unwrap_or_else(|error| {
-                        tracing::warn!("this process cannot look after those that died: {error}");
+                        if !std::mem::replace(&mut is_said, true) {
+                            tracing::warn!(
+                                "this process cannot look after those that died: {error} (said once)"
+                            );
+                        }
                         None
                     });
                     if office.is_none()

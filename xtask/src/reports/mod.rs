@@ -4,6 +4,7 @@
 mod bridge;
 mod compare;
 mod demo;
+mod domain;
 mod network;
 mod paper;
 mod reference;
@@ -15,6 +16,7 @@ use std::path::Path;
 pub use bridge::check_bridge;
 pub use compare::check_compare;
 pub use demo::{check_ablation, check_demo};
+pub use domain::check_domain;
 pub use network::check_network;
 pub use paper::check_paper;
 pub use reference::{check_reference, check_reference_beside};
