@@ -212,7 +212,6 @@ impl State {
         let Some((since, before)) = self.dead.remove(path) else { return };
         let stayed = since.elapsed();
         self.stay.files += 1;
-        if std::env::var_os("STAYS").is_some() { println!("STAY {} {:.1}", path.display(), stayed.as_secs_f64()*1e3); }
         self.stay.worst = self.stay.worst.max(stayed);
         if stayed > limit && stayed > limit + stolen().saturating_sub(before) {
             self.stay.late.push((path.to_owned(), stayed));
