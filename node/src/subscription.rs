@@ -202,7 +202,9 @@ impl<S: Source> Samples<S> {
                 Poll::Ready(Some(sample))
             }
             // The waker is registered: whoever ends the node after this look wakes the task.
-            Poll::Pending if self.source.raw().has_ended() => Poll::Ready(None),
+            Poll::Pending if self.source.raw().has_ended() && !self.source.raw().has_samples() => {
+                Poll::Ready(None)
+            }
             Poll::Pending => Poll::Pending,
         }
     }

@@ -75,7 +75,7 @@ fn checked(name: &str) -> Result<String, ScopeError> {
 
 /// The name of a domain's folder in [`shm::DIRECTORY`](crate::shm::DIRECTORY), for this user and scope.
 pub fn shared_folder(domain: u32) -> String {
-    let user = rustix::process::getuid().as_raw();
+    let user = rustix::process::geteuid().as_raw();
     match scope() {
         Ok(Some(scope)) => format!("taut_{domain}_{user}.{scope}"),
         _ => format!("taut_{domain}_{user}"),
@@ -84,7 +84,7 @@ pub fn shared_folder(domain: u32) -> String {
 
 /// Where this user's files are that outlive processes: definitions of message types.
 pub fn kept_folder() -> PathBuf {
-    let user = rustix::process::getuid().as_raw();
+    let user = rustix::process::geteuid().as_raw();
     Path::new("/tmp").join(match scope() {
         Ok(Some(scope)) => format!("tautline_{user}.{scope}"),
         _ => format!("tautline_{user}"),

@@ -11,7 +11,7 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::ptr::{NonNull, null_mut};
 
-use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags};
+use rustix::fs::{FallocateFlags, FileType, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use rustix::mm::{Advice, MapFlags, ProtFlags};
 use std::sync::Arc;
@@ -48,12 +48,19 @@ impl From<ShmError> for io::Error {
 pub fn make_folder(name: &str) -> Result<(), ShmError> {
     let path = Path::new(DIRECTORY).join(name);
     let make = || -> io::Result<()> {
-        match rustix::fs::mkdir(&path, Mode::RWXU) {
-            Ok(()) | Err(Errno::EXIST) => {}
-            Err(errno) => return Err(errno.into()),
-        }
         let flags = OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::RDONLY | OFlags::CLOEXEC;
-        let folder = rustix::fs::open(&path, flags, Mode::empty())?;
+        let folder = loop {
+            let is_made = match rustix::fs::mkdir(&path, Mode::RWXU) {
+                Ok(()) => true,
+                Err(Errno::EXIST) => false,
+                Err(errno) => return Err(errno.into()),
+            };
+            match rustix::fs::open(&path, flags, Mode::empty()) {
+                // Whose it was has removed it since: this process's own turn, then.
+                Err(Errno::NOENT) if !is_made => {}
+                folder => break folder?,
+            }
+        };
         check_owner(&folder)?;
         let mode = Mode::from_raw_mode(rustix::fs::fstat(&folder)?.st_mode);
         if mode.intersects(Mode::WGRP | Mode::WOTH) {
@@ -171,9 +178,14 @@ impl PeerFile {
     /// [`ShmError`]; one of another user is an error.
     pub fn open(path: PathBuf, writable: bool) -> Result<PeerFile, ShmError> {
         let access = if writable { OFlags::RDWR } else { OFlags::RDONLY };
+        // Not blocking: opening a pipe would wait for somebody at its other end.
+        let flags = access | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
         let open = || -> io::Result<OwnedFd> {
-            let file = rustix::fs::open(&path, access | OFlags::CLOEXEC | OFlags::NOFOLLOW, Mode::empty())?;
+            let file = rustix::fs::open(&path, flags, Mode::empty())?;
             check_owner(&file)?;
+            if FileType::from_raw_mode(rustix::fs::fstat(&file)?.st_mode) != FileType::RegularFile {
+                return Err(io::Error::other("it is no regular file: remove it"));
+            }
             Ok(file)
         };
         match open() {
@@ -266,7 +278,13 @@ pub fn has_name(file: impl AsFd) -> bool {
 /// # Errors
 /// What the system said.
 pub fn claim(file: impl AsFd, offset: u64, len: u64) -> io::Result<()> {
-    Ok(rustix::fs::fallocate(file, FallocateFlags::empty(), offset, len)?)
+    loop {
+        match rustix::fs::fallocate(&file, FallocateFlags::empty(), offset, len) {
+            // A signal came: what was claimed by then stays so.
+            Err(Errno::INTR) => {}
+            claimed => return Ok(claimed?),
+        }
+    }
 }
 
 /// Part of a file, in memory. What lies there may change at any time: it is to be read and written as atomics only.
@@ -411,6 +429,15 @@ mod tests {
         let error = PeerFile::open(peer.path().to_owned(), false).unwrap_err();
         assert_eq!(error.source.kind(), io::ErrorKind::NotFound);
         assert!(error.to_string().starts_with("/dev/shm/taut_rt_test_"), "{error}");
+    }
+
+    #[test]
+    fn a_pipe_is_refused_and_not_waited_at() {
+        let path = Path::new(DIRECTORY).join(prefix("pipe"));
+        rustix::fs::mknodat(rustix::fs::CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        let error = PeerFile::open(path.clone(), false).unwrap_err().to_string();
+        std::fs::remove_file(&path).unwrap();
+        assert!(error.ends_with("it is no regular file: remove it"), "{error}");
     }
 
     #[test]

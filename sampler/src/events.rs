@@ -102,7 +102,8 @@ impl Events {
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn guard_condition(&self) -> Result<GuardCondition, TransportError> {
-        let condition = Condition { slot: self.shared.doorbell.claim()?, triggered: AtomicU64::new(0) };
+        let slot = Arc::new(self.shared.doorbell.claim()?);
+        let condition = Condition { slot, triggered: AtomicU64::new(0) };
         Ok(GuardCondition { condition: Arc::new(condition), seen: 0 })
     }
 
@@ -122,7 +123,7 @@ impl Events {
 }
 
 struct Condition {
-    slot: Slot,
+    slot: Arc<Slot>,
     triggered: AtomicU64,
 }
 
@@ -143,6 +144,11 @@ impl GuardCondition {
         // Release: pairs with the Acquire in `poll_triggered`.
         self.condition.triggered.fetch_add(1, Ordering::Release);
         self.condition.slot.ring();
+    }
+
+    /// The slot behind it.
+    pub fn slot(&self) -> &Arc<Slot> {
+        &self.condition.slot
     }
 
     /// Waits until the condition was triggered since the last wait (or since it was made). Only one task may wait at a

@@ -33,11 +33,13 @@ impl Agenda {
             return;
         }
         self.room.move_to_larger(&mut self.due);
+        // Acquire: pairs with the Release in `arm`; what is armed, and when it is first due, belongs to this or is newer.
+        let period_ns = words.period_ns.load(Ordering::Acquire);
         self.due.retain(|Reverse((_, other))| *other != slot);
         words.begun.store(0, Ordering::Relaxed);
         words.released.store(0, Ordering::Relaxed);
         words.accepted.store(words.armed.load(Ordering::Relaxed), Ordering::Release);
-        if words.period_ns.load(Ordering::Relaxed) != 0 {
+        if period_ns != 0 {
             self.due.push(Reverse((words.first_release_ns.load(Ordering::Relaxed), slot)));
         }
     }

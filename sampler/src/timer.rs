@@ -39,8 +39,9 @@ impl TimerWords {
         self.first_release_ns.store(first_release_ns, Ordering::Relaxed);
         let number = self.armed.fetch_add(1, Ordering::Relaxed) + 1;
         self.pulse.store(pulse.map_or(0, Pulse::to_word), Ordering::Relaxed);
-        self.period_ns.store(period_ns, Ordering::Relaxed);
-        // Release: pairs with the Acquire in the sampler, which then reads the words above.
+        // Release, both: each pairs with an Acquire in the sampler, which then reads the words above, also if it is the ring of the
+        // slot's former timer that brings it there.
+        self.period_ns.store(period_ns, Ordering::Release);
         self.changed.store(true, Ordering::Release);
         number
     }

@@ -3,10 +3,13 @@
 
 mod support;
 
-use support::{Count, domain, take_all};
+use support::{Count, Part, claimed, clean, domain, say, take_all, wait_for, wait_for_the_end};
 use tautline_transport::{Limits, Participant, Publisher, Qos};
 
 const DOMAIN: u32 = 192;
+/// And the next one.
+const DOMAIN_OF_STOPPED: u32 = 130;
+const STOPPED: &str = "/ended/stopped";
 
 fn publish(publisher: &Publisher<Count>, numbers: std::ops::RangeInclusive<u64>) {
     numbers.for_each(|n| publisher.publish(&Count { n }).unwrap());
@@ -74,6 +77,79 @@ fn two_hundred_publishers_come_and_go() {
         received += take_all(&subscription).len() as u64;
         assert_eq!(received + subscription.counters().lost(), 2 * (round + 1), "round {round}");
     }
+}
+
+/// The child subscribes, is stopped while a publisher comes and goes, and goes on.
+#[test]
+fn child_main() {
+    let Some((_, domain)) = support::part() else { return };
+    let participant = Participant::new(domain).unwrap();
+    let subscription =
+        participant.create_subscription::<Count>(STOPPED, Qos::default(), Limits::default()).unwrap();
+    say("ready");
+    let mut taken = Vec::new();
+    wait_for("all that was sent", || {
+        taken.extend(take_all(&subscription));
+        taken.contains(&u64::MAX)
+    });
+    taken.retain(|n| *n != u64::MAX);
+    taken.sort_unstable();
+    say(&format!("{taken:?}, {} lost", subscription.counters().lost()));
+    drop(subscription);
+    wait_for_the_end();
+}
+
+/// Publishers that came and went before a subscription's process looked: one, so many that the record is written anew meanwhile, and
+/// one whose participant has ended as well.
+#[test]
+fn what_was_sent_by_one_that_was_never_seen_is_received() {
+    let domain = domain(DOMAIN_OF_STOPPED);
+    clean(domain);
+    let participant = Participant::new(domain).unwrap();
+    let create = |participant: &Participant| {
+        participant.create_publisher::<Count>(STOPPED, Qos::default(), Limits::default()).unwrap()
+    };
+    let mut part = Part::start("stopped", domain);
+    part.hear();
+    let before = claimed(domain);
+    part.stop();
+    for n in 0..60 {
+        let publisher = create(&participant);
+        publish(&publisher, n..=n);
+    }
+    let other = Participant::new(domain).unwrap();
+    publish(&create(&other), 60..=60);
+    drop(other);
+    let last = create(&participant);
+    part.go_on();
+    publish(&last, u64::MAX..=u64::MAX);
+    let all: Vec<u64> = (0..=60).collect();
+    assert_eq!(part.hear(), format!("{all:?}, 0 lost"));
+    // Nothing is kept for it any more.
+    drop(last);
+    wait_for("the memory to be given back", || claimed(domain) <= before + (64 << 10));
+    assert!(part.end().success());
+    drop(participant);
+    clean(domain);
+}
+
+/// Subscriptions that go before their participant has found the connection that was made for them hold nothing.
+#[test]
+fn what_was_connected_and_never_found_is_given_back() {
+    let domain = domain(DOMAIN_OF_STOPPED + 1);
+    clean(domain);
+    let participant = Participant::new(domain).unwrap();
+    let publisher =
+        participant.create_publisher::<Count>("/never", Qos::default(), Limits::default()).unwrap();
+    let before = claimed(domain);
+    for _ in 0..200 {
+        let other = Participant::new(domain).unwrap();
+        drop(other.create_subscription::<Count>("/never", Qos::default(), Limits::default()).unwrap());
+    }
+    wait_for("all to have gone", || publisher.subscription_count() == 0);
+    wait_for("the memory to be given back", || claimed(domain) <= before + (64 << 10));
+    drop((publisher, participant));
+    clean(domain);
 }
 
 #[test]

@@ -206,7 +206,9 @@ fn whoever_no_longer_polls_by_itself_is_woken_for_what_comes_then() {
 #[test]
 fn a_file_that_somebody_removes_is_noticed_and_said() {
     // Whoever comes first looks after the others.
-    for (number, is_first) in [(214, true), (215, false)] {
+    for (number, is_first, is_killed) in
+        [(214, true, false), (215, false, false), (214, true, true), (215, false, true)]
+    {
         let domain = domain(number);
         clean(domain);
         let early = (!is_first).then(|| Participant::new(domain).unwrap());
@@ -216,9 +218,12 @@ fn a_file_that_somebody_removes_is_noticed_and_said() {
         let ends = meet(&participant);
         std::fs::remove_file(folder(domain).join(file)).unwrap();
         assert_eq!(part.hear(), "noticed and said");
-        // What is connected stays so, until it ends like any other.
+        // What is connected stays so, until it ends, or dies, like any other.
         exchange(&ends);
-        assert!(part.end().success());
+        match is_killed {
+            true => part.kill(),
+            false => assert!(part.end().success()),
+        }
         let (out, back) = &ends;
         wait_for("its end", || (out.subscription_count(), back.publisher_count()) == (0, 0));
         drop((ends, participant));
@@ -235,16 +240,28 @@ fn a_domain_that_somebody_removes_goes_on_for_those_in_it_and_begins_anew() {
     let mut part = Part::start("removed", domain);
     part.hear();
     let ends = meet(&participant);
-    std::fs::remove_dir_all(folder(domain)).unwrap();
+    // A participant whose file was removed and whose domain is still there makes another one.
+    wait_for("an empty folder", || std::fs::remove_dir_all(folder(domain)).is_ok());
     assert_eq!(part.hear(), "noticed and said");
     exchange(&ends);
     let anew = Participant::new(domain).unwrap();
     assert!(topics(&anew.graph().unwrap()).is_empty());
-    assert!(part.end().success());
+    // The warden of those that were there ends. Who is left cannot take its place, and rests.
     drop((ends, participant));
+    wait_for("its warden to rest", || (0..100).all(|_| is_at_rest(&part, "warden")));
+    assert!(part.end().success());
     assert_eq!(participants(domain).len(), 1, "of who began anew");
     drop(anew);
     clean(domain);
+}
+
+/// Whether a thread of the child sleeps.
+fn is_at_rest(part: &Part, thread: &str) -> bool {
+    std::thread::yield_now();
+    let threads = std::fs::read_dir(format!("/proc/{}/task", part.pid())).unwrap();
+    let stats = threads.map(|thread| std::fs::read_to_string(thread.unwrap().path().join("stat")).unwrap());
+    let own = stats.into_iter().find(|stat| stat.contains(thread)).unwrap();
+    own.rsplit_once(") ").unwrap().1.starts_with('S')
 }
 
 /// The parent's ends of topics, connected to the child's.

@@ -160,6 +160,38 @@ fn a_request_that_is_refused_has_no_answer_and_others_have_theirs() {
 }
 
 #[test]
+fn a_request_that_is_none_of_its_type_is_refused_and_what_follows_is_served() {
+    use tautline_ros_msgs::std_srvs::srv::SetBool;
+    let participant = Participant::new(domain(63)).unwrap();
+    let server = participant.create_server::<SetBool::Service>("/typed", 10, Limits::default()).unwrap();
+    let client = participant
+        .create_raw_client("/typed", &ServiceType::of::<SetBool::Service>(), Limits::default())
+        .unwrap();
+    let [invalid, empty, good] = [&[7_u8][..], &[], &[1]].map(|body| ask(&client, body));
+    let request = wait_for_some("a request", || server.try_take().unwrap());
+    assert!(request.data);
+    server.respond(request.id(), &SetBool::Response { success: true, message: "done".into() }).unwrap();
+    assert!(good.now_or_never().unwrap().is_ok());
+    for invalid in [invalid, empty] {
+        let error = invalid.now_or_never().unwrap().unwrap_err();
+        assert!(matches!(error, ServiceError::ServerGone { .. }), "{error}");
+    }
+    assert_eq!(server.requests().counters().invalid(), 2);
+}
+
+#[test]
+fn a_wait_for_a_server_ends_with_the_clients_node() {
+    let participant = Participant::new(domain(63)).unwrap();
+    let node = participant.create_node("waits", "/").unwrap();
+    let client = client(&participant.for_node(&node), "/nobody");
+    let mut wait = client.availability().unwrap();
+    assert!((&mut wait).now_or_never().is_none());
+    node.end();
+    let error = wait.now_or_never().unwrap().unwrap_err();
+    assert!(error.to_string().contains("node"), "{error}");
+}
+
+#[test]
 fn an_answer_that_has_no_place_yet_is_waited_for_though_its_server_has_gone() {
     let participant = Participant::new(domain(63)).unwrap();
     let server = server(&participant, "/hoarding");

@@ -15,7 +15,7 @@
 //! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
 //! | `reference` | the Autoware reference system: builds r2r's side, if it can, and runs both |
 //! | `services` | the services bench: builds r2r's side, if it can, and runs all |
-//! | `readme` | the README's tables and picture, made from a run |
+//! | `readme` | the README's tables and picture, and the domain's in its ADR, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
@@ -285,8 +285,14 @@ fn stress_kills(steps: &mut Steps, kills: u64, seed: Option<u64>, exhaustive: bo
     if !steps.command("stress: kills: build", &mut steps::cargo(build)) {
         return steps.skip("stress: kills", "not built");
     }
+    let release = machine::target_dir().join("release");
+    // Before what cargo has put there for this program, which has another build of the same library.
+    let before = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
+    let libraries =
+        std::env::join_paths(std::iter::once(release.clone()).chain(std::env::split_paths(&before)));
     let command = |arguments: &str| {
-        let mut command = Command::new(machine::target_dir().join("release/kills"));
+        let mut command = Command::new(release.join("kills"));
+        command.envs(libraries.as_ref().ok().map(|libraries| ("LD_LIBRARY_PATH", libraries)));
         command.args(arguments.split(' ')).args(seed.map(|seed| format!("--seed={seed}")));
         command
     };

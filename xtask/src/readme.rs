@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The README's tables and its picture, made from a run on this machine: no number in them is typed.
+//! The README's tables and picture, and those of the documents that it leads to, made from a run on this machine: no number in them
+//! is typed.
 
 mod compare;
 mod demo;
+mod domain;
 mod figures;
 mod messages;
 mod network;
@@ -22,7 +24,7 @@ const PICTURE: &str = "docs/demo.svg";
 /// That of the comparison.
 const COMPARISON: &str = "docs/compare.svg";
 
-/// A part of the README that is made from a run.
+/// A part of the documents that is made from a run.
 #[derive(clap::ValueEnum, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     Demo,
@@ -33,10 +35,11 @@ pub enum Part {
     Network,
     Paper,
     Compare,
+    Domain,
 }
 
 impl Part {
-    const ALL: [Part; 8] = [
+    const ALL: [Part; 9] = [
         Part::Demo,
         Part::Wake,
         Part::Messages,
@@ -45,9 +48,10 @@ impl Part {
         Part::Network,
         Part::Paper,
         Part::Compare,
+        Part::Domain,
     ];
 
-    /// Its mark in the README.
+    /// Its mark in its document.
     fn mark(self) -> &'static str {
         match self {
             Part::Demo => "demo",
@@ -58,6 +62,15 @@ impl Part {
             Part::Network => "network",
             Part::Paper => "paper",
             Part::Compare => "compare",
+            Part::Domain => "domain",
+        }
+    }
+
+    /// Where its mark is.
+    fn document(self) -> &'static str {
+        match self {
+            Part::Domain => "docs/adr/0007-the-graph-and-topics-are-files.md",
+            _ => "README.md",
         }
     }
 
@@ -77,6 +90,7 @@ impl Part {
                 ..Default::default()
             }),
             Part::Parameters => bench("parameters", quick, Some(json)),
+            Part::Domain => crate::bench_domain(quick, Some(json), &[]),
             Part::Network => crate::network::command(&crate::network::Options {
                 quick,
                 json: Some(json.to_owned()),
@@ -115,11 +129,12 @@ impl Part {
             Part::Network => network::table(run),
             Part::Paper => paper::table(run),
             Part::Compare => compare::table(run),
+            Part::Domain => domain::tables(run),
         }
     }
 }
 
-/// Runs what the parts (none: all) are made from and puts them into the README. Measures first: no table is made of a run
+/// Runs what the parts (none: all) are made from and puts them into their documents. Measures first: no table is made of a run
 /// that failed.
 pub fn run(quick: bool, parts: &[Part]) -> ExitCode {
     let parts = if parts.is_empty() { &Part::ALL[..] } else { parts };
@@ -131,11 +146,11 @@ pub fn run(quick: bool, parts: &[Part]) -> ExitCode {
             Err(error) => Err(error.to_string()),
         });
         if let Err(reason) = run {
-            eprintln!("the README stays as it is: the run failed: {reason}");
+            eprintln!("the documents stay as they are: the run failed: {reason}");
             return ExitCode::FAILURE;
         }
     }
-    let update = |part| update("README.md".as_ref(), part, json(&part).as_ref());
+    let update = |part: Part| update(part.document().as_ref(), part, json(&part).as_ref());
     match parts.iter().copied().try_for_each(update) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -145,12 +160,12 @@ pub fn run(quick: bool, parts: &[Part]) -> ExitCode {
     }
 }
 
-/// Puts the tables of a run, as JSON, between their marks in `readme`.
-fn update(readme: &Path, part: Part, json: &Path) -> Result<(), String> {
+/// Puts the tables of a run, as JSON, between their marks in `document`.
+fn update(document: &Path, part: Part, json: &Path) -> Result<(), String> {
     let run = read_json(json)?;
-    let text = fs::read_to_string(readme).map_err(|error| format!("{}: {error}", readme.display()))?;
+    let text = fs::read_to_string(document).map_err(|error| format!("{}: {error}", document.display()))?;
     let text = replace(&text, part.mark(), &part.table(&run))?;
-    fs::write(readme, text).map_err(|error| format!("{}: {error}", readme.display()))
+    fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))
 }
 
 fn read_json(path: &Path) -> Result<Value, String> {
@@ -161,7 +176,7 @@ fn read_json(path: &Path) -> Result<Value, String> {
 /// Replaces what stands between `<!-- mark:begin -->` and `<!-- mark:end -->`.
 fn replace(text: &str, mark: &str, table: &str) -> Result<String, String> {
     let (begin, end) = (format!("<!-- {mark}:begin -->"), format!("<!-- {mark}:end -->"));
-    let missing = || format!("the README has no {begin} ... {end}");
+    let missing = || format!("the document has no {begin} ... {end}");
     let (before, rest) = text.split_once(&begin).ok_or_else(missing)?;
     let (_, after) = rest.split_once(&end).ok_or_else(missing)?;
     Ok(format!("{before}{begin}\n{table}{end}{after}"))

@@ -240,8 +240,9 @@ pub(super) fn create<T: Action>(
         let mut cancels = FuturesUnordered::new();
         loop {
             futures::select! {
-                request = send_goal.select_next_some() => match users.upgrade() {
-                    Some(user) => offer(&user, &mut goals, request),
+                // Without one the node has ended: nobody can ask any more.
+                request = send_goal.next() => match users.upgrade().zip(request) {
+                    Some((user, request)) => offer(&user, &mut goals, request),
                     None => break,
                 },
                 request = cancel_goal.select_next_some() => match cancels.len() {
@@ -259,6 +260,7 @@ pub(super) fn create<T: Action>(
                 () = ends.select_next_some() => if users.strong_count() == 0 { break },
             }
         }
+        drop((goals, send_goal));
         // Whoever has asked by now is still answered: no goal is left.
         while let Some(Some(request)) = cancel_goal.next().now_or_never() {
             cancels.push(ask_to_cancel(&server, request));

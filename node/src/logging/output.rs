@@ -9,7 +9,7 @@ use super::{LogSeverity, Logger, console};
 use std::cell::Cell;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, Once, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 use std::time::Duration;
 use tautline_rt::Policy;
 use tautline_rt::clock::wall_ns;
@@ -127,20 +127,23 @@ fn lock() -> MutexGuard<'static, Sink> {
 /// The one who writes.
 struct Writing {
     sink: MutexGuard<'static, Sink>,
+    // Dropped after the lock: the last one of a context ends threads that may log.
+    used: Vec<Arc<Rosout>>,
 }
 
 impl Writing {
     fn begin() -> Writing {
         let sink = lock();
         WRITING.set(true);
-        Writing { sink }
+        Writing { sink, used: Vec::new() }
     }
 
     /// Whether anything waited.
     fn drain(&mut self) -> bool {
-        let Sink { drain, topics } = &mut *self.sink;
+        let Writing { sink, used } = self;
+        let Sink { drain, topics } = &mut **sink;
         let mut losses = Vec::new();
-        let any = drain.drain(|line| deliver(topics, &line.as_line()), |lost| losses.push(lost));
+        let any = drain.drain(|line| deliver(topics, used, &line.as_line()), |lost| losses.push(lost));
         for Lost { lines, tid } in losses {
             LOST.fetch_add(lines, Ordering::Relaxed);
             let text = match tid {
@@ -148,13 +151,14 @@ impl Writing {
                 tid => format!("{lines} lines lost: the ring of thread {tid}, of {LINES} lines, was full"),
             };
             let (time_ns, severity) = (wall_ns(), LogSeverity::Warn);
-            deliver(topics, &Line { time_ns, severity, logger: "logging", text: &text, file: "", line: 0 });
+            let line = Line { time_ns, severity, logger: "logging", text: &text, file: "", line: 0 };
+            deliver(topics, used, &line);
         }
         any
     }
 
     fn write(&mut self, line: &Line<'_>) {
-        deliver(&self.sink.topics, line);
+        deliver(&self.sink.topics, &mut self.used, line);
     }
 }
 
@@ -164,7 +168,8 @@ impl Drop for Writing {
     }
 }
 
-fn deliver(topics: &[OfNode], line: &Line<'_>) {
+/// Adds the topics that it published on to `used`.
+fn deliver(topics: &[OfNode], used: &mut Vec<Arc<Rosout>>, line: &Line<'_>) {
     if TO_CONSOLE.load(Ordering::Relaxed) {
         console::write(line);
     }
@@ -176,6 +181,9 @@ fn deliver(topics: &[OfNode], line: &Line<'_>) {
             published.push(topic.clone());
             if let Some(topic) = topic.upgrade() {
                 topic.publish(line);
+                if !used.iter().any(|other| Arc::ptr_eq(other, &topic)) {
+                    used.push(topic);
+                }
             }
         }
     }
@@ -193,7 +201,6 @@ impl Drop for FlushOnDrop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Arc;
     use tautline_transport::Participant;
 
     #[test]

@@ -128,12 +128,12 @@ impl Node {
     /// pending request of the client.
     ///
     /// # Errors
-    /// [`Error::Service`] if the client has no room for one more. The future's result is r2r's: it has none.
+    /// [`Error::Service`] if the client has no room for one more; of the future, if the client's node ends.
     pub fn is_available(
         client: &dyn IsAvailablePollable,
     ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<>> {
         let all = client.availability()?;
-        Ok(futures::future::join_all(all).map(|_| Ok(())))
+        Ok(futures::future::try_join_all(all).map(|available| Ok(available.map(drop)?)))
     }
 
     pub(crate) fn resolve_service(

@@ -15,6 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use tautline_ros_msgs::rosgraph_msgs::msg::Clock as ClockMessage;
+use tautline_rt::PiMutex;
 use tautline_transport::{Limits, Participant, Subscription};
 
 /// Gives a node's ROS clock the time of `/clock` when the parameter `use_sim_time` is set, at the start or later, or after
@@ -29,10 +30,12 @@ struct Shared {
     topic: String,
     enabled: AtomicBool,
     now_ns: AtomicI64,
-    /// Held while messages are taken.
-    reading: Mutex<Reading>,
+    /// Held while a message is taken, also by real-time threads.
+    reading: PiMutex<Reading>,
+    /// Held while another time comes to be shown.
+    switching: Mutex<()>,
     waiting: Arc<Waiting>,
-    callbacks: Mutex<Callbacks>,
+    callbacks: PiMutex<Callbacks>,
 }
 
 struct Reading {
@@ -150,9 +153,10 @@ impl TimeSource {
             topic,
             enabled: AtomicBool::new(false),
             now_ns: AtomicI64::new(0),
-            reading: Mutex::new(reading),
+            reading: PiMutex::new(reading),
+            switching: Mutex::default(),
             waiting,
-            callbacks: Mutex::default(),
+            callbacks: PiMutex::new(Callbacks::default()),
         };
         TimeSource { shared: Arc::new(shared) }
     }
@@ -189,19 +193,27 @@ impl TimeSource {
 
     pub(crate) fn set_enabled(&self, enabled: bool) -> Result<()> {
         let Shared { participant, topic, .. } = &*self.shared;
-        let mut reading = lock(&self.shared.reading);
+        let switching = lock(&self.shared.switching);
         if enabled == self.is_enabled() {
             return Ok(());
         }
         let qos = QosProfile::default().keep_last(1).best_effort().to_transport();
-        reading.subscription = match enabled {
+        // Made and dropped while nobody who reads the time waits for it.
+        let mut subscription = match enabled {
             true => Some(participant.create_subscription(topic, qos, Limits::default())?),
             false => None,
         };
         let (simulated_ns, wall_ns) =
             (self.shared.now_ns.load(Ordering::Relaxed), tautline_rt::clock::wall_ns());
-        self.shared.enabled.store(enabled, Ordering::Release);
-        drop(reading);
+        if !enabled {
+            self.shared.enabled.store(false, Ordering::Release);
+        }
+        std::mem::swap(&mut self.shared.reading.lock().subscription, &mut subscription);
+        if enabled {
+            self.shared.enabled.store(true, Ordering::Release);
+        }
+        drop(subscription);
+        drop(switching);
         self.call(match enabled {
             true => ClockJump { change: ClockChange::Activated, delta_ns: simulated_ns - wall_ns },
             false => ClockJump { change: ClockChange::Deactivated, delta_ns: wall_ns - simulated_ns },
@@ -220,25 +232,32 @@ impl TimeSource {
     }
 
     /// Reads what `/clock` has brought.
+    ///
+    /// # Real-time
+    /// At most eight messages, one unless more come just now; no allocation, but for callbacks that want to know of the jump. Another
+    /// thread that reads is waited for, and has this one's priority meanwhile.
     pub(crate) fn update(&self) {
-        let mut jumps = Vec::new();
-        {
-            let reading = lock(&self.shared.reading);
-            let Some(subscription) = &reading.subscription else { return };
-            let mut context = Context::from_waker(&reading.waker);
-            // One, unless a message comes just now: the queue's depth is 1.
-            while let Poll::Ready(sample) = subscription.poll_take(&mut context) {
-                let time = sample.to_owned().clock;
-                let now_ns = i64::from(time.sec) * 1_000_000_000 + i64::from(time.nanosec);
-                let before_ns = self.shared.now_ns.swap(now_ns, Ordering::Relaxed);
-                jumps.push(ClockJump { change: ClockChange::NoChange, delta_ns: now_ns - before_ns });
+        for _ in 0..8 {
+            match self.take() {
+                Some(jump) => self.call(jump),
+                None => return,
             }
         }
-        jumps.into_iter().for_each(|jump| self.call(jump));
+    }
+
+    fn take(&self) -> Option<ClockJump> {
+        let reading = self.shared.reading.lock();
+        let subscription = reading.subscription.as_ref()?;
+        let mut context = Context::from_waker(&reading.waker);
+        let Poll::Ready(sample) = subscription.poll_take(&mut context) else { return None };
+        let time = sample.to_owned().clock;
+        let now_ns = i64::from(time.sec) * 1_000_000_000 + i64::from(time.nanosec);
+        let before_ns = self.shared.now_ns.swap(now_ns, Ordering::Relaxed);
+        Some(ClockJump { change: ClockChange::NoChange, delta_ns: now_ns - before_ns })
     }
 
     fn call(&self, jump: ClockJump) {
-        let callbacks = lock(&self.shared.callbacks);
+        let callbacks = self.shared.callbacks.lock();
         let wanted = callbacks.list.iter().filter(|(_, threshold, _)| threshold.wants(jump));
         let wanted: Vec<JumpFn> = wanted.map(|(.., callback)| callback.clone()).collect();
         drop(callbacks);
@@ -250,7 +269,7 @@ impl TimeSource {
         threshold: JumpThreshold,
         callback: impl Fn(ClockJump) + Send + Sync + 'static,
     ) -> JumpCallback {
-        let mut callbacks = lock(&self.shared.callbacks);
+        let mut callbacks = self.shared.callbacks.lock();
         let number = callbacks.next;
         callbacks.next += 1;
         callbacks.list.push((number, threshold, Arc::new(callback)));
@@ -282,15 +301,21 @@ impl Seat {
 impl Drop for Seat {
     fn drop(&mut self) {
         let waiting = &self.source.shared.waiting;
-        waiting.claimed.fetch_and(!(1 << self.index), Ordering::AcqRel);
+        // Before the place is another one's.
         waiting.wakers[self.index].take();
+        waiting.claimed.fetch_and(!(1 << self.index), Ordering::AcqRel);
     }
 }
 
 impl Drop for JumpCallback {
     fn drop(&mut self) {
         if let Some(shared) = self.shared.upgrade() {
-            lock(&shared.callbacks).list.retain(|(number, ..)| *number != self.number);
+            let mut callbacks = shared.callbacks.lock();
+            let own = callbacks.list.iter().position(|(number, ..)| *number == self.number);
+            let own = own.map(|place| callbacks.list.remove(place));
+            // What it owns may be another one of these: dropped without the lock.
+            drop(callbacks);
+            drop(own);
         }
     }
 }

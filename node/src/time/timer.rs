@@ -5,12 +5,15 @@ use super::source::Seat;
 use crate::error::Result;
 use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
-use tautline_sampler::{Events, Tick};
+use tautline_sampler::{Events, GuardCondition, Tick};
+use tautline_transport::NodeHandle;
 
 /// Follows the ROS clock: while it shows the system's time, a timer of the sampler; while it shows simulated time, that.
 pub(crate) struct RosTimer {
     seat: Seat,
     events: Events,
+    /// Wakes the task when the node ends.
+    end: GuardCondition,
     period_ns: u64,
     on: On,
     /// Releases so far.
@@ -54,9 +57,11 @@ impl Schedule {
 }
 
 impl RosTimer {
-    pub(crate) fn new(seat: Seat, events: Events, period_ns: u64) -> Result<RosTimer> {
+    pub(crate) fn new(node: &NodeHandle, seat: Seat, events: Events, period_ns: u64) -> Result<RosTimer> {
         let on = On::of(&seat, &events, period_ns)?;
-        Ok(RosTimer { seat, events, period_ns, on, index: 0, missed: 0 })
+        let end = events.guard_condition()?;
+        node.adopt(end.slot());
+        Ok(RosTimer { seat, events, end, period_ns, on, index: 0, missed: 0 })
     }
 
     pub(crate) fn period_ns(&self) -> u64 {
@@ -70,6 +75,7 @@ impl RosTimer {
     /// The next release, and since when it could be served, in `CLOCK_MONOTONIC`.
     pub(crate) fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<(Tick, u64)> {
         self.seat.register(context);
+        let _ = self.end.poll_triggered(context);
         let simulated = self.seat.source().simulated_ns();
         if simulated.is_some() != matches!(self.on, On::Simulated(_)) {
             match On::of(&self.seat, &self.events, self.period_ns) {

@@ -10,13 +10,13 @@ use crate::graph::domain::{Domain, WARDEN};
 use crate::graph::log::{Kind, Reader};
 use crate::graph::record::{PortKind, PortRecord};
 use crate::participant::file::{self, Peer, Place};
-use crate::topic::connection::ReaderState;
 use crate::topic::control::View;
 use crate::topic::header::Gid;
 use rustix::fs::FlockOperation;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::Path;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use tautline_rt::domain::shared_folder;
 use tautline_rt::shm::{self, PeerFile, ShmError};
@@ -39,10 +39,13 @@ pub(super) enum Found {
 }
 
 /// The files of the domain's folder that have owners.
-pub(super) fn names(domain: u32) -> Vec<String> {
-    let paths = shm::list(&format!("{}/", shared_folder(domain))).unwrap_or_default();
+///
+/// # Errors
+/// The system refuses, at its limit of open files for one.
+pub(super) fn names(domain: u32) -> Result<Vec<String>, TransportError> {
+    let paths = shm::list(&format!("{}/", shared_folder(domain))).map_err(file::file_error)?;
     let names = paths.iter().filter_map(|path| path.file_name()?.to_str());
-    names.filter(|name| has_owner(name)).map(str::to_owned).collect()
+    Ok(names.filter(|name| has_owner(name)).map(str::to_owned).collect())
 }
 
 /// All but the domain's own, which are their members' together.
@@ -82,8 +85,11 @@ pub(super) fn look_after(domain: &Domain, name: &str) -> Result<Found, Transport
         return Ok(Found::Kept);
     }
     let id = file::id_of(name);
-    // What cannot be read is nobody's, and waits for nobody.
-    let peer = id.and_then(|id| Peer::open(domain.number(), id).ok().flatten());
+    let peer = match id.map(|id| Peer::open(domain.number(), id)) {
+        Some(Err(error)) if error.is_passing() => return Err(error),
+        // What cannot be read is nobody's, and waits for nobody.
+        peer => peer.and_then(|peer| peer.ok().flatten()),
+    };
     let sent = peer.as_ref().map_or(Vec::new(), publishers);
     Ok(Found::Dead(Dead { file, id, sent, until: Instant::now() + PATIENCE, has_called: false }))
 }
@@ -122,9 +128,12 @@ pub(super) fn bury(domain: &Domain, dead: &mut Vec<Dead>) {
 impl Dead {
     /// The places of those that have not found yet what was sent to them.
     fn awaited(&self, places: &BTreeMap<u64, usize>) -> BTreeSet<usize> {
-        let open = self.sent.iter().flat_map(View::connections);
-        let unknown = open.filter(|connection| connection.block().back.state() == ReaderState::Unknown);
-        let of = unknown.map(|connection| connection.subscription().participant());
+        let behind = self.sent.iter().flat_map(|view| {
+            let grown = view.head().grown.load(Ordering::Acquire);
+            let open = view.connections().into_iter();
+            open.filter(move |connection| connection.block().back.is_behind(grown))
+        });
+        let of = behind.map(|connection| connection.subscription().participant());
         of.filter_map(|id| places.get(&id).copied()).collect()
     }
 }
@@ -136,7 +145,7 @@ fn publishers(peer: &Peer) -> Vec<View> {
     let mut places = BTreeMap::new();
     for (entry, _) in news.map(|news| news.entries).unwrap_or_default() {
         match entry.kind {
-            Kind::Port => {
+            Kind::Port | Kind::Ended => {
                 let port = PortRecord::parse(&entry.body).filter(|port| port.kind == PortKind::Publisher);
                 places.extend(port.map(|port| (entry.number, port.at)));
             }

@@ -91,6 +91,8 @@ fn run(shared: &Shared) {
         let is_traced = tautline_trace::attend();
         if !is_said && shared.memory.is_removed() {
             is_said = true;
+            // So that the others notice when it dies.
+            let _ = shared.memory.make_stand_in();
             tracing::error!(
                 "{} was removed while this process runs: processes that start from now on do not find it; restart it. If its user \
                  logged out, systemd-logind did that: set RemoveIPC=no in /etc/systemd/logind.conf, or run it as a system user \

@@ -36,7 +36,7 @@ const AGAIN: [Duration; 4] = [
 ];
 /// How often all are looked at if the kernel does not tell.
 const PERIOD: Duration = Duration::from_millis(40);
-/// How often it is tried again to become the warden if the system refuses.
+/// How often it is tried again to become the warden, or to look at a file, if the system refuses.
 const RETRY: Duration = Duration::from_secs(1);
 
 /// Handle of a participant's thread that is the warden or waits to become it; dropping it ends the thread and waits for it.
@@ -49,7 +49,10 @@ impl Warden {
     /// If there is no warden this participant becomes it, and has buried all dead ones when this returns.
     pub(crate) fn start(domain: &Arc<Domain>) -> Result<Self, TransportError> {
         let candidate = Candidate::new(domain)?;
-        let office = candidate.take_office()?;
+        let office = match candidate.take_office()? {
+            Taken::Own(office) => Some(office),
+            Taken::Others | Taken::Removed => None,
+        };
         let stop = candidate.stop.clone();
         let builder = super::low_priority_thread("warden").map_err(TransportError::Thread)?;
         let thread = builder.spawn(move || move || candidate.run(office)).map_err(TransportError::Thread)?;
@@ -64,6 +67,14 @@ impl Drop for Warden {
             let _ = thread.join();
         }
     }
+}
+
+/// Who has the office that a participant wants.
+enum Taken {
+    Own(Office),
+    Others,
+    /// Somebody removed the domain's files while they were used: those who came then have an office, and a warden, of their own.
+    Removed,
 }
 
 /// A participant that is not the warden yet.
@@ -98,12 +109,19 @@ impl Candidate {
     }
 
     /// Makes this participant the warden, if there is none.
-    fn take_office(&self) -> Result<Option<Office>, TransportError> {
+    fn take_office(&self) -> Result<Taken, TransportError> {
         let refuse = |errno| file_error(refused(&self.path, errno));
-        let pipe = rustix::fs::open(&self.path, flags(OFlags::RDWR), Mode::empty()).map_err(refuse)?;
+        let pipe = match rustix::fs::open(&self.path, flags(OFlags::RDWR), Mode::empty()) {
+            Err(Errno::NOENT) => return Ok(Taken::Removed),
+            pipe => pipe.map_err(refuse)?,
+        };
+        let file = |pipe| rustix::fs::fstat(pipe).map(|stat| (stat.st_dev, stat.st_ino));
+        if file(&pipe).map_err(refuse)? != file(&self.pipe).map_err(refuse)? {
+            return Ok(Taken::Removed);
+        }
         match rustix::fs::flock(&pipe, FlockOperation::NonBlockingLockExclusive) {
             Ok(()) => {}
-            Err(Errno::WOULDBLOCK) => return Ok(None),
+            Err(Errno::WOULDBLOCK) => return Ok(Taken::Others),
             Err(errno) => return Err(refuse(errno)),
         }
         let mut office = Office {
@@ -112,10 +130,11 @@ impl Candidate {
             suspects: BTreeMap::new(),
             dead: Vec::new(),
             kept: BTreeSet::new(),
+            look_all_ns: 0,
         };
         // After it began to listen: what happens meanwhile is heard.
         office.bury_all(&self.domain);
-        Ok(Some(office))
+        Ok(Taken::Own(office))
     }
 
     /// Until it is stopped.
@@ -132,19 +151,23 @@ impl Candidate {
                     office.look(&self.domain);
                 }
                 None => {
-                    let taken = self.take_office();
-                    let retry = taken.is_err().then_some(RETRY);
-                    office = taken.unwrap_or_else(|error| {
-                        if !std::mem::replace(&mut is_said, true) {
-                            tracing::warn!(
-                                "this process cannot look after those that died: {error} (said once)"
-                            );
+                    let (pipe, retry) = match self.take_office() {
+                        Ok(Taken::Own(own)) => {
+                            office = Some(own);
+                            continue;
                         }
-                        None
-                    });
-                    if office.is_none()
-                        && self.is_stopped(Some(&self.pipe).filter(|_| retry.is_none()), retry)
-                    {
+                        Ok(Taken::Others) => (Some(&self.pipe), None),
+                        Ok(Taken::Removed) => (None, None),
+                        Err(error) => {
+                            if !std::mem::replace(&mut is_said, true) {
+                                tracing::warn!(
+                                    "this process cannot look after those that died: {error} (said once)"
+                                );
+                            }
+                            (None, Some(RETRY))
+                        }
+                    };
+                    if self.is_stopped(pipe, retry) {
                         return;
                     }
                 }
@@ -205,6 +228,8 @@ struct Office {
     dead: Vec<Dead>,
     /// Files of dead ones that are to stay, until somebody removes them.
     kept: BTreeSet<String>,
+    /// When all files are looked at, because they could not be listed before; 0: no need.
+    look_all_ns: u64,
 }
 
 impl Office {
@@ -215,7 +240,10 @@ impl Office {
     }
 
     fn suspect_all(&mut self, domain: &Domain) {
-        burial::names(domain.number()).iter().for_each(|name| self.suspect(name));
+        match burial::names(domain.number()) {
+            Ok(names) => names.iter().for_each(|name| self.suspect(name)),
+            Err(_) => self.look_all_ns = monotonic_ns() + RETRY.as_nanos() as u64,
+        }
     }
 
     /// Buries all that are dead by now.
@@ -233,8 +261,10 @@ impl Office {
         let next = self.suspects.values().map(|(due_ns, _)| *due_ns).min();
         let next = next.map(|due_ns| Duration::from_nanos(due_ns.saturating_sub(monotonic_ns())));
         let look = self.watch.is_none().then_some(PERIOD);
+        let look_all = (self.look_all_ns != 0)
+            .then(|| Duration::from_nanos(self.look_all_ns.saturating_sub(monotonic_ns())));
         let bury = (!self.dead.is_empty()).then_some(burial::PERIOD);
-        [next, look, bury].into_iter().flatten().min()
+        [next, look, look_all, bury].into_iter().flatten().min()
     }
 
     /// Hears what has happened.
@@ -272,23 +302,32 @@ impl Office {
     /// Looks at those that are due, and buries the dead.
     fn look(&mut self, domain: &Domain) {
         let now_ns = monotonic_ns();
+        if self.look_all_ns != 0 && self.look_all_ns <= now_ns {
+            self.look_all_ns = 0;
+            self.suspect_all(domain);
+        }
         let due = |(_, (due_ns, _)): &(&String, &(u64, usize))| *due_ns <= now_ns;
         let names: Vec<String> = self.suspects.iter().filter(due).map(|(name, _)| name.clone()).collect();
         for name in names {
             let looks = self.suspects.remove(&name).map_or(0, |(_, looks)| looks);
-            let is_settled = match burial::look_after(domain, &name) {
-                Ok(Found::Gone) => true,
+            // How long until it is looked at again.
+            let again = AGAIN.get(looks).copied();
+            let pause = match burial::look_after(domain, &name) {
+                Ok(Found::Gone) => None,
                 Ok(Found::Dead(dead)) => {
                     self.dead.push(dead);
-                    true
+                    None
                 }
-                Ok(Found::Kept) => self.kept.insert(name.clone()),
-                Ok(Found::Owned) => self.watch.is_none(),
-                Err(error) if error.is_passing() => false,
+                Ok(Found::Kept) => {
+                    self.kept.insert(name.clone());
+                    None
+                }
+                Ok(Found::Owned) => again.filter(|_| self.watch.is_some()),
+                Err(error) if error.is_passing() => Some(again.unwrap_or(RETRY)),
                 // Another user's, or a folder: it stays.
-                Err(_) => true,
+                Err(_) => None,
             };
-            if let Some(pause) = AGAIN.get(looks).filter(|_| !is_settled) {
+            if let Some(pause) = pause {
                 self.suspects.insert(name, (now_ns + pause.as_nanos() as u64, looks + 1));
             }
         }

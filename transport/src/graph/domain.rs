@@ -13,6 +13,7 @@
 //! files: killed processes hold no locks.
 
 use crate::error::TransportError;
+use crate::participant::file::id_of;
 use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
@@ -85,11 +86,16 @@ impl Domain {
             match Self::open(&path).map_err(refuse)? {
                 Opened::Whole(file, map) => return Ok(Arc::new(Domain { number, path, file, map })),
                 Opened::Other => return Err(TransportError::Version { path }),
+                Opened::Missing if start.elapsed() > PATIENCE => {
+                    return Err(refuse(io::Error::other(
+                        "it is made and not there: is /proc mounted, and this process's own?",
+                    )));
+                }
                 Opened::Missing => make(&path).map_err(refuse)?,
                 // Its last member removes it right now, unless that one was stopped.
                 Opened::Leaving if start.elapsed() > PATIENCE => {
                     return Err(refuse(io::Error::other(
-                        "the last process of this domain is removing it, and does not go on: is it stopped?",
+                        "the last process of this domain is removing it, and does not go on: continue or end it if it is stopped",
                     )));
                 }
                 Opened::Leaving => std::thread::sleep(Duration::from_millis(1)),
@@ -249,7 +255,7 @@ impl Domain {
 }
 
 impl Drop for Domain {
-    /// The last one removes the domain's own files and its folder, unless killed processes left something there.
+    /// The last one removes the domain's files and its folder. Traces of killed processes stay for a recorder.
     fn drop(&mut self) {
         if rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockExclusive).is_err()
             || self.is_removed()
@@ -257,6 +263,15 @@ impl Drop for Domain {
             return;
         }
         let Some(folder) = self.path.parent() else { return };
+        // Of those that were killed when nobody looked after them any more.
+        for file in shm::list(&format!("{}/", shared_folder(self.number))).unwrap_or_default() {
+            let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            if id_of(name).is_some()
+                && let Ok(file) = shm::PeerFile::open(file, false)
+            {
+                file.remove_if_orphaned();
+            }
+        }
         let _ = rustix::fs::unlink(folder.join(WARDEN));
         let _ = rustix::fs::unlink(&self.path);
         let _ = rustix::fs::rmdir(folder);

@@ -46,12 +46,16 @@ pub(crate) enum Kind {
     RemoteService = 5,
     /// The participant's ports stand for those of other hosts: it is a gateway's or a bridge's.
     Relay = 6,
+    /// The publisher with this number has ended, and what it sent waits for subscriptions that have not found it yet. Says what its
+    /// port said.
+    Ended = 7,
 }
 
 impl Kind {
     fn from_word(word: u32) -> Option<Self> {
-        use Kind::{Gone, Node, Port, Relay, RemotePort, RemoteService};
-        [Gone, Node, Port, RemotePort, RemoteService, Relay].into_iter().find(|kind| *kind as u32 == word)
+        use Kind::{Ended, Gone, Node, Port, Relay, RemotePort, RemoteService};
+        let all = [Gone, Node, Port, RemotePort, RemoteService, Relay, Ended];
+        all.into_iter().find(|kind| *kind as u32 == word)
     }
 }
 
@@ -103,6 +107,8 @@ pub(crate) fn hash_of(topic: &str) -> u64 {
 pub(crate) struct Log {
     memory: Arc<OwnMemory>,
     part: Option<(Range, Arc<Mapping>)>,
+    /// Where it lay before, which somebody may still be reading.
+    former: Option<Range>,
     used: usize,
     /// The entries that count, as bytes.
     live: BTreeMap<u64, Vec<u8>>,
@@ -121,7 +127,16 @@ fn split(part: &Mapping) -> (&AtomicU64, &AtomicU64, &[AtomicU64]) {
 
 impl Log {
     pub(crate) fn new(memory: Arc<OwnMemory>) -> Self {
-        Log { memory, part: None, used: 0, live: BTreeMap::new(), live_bytes: 0, next_number: 1, turn: 0 }
+        Log {
+            memory,
+            part: None,
+            former: None,
+            used: 0,
+            live: BTreeMap::new(),
+            live_bytes: 0,
+            next_number: 1,
+            turn: 0,
+        }
     }
 
     /// A number for the next entry.
@@ -150,6 +165,19 @@ impl Log {
         let Some(bytes) = self.live.remove(&number) else { return Ok(()) };
         self.live_bytes -= bytes.len();
         self.append(&Entry { kind: Kind::Gone, number, hash: 0, body: Vec::new() }.encode())
+    }
+
+    /// Makes the entry of a port that of one that has ended. As [`remove`](Self::remove) without memory.
+    pub(crate) fn end(&mut self, number: u64) -> io::Result<()> {
+        let Some(entry) = self.live.get_mut(&number) else { return Ok(()) };
+        entry[4..8].copy_from_slice(&(Kind::Ended as u32).to_ne_bytes());
+        let bytes = entry.clone();
+        self.append(&bytes)
+    }
+
+    /// Whether it says anything under this number.
+    pub(crate) fn has(&self, number: u64) -> bool {
+        self.live.contains_key(&number)
     }
 
     /// How many entries that count are of this kind and have this hash.
@@ -200,9 +228,10 @@ impl Log {
         // What is written into the former part from here on comes after this: who reads it, too.
         std::sync::atomic::fence(Ordering::SeqCst);
         self.used = used;
-        if let Some((former, _)) = self.part.replace((range, part)) {
-            // Who still reads it looks at the head afterwards.
-            self.memory.release(former);
+        // Who still reads the former part looks at the head afterwards; by the next time it has done so.
+        let former = self.part.replace((range, part)).map(|(range, _)| range);
+        if let Some(released) = std::mem::replace(&mut self.former, former) {
+            self.memory.release(released);
         }
         Ok(())
     }
@@ -289,6 +318,10 @@ impl Reader {
 
     /// The entry at a position that `read` gave. `None`: the record was written anew meanwhile, or is damaged.
     pub(crate) fn entry(&self, head: &Head, position: usize) -> Option<Entry> {
+        // Not where nothing lies any more: that would take memory.
+        if head.record.load(Ordering::Acquire) != self.place {
+            return None;
+        }
         let bytes = self.bytes(Some(position))?;
         std::sync::atomic::fence(Ordering::Acquire);
         let turn = split(self.part.as_ref()?).1.load(Ordering::Relaxed);

@@ -78,7 +78,7 @@ impl Member {
     fn add(&mut self, entry: &Entry) {
         let (number, body) = (entry.number, &entry.body);
         match entry.kind {
-            Kind::Gone => {}
+            Kind::Gone | Kind::Ended => {}
             Kind::Node => self.nodes.extend(NodeName::parse(body).map(|node| (number, node))),
             Kind::Port => self.ports.extend(PortRecord::parse(body).map(|port| (number, port))),
             Kind::RemotePort => {
@@ -227,7 +227,7 @@ impl Model {
         }
         for (entry, _) in &news.entries {
             match entry.kind {
-                Kind::Gone => {
+                Kind::Gone | Kind::Ended => {
                     self.change(id, member, entry.number, false);
                     member.remove(entry.number);
                 }

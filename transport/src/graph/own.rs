@@ -31,8 +31,10 @@ struct State {
 struct Remote {
     marker: Option<u64>,
     nodes: BTreeMap<NodeName, u64>,
-    entries: HashMap<(Kind, u64, Vec<u8>), Vec<u64>>,
+    entries: RemoteEntries,
 }
+
+type RemoteEntries = HashMap<(Kind, u64, Vec<u8>), Vec<u64>>;
 
 impl OwnRecord {
     pub(crate) fn new(domain: &Arc<Domain>, memory: &Arc<OwnMemory>) -> Arc<Self> {
@@ -90,7 +92,24 @@ impl OwnRecord {
 
     /// Takes an entry back. Nobody can be told if that fails.
     pub(crate) fn remove(&self, number: u64) {
-        if let Err(error) = self.state().log.remove(number) {
+        self.take_back(|log| log.remove(number));
+    }
+
+    /// The publisher with this number has ended; what it sent is still to be found. As [`remove`](Self::remove).
+    pub(crate) fn end(&self, number: u64) {
+        self.take_back(|log| log.end(number));
+    }
+
+    /// Nothing is left of what had ended, if the record says that it has.
+    pub(crate) fn forget(&self, number: u64) {
+        let is_said = self.state().log.has(number);
+        if is_said {
+            self.remove(number);
+        }
+    }
+
+    fn take_back(&self, change: impl FnOnce(&mut Log) -> io::Result<()>) {
+        if let Err(error) = change(&mut self.state().log) {
             tracing::warn!("others see what has ended, until something else changes: {error}");
         }
         self.changed();
@@ -155,14 +174,31 @@ impl State {
             self.remote.marker = Some(self.add(Kind::Relay, 0, Vec::new())?);
             changed = true;
         }
+        let mut former = (std::mem::take(&mut self.remote.nodes), std::mem::take(&mut self.remote.entries));
+        let said = self.say_remote(remote, topics, &mut former);
+        // What is still in the record though it was to go: the next call takes it back.
+        self.remote.nodes.extend(former.0);
+        for (key, numbers) in former.1 {
+            self.remote.entries.entry(key).or_default().extend(numbers);
+        }
+        Ok(said? || changed)
+    }
+
+    /// Adds what is new, and takes back what is left of `former` then.
+    fn say_remote(
+        &mut self,
+        remote: &RemoteGraph,
+        topics: &mut BTreeSet<u64>,
+        (nodes, entries): &mut (BTreeMap<NodeName, u64>, RemoteEntries),
+    ) -> io::Result<bool> {
+        let mut changed = false;
         let of_ports = remote.endpoints.iter().filter_map(|end| end.node.as_ref());
         let of_services = remote.services.iter().filter_map(|end| end.node.as_ref());
-        let mut former = std::mem::take(&mut self.remote.nodes);
         for node in remote.nodes.iter().chain(of_ports).chain(of_services) {
             if self.remote.nodes.contains_key(node) {
                 continue;
             }
-            let number = match former.remove(node) {
+            let number = match nodes.remove(node) {
                 Some(number) => number,
                 None => {
                     changed = true;
@@ -171,10 +207,9 @@ impl State {
             };
             self.remote.nodes.insert(node.clone(), number);
         }
-        let mut former_entries = std::mem::take(&mut self.remote.entries);
         for (kind, hash, body) in self.wanted(remote) {
             let key = (kind, hash, body);
-            let number = match former_entries.get_mut(&key).and_then(Vec::pop) {
+            let number = match entries.get_mut(&key).and_then(Vec::pop) {
                 Some(number) => number,
                 None => {
                     changed = true;
@@ -184,12 +219,20 @@ impl State {
             };
             self.remote.entries.entry(key).or_default().push(number);
         }
-        former_entries.retain(|_, numbers| !numbers.is_empty());
-        topics.extend(former_entries.keys().map(|(_, hash, _)| hash));
+        entries.retain(|_, numbers| !numbers.is_empty());
+        topics.extend(entries.keys().map(|(_, hash, _)| hash));
         // Their nodes go after them.
-        for number in former_entries.into_values().flatten().chain(former.into_values()) {
+        for numbers in entries.values_mut() {
+            while let Some(number) = numbers.last() {
+                changed = true;
+                self.log.remove(*number)?;
+                numbers.pop();
+            }
+        }
+        while let Some(node) = nodes.first_entry() {
             changed = true;
-            self.log.remove(number)?;
+            self.log.remove(*node.get())?;
+            node.remove();
         }
         Ok(changed)
     }

@@ -11,8 +11,10 @@
 
 use super::ranges::{Range, Ranges};
 use crate::error::TransportError;
+use rustix::fs::{FlockOperation, Mode, OFlags};
 use std::collections::BTreeMap;
 use std::io;
+use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
@@ -25,6 +27,8 @@ const VERSION: u32 = 1;
 pub(crate) const PAGE: u64 = 4096;
 /// Starts the names of participants' files in the folder of their domain.
 pub(crate) const PREFIX: &str = "p";
+/// Starts the names of files that stand for participants whose own was removed.
+const STAND_IN: &str = "r";
 /// The head and the arena: what peers map first.
 const FIRST_BYTES: usize = PAGE as usize + MAIN_BYTES.next_multiple_of(PAGE as usize);
 /// Where files end at the latest: more than memory will be.
@@ -73,6 +77,7 @@ pub(crate) struct OwnMemory {
     ranges: Mutex<Ranges>,
     /// How long the file is.
     len: Mutex<u64>,
+    stand_in: Mutex<Option<(PathBuf, OwnedFd)>>,
 }
 
 impl OwnMemory {
@@ -99,7 +104,13 @@ impl OwnMemory {
         head(&first).magic.store(MAGIC, Ordering::Release);
         let (start, len) = (FIRST_BYTES as u64, FIRST_BYTES as u64);
         let ranges = Ranges::new(Range { offset: start, len: END - start }, PAGE);
-        Ok(OwnMemory { file, first, ranges: Mutex::new(ranges), len: Mutex::new(len) })
+        Ok(OwnMemory {
+            file,
+            first,
+            ranges: Mutex::new(ranges),
+            len: Mutex::new(len),
+            stand_in: Mutex::default(),
+        })
     }
 
     /// The number in the file's name, which is this participant's.
@@ -182,8 +193,28 @@ impl OwnMemory {
         !shm::has_name(&self.file)
     }
 
+    /// The file was removed: makes another one, which says by its lock whether this participant lives. It is empty.
+    ///
+    /// # Errors
+    /// The folder was removed, too.
+    pub(crate) fn make_stand_in(&self) -> io::Result<()> {
+        let path = self.path().with_file_name(format!("{STAND_IN}{:016x}", self.id()));
+        let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+        let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+        rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+        *self.stand_in() = Some((path, file));
+        Ok(())
+    }
+
+    fn stand_in(&self) -> MutexGuard<'_, Option<(PathBuf, OwnedFd)>> {
+        self.stand_in.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Removes the file.
     pub(crate) fn retire(&self) {
+        if let Some((path, _)) = self.stand_in().take() {
+            let _ = rustix::fs::unlink(path);
+        }
         self.file.retire();
     }
 }
@@ -295,9 +326,12 @@ pub(crate) fn path(domain: u32, id: u64) -> PathBuf {
     std::path::Path::new(shm::DIRECTORY).join(shared_folder(domain)).join(format!("{PREFIX}{id:016x}"))
 }
 
-/// The participant whose file has this name.
+/// The participant whose file has this name, or a file that stands for it.
 pub(crate) fn id_of(name: &str) -> Option<u64> {
-    let digits = name.strip_prefix(PREFIX).filter(|digits| digits.len() == 16)?;
+    let digits = name
+        .strip_prefix(PREFIX)
+        .or_else(|| name.strip_prefix(STAND_IN))
+        .filter(|digits| digits.len() == 16)?;
     u64::from_str_radix(digits, 16).ok()
 }
 

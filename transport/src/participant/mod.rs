@@ -61,15 +61,15 @@ impl Drop for Membership {
     fn drop(&mut self) {
         // What publishers sent may be wanted by somebody who has not found it yet. Then it stays for that one, and the domain's warden
         // buries this participant like one that was killed.
-        let is_awaited = self.matcher.is_awaited();
+        if self.matcher.is_awaited() {
+            return;
+        }
         self.domain.remove(self.memory.id());
         if self.record.is_relay() {
             // With it goes what it said of other hosts, which may concern anybody.
             self.domain.call_all();
         }
-        if !is_awaited {
-            self.memory.retire();
-        }
+        self.memory.retire();
     }
 }
 
@@ -132,7 +132,7 @@ impl Participant {
             Doorbell::new(arena, Box::new(move |window| memory.grow_arena(window)))
         };
         let record = OwnRecord::new(&domain, &memory);
-        let matcher = Arc::new(Matcher::new(&domain, &memory, &record));
+        let matcher = Arc::new(Matcher::new(&domain, memory.id(), &record));
         let place = domain.add(memory.id()).inspect_err(|_| memory.retire())?;
         let membership = Membership {
             domain: domain.clone(),

@@ -109,8 +109,8 @@ impl Shared {
                     self.table.servers_changed(gone, alive);
                 }
                 if responses.has_ended() {
-                    // With its node: nobody answers it.
-                    self.table.servers_changed(u64::MAX, 0);
+                    // With its node.
+                    self.table.end();
                 }
                 return;
             };
@@ -176,17 +176,22 @@ impl Drop for RawPending {
 }
 
 impl Future for Availability {
-    type Output = ();
+    type Output = Result<(), ServiceError>;
 
-    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<()> {
+    /// # Errors
+    /// [`ServiceError::Loan`]: the client's node has ended.
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         let Availability { shared, place } = &mut *self;
         if place.is_some() {
             shared.collect();
             if shared.table.alive() != 0 {
-                return Poll::Ready(());
+                return Poll::Ready(Ok(()));
             }
         }
-        shared.poll_outcome(place, context).map(|_| ())
+        shared.poll_outcome(place, context).map(|outcome| match outcome {
+            Outcome::Available | Outcome::Response(_) => Ok(()),
+            Outcome::ServerGone => Err(shared.loan_error(LoanError::Ended)),
+        })
     }
 }
 

@@ -251,6 +251,20 @@ impl<R> Table<R> {
         }
     }
 
+    /// Nobody answers any more, and no server is waited for.
+    ///
+    /// # Real-time
+    /// As [`answer`](Self::answer).
+    pub(crate) fn end(&self) {
+        self.servers_changed(u64::MAX, 0);
+        for (index, place) in self.occupied() {
+            let state = place.state.load(Ordering::SeqCst);
+            if state == WAITING {
+                self.complete(index, place, state, Outcome::ServerGone);
+            }
+        }
+    }
+
     fn lose(&self, index: usize, place: &Place<R>, gone: u64) {
         let state = place.state.load(Ordering::SeqCst);
         if !asks(state) || state & PHASE != WAITING {

@@ -9,6 +9,7 @@ use super::{ServiceError, ServiceType};
 use crate::error::{TakeError, TransportError};
 use crate::participant::Participant;
 use crate::qos::Limits;
+use crate::topic::header::MessageInfo;
 use crate::topic::subscription::RawSubscription;
 use crate::topic::typed::{Loan, Sample, Unwritten, poll_take, take_valid};
 use core::fmt;
@@ -245,15 +246,17 @@ impl<S: Service> Server<S> {
         self.raw.requests()
     }
 
-    /// Takes the oldest request, if there is one; invalid ones are counted and passed over.
+    /// Takes the oldest request, if there is one; invalid ones are counted and passed over, and their clients told that there is no
+    /// answer ([`RawServer::refuse`]).
     ///
     /// # Real-time
-    /// As [`Subscription::try_take_valid`](crate::Subscription::try_take_valid).
+    /// As [`Subscription::try_take_valid`](crate::Subscription::try_take_valid), and [`RawServer::refuse`] for each invalid one.
     ///
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Request<S>>, TakeError> {
-        Ok(take_valid(self.requests())?.map(|message| Request { message }))
+        let taken = take_valid(self.requests(), |invalid| self.refuse(invalid))?;
+        Ok(taken.map(|message| Request { message }))
     }
 
     /// Polls for a request.
@@ -261,7 +264,13 @@ impl<S: Service> Server<S> {
     /// # Real-time
     /// As [`try_take`](Self::try_take).
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Request<S>> {
-        poll_take(self.requests(), context).map(|message| Request { message })
+        let taken = poll_take(self.requests(), context, |invalid| self.refuse(invalid));
+        taken.map(|message| Request { message })
+    }
+
+    /// If there is no memory to say so its client waits on.
+    fn refuse(&self, invalid: MessageInfo) {
+        let _ = self.raw.refuse(RequestId::of(invalid));
     }
 
     /// Loans memory for the response to a request, to write in place as `&mut S::Response`.

@@ -39,8 +39,8 @@ pub(crate) enum ReaderState {
 pub(crate) struct Block {
     magic: AtomicU64,
     subscription: [AtomicU64; 2],
-    /// Where the queues' memory lies in its part of the file, once all of it has been claimed.
-    claimed_queues: AtomicU64,
+    /// Where the queues' memory lies in its part of the file, and how long it is, once all of it has been claimed.
+    claimed_queues: [AtomicU64; 2],
     pub(crate) out: Out,
     pub(crate) back: Back,
     submitted: RelocatableSafelyOverflowingIndexQueue,
@@ -79,6 +79,8 @@ pub(crate) struct Back {
     /// The number of the last sample that was taken.
     pub(crate) taken: AtomicU64,
     state: AtomicU32,
+    /// The publisher's segments of samples that are mapped: how often they had changed.
+    pub(crate) mapped: AtomicU32,
 }
 
 impl Back {
@@ -88,6 +90,15 @@ impl Back {
             1 => ReaderState::Attached,
             2 => ReaderState::Closed,
             _ => ReaderState::Unknown,
+        }
+    }
+
+    /// Whether the subscription has not found all yet that the publisher, whose segments have changed so often, sends from.
+    pub(crate) fn is_behind(&self, grown: u32) -> bool {
+        match self.state() {
+            ReaderState::Unknown => true,
+            ReaderState::Attached => self.mapped.load(Ordering::Acquire) != grown,
+            ReaderState::Closed => false,
         }
     }
 
@@ -101,20 +112,23 @@ impl Back {
 pub(crate) struct Shape {
     pub(crate) depth: usize,
     pub(crate) held: usize,
+    /// Samples that the publisher may have loaned: it sends them without a look at what has come back.
+    pub(crate) loans: usize,
 }
 
 pub(crate) const BLOCK_BYTES: usize = size_of::<Block>();
 const WORD_BYTES: usize = size_of::<u64>();
 
 impl Shape {
-    /// As a subscription's record says.
-    pub(crate) fn of(subscription: &PortRecord) -> Self {
-        Shape { depth: subscription.qos.qos().depth, held: subscription.at as usize }
+    /// As a subscription's record says, for a publisher that may have so many loans.
+    pub(crate) fn of(subscription: &PortRecord, loans: usize) -> Self {
+        Shape { depth: subscription.qos.qos().depth, held: subscription.at as usize, loans }
     }
 
-    /// The subscription may take and return all that is queued before the publisher looks.
-    fn returned_len(self) -> usize {
-        self.depth + self.held + 1
+    /// The subscription may take and return all that is queued, and what the publisher sends, before that one looks: it does with
+    /// each loan.
+    pub(crate) fn returned_len(self) -> usize {
+        self.depth + self.held + self.loans + 1
     }
 
     fn submitted_bytes(self) -> usize {
@@ -195,18 +209,22 @@ impl Connection {
     }
 
     /// All memory of the queues, which lie so far into the part of the file, has been claimed.
-    pub(crate) fn note_claimed(&self, queues_at: usize) {
-        self.block().claimed_queues.store(queues_at as u64, Ordering::Release);
+    pub(crate) fn note_claimed(&self, queues_at: usize, shape: Shape) {
+        let [at, bytes] = &self.block().claimed_queues;
+        bytes.store(shape.queues_bytes() as u64, Ordering::Relaxed);
+        at.store(queues_at as u64, Ordering::Release);
     }
 
     /// Brings in the pages of the block and, if they have memory, of the queues, so that the subscription's end faults none.
-    pub(crate) fn bring_in(&self, shape: Shape) {
+    pub(crate) fn bring_in(&self) {
         let block_at = self.block.addr().get() - self.map.start().addr().get();
         // Should that fail, taking faults: of queues, where they lie is another process's claim.
         let _ = self.map.populate(block_at, BLOCK_BYTES, true);
-        let queues_at = self.block().claimed_queues.load(Ordering::Acquire);
-        if let Ok(queues_at) = usize::try_from(queues_at) {
-            let _ = self.map.populate(queues_at, shape.queues_bytes(), true);
+        let [at, bytes] = &self.block().claimed_queues;
+        let word = |word: u64| usize::try_from(word).unwrap_or(usize::MAX);
+        let (at, bytes) = (word(at.load(Ordering::Acquire)), word(bytes.load(Ordering::Relaxed)));
+        if at != 0 {
+            let _ = self.map.populate(at, bytes, true);
         }
     }
 
@@ -306,7 +324,7 @@ impl Template {
             block.write(Block {
                 magic: AtomicU64::new(0),
                 subscription: [AtomicU64::new(0), AtomicU64::new(0)],
-                claimed_queues: AtomicU64::new(0),
+                claimed_queues: [AtomicU64::new(0), AtomicU64::new(0)],
                 out: Out {
                     start: AtomicU64::new(0),
                     sent: AtomicU64::new(0),
@@ -314,7 +332,7 @@ impl Template {
                     waiting: AtomicU32::new(0),
                     served: AtomicU32::new(0),
                 },
-                back: Back { taken: AtomicU64::new(0), state: AtomicU32::new(0) },
+                back: Back { taken: AtomicU64::new(0), state: AtomicU32::new(0), mapped: AtomicU32::new(0) },
                 submitted: RelocatableSafelyOverflowingIndexQueue::new_uninit(shape.depth),
                 returned: RelocatableIndexQueue::new_uninit(shape.returned_len()),
             });
@@ -340,7 +358,7 @@ mod tests {
     use tautline_rt::shm::OwnFile;
 
     const GID: Gid = Gid([3; 16]);
-    const SHAPE: Shape = Shape { depth: 3, held: 2 };
+    const SHAPE: Shape = Shape { depth: 3, held: 2, loans: 2 };
 
     /// The same memory twice, as two processes see it.
     fn memory(len: usize) -> [Arc<Mapping>; 2] {
@@ -401,6 +419,12 @@ mod tests {
                 while let Some(taken) = subscription.take() {
                     assert!(subscription.give_back(taken));
                 }
+                // What was loaned before.
+                for n in 3..5 {
+                    publisher.submit(n);
+                    let taken = subscription.take().unwrap();
+                    assert!(subscription.give_back(taken));
+                }
                 held.into_iter().for_each(|held| assert!(subscription.give_back(held), "{round}"));
                 while publisher.take_back().is_some() {}
             }
@@ -409,7 +433,7 @@ mod tests {
 
     #[test]
     fn only_what_is_used_of_the_queues_is_touched() {
-        let shape = Shape { depth: 1000, held: 4 };
+        let shape = Shape { depth: 1000, held: 4, loans: 1 };
         let [here, there] =
             memory(BLOCK_BYTES.next_multiple_of(4096) + shape.queues_bytes().next_multiple_of(4096));
         let queues_at = BLOCK_BYTES.next_multiple_of(4096);

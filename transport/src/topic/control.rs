@@ -165,7 +165,11 @@ impl Control {
     fn add_part(&mut self) -> io::Result<()> {
         let index = self.parts.len();
         if index >= PARTS {
-            return Err(io::Error::other("this publisher has as many subscriptions as it can have"));
+            let most = FIRST_PART_BYTES << (2 * PARTS);
+            return Err(io::Error::other(format!(
+                "queues of all its subscriptions are {} MiB at most: lower their depth, or let some of them end",
+                most >> 20
+            )));
         }
         let len = FIRST_PART_BYTES << (2 * index);
         let range = self.memory.reserve(len)?;
@@ -263,7 +267,7 @@ impl Control {
         // SAFETY: both stretches lie within the part, and were nobody's; the memory that is written has been claimed.
         let connection = unsafe { Connection::create(map, block_at, queues_at, subscription, shape) }?;
         if samples == usize::MAX {
-            connection.note_claimed(queues_at);
+            connection.note_claimed(queues_at, shape);
         }
         Ok(connection)
     }
@@ -433,7 +437,7 @@ mod tests {
     use crate::participant::file::Peer;
     use crate::tests::isolated;
 
-    const SHAPE: Shape = Shape { depth: 10, held: 4 };
+    const SHAPE: Shape = Shape { depth: 10, held: 4, loans: 1 };
 
     fn gid(n: u64) -> Gid {
         Gid::of(5, n)
@@ -505,7 +509,7 @@ mod tests {
             || std::os::unix::fs::MetadataExt::blocks(&std::fs::metadata(memory.path()).unwrap()) * 512;
         let mut control = Control::create(&memory, gid(1)).unwrap();
         let before = blocks();
-        let shape = Shape { depth: 1000, held: 4 };
+        let shape = Shape { depth: 1000, held: 4, loans: 1 };
         let made: Vec<_> = (0..100).map(|n| control.connect(gid(n), shape, 0).unwrap()).collect();
         let unused = blocks() - before;
         assert!(unused < 200 << 10, "{unused} bytes for 100 connections");

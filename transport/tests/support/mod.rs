@@ -210,9 +210,18 @@ impl Part {
         lines.find_map(|line| line.strip_prefix("part: ").map(str::to_owned))
     }
 
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Stops the child with SIGSTOP: it lives, and does nothing.
     pub fn stop(&self) {
         self.signal(rustix::process::Signal::STOP);
+    }
+
+    /// The child goes on.
+    pub fn go_on(&self) {
+        self.signal(rustix::process::Signal::CONT);
     }
 
     fn signal(&self, signal: rustix::process::Signal) {

@@ -7,20 +7,20 @@
 use crate::wire::{Attachment, ENCAPSULATION, EndpointKind, TopicKey, check_encapsulation};
 use futures::channel::mpsc;
 use futures::executor::block_on;
-use futures::future::{BoxFuture, poll_fn};
+use futures::future::{AbortHandle, Aborted, BoxFuture, abortable, poll_fn};
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt, StreamExt};
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc as mpsc_std;
+use std::sync::{Arc, Weak};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_rt::clock::wall_ns;
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder};
 use tautline_transport::{
-    Claim, Limits, Participant, RawClient, RawSample, RawServer, RequestId, ServiceError, ServiceType,
-    TransportError,
+    Claim, Limits, MAX_PENDING_REQUESTS, Participant, RawClient, RawPending, RawSample, RawServer, RequestId,
+    ServiceError, ServiceType, TransportError,
 };
 use zenoh::bytes::ZBytes;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
@@ -30,6 +30,10 @@ use zenoh::{Session, Wait};
 const DEPTH: usize = 100;
 /// Requests of one service that are passed on before others have their turn.
 const AT_ONCE: usize = 16;
+/// Clients of one service of this host on behalf of others, when each has as many requests pending as it can.
+const MAX_CLIENTS: usize = 16;
+/// Commands that are obeyed before others have their turn.
+const COMMANDS_AT_ONCE: usize = 256;
 /// Queries and answers from the network that wait for this thread.
 const MAX_WAITING: usize = 4096;
 /// When Zenoh gives up: a client's own limit comes before. An action's result may take as long as it likes.
@@ -160,6 +164,7 @@ impl Services {
                 offered: BTreeMap::new(),
                 sought: BTreeMap::new(),
                 pending: FuturesUnordered::new(),
+                unanswered: Vec::new(),
             };
             move || block_on(poll_fn(|context| bridge.poll(context)))
         })?;
@@ -198,21 +203,33 @@ struct Bridge {
     sought: BTreeMap<TopicKey, RawServer>,
     /// Answers of services on this host.
     pending: FuturesUnordered<BoxFuture<'static, ()>>,
+    /// Clients that could not be told yet that there is no answer.
+    unanswered: Vec<(TopicKey, RequestId)>,
 }
 
 /// A service of this host that others may ask.
 struct Offer {
-    client: RawClient,
+    /// One, and more while many requests wait for answers.
+    clients: Vec<RawClient>,
+    /// Requests, the oldest first, with what lives as long as they are pending.
+    asked: VecDeque<(AbortHandle, Weak<()>)>,
     _queryable: Queryable<()>,
 }
 
 impl Bridge {
     fn poll(&mut self, context: &mut Context<'_>) -> Poll<()> {
-        loop {
+        for (key, id) in std::mem::take(&mut self.unanswered) {
+            self.give_up(key, id);
+        }
+        for count in 1.. {
             match self.commands.poll_next_unpin(context) {
-                Poll::Ready(Some(command)) => self.obey(command),
+                Poll::Ready(Some(command)) => self.obey(command, context),
                 Poll::Ready(None) => return Poll::Ready(()),
                 Poll::Pending => break,
+            }
+            if count == COMMANDS_AT_ONCE {
+                context.waker().wake_by_ref();
+                break;
             }
         }
         while let Poll::Ready(Some(())) = self.pending.poll_next_unpin(context) {}
@@ -230,7 +247,7 @@ impl Bridge {
         Poll::Pending
     }
 
-    fn obey(&mut self, command: Command) {
+    fn obey(&mut self, command: Command, context: &mut Context<'_>) {
         if matches!(command, Command::Query(..) | Command::Reply(..)) {
             self.sender.waiting.fetch_sub(1, Ordering::Relaxed);
         }
@@ -240,7 +257,7 @@ impl Bridge {
                 // Ignored: nobody waits any more.
                 let _ = done.send(());
             }
-            Command::Query(key, query) => match self.ask(&key, &query) {
+            Command::Query(key, query) => match self.ask(&key, &query, context) {
                 Ok(answer) => self.pending.push(answer),
                 Err(reason) => refuse(&query, reason),
             },
@@ -252,14 +269,10 @@ impl Bridge {
                         "service '{}': an answer from another host is dropped: {reason}",
                         key.topic
                     );
-                    give_up(server, id);
+                    self.give_up(key, id);
                 }
             }
-            Command::Unanswered(key, id) => {
-                if let Some(server) = self.sought.get(&key) {
-                    give_up(server, id);
-                }
-            }
+            Command::Unanswered(key, id) => self.give_up(key, id),
         }
     }
 
@@ -289,8 +302,7 @@ impl Bridge {
     }
 
     fn offer(&self, key: &TopicKey) -> Result<Offer, String> {
-        let client = self.participant.create_raw_client(&key.topic, &service_type(key), limits());
-        let client = client.map_err(|error| error.to_string())?;
+        let client = self.client(key)?;
         let (sender, of) = (self.sender.clone(), key.clone());
         let queryable = self
             .session
@@ -301,7 +313,12 @@ impl Bridge {
             })
             .wait()
             .map_err(|error| error.to_string())?;
-        Ok(Offer { client, _queryable: queryable })
+        Ok(Offer { clients: vec![client], asked: VecDeque::new(), _queryable: queryable })
+    }
+
+    fn client(&self, key: &TopicKey) -> Result<RawClient, String> {
+        let client = self.participant.create_raw_client(&key.topic, &service_type(key), limits());
+        client.map_err(|error| error.to_string())
     }
 
     fn seek(&self, key: &TopicKey) -> Result<RawServer, TransportError> {
@@ -309,23 +326,97 @@ impl Bridge {
     }
 
     /// Asks a service of this host what another host asks.
-    fn ask(&self, key: &TopicKey, query: &Query) -> Result<BoxFuture<'static, ()>, String> {
-        let offer = self.offered.get(key).ok_or("the service has gone")?;
+    fn ask(
+        &mut self,
+        key: &TopicKey,
+        query: &Query,
+        context: &mut Context<'_>,
+    ) -> Result<BoxFuture<'static, ()>, String> {
         let attachment = query.attachment().ok_or("a request without an attachment")?;
         let attachment = Attachment::parse(&attachment.to_bytes()).map_err(|error| error.to_string())?;
         let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
         let body = body(&payload, self.max_bytes)?;
-        let say = |error: ServiceError| error.to_string();
-        let mut loan = offer.client.loan(body.len()).map_err(say)?;
-        loan.copy_from_slice(body);
-        let response = offer.client.send(loan).map_err(|unsent| unsent.to_string())?;
+        let offer = self.offered.get(key).ok_or("the service has gone")?;
+        let mut response = send(&offer.clients, body);
+        if matches!(response, Err(ServiceError::TooManyPending { .. })) {
+            self.make_room(key, context)?;
+            let offer = self.offered.get(key).ok_or("the service has gone")?;
+            response = send(&offer.clients, body);
+        }
+        let (response, handle) = abortable(response.map_err(|error| error.to_string())?);
+        let life = Arc::new(());
+        if let Some(offer) = self.offered.get_mut(key) {
+            if offer.asked.len() >= 2 * MAX_PENDING_REQUESTS * offer.clients.len() {
+                offer.asked.retain(|(_, life)| life.strong_count() != 0);
+            }
+            offer.asked.push_back((handle, Arc::downgrade(&life)));
+        }
         let query = query.clone();
-        let reply = response.map(move |response| match response {
-            Ok(response) => reply(&query, attachment, &response),
-            Err(error) => refuse(&query, error.to_string()),
+        let reply = response.map(move |response| {
+            drop(life);
+            match response {
+                Ok(Ok(response)) => reply(&query, attachment, &response),
+                Ok(Err(error)) => refuse(&query, error.to_string()),
+                Err(Aborted) => {
+                    refuse(&query, "given up: too many later requests wait for answers".to_owned())
+                }
+            }
         });
         Ok(reply.boxed())
     }
+
+    /// All clients of the service have as many requests pending as they can: makes one more, or gives the oldest request up. Whoever
+    /// asked that may have gone long ago.
+    fn make_room(&mut self, key: &TopicKey, context: &mut Context<'_>) -> Result<(), String> {
+        let clients = self.offered.get(key).map_or(0, |offer| offer.clients.len());
+        let one_more = (clients < MAX_CLIENTS).then(|| self.client(key)).transpose()?;
+        let offer = self.offered.get_mut(key).ok_or("the service has gone")?;
+        if let Some(client) = one_more {
+            offer.clients.push(client);
+            return Ok(());
+        }
+        offer.asked.retain(|(_, life)| life.strong_count() != 0);
+        if let Some((oldest, _)) = offer.asked.pop_front() {
+            oldest.abort();
+        }
+        // Until it is dropped it has its place.
+        while let Poll::Ready(Some(())) = self.pending.poll_next_unpin(context) {}
+        Ok(())
+    }
+
+    /// Tells the client on this host that there is no answer to its request.
+    fn give_up(&mut self, key: TopicKey, id: RequestId) {
+        let Some(server) = self.sought.get(&key) else { return };
+        match server.refuse(id) {
+            Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
+            // It waits: told when there is memory again.
+            Err(error) if self.unanswered.len() < MAX_WAITING => {
+                if self.unanswered.is_empty() {
+                    tracing::warn!("{error}");
+                }
+                self.unanswered.push((key, id));
+            }
+            Err(error) => tracing::warn!("{error}"),
+        }
+    }
+}
+
+/// Sends a request through the first client that has room for one more.
+fn send(clients: &[RawClient], body: &[u8]) -> Result<RawPending, ServiceError> {
+    let mut refused = None;
+    for client in clients {
+        let mut loan = client.loan(body.len())?;
+        loan.copy_from_slice(body);
+        match client.send(loan) {
+            Ok(pending) => return Ok(pending),
+            Err(unsent) if matches!(unsent.error, ServiceError::TooManyPending { .. }) => {
+                refused = Some(unsent.error);
+            }
+            Err(unsent) => return Err(unsent.error),
+        }
+    }
+    // There is one at least.
+    Err(refused.unwrap_or(ServiceError::NoServer { service: "".into() }))
 }
 
 /// Most services are seldom asked, if ever: they take no memory before.
@@ -373,14 +464,6 @@ fn answer(server: &RawServer, id: RequestId, payload: &ZBytes, max_bytes: usize)
     let mut loan = server.loan(id, body.len()).map_err(|error| error.to_string())?;
     loan.copy_from_slice(body);
     loan.send().map_err(|unsent| unsent.to_string())
-}
-
-/// Tells the client on this host that there is no answer to its request.
-fn give_up(server: &RawServer, id: RequestId) {
-    match server.refuse(id) {
-        Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
-        Err(error) => tracing::warn!("{error}"),
-    }
 }
 
 /// Answers a query with what a service of this host said.

@@ -93,6 +93,31 @@ fn a_service_of_another_host() {
     until("what stood for it to go", || client.server_count() == 0);
 }
 
+/// Requests that nobody answers take no places from others for ever: the oldest are given up, and those who asked told.
+#[test]
+fn requests_without_an_answer_keep_nobody_from_asking() {
+    let a = Host::first(105, 105);
+    let b = Host::beside(&a, 106);
+    let server = server(&a);
+    let clients: Vec<RawClient> = (0..18).map(|_| client(&b)).collect();
+    until("the service", || clients.iter().all(|client| client.server_count() == 1));
+    let (last, silent) = clients.split_last().unwrap();
+    let mut pending = Vec::new();
+    for client in silent {
+        for _ in 0..64 {
+            pending.push(ask(client, b"silent"));
+            wait("the request", || server.try_take().unwrap());
+        }
+    }
+    let asked = ask(last, b"last");
+    assert_eq!(serve(&server), b"last");
+    assert_eq!(response(asked).unwrap().body(), b"lastlast");
+    // The first of 17 x 64 + 1, of which 16 x 64 have places.
+    let error = response(pending.remove(0)).unwrap_err();
+    assert!(matches!(error, ServiceError::ServerGone { .. }), "{error}");
+    assert!((&mut pending.pop().unwrap()).now_or_never().is_none());
+}
+
 #[test]
 fn a_service_of_this_host_is_asked_here() {
     let a = Host::first(103, 103);

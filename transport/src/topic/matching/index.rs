@@ -89,6 +89,8 @@ pub(super) type Found = (Gid, u64);
 #[derive(Debug, Default)]
 pub(super) struct News {
     pub(super) added: Vec<Found>,
+    /// Publishers that have ended before they were seen, and what they sent is still there; with what their ports said.
+    pub(super) ended: Vec<(Found, Vec<u8>)>,
     /// Ports that have gone: whose, on what topic, and whether with their process.
     pub(super) removed: Vec<(Gid, u64, bool)>,
     /// A participant has gone.
@@ -236,6 +238,18 @@ impl Index {
                         self.remote_changes.insert(hash);
                     }
                 }
+                Kind::Ended => {
+                    let known = member.ports.remove(&number).or_else(|| former.0.remove(&number));
+                    if known.is_some() {
+                        remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
+                    }
+                    let is_new = |(added, _): &Found| *added == gid;
+                    if known.is_none() || news.added.extract_if(.., |added| is_new(added)).next().is_some() {
+                        news.ended.push(((gid, hash), entry.body));
+                    } else {
+                        news.removed.push((gid, hash, false));
+                    }
+                }
                 Kind::Node => drop(member.nodes.insert(number, hash)),
                 Kind::RemoteService | Kind::Relay => {}
             }
@@ -304,6 +318,11 @@ impl Index {
         let gids: Vec<Gid> = ends.collect();
         let ports = gids.into_iter().filter_map(|gid| Some((gid, self.port((gid, hash))?)));
         ports.filter(|(_, port)| port.kind == kind).collect()
+    }
+
+    /// Whether a port is there, as far as is known.
+    pub(super) fn has(&self, gid: Gid, hash: u64) -> bool {
+        self.by_topic.get(&hash).is_some_and(|ends| ends.ports.get(gid).is_some())
     }
 
     /// The participants that have ports on a topic.

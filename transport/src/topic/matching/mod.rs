@@ -18,11 +18,12 @@ pub(crate) use source::Source;
 
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
+use crate::graph::log::hash_of;
 use crate::graph::own::OwnRecord;
 use crate::graph::record::{PortKind, PortRecord};
 use crate::graph::{Entry, RemoteGraph};
 use crate::participant::Reached;
-use crate::participant::file::{OwnMemory, Peers};
+use crate::participant::file::Peers;
 use crate::topic::header::Gid;
 use crate::topic::publisher::core::{Outcome, PublisherCore, Target};
 use crate::topic::subscription::core::{Expected, SubscriptionCore};
@@ -39,7 +40,6 @@ const PATIENCE: Duration = Duration::from_millis(100);
 
 pub(crate) struct Matcher {
     domain: Arc<Domain>,
-    memory: Arc<OwnMemory>,
     record: Arc<OwnRecord>,
     state: Mutex<State>,
 }
@@ -55,6 +55,8 @@ struct State {
     by_topic: HashMap<u64, Own>,
     /// Publishers with subscriptions that have gone and still hold samples.
     held_up: BTreeSet<u64>,
+    /// Publishers of others that have ended before anybody here had seen them, until what they sent was found.
+    ended: Vec<(Gid, PortRecord)>,
     /// Publishers that have ended, until nobody uses what they sent.
     departing: BTreeMap<u64, Arc<PublisherCore>>,
     /// Subscriptions that have gone, until their samples are back.
@@ -78,6 +80,8 @@ struct Work {
     calls: BTreeSet<u64>,
     /// Publishers that subscriptions of this participant are done with.
     closed: BTreeSet<Gid>,
+    /// Own publishers that nothing is left of.
+    released: Vec<u64>,
     outcome: Looked,
 }
 
@@ -105,21 +109,21 @@ fn number_of(gid: Gid) -> u64 {
 }
 
 impl Matcher {
-    pub(crate) fn new(domain: &Arc<Domain>, memory: &Arc<OwnMemory>, record: &Arc<OwnRecord>) -> Self {
+    pub(crate) fn new(domain: &Arc<Domain>, own: u64, record: &Arc<OwnRecord>) -> Self {
         let state = State {
             domain: domain.clone(),
             peers: Peers::default(),
-            index: Index::new(memory.id()),
+            index: Index::new(own),
             peer_publishers: PeerPublishers::default(),
             publishers: BTreeMap::new(),
             subscriptions: BTreeMap::new(),
             by_topic: HashMap::new(),
             held_up: BTreeSet::new(),
+            ended: Vec::new(),
             departing: BTreeMap::new(),
             returning: Vec::new(),
         };
-        let (domain, memory, record) = (domain.clone(), memory.clone(), record.clone());
-        Matcher { domain, memory, record, state: Mutex::new(state) }
+        Matcher { domain: domain.clone(), record: record.clone(), state: Mutex::new(state) }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -135,6 +139,8 @@ impl Matcher {
             state.settle(&mut work);
             result
         };
+        // Of most of them the record says nothing any more.
+        work.released.iter().for_each(|number| self.record.forget(*number));
         if !work.calls.is_empty() {
             for member in self.domain.members().filter(|member| work.calls.contains(&member.id)) {
                 self.domain.call(member.place);
@@ -252,12 +258,18 @@ impl Matcher {
         self.work_and_leave(|state, work| {
             // Before it is seen to have gone: it has ended, not died.
             core.end();
-            self.record.remove(number_of(core.gid));
+            if core.is_awaited(|gid| state.index.has(gid, core.hash())) {
+                self.record.end(number_of(core.gid));
+            } else {
+                self.record.remove(number_of(core.gid));
+            }
             state.publishers.remove(&number_of(core.gid));
             for subscription in state.own_subscriptions(core.hash()) {
                 subscription.disconnect(core.gid, false);
                 work.subscription(&subscription);
             }
+            // Who has made a subscription since then has seen that.
+            state.look(work);
             work.calls.extend(state.index.participants(core.hash()));
             state.forget(core.hash(), number_of(core.gid));
             state.departing.insert(number_of(core.gid), core.clone());
@@ -275,6 +287,8 @@ impl Matcher {
             for publisher in state.own_publishers(core.hash()) {
                 state.disconnect(&publisher, core.gid, false, work);
             }
+            // Who has made a publisher since then has seen that.
+            state.look(work);
             work.calls.extend(state.index.participants(core.hash()));
             state.forget(core.hash(), number_of(core.gid));
         });
@@ -287,16 +301,17 @@ impl Matcher {
             state.look(work);
             // Who is done with an ended publisher elsewhere has called.
             let departing: Vec<u64> = state.departing.keys().copied().collect();
-            state.release(departing);
+            state.release(departing, work);
         };
         self.work(look).1
     }
 
     /// The participant ends. True if somebody may still look for what its publishers have sent.
     pub(crate) fn is_awaited(&self) -> bool {
-        let members: BTreeSet<u64> = self.domain.members().map(|member| member.id).collect();
-        let own = self.memory.id();
-        self.state().departing.values().any(|core| core.is_awaited(|id| id != own && members.contains(&id)))
+        let mut state = self.state();
+        let State { index, peers, departing, domain, .. } = &mut *state;
+        index.look(domain, peers);
+        departing.values().any(|core| core.is_awaited(|gid| index.has(gid, core.hash())))
     }
 }
 
@@ -383,7 +398,7 @@ impl State {
         let reached = Reached::Own(subscription.slot.doorbell().clone());
         publisher.connect(&Target { gid: subscription.gid, port: requested, reached })?;
         let source = Source::Own(publisher.clone());
-        subscription.expect(Expected { gid: publisher.gid, port: offered.clone(), source });
+        subscription.expect(Expected::new(publisher.gid, offered.clone(), source));
         subscription.attach().map(drop)
     }
 
@@ -421,7 +436,7 @@ impl State {
         let Some(peer) = self.peers.get(self.domain.number(), gid.participant())? else { return Ok(()) };
         let Some(source) = self.peer_publishers.get(&peer, gid, port.at)? else { return Ok(()) };
         work.subscription(core);
-        if core.expect(Expected { gid, port, source }) {
+        if core.expect(Expected::new(gid, port, source)) {
             work.calls.insert(gid.participant());
         }
         Ok(())
@@ -437,7 +452,8 @@ impl State {
     /// Reads what other participants' records say that is new, and connects or disconnects what is concerned. What is refused now is
     /// tried again.
     fn look(&mut self, work: &mut Work) {
-        let News { added, removed, gone, is_refused, grown } = self.index.look(&self.domain, &mut self.peers);
+        let News { added, ended, removed, gone, is_refused, grown } =
+            self.index.look(&self.domain, &mut self.peers);
         work.outcome.has_gone |= gone;
         work.outcome.is_pending |= is_refused;
         for (gid, hash, is_dead) in removed {
@@ -469,6 +485,7 @@ impl State {
                 complain(&error);
             }
         }
+        self.find_ended(ended, work);
         for hash in self.index.take_remote_changes() {
             for core in self.own_publishers(hash) {
                 core.set_remote(&self.index.remote(hash, PortKind::Subscription, &core.topic));
@@ -511,6 +528,25 @@ impl State {
         }
     }
 
+    /// What publishers have sent that came and went between two looks, for the subscriptions that they were connected to.
+    fn find_ended(&mut self, ended: Vec<((Gid, u64), Vec<u8>)>, work: &mut Work) {
+        let ports = ended.into_iter().filter(|((_, hash), _)| self.by_topic.contains_key(hash));
+        let ports = ports.filter_map(|((gid, _), body)| Some((gid, PortRecord::parse(&body)?)));
+        self.ended.extend(ports.filter(|(_, port)| port.kind == PortKind::Publisher));
+        for (gid, port) in std::mem::take(&mut self.ended) {
+            let own = self.own_subscriptions(hash_of(&port.topic));
+            let mut all = own.iter();
+            match all.try_for_each(|core| self.expect_peer(core, gid, port.clone(), work)) {
+                Ok(()) => own.iter().for_each(|core| core.disconnect(gid, false)),
+                Err(error) => {
+                    self.ended.push((gid, port));
+                    work.outcome.is_pending = true;
+                    complain(&error);
+                }
+            }
+        }
+    }
+
     /// Says of a participant whether it is there.
     fn members(&self) -> impl Fn(u64) -> bool + use<> {
         let members: BTreeSet<u64> = self.domain.members().map(|member| member.id).collect();
@@ -519,14 +555,20 @@ impl State {
     }
 
     /// Gives back the memory of those of these ended publishers that no subscription uses any more.
-    fn release(&mut self, numbers: impl IntoIterator<Item = u64>) {
+    fn release(&mut self, numbers: impl IntoIterator<Item = u64>, work: &mut Work) {
         if self.departing.is_empty() {
             return;
         }
         let is_there = self.members();
         for number in numbers {
-            if self.departing.get(&number).is_some_and(|core| core.release(&is_there)) {
+            let Some(core) = self.departing.get(&number) else { continue };
+            let is_listed = |gid: Gid| match gid.participant() == self.index.own() {
+                true => self.subscriptions.contains_key(&gid.number()),
+                false => self.index.has(gid, core.hash()),
+            };
+            if core.release(&is_there, is_listed) {
                 self.departing.remove(&number);
+                work.released.push(number);
             }
         }
     }
@@ -566,7 +608,7 @@ impl State {
         work.calls.remove(&own);
         let closed = work.closed.range(Gid::of(own, 0)..).take_while(|gid| gid.participant() == own);
         let numbers: Vec<u64> = closed.map(|gid| gid.number()).collect();
-        self.release(numbers);
+        self.release(numbers, work);
         self.peer_publishers.forget();
     }
 }

@@ -41,10 +41,11 @@ impl Source {
         }
     }
 
-    /// The publisher's segments of samples, mapped. The same as before if there are no others.
-    pub(crate) fn segments(&self) -> Result<SegmentViews, TransportError> {
+    /// The publisher's segments of samples, mapped, and how often they have changed. The same as before if there are no others.
+    pub(crate) fn segments(&self) -> Result<(SegmentViews, u32), TransportError> {
         match self {
-            Source::Own(core) => Ok(core.segment_views()),
+            // Mapped as long as there are any.
+            Source::Own(core) => Ok((core.segment_views(), 0)),
             Source::Peer(peer) => peer.segments(),
         }
     }
@@ -100,12 +101,12 @@ impl PeerPublisher {
         Ok(())
     }
 
-    fn segments(&self) -> Result<SegmentViews, TransportError> {
+    fn segments(&self) -> Result<(SegmentViews, u32), TransportError> {
         let mut state = self.state();
         // Before the look: what changes meanwhile changes it again.
         let grown = state.view.head().grown.load(Ordering::Acquire);
         if state.grown == Some(grown) {
-            return Ok(state.segments.clone());
+            return Ok((state.segments.clone(), grown));
         }
         let mut segments: Vec<Option<SegmentView>> = state.segments.to_vec();
         segments.resize(SEGMENTS, None);
@@ -133,7 +134,7 @@ impl PeerPublisher {
         }
         state.segments = segments.into();
         state.grown = Some(grown);
-        Ok(state.segments.clone())
+        Ok((state.segments.clone(), grown))
     }
 
     fn map_segment(&self, range: Range) -> Result<Option<Arc<Mapping>>, TransportError> {

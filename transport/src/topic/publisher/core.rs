@@ -220,10 +220,10 @@ impl PublisherCore {
             // Its memory has gone: so will it.
             return Ok(Outcome::Nothing);
         }
-        let shape = Shape::of(&target.port);
+        let shape = Shape::of(&target.port, self.limits.loans);
         self.grow(&mut setup, Some(shape))?;
         let is_on_use = self.limits.claim == Claim::OnUse;
-        let Setup { control: Some(control), pool, sample_bytes, .. } = &mut *setup else {
+        let Setup { control: Some(control), pool, sample_bytes, words, .. } = &mut *setup else {
             return Ok(Outcome::Nothing);
         };
         let refuse = |source| self.no_memory(shape.queues_bytes() as u64, *sample_bytes, source);
@@ -231,19 +231,17 @@ impl PublisherCore {
         let (connection, place) = connected.map_err(refuse)?;
         let keeps_all = qos.history == KeepWhat::KeepAll;
         let reached = (target.reached.clone(), slot);
-        let sender = Sender::new(
-            target.gid,
-            shape.depth,
-            keeps_all,
-            target.port.partner,
-            reached,
-            connection,
-            pool.end(),
-        );
+        let samples = pool.end().max(*words * 64);
+        let sender =
+            Sender::new(target.gid, shape, keeps_all, target.port.partner, reached, connection, samples);
         let history = self.history.as_ref().filter(|_| qos.durability == Durability::TransientLocal);
         if let Some(history) = history {
             if is_on_use {
-                control.claim_queues(&place, self.qos.depth.min(shape.depth)).map_err(refuse)?;
+                let claimed = control.claim_queues(&place, self.qos.depth.min(shape.depth));
+                claimed.map_err(|source| {
+                    control.disconnect(sender.connection(), place);
+                    refuse(source)
+                })?;
             }
             sender.preload(history, self.published.load(Ordering::Acquire), pool);
         }
@@ -273,7 +271,7 @@ impl PublisherCore {
         TransportError::Memory { topic: self.topic.name.clone(), bytes, sample_bytes, source }
     }
 
-    fn join(&self, demand: &mut Demand, Shape { depth, held }: Shape) {
+    fn join(&self, demand: &mut Demand, Shape { depth, held, .. }: Shape) {
         match self.is_addressed {
             // Each queue has other samples.
             true => demand.depth = demand.depth.saturating_add(depth),
@@ -292,7 +290,7 @@ impl PublisherCore {
     ) -> Result<(), TransportError> {
         let mut setup = self.setup();
         let fits = |port: &&PortRecord| self.mismatch(port, &port.qos.qos()).is_none();
-        self.grow(&mut setup, ports.filter(fits).map(Shape::of))
+        self.grow(&mut setup, ports.filter(fits).map(|port| Shape::of(port, self.limits.loans)))
     }
 
     /// How many samples are to be there before they are needed.
@@ -410,15 +408,24 @@ impl PublisherCore {
         }
     }
 
-    /// The subscription has gone, perhaps with its process. True if it lives on in samples that are out: see
+    /// The subscription has gone, perhaps with its process. True if it has attached, and lives on in samples that are out: see
     /// [`disconnect_closed`](Self::disconnect_closed). Call [`settle`](Self::settle) afterwards.
     pub(crate) fn disconnect(&self, subscription: Gid, is_dead: bool) -> bool {
         let mut setup = self.setup();
         setup.ends.remove(subscription, is_dead);
-        let Setup { senders, pool, is_stale, retired, .. } = &mut *setup;
-        let Some(Connected { sender, .. }) = senders.get(subscription) else { return false };
-        if !is_dead && sender.block().back.state() != ReaderState::Closed {
-            sender.leave();
+        let Setup { senders, pool, is_stale, retired, demand, .. } = &mut *setup;
+        let Some(Connected { sender, shape, .. }) = senders.get(subscription) else { return false };
+        if !is_dead && sender.block().back.state() == ReaderState::Attached {
+            if !sender.is_leaving() {
+                sender.leave();
+                // What is in its queue stays there while the others go on.
+                demand.join(0, shape.depth);
+                if let Err(error) = self.grow(&mut setup, None) {
+                    tracing::warn!(
+                        "loans may fail until a subscription that has gone has returned its samples: {error}"
+                    );
+                }
+            }
             return true;
         }
         *retired += usize::from(sender.retire(pool));
@@ -485,10 +492,12 @@ impl PublisherCore {
         for _ in 0..64 {
             let published = self.published.load(Ordering::Acquire);
             let mut has_more = false;
-            for Connected { sender, .. } in setup.senders.iter() {
-                if sender.lacks(published) && sender.preload(history, published, &setup.pool) == Some(true) {
+            for Connected { sender, .. } in setup.senders.iter().filter(|one| one.sender.lacks(published)) {
+                let Some(is_new) = sender.preload(history, published, &setup.pool) else { continue };
+                // Held for a moment: the publishing thread may have passed it over, also if nothing was left to give it.
+                has_more = true;
+                if is_new {
                     sender.ring();
-                    has_more = true;
                 }
             }
             if !has_more {
@@ -518,7 +527,12 @@ impl PublisherCore {
         *retired -= drained.len();
         *is_stale = true;
         *demand = Demand::of_publisher(&self.qos);
-        senders.iter().for_each(|connected| self.join(demand, connected.shape));
+        for Connected { sender, shape, .. } in senders.iter() {
+            self.join(demand, *shape);
+            if sender.is_leaving() {
+                demand.join(0, shape.depth);
+            }
+        }
     }
 
     fn hand_over(&self, setup: &mut Setup) {
@@ -577,13 +591,15 @@ impl PublisherCore {
         setup.is_stale = false;
     }
 
-    /// Gives the memory back, if the publisher has ended and no subscription uses it: `is_there` says which participants are alive.
-    /// False if that is still to be.
-    pub(crate) fn release(&self, is_there: impl Fn(u64) -> bool) -> bool {
+    /// Gives the memory back, if the publisher has ended and no subscription uses it: `is_there` says which participants are alive,
+    /// `is_listed` which subscriptions. False if that is still to be.
+    pub(crate) fn release(&self, is_there: impl Fn(u64) -> bool, is_listed: impl Fn(Gid) -> bool) -> bool {
         let mut setup = self.setup();
         let Setup { senders, pool, retired, .. } = &mut *setup;
-        let is_done = |sender: &Sender| {
-            sender.block().back.state() == ReaderState::Closed || !is_there(sender.subscription.participant())
+        let is_done = |sender: &Sender| match sender.block().back.state() {
+            ReaderState::Unknown => !is_listed(sender.subscription),
+            ReaderState::Attached => !is_there(sender.subscription.participant()),
+            ReaderState::Closed => true,
         };
         for sender in senders.iter().map(|connected| &connected.sender).filter(|sender| is_done(sender)) {
             *retired += usize::from(sender.retire_finally(pool));
@@ -601,11 +617,15 @@ impl PublisherCore {
         true
     }
 
-    /// Whether a subscription that lives has not found its connection yet.
-    pub(crate) fn is_awaited(&self, is_there: impl Fn(u64) -> bool) -> bool {
+    /// Whether a subscription that is there has not found its connection, or where samples lie, yet.
+    pub(crate) fn is_awaited(&self, is_listed: impl Fn(Gid) -> bool) -> bool {
         let setup = self.setup();
-        setup.senders.iter().any(|Connected { sender, .. }| {
-            sender.block().back.state() == ReaderState::Unknown && is_there(sender.subscription.participant())
-        })
+        let Some(control) = &setup.control else { return false };
+        let grown = control.head().grown.load(Ordering::Acquire);
+        let is_behind = |sender: &Sender| sender.block().back.is_behind(grown);
+        setup
+            .senders
+            .iter()
+            .any(|Connected { sender, .. }| is_behind(sender) && is_listed(sender.subscription))
     }
 }

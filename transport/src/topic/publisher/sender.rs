@@ -12,7 +12,7 @@ use super::core::Connected;
 use super::history::History;
 use crate::participant::Reached;
 use crate::topic::chunks::Chunks;
-use crate::topic::connection::{Block, Connection};
+use crate::topic::connection::{Block, Connection, Shape};
 use crate::topic::hand_over::HandOver;
 use crate::topic::header::Gid;
 use crate::topic::pool::Pool;
@@ -26,6 +26,8 @@ use tautline_rt::{LatestReader, clock::monotonic_ns};
 pub(crate) struct Sender {
     pub(crate) subscription: Gid,
     pub(crate) depth: u64,
+    /// Samples that its queues have memory for, the longer one.
+    places: usize,
     /// A publisher that keeps all must not overwrite in its queue.
     pub(crate) keeps_all: bool,
     /// Of a client's responses: the port of its requests.
@@ -103,7 +105,7 @@ impl Sender {
     #[allow(clippy::too_many_arguments, clippy::disallowed_macros, reason = "set-up")]
     pub(crate) fn new(
         subscription: Gid,
-        depth: usize,
+        shape: Shape,
         keeps_all: bool,
         partner: Option<u64>,
         (reached, slot): (Reached, usize),
@@ -115,7 +117,8 @@ impl Sender {
         let half = Half { out, last: 0, wants_history: false, submitted: 0, claimed: 0, sleeper: None };
         Sender {
             subscription,
-            depth: depth as u64,
+            depth: shape.depth as u64,
+            places: shape.returned_len(),
             keeps_all,
             partner,
             reached,
@@ -280,7 +283,7 @@ impl Sender {
         let wanted = needed.saturating_add(CLAIMED_AT_ONCE);
         let is_claimed = claim(wanted);
         if is_claimed {
-            half.claimed = if wanted as u64 > 2 * (self.depth + 1) { usize::MAX } else { wanted };
+            half.claimed = if wanted >= self.places { usize::MAX } else { wanted };
         }
         is_claimed
     }

@@ -10,7 +10,7 @@ use crate::graph::record::{PortKind, PortRecord, QosRecord};
 use crate::qos::{Limits, Liveliness, Qos};
 use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
-use crate::topic::connection::{ReaderState, Shape};
+use crate::topic::connection::ReaderState;
 use crate::topic::ends::{End, EndList, Ends, Mismatch};
 use crate::topic::header::Gid;
 use crate::topic::matching::Source;
@@ -73,9 +73,17 @@ impl Keyed for Attached {
 
 /// A publisher as its record describes it.
 pub(crate) struct Expected {
-    pub(crate) gid: Gid,
-    pub(crate) port: PortRecord,
-    pub(crate) source: Source,
+    gid: Gid,
+    port: PortRecord,
+    source: Source,
+    /// It has gone; whether with its participant.
+    gone: Option<bool>,
+}
+
+impl Expected {
+    pub(crate) fn new(gid: Gid, port: PortRecord, source: Source) -> Self {
+        Expected { gid, port, source, gone: None }
+    }
 }
 
 impl SubscriptionCore {
@@ -188,8 +196,9 @@ impl SubscriptionCore {
         let mut error = None;
         let mut waiting = Vec::new();
         for expected in std::mem::take(&mut setup.expected) {
-            match self.try_attach(&mut setup, &expected, false) {
+            match self.try_attach(&mut setup, &expected) {
                 Ok(true) => {}
+                Ok(false) if expected.gone.is_some() => {}
                 Ok(false) => waiting.push(expected),
                 Err(refused) => {
                     error = Some(refused);
@@ -202,19 +211,19 @@ impl SubscriptionCore {
         error.map_or(Ok(setup.expected.len()), Err)
     }
 
-    fn try_attach(
-        &self,
-        setup: &mut Setup,
-        expected: &Expected,
-        has_gone: bool,
-    ) -> Result<bool, TransportError> {
-        let Expected { gid, port, source } = expected;
-        let Some(connection) = source.connection(self.gid, has_gone)? else { return Ok(false) };
+    fn try_attach(&self, setup: &mut Setup, expected: &Expected) -> Result<bool, TransportError> {
+        let Expected { gid, port, source, gone } = expected;
+        let Some(connection) = source.connection(self.gid, gone.is_some())? else { return Ok(false) };
+        if connection.block().back.state() != ReaderState::Unknown {
+            // It was attached before, and that is over.
+            return Ok(false);
+        }
         let slot = port.slot as usize;
         let reached = source.reached();
         reached.reach(slot)?;
-        let segments = source.segments()?;
-        connection.bring_in(Shape { depth: self.qos.depth, held: self.limits.held });
+        let (segments, grown) = source.segments()?;
+        connection.bring_in();
+        connection.block().back.mapped.store(grown, Ordering::Relaxed);
         connection.block().back.set_state(ReaderState::Attached);
         let receiver = Arc::new(Receiver::new(*gid, connection, reached, slot));
         let qos = port.qos.qos();
@@ -233,6 +242,9 @@ impl SubscriptionCore {
         let entry = Entry { receiver, segments, has_ended: false };
         setup.attached.insert(Attached { publisher: *gid, source: source.clone(), entry });
         setup.is_stale = true;
+        if let Some(is_dead) = gone {
+            end(setup, *gid, *is_dead);
+        }
         Ok(true)
     }
 
@@ -253,27 +265,17 @@ impl SubscriptionCore {
     /// A publisher has gone. `is_dead`: with its participant, so that it was killed unless its memory says that it ended. Call [`settle`](Self::settle) afterwards.
     pub(crate) fn disconnect(&self, publisher: Gid, is_dead: bool) {
         let mut setup = self.setup();
-        // One last time: what it sent before it was found.
         let is_expected = |expected: &Expected| expected.gid == publisher;
-        if let Some(place) = setup.expected.iter().position(is_expected) {
-            let expected = setup.expected.remove(place);
-            if !matches!(self.try_attach(&mut setup, &expected, true), Ok(true)) {
-                return;
-            }
+        let Some(place) = setup.expected.iter().position(is_expected) else {
+            return end(&mut setup, publisher, is_dead);
+        };
+        // One last time: what it sent before it was found.
+        let mut expected = setup.expected.swap_remove(place);
+        expected.gone = Some(is_dead);
+        if self.try_attach(&mut setup, &expected).is_err() {
+            setup.expected.push(expected);
         }
-        let mut was_killed = false;
-        if let Some(attached) = setup.attached.get_mut(publisher).filter(|attached| !attached.entry.has_ended)
-        {
-            was_killed = is_dead && !attached.source.has_ended();
-            // If that is refused what lies there is lost, and counted.
-            if let Ok(segments) = attached.source.segments() {
-                attached.entry.segments = segments;
-            }
-            attached.entry.has_ended = true;
-            setup.ended.push(publisher);
-            setup.is_stale = true;
-        }
-        setup.ends.remove(publisher, was_killed);
+        self.note_unfinished(&setup);
     }
 
     /// Maps segments that a publisher has made since the last time; all of them if none is named.
@@ -286,7 +288,9 @@ impl SubscriptionCore {
         let all = || attached.iter().map(Keyed::key).collect();
         for gid in publisher.map_or_else(all, |gid| vec![gid]) {
             let Some(known) = attached.get(gid).filter(|known| !known.entry.has_ended) else { continue };
-            let segments = known.source.segments()?;
+            let (segments, grown) = known.source.segments()?;
+            // Release: they are mapped.
+            known.entry.receiver.block().back.mapped.store(grown, Ordering::Release);
             if !Arc::ptr_eq(&segments, &known.entry.segments)
                 && let Some(known) = attached.get_mut(gid)
             {
@@ -365,6 +369,22 @@ impl SubscriptionCore {
     }
 }
 
+/// A publisher has gone: what it sent is taken, and nothing comes after it.
+fn end(setup: &mut Setup, publisher: Gid, is_dead: bool) {
+    let mut was_killed = false;
+    if let Some(attached) = setup.attached.get_mut(publisher).filter(|attached| !attached.entry.has_ended) {
+        was_killed = is_dead && !attached.source.has_ended();
+        // If that is refused what lies there is lost, and counted.
+        if let Ok((segments, _)) = attached.source.segments() {
+            attached.entry.segments = segments;
+        }
+        attached.entry.has_ended = true;
+        setup.ended.push(publisher);
+        setup.is_stale = true;
+    }
+    setup.ends.remove(publisher, was_killed);
+}
+
 fn hand_over(setup: &mut Setup) {
     setup.is_stale = false;
     setup.table.write(Arc::new(Table { attached: setup.attached.clone() }));
@@ -391,6 +411,8 @@ fn close_done(setup: &mut Setup) -> (Vec<Gid>, bool) {
     setup.closing.retain(|attached| {
         let stays = Arc::strong_count(&attached.entry.receiver) > 1;
         if !stays {
+            // What others did with it is over.
+            std::sync::atomic::fence(Ordering::Acquire);
             attached.entry.receiver.block().back.set_state(ReaderState::Closed);
             closed.push(attached.publisher);
         }

@@ -107,7 +107,7 @@ impl RawSubscription {
     /// Whether there is something to take; it may have expired.
     ///
     /// # Real-time
-    /// Wait-free, O(publishers); no allocation; no syscall.
+    /// Lock-free, O(publishers): a publisher that overwrites what is looked at makes it look again; no allocation; no syscall.
     pub fn has_samples(&self) -> bool {
         let mut live = self.live.borrow_mut();
         live.refresh();
@@ -167,10 +167,11 @@ impl RawSubscription {
     /// Something else than a sample was found. Whoever sets up has to do something.
     #[cold]
     fn note_look(&self, look: &Look) {
-        if let Look::Settled(lost) = look
-            && *lost != 0
-        {
-            self.note_lost(*lost);
+        match look {
+            Look::Settled(lost) if *lost != 0 => self.note_lost(*lost),
+            // For what comes after it.
+            Look::Passed => self.slot().ring(),
+            _ => {}
         }
         if !self.core().has_called.swap(true, Ordering::AcqRel) {
             self.departure.shared.call_janitor();
@@ -342,7 +343,7 @@ impl Stream for RawSubscription {
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<RawSample>> {
         match self.poll_take(context) {
             // After the waker was registered: whoever ends the node after this look wakes the task.
-            Poll::Pending if self.has_ended() => Poll::Ready(None),
+            Poll::Pending if self.has_ended() && !self.has_samples() => Poll::Ready(None),
             poll => poll.map(Some),
         }
     }

@@ -13,6 +13,7 @@ use crate::topic::chunks::Chunks;
 use crate::topic::connection::{Block, Connection};
 use crate::topic::hand_over::HandOver;
 use crate::topic::header::{Gid, HEADER_BYTES, SampleHeader};
+use crate::topic::memory::SAMPLE_ALIGNMENT;
 use crate::topic::pool::ChunkOffset;
 use core::cell::UnsafeCell;
 use core::ptr::NonNull;
@@ -119,6 +120,8 @@ pub(crate) enum Look {
     Taken(Taken),
     /// A sample is there and cannot be reached yet: whoever sets up maps its segment and rings. There may be more behind it.
     Parked,
+    /// One that could never be reached was passed over. There may be more behind it.
+    Passed,
     Empty,
     /// The publisher has ended and nothing of it is left; so many samples never came.
     Settled(u64),
@@ -160,7 +163,7 @@ impl Receiver {
         let (start, sent) = (&self.block().out.start, &self.block().out.sent);
         match start.load(Ordering::Relaxed) {
             0 => 0,
-            start => (sent.load(Ordering::Relaxed) + 1).saturating_sub(start),
+            start => sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(start),
         }
     }
 
@@ -193,9 +196,9 @@ impl Receiver {
                 // It will never be reached: the samples after it, or its end, show that it is lost.
                 // SAFETY: as the caller promises.
                 unsafe { self.connection.give_back(chunk) };
-            } else {
-                half.parked = Some(chunk);
+                return Look::Passed;
             }
+            half.parked = Some(chunk);
             return Look::Parked;
         };
         // SAFETY: a sample that was submitted is not written before it was returned, and lies within the mapping.
@@ -217,7 +220,8 @@ impl Receiver {
     /// The queue of an ended publisher is empty: what it sent and never came is lost.
     fn settle(&self, half: &Half) -> Look {
         let sent = self.block().out.sent.load(Ordering::Relaxed);
-        let lost = if half.next == 0 { self.unseen() } else { (sent + 1).saturating_sub(half.next) };
+        let lost =
+            if half.next == 0 { self.unseen() } else { sent.saturating_add(1).saturating_sub(half.next) };
         self.turn.finish();
         Look::Settled(lost)
     }
@@ -250,6 +254,7 @@ fn locate(chunk: u64, segments: &SegmentViews) -> Option<(&SegmentView, NonNull<
     if end > view.map.len_bytes()
         || !offset_bytes.is_multiple_of(view.sample_bytes)
         || view.sample_bytes <= HEADER_BYTES
+        || !view.sample_bytes.is_multiple_of(SAMPLE_ALIGNMENT)
     {
         return None;
     }

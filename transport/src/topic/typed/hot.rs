@@ -411,7 +411,7 @@ impl<T: Message> Subscription<T> {
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
     pub fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
-        take_valid(&self.raw)
+        take_valid(&self.raw, |_| ())
     }
 
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
@@ -420,28 +420,39 @@ impl<T: Message> Subscription<T> {
     /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
     /// of the thread have a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
-        poll_take(&self.raw, context)
+        poll_take(&self.raw, context, |_| ())
     }
 }
 
-/// As [`Subscription::try_take_valid`].
-pub(crate) fn take_valid<T: Message>(raw: &RawSubscription) -> Result<Option<Sample<T>>, TakeError> {
+/// As [`Subscription::try_take_valid`]; tells of what is invalid.
+pub(crate) fn take_valid<T: Message>(
+    raw: &RawSubscription,
+    invalid: impl Fn(MessageInfo),
+) -> Result<Option<Sample<T>>, TakeError> {
     let mut patience = Patience::new();
     while let Some(taken) = raw.take_valid(&mut patience)? {
-        if let Ok(sample) = check(raw, taken) {
-            return Ok(Some(sample));
+        let info = taken.info();
+        match check(raw, taken) {
+            Ok(sample) => return Ok(Some(sample)),
+            Err(_) => invalid(info),
         }
     }
     raw.go_on_later(&patience);
     Ok(None)
 }
 
-/// As [`Subscription::poll_take`].
-pub(crate) fn poll_take<T: Message>(raw: &RawSubscription, context: &mut Context<'_>) -> Poll<Sample<T>> {
+/// As [`Subscription::poll_take`]; tells of what is invalid.
+pub(crate) fn poll_take<T: Message>(
+    raw: &RawSubscription,
+    context: &mut Context<'_>,
+    invalid: impl Fn(MessageInfo),
+) -> Poll<Sample<T>> {
     let mut patience = Patience::new();
     while let Poll::Ready(taken) = raw.poll_within(context, &mut patience) {
-        if let Ok(sample) = check(raw, taken) {
-            return Poll::Ready(sample);
+        let info = taken.info();
+        match check(raw, taken) {
+            Ok(sample) => return Poll::Ready(sample),
+            Err(_) => invalid(info),
         }
     }
     Poll::Pending
@@ -463,7 +474,7 @@ impl<T: Message> Stream for Subscription<T> {
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         match self.poll_take(context) {
             // After the waker was registered: whoever ends the node after this look wakes the task.
-            Poll::Pending if self.raw().has_ended() => Poll::Ready(None),
+            Poll::Pending if self.raw().has_ended() && !self.raw().has_samples() => Poll::Ready(None),
             poll => poll.map(Some),
         }
     }
