@@ -28,10 +28,11 @@ use tautline_rt::shm::{self, ShmError};
 
 /// A file that was closed is looked at at once and after each of these times: the kernel tells that a file is closed a moment before
 /// it frees the lock. Then it is some other process that has closed it.
-const AGAIN: [Duration; 4] = [
+const AGAIN: [Duration; 5] = [
     Duration::from_millis(1),
-    Duration::from_millis(5),
-    Duration::from_millis(25),
+    Duration::from_millis(4),
+    Duration::from_millis(8),
+    Duration::from_millis(16),
     Duration::from_millis(200),
 ];
 /// How often all are looked at if the kernel does not tell.
