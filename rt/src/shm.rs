@@ -106,7 +106,7 @@ impl OwnFile {
                 }
             };
             if let Some(file) = make().map_err(ShmError::of(&path))? {
-                return Ok(OwnFile { path, id, file });
+                return Ok(OwnFile { path, id, file: closed_first(file) });
             }
         }
     }
@@ -162,6 +162,14 @@ impl AsFd for OwnFile {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.file.as_fd()
     }
+}
+
+/// The kernel closes a dead process's descriptors from the highest number down, and with some it takes its time (10 ms for an inotify):
+/// the lock is to be free before that.
+fn closed_first(file: OwnedFd) -> OwnedFd {
+    const HIGH: i32 = 256;
+    // Not beyond the limit of open files.
+    rustix::io::fcntl_dupfd_cloexec(&file, HIGH).unwrap_or(file)
 }
 
 /// Another process's file. What it holds are claims. It stays readable when that process has ended.
