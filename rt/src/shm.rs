@@ -106,7 +106,7 @@ impl OwnFile {
                 }
             };
             if let Some(file) = make().map_err(ShmError::of(&path))? {
-                return Ok(OwnFile { path, id, file: closed_first(file) });
+                return Ok(OwnFile { path, id, file: closed_early(file, OWN_FILES) });
             }
         }
     }
@@ -164,12 +164,14 @@ impl AsFd for OwnFile {
     }
 }
 
-/// The kernel closes a dead process's descriptors from the highest number down, and with some it takes its time (10 ms for an inotify):
-/// the lock is to be free before that.
-fn closed_first(file: OwnedFd) -> OwnedFd {
-    const HIGH: i32 = 256;
+/// The numbers of own files' descriptors begin here.
+const OWN_FILES: i32 = 256;
+
+/// Gives a descriptor a number that is not below `least`. The kernel closes a dead process's descriptors from the highest number down,
+/// and with some it takes its time (10 ms for an inotify): what others wait for is to be closed before those. Own files begin at 256.
+pub fn closed_early(file: OwnedFd, least: i32) -> OwnedFd {
     // Not beyond the limit of open files.
-    rustix::io::fcntl_dupfd_cloexec(&file, HIGH).unwrap_or(file)
+    rustix::io::fcntl_dupfd_cloexec(&file, least).unwrap_or(file)
 }
 
 /// Another process's file. What it holds are claims. It stays readable when that process has ended.

@@ -126,7 +126,8 @@ impl Candidate {
             Err(errno) => return Err(refuse(errno)),
         }
         let mut office = Office {
-            _pipe: pipe,
+            // After this process's file, which is to be unlocked when who comes next looks; before what takes time to close.
+            _pipe: shm::closed_early(pipe, 128),
             watch: watch(self.path.parent()),
             suspects: BTreeMap::new(),
             dead: Vec::new(),
