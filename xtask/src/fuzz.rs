@@ -119,7 +119,7 @@ fn cargo_fuzz() -> Result<PathBuf, Outcome> {
     if version.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim().ends_with(CARGO_FUZZ)) {
         return Ok(program);
     }
-    let mut install = cargo("install cargo-fuzz --locked --version");
+    let mut install = cargo("install --debug cargo-fuzz --locked --version");
     match execute(install.arg(CARGO_FUZZ).arg("--root").arg(root)) {
         Outcome::Ok => Ok(program),
         other => Err(other),
