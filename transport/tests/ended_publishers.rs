@@ -7,7 +7,6 @@ use support::{Count, Part, claimed, clean, domain, say, take_all, wait_for, wait
 use tautline_transport::{Limits, Participant, Publisher, Qos};
 
 const DOMAIN: u32 = 192;
-/// And the next one.
 const DOMAIN_OF_STOPPED: u32 = 130;
 const STOPPED: &str = "/ended/stopped";
 
@@ -130,25 +129,6 @@ fn what_was_sent_by_one_that_was_never_seen_is_received() {
     wait_for("the memory to be given back", || claimed(domain) <= before + (64 << 10));
     assert!(part.end().success());
     drop(participant);
-    clean(domain);
-}
-
-/// Subscriptions that go before their participant has found the connection that was made for them hold nothing.
-#[test]
-fn what_was_connected_and_never_found_is_given_back() {
-    let domain = domain(DOMAIN_OF_STOPPED + 1);
-    clean(domain);
-    let participant = Participant::new(domain).unwrap();
-    let publisher =
-        participant.create_publisher::<Count>("/never", Qos::default(), Limits::default()).unwrap();
-    let before = claimed(domain);
-    for _ in 0..200 {
-        let other = Participant::new(domain).unwrap();
-        drop(other.create_subscription::<Count>("/never", Qos::default(), Limits::default()).unwrap());
-    }
-    wait_for("all to have gone", || publisher.subscription_count() == 0);
-    wait_for("the memory to be given back", || claimed(domain) <= before + (64 << 10));
-    drop((publisher, participant));
     clean(domain);
 }
 

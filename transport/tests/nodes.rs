@@ -301,3 +301,25 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
     drop((gateway, _stand_in));
     assert_eq!(names(&observer.graph().unwrap()), ["/here"]);
 }
+
+/// What cannot be read does not hide what comes after it.
+#[test]
+fn a_stream_of_an_ended_node_gives_out_all_that_had_come() {
+    use tautline_ros_msgs::std_srvs::srv::SetBool::Request;
+    let participant = Participant::new(domain(103)).unwrap();
+    let node = participant.create_node("ends", "/").unwrap();
+    let qos = Qos::keep_last(50);
+    let of_node = participant.for_node(&node);
+    let mut stream = of_node.create_subscription::<Request>("/left", qos, Limits::default()).unwrap();
+    let topic_type = TopicType::of::<Request>();
+    let publisher = participant.create_raw_publisher("/left", &topic_type, qos, Limits::default()).unwrap();
+    // More than are passed over in one poll.
+    for body in [7; 40].into_iter().chain([1]) {
+        publisher.publish(&[body]).unwrap();
+    }
+    node.end();
+    let sample = futures::executor::block_on(stream.next()).expect("one is valid");
+    assert!(sample.data);
+    drop(sample);
+    assert!(futures::executor::block_on(stream.next()).is_none());
+}

@@ -11,7 +11,7 @@ use support::{
 };
 use tautline_msgs::Message;
 use tautline_transport::{
-    Gid, Limits, LoanError, MessageInfo, Participant, PublishError, Qos, RawSample, RawSubscription,
+    Claim, Gid, Limits, LoanError, MessageInfo, Participant, PublishError, Qos, RawSample, RawSubscription,
     TakeError, TopicType, TransportError,
 };
 
@@ -423,6 +423,55 @@ fn samples_of_many_loans_all_come_back() {
             loan.publish().unwrap();
             drop(take(&subscription).unwrap());
         }
+    }
+}
+
+#[test]
+fn the_queue_of_one_that_has_gone_takes_no_memory_from_the_others() {
+    let participant = Participant::new(domain(179)).unwrap();
+    // Long enough that none is made to spare.
+    let len = 256 << 10;
+    let topic_type = TopicType::new(TEXT).with_body_bytes(len);
+    let (limits, qos) = (Limits { held: 1, loans: 1, ..Limits::default() }, Qos::keep_last(10));
+    let publisher = participant.create_raw_publisher("/gone", &topic_type, qos, limits).unwrap();
+    let subscribe = || participant.create_raw_subscription("/gone", &topic_type, qos, limits).unwrap();
+    let (stays, mut left) = (subscribe(), Vec::new());
+    for _ in 0..3 {
+        let goes = subscribe();
+        publisher.publish(&vec![0; len]).unwrap();
+        left.push(take(&goes).unwrap());
+        for _ in 0..10 {
+            publisher.publish(&vec![0; len]).expect("its queue is filled");
+        }
+        drop(goes);
+        for _ in 0..25 {
+            publisher.publish(&vec![0; len]).expect("what lies in the queue of one that has gone is extra");
+        }
+        while take(&stays).is_some() {}
+    }
+}
+
+#[test]
+fn samples_come_back_after_the_memory_was_made_anew() {
+    let participant = Participant::new(domain(179)).unwrap();
+    let topic_type = TopicType::new(TEXT);
+    let limits = Limits { held: 1, loans: 1, message_bytes: 64, claim: Claim::OnUse, ..Limits::default() };
+    let qos = Qos::keep_last(200);
+    let publisher = participant.create_raw_publisher("/anew", &topic_type, qos, limits).unwrap();
+    let subscribe = || participant.create_raw_subscription("/anew", &topic_type, qos, limits).unwrap();
+    let first = subscribe();
+    (0..150).for_each(|_| publisher.publish(&[1; 64]).unwrap());
+    drop(first);
+    // With this one all come back, and the next one's memory takes their place.
+    publisher.publish(&[1; 64]).unwrap();
+    publisher.publish(&[1; PAGE]).unwrap();
+    let second = subscribe();
+    for round in 0..6 {
+        for n in 0..180 {
+            let sent = publisher.publish(&[1; PAGE]);
+            sent.unwrap_or_else(|error| panic!("round {round}, message {n}: {error}"));
+        }
+        while take(&second).is_some() {}
     }
 }
 

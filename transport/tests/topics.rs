@@ -442,22 +442,6 @@ fn a_subscription_gets_what_is_published_once_it_is_made() {
     }
 }
 
-/// A publisher is made while the subscriptions that it would find go: it does not keep one that nobody tells it of.
-#[test]
-fn ends_that_pass_each_other_leave_nothing_connected() {
-    let (one, two) = (Participant::new(domain(146)).unwrap(), Participant::new(domain(146)).unwrap());
-    for _ in 0..300 {
-        let subscription = two.create_subscription::<Count>("/pass", Qos::default(), DEFAULT).unwrap();
-        let publisher = std::thread::scope(|scope| {
-            let made =
-                scope.spawn(|| one.create_publisher::<Count>("/pass", Qos::default(), DEFAULT).unwrap());
-            drop(subscription);
-            made.join().unwrap()
-        });
-        wait_for("the subscription to go", || publisher.subscription_count() == 0);
-    }
-}
-
 #[test]
 fn publisher_and_subscription_move_between_threads() {
     let participant = Participant::new(domain(147)).unwrap();

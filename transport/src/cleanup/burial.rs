@@ -141,7 +141,7 @@ impl Dead {
 /// The memory of each publisher that its record tells of.
 fn publishers(peer: &Peer) -> Vec<View> {
     let map = |range, writable| Ok(peer.map(&[range], writable)?.and_then(|mut maps| maps.pop()));
-    let news = Reader::default().read(peer.head(), |range| map(range, false));
+    let news = Reader::default().read(peer, |range| map(range, false));
     let mut places = BTreeMap::new();
     for (entry, _) in news.map(|news| news.entries).unwrap_or_default() {
         match entry.kind {

@@ -17,8 +17,9 @@
 //! | what it says, and zeros | the rest |
 
 use crate::error::TransportError;
-use crate::participant::file::{Head, OwnMemory, PAGE, Place};
+use crate::participant::file::{Head, OwnMemory, PAGE, Peer, Place};
 use crate::participant::ranges::Range;
+use rustix::io::Errno;
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
@@ -268,16 +269,20 @@ impl Reader {
     /// Reads what is new. `map` maps a part of the participant's file, or says that it has gone.
     ///
     /// # Errors
-    /// Those of `map`: nothing has been read then.
+    /// Those of `map`, or its owner writes it anew without a pause: nothing has been read then.
     pub(crate) fn read(
         &mut self,
-        head: &Head,
+        peer: &Peer,
         map: impl Fn(Range) -> Result<Option<Arc<Mapping>>, TransportError>,
     ) -> Result<News, TransportError> {
         let mut news = News::default();
         // It is written anew when it has doubled: seldom, and not for ever.
-        for _ in 0..64 {
-            let place = head.record.load(Ordering::Acquire);
+        for attempt in 0..1000 {
+            if attempt > 8 {
+                // Not always at the same moment as its owner.
+                std::thread::yield_now();
+            }
+            let place = peer.head().record.load(Ordering::Acquire);
             let turn = |part: &Arc<Mapping>| split(part).1.load(Ordering::Relaxed);
             if place != self.place || self.part.as_ref().map(turn) != Some(self.turn) {
                 let Some(range) = Place::from_word(place).filter(|range| range.len <= MAX_BYTES) else {
@@ -292,7 +297,7 @@ impl Reader {
             let bytes = self.bytes(None);
             // What was copied is the record's if it still lies there; else it may be anything.
             std::sync::atomic::fence(Ordering::Acquire);
-            if head.record.load(Ordering::Relaxed) != place || self.part.as_ref().map(turn) != Some(self.turn)
+            if peer.head().record.load(Ordering::Relaxed) != place || self.part.as_ref().map(turn) != Some(self.turn)
             {
                 continue;
             }
@@ -312,8 +317,9 @@ impl Reader {
             self.position = position + at;
             return Ok(news);
         }
-        news.is_damaged = true;
-        Ok(news)
+        // Its owner was faster each time. The next look begins anew.
+        *self = Reader::default();
+        Err(TransportError::File { path: peer.path().to_owned(), source: Errno::AGAIN.into() })
     }
 
     /// The entry at a position that `read` gave. `None`: the record was written anew meanwhile, or is damaged.
@@ -384,7 +390,7 @@ mod tests {
 
     fn read(reader: &mut Reader, peer: &Peer) -> News {
         let map = |range| Ok(peer.map(&[range], false)?.and_then(|mut maps| maps.pop()));
-        reader.read(peer.head(), map).unwrap()
+        reader.read(peer, map).unwrap()
     }
 
     fn entry(log: &mut Log, body: &str) -> Entry {

@@ -273,4 +273,45 @@ mod loom_tests {
             assert_eq!(half.list(), [1, 2]);
         });
     }
+
+    /// As above, of a publisher that keeps one sample and overwrites it before setup can give it to the late joiner: that one is taken
+    /// over all the same, so that it gets what comes next.
+    #[test]
+    fn loom_a_late_joiner_is_taken_over_though_nothing_is_left_to_give_it() {
+        let mut builder = loom::model::Builder::new();
+        builder.preemption_bound = Some(4);
+        builder.check(|| {
+            let turn = Arc::new(HandOver::new());
+            let published = Arc::new(AtomicU64::new(0));
+            let (mut table, mut tables) = latest(false);
+            let thread = {
+                let (turn, published) = (turn.clone(), published.clone());
+                loom::thread::spawn(move || {
+                    for number in 1..=2 {
+                        let _ = tables.is_fresh() && *tables.read() && turn.adopt();
+                        published.store(number, Ordering::Release);
+                        fence(Ordering::SeqCst);
+                        let _ = tables.is_fresh() && *tables.read() && turn.adopt();
+                    }
+                    tables
+                })
+            };
+            let mut loaded = published.load(Ordering::Acquire);
+            loop {
+                table.write(true);
+                fence(Ordering::SeqCst);
+                let now = published.load(Ordering::Acquire);
+                if !turn.is_new() || now == loaded || !turn.hold() {
+                    break;
+                }
+                // Whether or not it was still kept.
+                loaded = now;
+                turn.give_back();
+            }
+            let mut tables = thread.join().unwrap();
+            // When it next publishes.
+            let _ = tables.is_fresh() && *tables.read() && turn.adopt();
+            assert!(turn.is_live());
+        });
+    }
 }
