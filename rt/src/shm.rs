@@ -91,23 +91,36 @@ impl OwnFile {
         loop {
             let id = random();
             let path = Path::new(DIRECTORY).join(format!("{prefix}{id:016x}"));
-            let make = || -> io::Result<Option<OwnedFd>> {
-                let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-                let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-                match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                    // Not if it was taken for a dead owner's before it was locked.
-                    Ok(()) if has_name(&file) => Ok(Some(file)),
-                    // Somebody looks right now whether its owner lives, and may be stopped in that: another one then.
-                    Ok(()) | Err(Errno::WOULDBLOCK) => {
-                        let _ = rustix::fs::unlink(&path);
-                        Ok(None)
-                    }
-                    Err(errno) => Err(errno.into()),
-                }
-            };
-            if let Some(file) = make().map_err(ShmError::of(&path))? {
-                return Ok(OwnFile { path, id, file: closed_early(file, OWN_FILES) });
+            match Self::create_at(path, id) {
+                // Somebody looks right now whether its owner lives, and may be stopped in that: another one then.
+                Err(error) if error.source.kind() == io::ErrorKind::WouldBlock => {}
+                made => return made,
             }
+        }
+    }
+
+    /// Makes an empty file at `path`, of the number `id`.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`ShmError`]; of the kind `WouldBlock` if somebody took it for a dead owner's before it was locked: it is gone.
+    pub fn create_at(path: PathBuf, id: u64) -> Result<OwnFile, ShmError> {
+        let make = || -> io::Result<OwnedFd> {
+            let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+            let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+            let locked = rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive);
+            if locked.is_ok() && has_name(&file) {
+                return Ok(file);
+            }
+            let _ = rustix::fs::unlink(&path);
+            locked?;
+            Err(Errno::WOULDBLOCK.into())
+        };
+        match make() {
+            Ok(file) => Ok(OwnFile { path, id, file: closed_early(file, OWN_FILES) }),
+            Err(source) => Err(ShmError { path, source }),
         }
     }
 

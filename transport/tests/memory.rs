@@ -3,9 +3,9 @@
 
 mod support;
 
-use support::{IMAGE_BYTES, Image, Part, claimed, say};
+use support::{IMAGE_BYTES, Image, Part, claimed, domain, say};
 use tautline_msgs::Message;
-use tautline_transport::{Claim, Limits, Participant, Qos, TopicType, topic_memory};
+use tautline_transport::{Claim, Limits, Participant, Qos, TopicType, TransportError, topic_memory};
 
 const MIB: u64 = 1 << 20;
 const PAGE: u64 = 4096;
@@ -163,4 +163,25 @@ fn the_documents_table_is_what_the_formula_says() {
         let row = format!("| {name} | 10 | 3 | {claimed} | {least} |");
         assert!(text.contains(&row), "docs/memory.md lacks: {row}");
     }
+}
+
+/// 16 TiB of samples: more than there is, and than a piece of shared memory may be.
+#[test]
+fn a_publisher_that_finds_no_memory_leaves_none_behind() {
+    const DOMAIN: u32 = 184;
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
+    let limits =
+        Limits { message_bytes: Limits::MAX_MESSAGE_BYTES, loans: Limits::MAX_HELD, ..Limits::default() };
+    let text = TopicType::new("test_msgs/msg/Text");
+    let refused = |n: usize| {
+        let made = participant.create_raw_publisher(&format!("/vast_{n}"), &text, Qos::default(), limits);
+        made.err().expect("there is no such memory")
+    };
+    let error = refused(0);
+    assert!(matches!(error, TransportError::Memory { .. }), "{error}");
+    println!("{error}");
+    let before = claimed(DOMAIN);
+    (1..=50).for_each(|n| drop(refused(n)));
+    assert_eq!(claimed(DOMAIN), before);
+    assert!(participant.create_raw_publisher("/vast_0", &text, Qos::default(), Limits::default()).is_ok());
 }

@@ -140,8 +140,7 @@ impl Dead {
 
 /// The memory of each publisher that its record tells of.
 fn publishers(peer: &Peer) -> Vec<View> {
-    let map = |range, writable| Ok(peer.map(&[range], writable)?.and_then(|mut maps| maps.pop()));
-    let news = Reader::default().read(peer, |range| map(range, false));
+    let news = Reader::default().read(peer);
     let mut places = BTreeMap::new();
     for (entry, _) in news.map(|news| news.entries).unwrap_or_default() {
         match entry.kind {
@@ -155,9 +154,9 @@ fn publishers(peer: &Peer) -> Vec<View> {
     }
     let view = |(number, at): (&u64, &u64)| {
         let first = Place::from_word(*at)?;
-        let mut view = View::open(first, map(first, true).ok()??, Gid::of(peer.id, *number))?;
+        let mut view = View::open(first, peer.map(first, true).ok()??, Gid::of(peer.id, *number))?;
         for range in view.missing() {
-            view.add(range, map(range, true).ok()??);
+            view.add(range, peer.map(range, true).ok()??);
         }
         Some(view)
     };

@@ -9,6 +9,7 @@ use crate::error::TransportError;
 use crate::graph::domain::Domain;
 use crate::participant::file::OwnMemory;
 use crate::topic::matching::Matcher;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -76,7 +77,7 @@ impl Drop for Janitor {
 
 fn run(shared: &Shared) {
     let calls = shared.domain.calls(shared.place);
-    let (mut again, mut is_said) = (0, false);
+    let (mut again, mut is_said, mut has_stand_in) = (0, false, false);
     loop {
         // Acquire: pairs with the Release of `Domain::call`; a call after this load ends the wait below at once.
         let seen = calls.0.load(Ordering::Acquire);
@@ -89,16 +90,12 @@ fn run(shared: &Shared) {
             shared.doorbell.arena().rescue();
         }
         let is_traced = tautline_trace::attend();
-        if !is_said && shared.memory.is_removed() {
-            is_said = true;
-            // So that the others notice when it dies.
-            let _ = shared.memory.make_stand_in();
-            tracing::error!(
-                "{} was removed while this process runs: processes that start from now on do not find it; restart it. If its user \
-                 logged out, systemd-logind did that: set RemoveIPC=no in /etc/systemd/logind.conf, or run it as a system user \
-                 (docs/deployment.md)",
-                shared.memory.path().display()
-            );
+        if !has_stand_in && shared.memory.is_removed() {
+            // So that the others notice when it dies; none can if the folder was removed, too.
+            has_stand_in = shared.memory.make_stand_in().is_ok();
+            if !std::mem::replace(&mut is_said, true) {
+                say_that_it_was_removed(shared.memory.path());
+            }
         }
         let pause = looked.is_pending.then(|| AGAIN[again]);
         again = if looked.is_pending { (again + 1).min(AGAIN.len() - 1) } else { 0 };
@@ -113,4 +110,12 @@ fn run(shared: &Shared) {
             again = 0;
         }
     }
+}
+
+fn say_that_it_was_removed(path: &Path) {
+    tracing::error!(
+        "{} was removed while this process runs: processes that start from now on do not find it; restart it. If its user logged out, \
+         systemd-logind did that: set RemoveIPC=no in /etc/systemd/logind.conf, or run it as a system user (docs/deployment.md)",
+        path.display()
+    );
 }

@@ -266,15 +266,11 @@ pub(crate) struct News {
 }
 
 impl Reader {
-    /// Reads what is new. `map` maps a part of the participant's file, or says that it has gone.
+    /// Reads what is new; nothing if the participant's file has gone.
     ///
     /// # Errors
-    /// Those of `map`, or its owner writes it anew without a pause: nothing has been read then.
-    pub(crate) fn read(
-        &mut self,
-        peer: &Peer,
-        map: impl Fn(Range) -> Result<Option<Arc<Mapping>>, TransportError>,
-    ) -> Result<News, TransportError> {
+    /// Those of [`Peer::map`], or its owner writes it anew without a pause: nothing has been read then.
+    pub(crate) fn read(&mut self, peer: &Peer) -> Result<News, TransportError> {
         let mut news = News::default();
         // It is written anew when it has doubled: seldom, and not for ever.
         for attempt in 0..1000 {
@@ -289,7 +285,7 @@ impl Reader {
                     news.is_damaged = place != 0;
                     return Ok(news);
                 };
-                let Some(part) = map(range)? else { return Ok(news) };
+                let Some(part) = peer.map(range, false)? else { return Ok(news) };
                 *self = Reader { place, turn: turn(&part), part: Some(part), position: 0 };
                 news = News { anew: true, ..News::default() };
             }
@@ -297,7 +293,8 @@ impl Reader {
             let bytes = self.bytes(None);
             // What was copied is the record's if it still lies there; else it may be anything.
             std::sync::atomic::fence(Ordering::Acquire);
-            if peer.head().record.load(Ordering::Relaxed) != place || self.part.as_ref().map(turn) != Some(self.turn)
+            if peer.head().record.load(Ordering::Relaxed) != place
+                || self.part.as_ref().map(turn) != Some(self.turn)
             {
                 continue;
             }
@@ -389,8 +386,7 @@ mod tests {
     }
 
     fn read(reader: &mut Reader, peer: &Peer) -> News {
-        let map = |range| Ok(peer.map(&[range], false)?.and_then(|mut maps| maps.pop()));
-        reader.read(peer, map).unwrap()
+        reader.read(peer).unwrap()
     }
 
     fn entry(log: &mut Log, body: &str) -> Entry {

@@ -218,8 +218,7 @@ impl Model {
 
     fn read(&mut self, id: u64, member: &mut Member) -> Result<(), TransportError> {
         let Some(peer) = &member.peer else { return Ok(()) };
-        let map = |range| Ok(peer.map(&[range], false)?.and_then(|mut maps| maps.pop()));
-        let news = member.reader.read(peer, map)?;
+        let news = member.reader.read(peer)?;
         if news.anew {
             self.unlist(id, member);
             *member =

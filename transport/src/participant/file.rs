@@ -11,10 +11,8 @@
 
 use super::ranges::{Range, Ranges};
 use crate::error::TransportError;
-use rustix::fs::{FlockOperation, Mode, OFlags};
 use std::collections::BTreeMap;
 use std::io;
-use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
@@ -51,8 +49,9 @@ pub(crate) struct Head {
 pub(crate) struct Place;
 
 impl Place {
-    /// Pages of a part at most: 64 GiB.
     const LEN_BITS: u32 = 24;
+    /// How long a part is at most: 64 GiB, less a page.
+    const MAX_LEN: u64 = ((1 << Self::LEN_BITS) - 1) * PAGE;
 
     pub(crate) fn to_word(range: Range) -> u64 {
         (range.offset / PAGE) << Self::LEN_BITS | (range.len / PAGE) & ((1 << Self::LEN_BITS) - 1)
@@ -77,7 +76,7 @@ pub(crate) struct OwnMemory {
     ranges: Mutex<Ranges>,
     /// How long the file is.
     len: Mutex<u64>,
-    stand_in: Mutex<Option<(PathBuf, OwnedFd)>>,
+    stand_in: Mutex<Option<OwnFile>>,
 }
 
 impl OwnMemory {
@@ -158,6 +157,9 @@ impl OwnMemory {
 
     /// Takes a part of the file that is at least `len` bytes long, without memory yet. It reads as zeros.
     pub(crate) fn reserve(&self, len: u64) -> io::Result<Range> {
+        if len > Place::MAX_LEN {
+            return Err(io::Error::other("a piece of shared memory is shorter than 64 GiB"));
+        }
         let none = || io::Error::other("the file of this participant is at its greatest length");
         let range = self.ranges().take(len, PAGE).ok_or_else(none)?;
         let mut file_len = self.len.lock().unwrap_or_else(PoisonError::into_inner);
@@ -197,23 +199,20 @@ impl OwnMemory {
     ///
     /// # Errors
     /// The folder was removed, too.
-    pub(crate) fn make_stand_in(&self) -> io::Result<()> {
+    pub(crate) fn make_stand_in(&self) -> Result<(), TransportError> {
         let path = self.path().with_file_name(format!("{STAND_IN}{:016x}", self.id()));
-        let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-        let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
-        rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive)?;
-        *self.stand_in() = Some((path, file));
+        *self.stand_in() = Some(OwnFile::create_at(path, self.id()).map_err(file_error)?);
         Ok(())
     }
 
-    fn stand_in(&self) -> MutexGuard<'_, Option<(PathBuf, OwnedFd)>> {
+    fn stand_in(&self) -> MutexGuard<'_, Option<OwnFile>> {
         self.stand_in.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Removes the file.
     pub(crate) fn retire(&self) {
-        if let Some((path, _)) = self.stand_in().take() {
-            let _ = rustix::fs::unlink(path);
+        if let Some(stand_in) = self.stand_in().take() {
+            stand_in.retire();
         }
         self.file.retire();
     }
@@ -286,7 +285,7 @@ impl Peer {
         let window = window_of(slot);
         let Some(place) = self.head().windows.get(window).filter(|_| window != 0) else { return Ok(false) };
         let Some(range) = Place::from_word(place.load(Ordering::Acquire)) else { return Ok(false) };
-        let Some(map) = self.map(&[range], true)?.and_then(|mut maps| maps.pop()) else { return Ok(false) };
+        let Some(map) = self.map(range, true)? else { return Ok(false) };
         if let Some(memory) = Region::new(&map, 0, window_bytes(window)) {
             let _ = map.populate(0, map.len_bytes(), true);
             self.arena.add_window(window, memory);
@@ -294,22 +293,15 @@ impl Peer {
         Ok(self.arena.has(slot))
     }
 
-    /// Maps parts of the file. `None`: the file has gone, or is not as long as its owner says.
-    pub(crate) fn map(
-        &self,
-        ranges: &[Range],
-        writable: bool,
-    ) -> Result<Option<Vec<Arc<Mapping>>>, TransportError> {
+    /// Maps a part of the file. `None`: the file has gone, or is not as long as its owner says.
+    pub(crate) fn map(&self, range: Range, writable: bool) -> Result<Option<Arc<Mapping>>, TransportError> {
         let Some(file) = open(&self.path)? else { return Ok(None) };
-        let len = file.size_bytes().map_err(file_error)?;
-        if ranges.iter().any(|range| range.end() > len) {
+        if range.end() > file.size_bytes().map_err(file_error)? {
             return Ok(None);
         }
-        let map = |range: &Range| {
-            let map = Mapping::new(&file, range.offset, range.len as usize, writable);
-            map.map(Arc::new).map_err(|source| TransportError::File { path: self.path.clone(), source })
-        };
-        ranges.iter().map(map).collect::<Result<_, _>>().map(Some)
+        let map = Mapping::new(&file, range.offset, range.len as usize, writable);
+        let map = map.map_err(|source| TransportError::File { path: self.path.clone(), source })?;
+        Ok(Some(Arc::new(map)))
     }
 }
 

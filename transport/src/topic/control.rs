@@ -128,24 +128,33 @@ impl Control {
     pub(crate) fn create(memory: &Arc<OwnMemory>, gid: Gid) -> io::Result<Self> {
         let (parts, free, claimed) = Default::default();
         let mut control = Control { memory: memory.clone(), parts, free, claimed };
-        control.add_part()?;
+        match control.begin(gid) {
+            Ok(()) => Ok(control),
+            Err(error) => {
+                control.give_back_parts();
+                Err(error)
+            }
+        }
+    }
+
+    fn begin(&mut self, gid: Gid) -> io::Result<()> {
+        self.add_part()?;
         // The head is the first stretch of the first part.
-        let head_stretch =
-            control.take(0, HEAD_BYTES).ok_or_else(|| io::Error::other("no room for a head"))?;
-        let entries = control.take(0, (FIRST_ENTRIES * size_of::<DirectoryEntry>()) as u64);
+        let head_stretch = self.take(0, HEAD_BYTES).ok_or_else(|| io::Error::other("no room for a head"))?;
+        let entries = self.take(0, (FIRST_ENTRIES * size_of::<DirectoryEntry>()) as u64);
         let entries = entries.ok_or_else(|| io::Error::other("no room for a directory"))?;
-        control.claim(head_stretch, 0, HEAD_BYTES)?;
-        control.claim(entries, 0, entries.range.len)?;
-        let head = control.head();
+        self.claim(head_stretch, 0, HEAD_BYTES)?;
+        self.claim(entries, 0, entries.range.len)?;
+        let head = self.head();
         let [low, high] = gid.words();
         head.gid[0].store(low, Ordering::Relaxed);
         head.gid[1].store(high, Ordering::Relaxed);
-        head.parts[0].store(Place::to_word(control.parts[0].0), Ordering::Relaxed);
-        let offset = control.parts[0].0.offset + entries.range.offset;
+        head.parts[0].store(Place::to_word(self.parts[0].0), Ordering::Relaxed);
+        let offset = self.parts[0].0.offset + entries.range.offset;
         head.directory.store(directory_word(offset, FIRST_ENTRIES), Ordering::Relaxed);
         // Release: pairs with the Acquire in `View::open`.
         head.magic.store(MAGIC, Ordering::Release);
-        Ok(control)
+        Ok(())
     }
 
     pub(crate) fn head(&self) -> &PublisherHead {
@@ -360,6 +369,10 @@ impl Control {
     /// Gives all of it back to the file: no subscription uses it any more.
     pub(crate) fn release(self) {
         self.head().magic.store(0, Ordering::Release);
+        self.give_back_parts();
+    }
+
+    fn give_back_parts(&self) {
         self.parts.iter().for_each(|(range, _)| self.memory.release(*range));
     }
 }
@@ -445,13 +458,13 @@ mod tests {
 
     fn view(peer: &Peer, place: u64, of: Gid) -> View {
         let first = Place::from_word(place).unwrap();
-        let map = peer.map(&[first], true).unwrap().unwrap().pop().unwrap();
+        let map = peer.map(first, true).unwrap().unwrap();
         View::open(first, map, of).unwrap()
     }
 
     fn map_missing(view: &mut View, peer: &Peer) {
         for range in view.missing() {
-            let map = peer.map(&[range], true).unwrap().unwrap().pop().unwrap();
+            let map = peer.map(range, true).unwrap().unwrap();
             view.add(range, map);
         }
     }
@@ -495,7 +508,7 @@ mod tests {
         let place = Place::from_word(control.place()).unwrap();
         drop(made);
         control.release();
-        let map = peer.map(&[place], true).unwrap().unwrap().pop().unwrap();
+        let map = peer.map(place, true).unwrap().unwrap();
         assert!(View::open(place, map, gid(1)).is_none(), "it is nobody's");
         memory.retire();
     }
@@ -544,7 +557,7 @@ mod tests {
         }
         for lie in [u64::MAX, 1 << 63, (1 << 40) + 3] {
             head.parts[3].store(lie, Ordering::Relaxed);
-            assert!(view.missing().iter().all(|range| peer.map(&[*range], true).unwrap().is_none()));
+            assert!(view.missing().iter().all(|range| peer.map(*range, true).unwrap().is_none()));
         }
         memory.retire();
     }

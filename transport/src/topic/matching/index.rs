@@ -201,8 +201,7 @@ impl Index {
             }
         };
         let peer = member.peer.clone();
-        let map = |range| Ok(peer.map(&[range], false)?.and_then(|mut maps| maps.pop()));
-        let read = member.reader.read(&peer, map)?;
+        let read = member.reader.read(&peer)?;
         let mut former = (HashMap::new(), HashMap::new());
         if read.anew {
             former = (std::mem::take(&mut member.ports), std::mem::take(&mut member.remote));

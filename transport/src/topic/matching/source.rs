@@ -91,13 +91,12 @@ impl PeerPublisher {
     }
 
     fn map_parts(&self, view: &mut View) -> Result<(), TransportError> {
-        let missing = view.missing();
-        if missing.is_empty() {
-            return Ok(());
+        for range in view.missing() {
+            // One that is not there is a lie, and nothing is found in it.
+            if let Some(map) = self.peer.map(range, true)? {
+                view.add(range, map);
+            }
         }
-        // One that is not there is a lie, and nothing is found in it.
-        let Some(maps) = self.peer.map(&missing, true)? else { return Ok(()) };
-        missing.into_iter().zip(maps).for_each(|(range, map)| view.add(range, map));
         Ok(())
     }
 
@@ -138,9 +137,7 @@ impl PeerPublisher {
     }
 
     fn map_segment(&self, range: Range) -> Result<Option<Arc<Mapping>>, TransportError> {
-        let Some(map) = self.peer.map(&[range], false)?.and_then(|mut maps| maps.pop()) else {
-            return Ok(None);
-        };
+        let Some(map) = self.peer.map(range, false)? else { return Ok(None) };
         // So that taking faults no page. If it fails, as of memory that is claimed on use, it does.
         let _ = map.populate(0, map.len_bytes(), false);
         Ok(Some(map))
@@ -165,7 +162,7 @@ impl PeerPublishers {
             return Ok(Some(Source::Peer(known)));
         }
         let Some(first) = Place::from_word(at) else { return Ok(None) };
-        let Some(map) = peer.map(&[first], true)?.and_then(|mut maps| maps.pop()) else { return Ok(None) };
+        let Some(map) = peer.map(first, true)? else { return Ok(None) };
         let Some(view) = View::open(first, map, gid) else { return Ok(None) };
         let state = Mutex::new(State { view, segments: Arc::from([]), grown: None });
         let publisher = Arc::new(PeerPublisher { peer: peer.clone(), state });

@@ -162,11 +162,12 @@ impl PublisherCore {
             matched: AtomicUsize::new(0),
             setup: Mutex::new(setup),
         };
-        {
-            let mut setup = core.setup();
-            core.grow(&mut setup, None)?;
-            core.hand_over(&mut setup);
+        let grown = core.grow(&mut core.setup(), None);
+        if let Err(error) = grown {
+            core.release(|_| false, |_| false);
+            return Err(error);
         }
+        core.hand_over(&mut core.setup());
         Ok((Arc::new(core), Live::new(reader)))
     }
 

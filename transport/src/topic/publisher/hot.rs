@@ -182,7 +182,8 @@ impl RawPublisher {
         let before = self.sample_bytes.replace(after);
         // Who claims on use has asked for it, and claims the sample next: that is counted.
         if self.core.limits.claim == Claim::Ahead {
-            self.note_growth(len_bytes, before, after);
+            self.counters.growths.fetch_add(1, Ordering::Relaxed);
+            self.warn_of_growth(len_bytes, before, after);
         }
         Ok(())
     }
@@ -191,8 +192,7 @@ impl RawPublisher {
     fn claim_more(&self) -> Result<(), LoanError> {
         self.core.claim_more().map_err(|_| LoanError::OutOfMemory)?;
         self.shared.matcher.announce_segments(&self.core);
-        let sample_bytes = self.sample_bytes.get();
-        self.note_growth(0, sample_bytes, sample_bytes);
+        self.counters.growths.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 

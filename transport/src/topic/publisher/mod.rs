@@ -183,11 +183,11 @@ impl RawPublisher {
         self.counters.clone()
     }
 
-    /// Memory had to be claimed for a sample.
+    /// A message did not fit.
     #[cold]
-    fn note_growth(&self, len_bytes: usize, before: usize, after: usize) {
-        let is_first = self.counters.growths.fetch_add(1, Ordering::Relaxed) == 0;
-        if is_first && after != before {
+    fn warn_of_growth(&self, len_bytes: usize, before: usize, after: usize) {
+        let is_first = before == sample_bytes(self.core.limits.message_bytes);
+        if is_first {
             tracing::warn!(
                 "{}: a message of {len_bytes} bytes does not fit into this publisher's samples of {before}, which \
                  take {after} from now on: that took a new segment, which is not real-time; set `Limits::message_bytes` to \

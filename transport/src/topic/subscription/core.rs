@@ -359,8 +359,8 @@ impl SubscriptionCore {
         let closing = std::mem::take(&mut setup.closing);
         let attached = attached.iter().chain(&closing);
         let closed = attached.map(close).collect();
-        // Nobody takes any more: nothing keeps what was there mapped.
-        (0..3).for_each(|_| setup.table.write(Arc::default()));
+        // Nobody takes any more: with this go the tables, which keep what was there mapped.
+        setup.table = latest(Arc::default()).0;
         closed
     }
 
