@@ -9,6 +9,7 @@
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in; [`domain`] says where they are.
 //! - [`PiMutex`] protects what threads of different priorities use; [`FutexWord`] is a word to sleep on.
+//! - [`at_exit`] is for what a process leaves to others, and whose threads may run on when it ends.
 //! - [`latest`] passes the newest of many values on, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
 //!
@@ -31,6 +32,7 @@
 
 mod cores;
 mod error;
+mod exit;
 mod futex;
 mod idle;
 mod latest;
@@ -51,6 +53,7 @@ pub mod shm;
 
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;
+pub use exit::{AtExit, at_exit};
 pub use futex::FutexWord;
 pub use idle::IdleHold;
 pub use latest::{LatestReader, LatestWriter, latest};

@@ -6,11 +6,13 @@ use std::io;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::slice;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rustix::param::page_size;
 
 use crate::shm::{self, Mapping, OwnFile, PeerFile};
+use crate::{AtExit, at_exit};
 
 const WORD_BYTES: usize = size_of::<AtomicU64>();
 
@@ -57,7 +59,8 @@ impl fmt::Debug for Words {
 /// it was killed, whoever can lock the file may remove it.
 #[derive(Debug)]
 pub struct WordsFile {
-    file: OwnFile,
+    file: Arc<OwnFile>,
+    _at_exit: AtExit,
 }
 
 impl WordsFile {
@@ -66,7 +69,9 @@ impl WordsFile {
     /// # Errors
     /// What the system said, with the path.
     pub fn create(prefix: &str) -> io::Result<WordsFile> {
-        Ok(WordsFile { file: OwnFile::create(prefix)? })
+        let file = Arc::new(OwnFile::create(prefix)?);
+        let last = file.clone();
+        Ok(WordsFile { file, _at_exit: at_exit(move || last.retire()) })
     }
 
     /// Where it is.
@@ -89,7 +94,7 @@ impl WordsFile {
     pub fn map(&self, at: usize, len: usize) -> io::Result<Words> {
         let (start_bytes, len_bytes) = (at * WORD_BYTES, len * WORD_BYTES);
         self.file.claim(start_bytes as u64, len_bytes as u64)?;
-        let map = Mapping::new(&self.file, start_bytes as u64, len_bytes, true)
+        let map = Mapping::new(&*self.file, start_bytes as u64, len_bytes, true)
             .map_err(|error| with_path(self.path(), error))?;
         let words = Words { memory: Memory::Shared(map, len) };
         for word in words.iter().step_by(page_words()) {

@@ -4,7 +4,8 @@
 mod support;
 
 use support::{
-    Count, Part, claimed, clean, domain, participants, say, shared_memory, wait_for, wait_for_the_end,
+    Count, Part, claimed, clean, domain, participants, say, shared_memory, take_all, wait_for,
+    wait_for_the_end,
 };
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, Unpublished};
 
@@ -55,8 +56,51 @@ fn child_main() {
             say("left");
             wait_for_the_end();
         }
+        "exit" => exit_while_threads_run(participant),
+        "last words" => {
+            let publisher = new_publisher(&participant, Qos::keep_all(50));
+            wait_for("the subscription", || publisher.subscription_count() == 1);
+            (0..50).for_each(|n| publisher.publish(&Count { n }).unwrap());
+            std::process::exit(0);
+        }
+        "fork" => {
+            // SAFETY: the child only ends.
+            let child = unsafe { libc::fork() };
+            if child == 0 {
+                std::process::exit(0);
+            }
+            // SAFETY: it is this process's child.
+            assert_eq!(unsafe { libc::waitpid(child, std::ptr::null_mut(), 0) }, child);
+            say("forked");
+            wait_for_the_end();
+        }
         other => panic!("no part {other}"),
     }
+}
+
+/// Ends by `exit`; threads hold all there is.
+fn exit_while_threads_run(participant: Participant) {
+    let beside = Participant::new(participant.domain()).unwrap();
+    let (publisher, subscription) =
+        (new_publisher(&participant, Qos::keep_all(100)), new_subscription(&beside, Qos::keep_all(100)));
+    let sent = std::sync::Arc::new(std::sync::atomic::AtomicU64::new(0));
+    let counted = sent.clone();
+    std::thread::spawn(move || {
+        loop {
+            match publisher.publish(&Count { n: 1 }) {
+                Ok(()) => _ = counted.fetch_add(1, std::sync::atomic::Ordering::Relaxed),
+                Err(_) => std::thread::yield_now(),
+            }
+        }
+    });
+    std::thread::spawn(move || {
+        while subscription.try_take().is_ok() {
+            std::thread::yield_now();
+        }
+    });
+    wait_for("messages", || sent.load(std::sync::atomic::Ordering::Relaxed) > 200);
+    say("exits");
+    std::process::exit(0);
 }
 
 fn new_publisher(participant: &Participant, qos: Qos) -> Publisher<Count> {
@@ -231,4 +275,46 @@ fn a_subscription_that_left_with_a_sample_of_a_process_that_is_killed() {
     }
     drop((publisher, participant));
     clean(167);
+}
+
+#[test]
+fn a_process_that_exits_leaves_nothing_though_its_threads_run_on() {
+    const DOMAIN: u32 = 185;
+    for _ in 0..CYCLES {
+        let mut part = Part::start("exit", domain(DOMAIN));
+        assert_eq!(part.hear(), "exits");
+        assert!(part.end().success());
+        assert_eq!(remains(DOMAIN), Vec::<String>::new());
+        let folder = std::path::Path::new("/dev/shm").join(tautline_rt::domain::shared_folder(DOMAIN));
+        assert!(!folder.exists());
+    }
+}
+
+#[test]
+fn what_was_sent_before_an_exit_arrives() {
+    const DOMAIN: u32 = 187;
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
+    for _ in 0..CYCLES {
+        let subscription = new_subscription(&participant, Qos::keep_all(50));
+        assert!(Part::start("last words", DOMAIN).end().success());
+        let mut taken = Vec::new();
+        wait_for("all of it", || {
+            taken.extend(take_all(&subscription));
+            taken.len() == 50
+        });
+        assert_eq!(taken, (0..50).collect::<Vec<_>>());
+        assert_eq!(subscription.counters().lost(), 0);
+    }
+    wait_for("the warden", || participants(DOMAIN).len() == 1);
+}
+
+#[test]
+fn what_a_process_forks_ends_nothing_of_its_own() {
+    const DOMAIN: u32 = 186;
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
+    let mut part = Part::start("fork", DOMAIN);
+    assert_eq!(part.hear(), "forked");
+    assert_eq!(participants(DOMAIN).len(), 2);
+    assert!(part.end().success());
+    drop(participant);
 }

@@ -175,7 +175,7 @@ fn a_publisher_that_finds_no_memory_leaves_none_behind() {
     let text = TopicType::new("test_msgs/msg/Text");
     let refused = |n: usize| {
         let made = participant.create_raw_publisher(&format!("/vast_{n}"), &text, Qos::default(), limits);
-        made.err().expect("there is no such memory")
+        made.expect_err("there is no such memory")
     };
     let error = refused(0);
     assert!(matches!(error, TransportError::Memory { .. }), "{error}");

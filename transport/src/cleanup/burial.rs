@@ -49,7 +49,7 @@ pub(super) fn names(domain: u32) -> Result<Vec<String>, TransportError> {
 }
 
 /// All but the domain's own, which are their members' together.
-pub(super) fn has_owner(name: &str) -> bool {
+pub(crate) fn has_owner(name: &str) -> bool {
     name != WARDEN && name != crate::graph::domain::NAME
 }
 

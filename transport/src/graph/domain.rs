@@ -12,15 +12,15 @@
 //! Every member holds a shared lock of the file. Who leaves and gets it for itself alone is the last one, and removes the domain's
 //! files: killed processes hold no locks.
 
+use crate::cleanup::has_owner;
 use crate::error::TransportError;
-use crate::participant::file::id_of;
 use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::FutexWord;
 use tautline_rt::clock::monotonic_ns;
@@ -62,6 +62,7 @@ pub(crate) struct Domain {
     path: PathBuf,
     file: OwnedFd,
     map: Mapping,
+    has_left: Mutex<bool>,
 }
 
 /// A place of a member.
@@ -84,7 +85,9 @@ impl Domain {
             shm::make_folder(&folder)
                 .map_err(|ShmError { path, source }| TransportError::File { path, source })?;
             match Self::open(&path).map_err(refuse)? {
-                Opened::Whole(file, map) => return Ok(Arc::new(Domain { number, path, file, map })),
+                Opened::Whole(file, map) => {
+                    return Ok(Arc::new(Domain { number, path, file, map, has_left: Mutex::default() }));
+                }
                 Opened::Other => return Err(TransportError::Version { path }),
                 Opened::Missing if start.elapsed() > PATIENCE => {
                     return Err(refuse(io::Error::other(
@@ -107,7 +110,9 @@ impl Domain {
     pub(crate) fn visit(number: u32) -> Result<Option<Arc<Self>>, TransportError> {
         let path = Path::new(shm::DIRECTORY).join(shared_folder(number)).join(NAME);
         match Self::open(&path) {
-            Ok(Opened::Whole(file, map)) => Ok(Some(Arc::new(Domain { number, path, file, map }))),
+            Ok(Opened::Whole(file, map)) => {
+                Ok(Some(Arc::new(Domain { number, path, file, map, has_left: Mutex::default() })))
+            }
             Ok(Opened::Other) => Err(TransportError::Version { path }),
             Ok(Opened::Missing | Opened::Leaving) => Ok(None),
             Err(source) => Err(TransportError::File { path, source }),
@@ -254,9 +259,13 @@ impl Domain {
     }
 }
 
-impl Drop for Domain {
+impl Domain {
     /// The last one removes the domain's files and its folder. Traces of killed processes stay for a recorder.
-    fn drop(&mut self) {
+    pub(crate) fn leave(&self) {
+        let mut has_left = self.has_left.lock().unwrap_or_else(PoisonError::into_inner);
+        if std::mem::replace(&mut has_left, true) {
+            return;
+        }
         if rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockExclusive).is_err()
             || self.is_removed()
         {
@@ -266,7 +275,8 @@ impl Drop for Domain {
         // Of those that were killed when nobody looked after them any more.
         for file in shm::list(&format!("{}/", shared_folder(self.number))).unwrap_or_default() {
             let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-            if id_of(name).is_some()
+            if has_owner(name)
+                && !tautline_trace::is_trace_file(name)
                 && let Ok(file) = shm::PeerFile::open(file, false)
             {
                 file.remove_if_orphaned();
@@ -275,6 +285,12 @@ impl Drop for Domain {
         let _ = rustix::fs::unlink(folder.join(WARDEN));
         let _ = rustix::fs::unlink(&self.path);
         let _ = rustix::fs::rmdir(folder);
+    }
+}
+
+impl Drop for Domain {
+    fn drop(&mut self) {
+        self.leave();
     }
 }
 

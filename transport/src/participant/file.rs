@@ -14,7 +14,7 @@ use crate::error::TransportError;
 use std::collections::BTreeMap;
 use std::io;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 use tautline_doorbell::{Arena, ArenaId, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of};
 use tautline_rt::domain::shared_folder;
@@ -77,6 +77,7 @@ pub(crate) struct OwnMemory {
     /// How long the file is.
     len: Mutex<u64>,
     stand_in: Mutex<Option<OwnFile>>,
+    is_retired: AtomicBool,
 }
 
 impl OwnMemory {
@@ -109,6 +110,7 @@ impl OwnMemory {
             ranges: Mutex::new(ranges),
             len: Mutex::new(len),
             stand_in: Mutex::default(),
+            is_retired: AtomicBool::new(false),
         })
     }
 
@@ -192,7 +194,8 @@ impl OwnMemory {
 
     /// Whether somebody removed the file, as systemd-logind does when a user logs out: nobody finds this participant then.
     pub(crate) fn is_removed(&self) -> bool {
-        !shm::has_name(&self.file)
+        // In this order: it is noted before the name goes.
+        !shm::has_name(&self.file) && !self.is_retired.load(Ordering::Acquire)
     }
 
     /// The file was removed: makes another one, which says by its lock whether this participant lives. It is empty.
@@ -211,6 +214,7 @@ impl OwnMemory {
 
     /// Removes the file.
     pub(crate) fn retire(&self) {
+        self.is_retired.store(true, Ordering::Release);
         if let Some(stand_in) = self.stand_in().take() {
             stand_in.retire();
         }

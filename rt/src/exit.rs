@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is still done when a process ends by returning from `main` or by `exit` while other threads of it run on: nothing is dropped
+//! then that those threads hold.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Mutex, MutexGuard, Once, PoisonError};
+
+type Last = Box<dyn FnOnce() + Send>;
+
+struct List {
+    entries: Vec<(u64, Last)>,
+    next: u64,
+    /// Whose process this is: one that it forks and that ends has the list, too.
+    pid: u32,
+}
+
+static LIST: Mutex<List> = Mutex::new(List { entries: Vec::new(), next: 0, pid: 0 });
+
+fn list() -> MutexGuard<'static, List> {
+    LIST.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Something that is to be done at the process's end, unless this is dropped before. A process that ends meanwhile waits until what
+/// this holds is dropped; that may hold no other one of these.
+#[derive(Debug)]
+#[must_use = "what is dropped is not done"]
+pub struct AtExit(u64);
+
+/// Has `last` called when the process ends by itself, in the thread that ends it; what was named last is called first. A process that
+/// is killed, or that calls `_exit`, calls nothing.
+///
+/// # Real-time
+/// Setup only.
+pub fn at_exit(last: impl FnOnce() + Send + 'static) -> AtExit {
+    static REGISTERED: Once = Once::new();
+    // SAFETY: `run` may be called at any time from C, and does not unwind. If that is refused, nothing is called.
+    REGISTERED.call_once(|| _ = unsafe { libc::atexit(run) });
+    let mut list = list();
+    list.pid = std::process::id();
+    list.next += 1;
+    let number = list.next;
+    list.entries.push((number, Box::new(last)));
+    AtExit(number)
+}
+
+impl Drop for AtExit {
+    fn drop(&mut self) {
+        let mut list = list();
+        list.entries.retain(|(number, _)| *number != self.0);
+    }
+}
+
+extern "C" fn run() {
+    let mut list = list();
+    if list.pid != std::process::id() {
+        return;
+    }
+    let entries = std::mem::take(&mut list.entries);
+    drop(list);
+    for (_, last) in entries.into_iter().rev() {
+        // Said by the panic itself; the others are still called.
+        let _ = catch_unwind(AssertUnwindSafe(last));
+    }
+}
