@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use serde::de::DeserializeOwned;
+use tautline_rt::domain::scope;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -36,7 +37,7 @@ pub struct Process<'a, L> {
 }
 
 impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
-    /// Starts it; `name` is what errors call it. Waiting for it ends when `interrupted` is set.
+    /// Starts it, in this one's scope; `name` is what errors call it. Waiting for it ends when `interrupted` is set.
     ///
     /// # Errors
     /// It cannot be started.
@@ -45,6 +46,7 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         name: impl Into<String>,
         interrupted: &'a AtomicBool,
     ) -> Result<Self> {
+        command.envs(scope()?.map(|scope| ("TAUT_SCOPE", scope)));
         // SAFETY: between fork and exec it does a system call and nothing else.
         unsafe { command.pre_exec(|| Ok(set_parent_process_death_signal(Some(Signal::TERM))?)) };
         let mut child = command

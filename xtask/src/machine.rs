@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// The root of the workspace.
 pub fn root() -> PathBuf {
@@ -51,15 +52,22 @@ pub fn cargo_has(arguments: &str) -> Result<(), String> {
     }
 }
 
-/// The scope that everything runs in which a verb starts: it meets nothing of this user's running systems. What is left there is
-/// removed when this is dropped.
+/// A part of Tautline that nobody else is in; what is left there is removed when this is dropped.
 pub struct Scope {
     name: String,
     is_own: bool,
 }
 
 impl Scope {
-    /// That of `TAUT_SCOPE`, or a new one, which is the children's too.
+    /// For programs that are given it, and may be killed.
+    pub fn new(purpose: &str) -> Scope {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        Scope { name: format!("{purpose}-{}-{count}", std::process::id()), is_own: true }
+    }
+
+    /// What everything runs in that a verb starts: it meets nothing of this user's running systems. That of `TAUT_SCOPE`, or a new one,
+    /// which is the children's too.
     ///
     /// # Safety
     /// No other thread runs yet.
@@ -72,6 +80,11 @@ impl Scope {
         // SAFETY: the caller's promise.
         unsafe { std::env::set_var(VARIABLE, &name) };
         Scope { name, is_own: true }
+    }
+
+    /// The value of `TAUT_SCOPE`.
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// What is there: files in shared memory, of domains that nobody may be in any more.

@@ -2,7 +2,7 @@
 //! The gateway with peers that are not ours: hiroz in a workspace of its own, zenoh-ros2-sdk in a Python environment under
 //! the target directory.
 
-use crate::machine;
+use crate::machine::{self, Scope};
 use crate::steps::{Outcome, Steps, announce, cargo, execute};
 use std::fs;
 use std::io::{self, BufRead, BufReader};
@@ -43,14 +43,16 @@ pub fn test(steps: &mut Steps, built: bool) {
 /// The example talks, through a gateway of the tests' build, to a listener that is not ours.
 fn ros2_talker() -> io::Result<Outcome> {
     const PORT: &str = "7453";
-    // In a scope of its own on this side; on the wire it is the peers'.
+    // On the wire it is the peers'.
     const DOMAIN: &str = "0";
+    // Both are killed.
+    let scope = Scope::new("peers");
     let target = machine::target_dir();
     let mut gateway = Command::new(target.join("debug/taut-gateway"));
     gateway.args(["--domain", DOMAIN, "--listen", &format!("tcp/127.0.0.1:{PORT}"), "--no-rt", "--json"]);
-    let _gateway = Ended(gateway.stdout(Stdio::null()).spawn()?);
+    let _gateway = Ended(gateway.env("TAUT_SCOPE", scope.name()).stdout(Stdio::null()).spawn()?);
     let mut talker = Command::new(target.join("release/examples/ros2_talker"));
-    talker.env("TAUT_DOMAIN", DOMAIN).env("TAUT_REALTIME", "off");
+    talker.env("TAUT_SCOPE", scope.name()).env("TAUT_DOMAIN", DOMAIN).env("TAUT_REALTIME", "off");
     let _talker = Ended(talker.stdout(Stdio::null()).spawn()?);
     // It ends by itself if it hears nothing.
     let mut listener = Command::new(venv().join("bin/python"));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline`.
 
-use crate::machine;
+use crate::machine::{self, Scope};
 use crate::steps::{Outcome, Steps, announce};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -312,7 +312,7 @@ fn executable(message: &Value) -> Option<(Target, PathBuf)> {
 
 /// Runs a program of tests.
 fn test(executable: &Path) -> Outcome {
-    let scope = Scope::new();
+    let scope = Scope::new("r2r");
     let mut running = match Running::start(executable, "", &scope) {
         Ok(running) => running,
         Err(error) => return Outcome::Failed(error.to_string()),
@@ -330,7 +330,7 @@ fn test(executable: &Path) -> Outcome {
 /// Runs examples together until all have done what they are to do.
 fn together(programs: &[Program], paths: &[&PathBuf]) -> Outcome {
     for _ in 0..TRIES {
-        let scope = Scope::new();
+        let scope = Scope::new("r2r");
         let mut all = Vec::new();
         for (program, path) in programs.iter().zip(paths) {
             let arguments = program.line.strip_prefix(program.name()).unwrap_or_default();
@@ -385,33 +385,6 @@ fn outcome_of(all: &mut [(&Program, Running)], end: Instant) -> Option<Outcome> 
     is_done.then_some(Outcome::Ok)
 }
 
-/// A part of Tautline that nobody else sees; dropping it removes what programs left there that were killed.
-struct Scope(String);
-
-impl Scope {
-    fn new() -> Self {
-        static COUNT: Mutex<u32> = Mutex::new(0);
-        let mut count = COUNT.lock().unwrap_or_else(PoisonError::into_inner);
-        *count += 1;
-        Scope(format!("r2r-{}-{count}", std::process::id()))
-    }
-}
-
-impl Drop for Scope {
-    fn drop(&mut self) {
-        let ending = format!(".{}", self.0);
-        for folder in ["/dev/shm", "/tmp"] {
-            for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-                let name = entry.file_name();
-                let name = name.to_string_lossy();
-                if name.starts_with("taut") && name.ends_with(&ending) {
-                    let _ = fs::remove_dir_all(entry.path());
-                }
-            }
-        }
-    }
-}
-
 /// A program, and what it has said on both of its outputs; dropping it ends it.
 struct Running {
     child: Child,
@@ -422,7 +395,7 @@ struct Running {
 impl Running {
     fn start(path: &Path, arguments: &str, scope: &Scope) -> std::io::Result<Self> {
         let mut command = Command::new(path);
-        command.args(arguments.split_whitespace()).env("TAUT_SCOPE", &scope.0);
+        command.args(arguments.split_whitespace()).env("TAUT_SCOPE", scope.name());
         command.env_remove("TAUT_DOMAIN").env_remove("ROS_DOMAIN_ID");
         if !machine::is_ci() && !machine::realtime_permitted() {
             command.env("TAUT_REALTIME", "off");

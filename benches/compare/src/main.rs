@@ -136,9 +136,7 @@ fn measure(options: &Options) -> Result<()> {
         file.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
     }
     let disturbance = Disturbance::start();
-    let domains = pair::Domains;
     let cells = rounds::run(&plan, &interrupted)?;
-    drop(domains);
     let report = Report::new(&plan, cells, disturbance.report());
     report.print();
     if let Some(path) = &options.json {

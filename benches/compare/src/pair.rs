@@ -22,20 +22,6 @@ const DOMAIN: u32 = 89;
 const FAR_DOMAIN: u32 = 90;
 const NETWORK_DOMAIN: u32 = 91;
 
-/// Ends are killed where they would wait for each other. What they leave in their domains goes with the next one who joins and leaves:
-/// when this is dropped, that is this process.
-pub struct Domains;
-
-impl Drop for Domains {
-    fn drop(&mut self) {
-        for domain in [DOMAIN, FAR_DOMAIN, NETWORK_DOMAIN] {
-            if let Err(error) = tautline_transport::Participant::new(domain) {
-                eprintln!("what was left in domain {domain} stays there: {error}");
-            }
-        }
-    }
-}
-
 /// Processes beside the ends; they end with it.
 pub struct Around<'a> {
     _gateways: Option<Gateways<'a>>,

@@ -86,7 +86,7 @@ impl<'a> Bench<'a> {
         job: &Job,
     ) -> Result<Process<'a, L>> {
         let mut command = Command::new(std::env::current_exe()?);
-        command.arg("--child").arg(serde_json::to_string(job)?).env("TAUT_SCOPE", self.place.scope());
+        command.arg("--child").arg(serde_json::to_string(job)?);
         Process::start(&mut command, format!("process '{}'", job.name()), self.interrupted)
     }
 }

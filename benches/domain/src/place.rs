@@ -7,30 +7,20 @@ use std::fs::{self, File};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use tautline_benches::Scratch;
-use tautline_rt::domain::{kept_folder, set_scope, shared_folder};
+use tautline_rt::domain::shared_folder;
 use tautline_rt::shm;
 
 use crate::job::DOMAIN;
 
-const PREFIX: &str = "bench_domain_";
-
-/// A scope that nobody else is in. What it leaves is removed on drop, also that of runs that were killed.
+/// A scope that nobody else is in, and what lies in it.
 pub struct Place {
-    scope: String,
     scratch: Scratch,
 }
 
 impl Place {
     /// Puts this process into a new scope.
     pub fn new() -> Result<Self> {
-        let scope = format!("{PREFIX}{}", std::process::id());
-        set_scope(&scope)?;
-        remove_scopes(|pid| !Path::new(&format!("/proc/{pid}")).exists());
-        Ok(Place { scope, scratch: Scratch::new("domain")? })
-    }
-
-    pub fn scope(&self) -> &str {
-        &self.scope
+        Ok(Place { scratch: Scratch::new("bench_domain")? })
     }
 
     /// For files of rivals.
@@ -70,29 +60,6 @@ impl Place {
         let file = File::create(&path)?;
         file.lock()?;
         Ok(Gate { path, file })
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        let own = std::process::id();
-        remove_scopes(|pid| pid == own);
-    }
-}
-
-/// Removes the files of runs by the process that made them.
-fn remove_scopes(is_unwanted: impl Fn(u32) -> bool) {
-    let kept = kept_folder();
-    for place in [Path::new(shm::DIRECTORY), kept.parent().unwrap_or(Path::new("/tmp"))] {
-        for entry in fs::read_dir(place).into_iter().flatten().flatten() {
-            let name = entry.file_name();
-            let scope = name.to_str().and_then(|name| name.rsplit_once('.')).map(|(_, scope)| scope);
-            let pid = scope.and_then(|scope| scope.strip_prefix(PREFIX)?.parse().ok());
-            if pid.is_some_and(&is_unwanted) {
-                // Ignored: what cannot be removed belongs to another user.
-                let _ = fs::remove_dir_all(entry.path());
-            }
-        }
     }
 }
 

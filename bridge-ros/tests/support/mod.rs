@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -30,9 +31,12 @@ pub fn scope() -> &'static str {
 pub fn reserve(domain: u32) {
     static RESERVED: Mutex<BTreeMap<u32, File>> = Mutex::new(BTreeMap::new());
     let mut reserved = RESERVED.lock().unwrap_or_else(PoisonError::into_inner);
-    let name = format!("taut_test_{}_{}_bridge_{domain}.lock", rustix::process::getuid().as_raw(), scope());
+    let _ = scope();
+    let folder = tautline_rt::domain::kept_folder();
     reserved.entry(domain).or_insert_with(|| {
-        let file = File::create(std::env::temp_dir().join(name)).unwrap();
+        // As the store of definitions makes it.
+        let _ = std::fs::DirBuilder::new().mode(0o700).create(&folder);
+        let file = File::create(folder.join(format!("test_bridge_{domain}.lock"))).unwrap();
         rustix::fs::flock(&file, rustix::fs::FlockOperation::LockExclusive).unwrap();
         file
     });

@@ -215,7 +215,8 @@ mod tests {
     use super::*;
 
     fn report(file: &str, definition: &str) -> Report {
-        let folder = std::env::temp_dir().join(format!("taut_msg_{}_{file}", std::process::id()));
+        let folder =
+            std::env::temp_dir().join(format!("taut_msg_{}_{}", std::process::id(), file.replace('/', "_")));
         let path = folder.join("demo_msgs").join(file);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(&path, definition).unwrap();

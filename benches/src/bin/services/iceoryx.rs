@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! iceoryx2's request-response. It wakes nobody: an event service each way does.
 
+use std::os::unix::ffi::OsStrExt;
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
@@ -12,9 +13,8 @@ use crate::{Job, PRIORITY, Result};
 pub fn run(job: &Job) -> Result<()> {
     set_log_level(LogLevel::Error);
     let mut config = Config::default();
-    config.global.prefix = FileName::new(format!("taut_bench_{}_", job.pair).as_bytes())?;
-    let root = std::env::temp_dir().join(format!("taut_bench_{}", job.pair.split('_').next().unwrap_or("")));
-    config.global.set_root_path(&Path::new(root.to_string_lossy().as_bytes())?);
+    config.global.prefix = FileName::new(job.prefix.as_bytes())?;
+    config.global.set_root_path(&Path::new(job.directory.as_os_str().as_bytes())?);
     let node = NodeBuilder::new()
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)

@@ -23,7 +23,8 @@ use std::time::Duration;
 
 use clap::Parser;
 use serde::{Deserialize, Serialize};
-use tautline_benches::{Distribution, Disturbance, version_of};
+use tautline_benches::{Distribution, Disturbance, Scratch, version_of};
+use tautline_rt::domain::scope;
 use tautline_rt::{CoreSet, permission};
 
 /// What nobody handles but the person who reads it.
@@ -99,6 +100,9 @@ pub struct Job {
     pub(crate) budget: Duration,
     /// Different for each pair.
     pub(crate) pair: String,
+    /// Of iceoryx2's files.
+    pub(crate) prefix: String,
+    pub(crate) directory: PathBuf,
 }
 
 /// What the asking process says.
@@ -164,6 +168,7 @@ fn measure(options: &Options) -> Result<()> {
             rounds_p50_us: vec![],
         })
         .collect();
+    let scratch = Scratch::new("services")?;
     let disturbance = Disturbance::start();
     let progress = indicatif::ProgressBar::new((rounds * cells.len()) as u64);
     for round in 0..rounds {
@@ -177,6 +182,8 @@ fn measure(options: &Options) -> Result<()> {
                 realtime: !options.no_rt,
                 budget: Duration::from_millis(budget),
                 pair: format!("{}_{round}_{}", std::process::id(), progress.position()),
+                prefix: format!("{}{}_", scratch.prefix(), progress.position()),
+                directory: scratch.directory().to_owned(),
             };
             let program = match (cell.system, &r2r) {
                 (System::R2r, Some((program, _))) => program.to_path_buf(),
@@ -234,6 +241,7 @@ impl Peer {
         let mut command = Command::new(program);
         // Of r2r, which would look for others in the whole network.
         command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        command.envs(scope()?.map(|scope| ("TAUT_SCOPE", scope)));
         command.arg("--child").arg(serde_json::to_string(job)?).stdin(Stdio::null());
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
         let output = BufReader::new(child.stdout.take().ok_or("a pipe")?);

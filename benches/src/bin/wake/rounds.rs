@@ -14,6 +14,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tautline_benches::{Distribution, Disturbance, Scratch};
 use tautline_rt::IdleHold;
+use tautline_rt::domain::scope;
 
 use crate::child::{Measured, READY};
 use crate::plan::{Idle, Job, Mode, Payload, Plan, Role};
@@ -174,6 +175,7 @@ impl Parent<'_> {
         let mut child = Command::new(std::env::current_exe()?)
             .arg("--child")
             .arg(serde_json::to_string(job)?)
+            .envs(scope()?.map(|scope| ("TAUT_SCOPE", scope)))
             .stdin(memory)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
