@@ -79,7 +79,8 @@ impl Events {
     /// An alarm that is not set.
     ///
     /// # Real-time
-    /// As [`Doorbell::claim`]: wait-free, without allocation or syscall, unless more slots are taken than ever before.
+    /// As [`Doorbell::claim`]: wait-free, without allocation or syscall, unless its slot is in a window that is new, or of which none
+    /// was for a timer: then it allocates and takes a lock.
     ///
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.

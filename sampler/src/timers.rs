@@ -6,7 +6,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::sync::{Mutex, OnceLock, PoisonError};
-use tautline_doorbell::{NEAR_SLOTS, WINDOWS, first_slot, place, window_slots};
+use tautline_doorbell::{WINDOWS, first_slot, place, window_slots};
 
 /// Timers by their next release, each with its slot.
 pub(crate) type Due = BinaryHeap<Reverse<(u64, usize)>>;
@@ -55,7 +55,7 @@ impl Timers {
         let Some(words) = self.windows.get(window).filter(|words| words.get().is_none()) else { return };
         // Before the words: a timer that is armed finds the room there.
         let slots = first_slot(window) + window_slots(window);
-        let _ = growth.larger.push(BinaryHeap::with_capacity(slots.max(NEAR_SLOTS)));
+        let _ = growth.larger.push(BinaryHeap::with_capacity(slots));
         let _ = words.set((0..window_slots(window)).map(|_| TimerWords::default()).collect());
     }
 
@@ -96,6 +96,7 @@ impl Room {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tautline_doorbell::NEAR_SLOTS;
 
     #[test]
     fn what_is_due_moves_into_more_room() {

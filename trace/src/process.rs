@@ -176,7 +176,10 @@ impl Own {
                 self.map.state().store(wanted, Ordering::Release);
             }
         }
-        self.give_back_rings(asked);
+        // Else when they run short.
+        if asked != Asked::Nothing || self.free_rings() <= SPARE_RINGS {
+            self.give_back_rings(asked);
+        }
         self.prepare_rings(SPARE_RINGS);
         asked != Asked::Nothing
     }

@@ -83,6 +83,8 @@ fn exit_while_threads_run(participant: Participant) {
     let beside = Participant::new(participant.domain()).unwrap();
     let (publisher, subscription) =
         (new_publisher(&participant, Qos::keep_all(100)), new_subscription(&beside, Qos::keep_all(100)));
+    // Both ends in one participant, as every ROS node has them.
+    let _own = new_subscription(&participant, Qos::keep_last(1));
     let sent = std::sync::Arc::new(std::sync::atomic::AtomicU64::new(0));
     let counted = sent.clone();
     std::thread::spawn(move || {

@@ -85,7 +85,7 @@ enum Verb {
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
-    /// Runs the demo and the benches and puts their tables and picture into the README
+    /// Runs the demo and the benches and puts their tables and picture into the README, those of domains into docs/adr/0007
     Readme {
         /// Fewer payloads, rounds and runs of the benches
         #[arg(long)]
@@ -211,7 +211,7 @@ enum Stress {
         /// What is random goes by this [default: random]
         #[arg(long, value_name = "S")]
         seed: Option<u64>,
-        /// At every system call instead of 2,000 of them
+        /// At every system call instead of 2,400 of them
         #[arg(long)]
         exhaustive: bool,
     },

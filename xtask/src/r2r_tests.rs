@@ -283,9 +283,13 @@ impl Source {
         fs::write(package.join("build.rs"), script)?;
         // A package has a library or a program.
         fs::write(package.join("src/lib.rs"), "")?;
-        // The workspace's versions, and those that were found for the rest.
-        let lock = package.join("Cargo.lock");
-        if lock.exists() { Ok(()) } else { fs::copy(root.join("Cargo.lock"), lock).map(drop) }
+        // The workspace's versions, and those that were found for the rest since they last changed.
+        let (ours, lock) = (root.join("Cargo.lock"), package.join("Cargo.lock"));
+        let changed = |path: &Path| fs::metadata(path)?.modified();
+        match changed(&lock) {
+            Ok(since) if since >= changed(&ours)? => Ok(()),
+            _ => fs::copy(ours, lock).map(drop),
+        }
     }
 }
 

@@ -16,8 +16,8 @@ use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::std_msgs::msg::UInt64;
 use tautline::{
-    CallbackOptions, Context, EndpointKind, Error, Gid, HistoryPolicy, Node, Publisher, QosProfile,
-    ServiceError, Unpublished,
+    CallbackOptions, Context, EndpointKind, Error, Gid, GoalStatus, HistoryPolicy, Node, Publisher,
+    QosProfile, ServiceError, Unpublished,
 };
 use tautline_transport::graph_of;
 
@@ -97,6 +97,8 @@ pub struct Answers {
     pub slowest_ms: u64,
     /// Neither an answer nor an error.
     pub hung: u64,
+    /// The answer to something else.
+    pub wrong: u64,
 }
 
 pub fn play(name: &str) -> Result<()> {
@@ -324,13 +326,13 @@ fn server(context: &Context) -> Result<()> {
     Ok(())
 }
 
-/// Asks one after the other until it is told to stop.
+/// Asks one after the other until it is told to stop. `ask` says whether the answer is right.
 fn ask(
     name: &'static str,
     asked: &Arc<Mutex<Asked>>,
     stop: &Arc<AtomicBool>,
     in_flight: &Arc<AtomicU64>,
-    mut ask: impl FnMut() -> std::result::Result<(), Error> + Send + 'static,
+    mut ask: impl FnMut() -> std::result::Result<bool, Error> + Send + 'static,
 ) {
     let (asked, stop, in_flight) = (asked.clone(), stop.clone(), in_flight.clone());
     in_flight.fetch_add(1, Ordering::SeqCst);
@@ -343,7 +345,8 @@ fn ask(
             answers.asked += 1;
             answers.slowest_ms = answers.slowest_ms.max(start.elapsed().as_millis() as u64);
             match answer {
-                Ok(()) => answers.answered += 1,
+                Ok(true) => answers.answered += 1,
+                Ok(false) => answers.wrong += 1,
                 Err(Error::ServiceTimeout { .. }) => answers.hung += 1,
                 Err(error) => *answers.errors.entry(kind(&error)).or_default() += 1,
             }
@@ -357,12 +360,16 @@ fn ask(
 /// What a server's queue of requests is when it takes none.
 pub const FULL: &str = "requests full";
 
+/// What may become of a request whose server is killed, or does not want it.
+pub const OF_SERVERS_THAT_GO: [&str; 3] = ["no server", "server gone", "goal rejected"];
+
 fn kind(error: &Error) -> String {
+    let [none, gone, rejected] = OF_SERVERS_THAT_GO;
     match error {
-        Error::Service(ServiceError::NoServer { .. }) => "no server".into(),
-        Error::Service(ServiceError::ServerGone { .. }) => "server gone".into(),
+        Error::Service(ServiceError::NoServer { .. }) => none.into(),
+        Error::Service(ServiceError::ServerGone { .. }) => gone.into(),
         Error::Service(ServiceError::RequestsFull { .. }) => FULL.into(),
-        Error::GoalRejected { .. } => "goal rejected".into(),
+        Error::GoalRejected { .. } => rejected.into(),
         other => other.to_string(),
     }
 }
@@ -383,11 +390,7 @@ fn client(context: &Context) -> Result<()> {
     for (name, client) in clients {
         ask(name, &asked, &stop, &in_flight, move || {
             let response = block_on(client.request_timeout(&AddTwoInts::Request { a: 2, b: 3 }, PATIENCE)?)?;
-            if response.sum == 5 {
-                Ok(())
-            } else {
-                Err(ServiceError::NoServer { service: "2 + 3".into() }.into())
-            }
+            Ok(response.sum == 5)
         });
     }
     // Each step of a goal by itself: it has no limit of its own.
@@ -400,7 +403,8 @@ fn client(context: &Context) -> Result<()> {
         let pursue = async {
             let (_goal, result, feedback) = goal.await?;
             let (_, result) = futures::join!(feedback.for_each(|_| async {}), result);
-            result.map(drop)
+            let (status, result) = result?;
+            Ok(status != GoalStatus::Succeeded || result.sequence == [5])
         };
         let late = std::future::poll_fn(|context| alarm.poll(context));
         block_on(async {

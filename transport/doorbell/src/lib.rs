@@ -33,7 +33,6 @@ pub use thread_bell::{Joined, ThreadBell};
 use arena::THREADS;
 use futures::task::AtomicWaker;
 use places::FreePlaces;
-use std::fmt;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -49,12 +48,6 @@ pub const NEAR_SLOTS: usize = 64;
 /// Identifies an arena among all of a domain: its participant. Random: process ids repeat, and containers share `/dev/shm`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ArenaId(pub u64);
-
-impl fmt::Display for ArenaId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:016x}", self.0)
-    }
-}
 
 /// Why a doorbell, or a part of one, cannot be had.
 #[derive(Debug, thiserror::Error)]

@@ -11,7 +11,7 @@ use super::{
 use crate::error::TransportError;
 use crate::participant::file::Peer;
 use crate::topic::header::Gid;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 /// Who looks without being a participant.
@@ -169,8 +169,8 @@ impl Model {
             return Ok(self.snapshot.clone());
         }
         let seen: Vec<_> = domain.members().collect();
-        let is_there = |id: &u64| seen.iter().any(|member| member.id == *id);
-        let gone: Vec<u64> = self.members.keys().filter(|id| !is_there(id)).copied().collect();
+        let there: HashSet<u64> = seen.iter().map(|member| member.id).collect();
+        let gone: Vec<u64> = self.members.keys().filter(|id| !there.contains(id)).copied().collect();
         for id in gone {
             if let Some(member) = self.members.remove(&id) {
                 self.unlist(id, &member);

@@ -163,7 +163,7 @@ impl OwnMemory {
             return Err(io::Error::other("a piece of shared memory is shorter than 64 GiB"));
         }
         let none = || io::Error::other("the file of this participant is at its greatest length");
-        let range = self.ranges().take(len, PAGE).ok_or_else(none)?;
+        let range = self.ranges().take(len).ok_or_else(none)?;
         let mut file_len = self.len.lock().unwrap_or_else(PoisonError::into_inner);
         if range.end() > *file_len {
             if let Err(error) = self.file.set_len(range.end()) {

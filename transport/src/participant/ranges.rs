@@ -32,28 +32,18 @@ impl Ranges {
         ranges
     }
 
-    /// A part of at least `len` bytes that begins at a multiple of `align`, a multiple of the granularity. `None`: no such part is
-    /// free.
-    pub(crate) fn take(&mut self, len: u64, align: u64) -> Option<Range> {
+    /// A part of at least `len` bytes. `None`: no such part is free.
+    pub(crate) fn take(&mut self, len: u64) -> Option<Range> {
         let len = len.max(1).checked_next_multiple_of(self.granularity)?;
-        let fit = |(&offset, &free): (&u64, &u64)| {
-            let start = offset.checked_next_multiple_of(align)?;
-            let end = start.checked_add(len)?;
-            (end <= offset + free).then_some((offset, free, start))
-        };
-        let (offset, free, start) = self.free.iter().find_map(fit)?;
-        Some(self.cut(offset, free, Range { offset: start, len }))
+        let (&offset, &free) = self.free.iter().find(|(_, free)| **free >= len)?;
+        Some(self.cut(offset, free, Range { offset, len }))
     }
 
     /// As [`take`](Self::take), but the last part that is long enough, and of that its end.
-    pub(crate) fn take_last(&mut self, len: u64, align: u64) -> Option<Range> {
+    pub(crate) fn take_last(&mut self, len: u64) -> Option<Range> {
         let len = len.max(1).checked_next_multiple_of(self.granularity)?;
-        let fit = |(&offset, &free): (&u64, &u64)| {
-            let start = (offset + free).checked_sub(len)? / align * align;
-            (start >= offset).then_some((offset, free, start))
-        };
-        let (offset, free, start) = self.free.iter().rev().find_map(fit)?;
-        Some(self.cut(offset, free, Range { offset: start, len }))
+        let (&offset, &free) = self.free.iter().rev().find(|(_, free)| **free >= len)?;
+        Some(self.cut(offset, free, Range { offset: offset + free - len, len }))
     }
 
     /// Takes a part out of a free one.
@@ -96,16 +86,16 @@ mod tests {
     #[test]
     fn the_first_that_fits_and_neighbours_become_one() {
         let mut ranges = Ranges::new(Range { offset: 4096, len: 10 * 4096 }, 4096);
-        let parts: Vec<_> = (0..10).map(|_| ranges.take(1, 4096).unwrap()).collect();
-        assert!(ranges.take(1, 4096).is_none() && ranges.take(u64::MAX, 4096).is_none());
+        let parts: Vec<_> = (0..10).map(|_| ranges.take(1).unwrap()).collect();
+        assert!(ranges.take(1).is_none() && ranges.take(u64::MAX).is_none());
         assert_eq!(parts[3], Range { offset: 4 * 4096, len: 4096 });
         [parts[3], parts[5], parts[4]].into_iter().for_each(|part| ranges.give_back(part));
-        assert_eq!(ranges.take(3 * 4096, 4096), Some(Range { offset: 4 * 4096, len: 3 * 4096 }));
+        assert_eq!(ranges.take(3 * 4096), Some(Range { offset: 4 * 4096, len: 3 * 4096 }));
         ranges.give_back(parts[8]);
-        assert_eq!(ranges.take(4096, 3 * 4096), Some(parts[8]), "at a multiple of what is asked for");
+        assert_eq!(ranges.take(4096), Some(parts[8]));
         [parts[1], parts[7], parts[8]].into_iter().for_each(|part| ranges.give_back(part));
-        assert_eq!(ranges.take_last(4096, 4096), Some(parts[8]));
-        assert_eq!(ranges.take_last(4096, 4096), Some(parts[7]));
+        assert_eq!(ranges.take_last(4096), Some(parts[8]));
+        assert_eq!(ranges.take_last(4096), Some(parts[7]));
     }
 
     #[test]
@@ -118,14 +108,10 @@ mod tests {
         let mut taken: Vec<Range> = Vec::new();
         for _ in 0..20_000 {
             if random.random_bool(0.5) {
-                let (len, align) = (random.random_range(0..3000), 1 << random.random_range(6..10));
-                let part = if random.random_bool(0.5) {
-                    ranges.take(len, align)
-                } else {
-                    ranges.take_last(len, align)
-                };
+                let len = random.random_range(0..3000);
+                let part = if random.random_bool(0.5) { ranges.take(len) } else { ranges.take_last(len) };
                 if let Some(part) = part {
-                    assert!(part.len >= len && part.offset.is_multiple_of(align));
+                    assert!(part.len >= len && part.offset.is_multiple_of(64));
                     assert!(part.offset >= whole.offset && part.end() <= whole.end());
                     assert!(
                         taken.iter().all(|other| part.end() <= other.offset || other.end() <= part.offset)

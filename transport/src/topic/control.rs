@@ -120,7 +120,7 @@ struct Stretch {
 pub(crate) struct ConnectionPlace {
     block: Stretch,
     queues: Stretch,
-    shape: Shape,
+    pub(crate) shape: Shape,
     subscription: Gid,
 }
 
@@ -174,7 +174,7 @@ impl Control {
     fn add_part(&mut self) -> io::Result<()> {
         let index = self.parts.len();
         if index >= PARTS {
-            let most = FIRST_PART_BYTES << (2 * PARTS);
+            let most = FIRST_PART_BYTES * ((1 << (2 * PARTS)) - 1) / 3;
             return Err(io::Error::other(format!(
                 "queues of all its subscriptions are {} MiB at most: lower their depth, or let some of them end",
                 most >> 20
@@ -195,12 +195,12 @@ impl Control {
 
     /// Takes a stretch at the beginning of a part: of what is written at once.
     fn take(&mut self, part: usize, len: u64) -> Option<Stretch> {
-        Some(Stretch { part, range: self.free[part].take(len, ALIGNMENT)? })
+        Some(Stretch { part, range: self.free[part].take(len)? })
     }
 
     /// Takes a stretch at the end of a part: the memory of queues, of which most may never be used.
     fn take_last(&mut self, part: usize, len: u64) -> Option<Stretch> {
-        Some(Stretch { part, range: self.free[part].take_last(len, ALIGNMENT)? })
+        Some(Stretch { part, range: self.free[part].take_last(len)? })
     }
 
     fn give_back(&mut self, stretch: Stretch) {
@@ -215,11 +215,16 @@ impl Control {
         let (range, map) = &self.parts[stretch.part];
         let from = stretch.range.offset + at;
         let pages = (from / PAGE) as usize..((from + len).div_ceil(PAGE)) as usize;
-        for page in pages.filter(|page| !self.claimed[stretch.part][*page]).collect::<Vec<_>>() {
-            let offset = page as u64 * PAGE;
-            self.memory.claim(Range { offset: range.offset + offset, len: PAGE })?;
-            map.populate(offset as usize, PAGE as usize, true)?;
-            self.claimed[stretch.part][page] = true;
+        // Those in a row that are not claimed yet at once.
+        let mut page = pages.start as u64;
+        for row in self.claimed[stretch.part][pages].chunk_by_mut(|one, next| one == next) {
+            let (offset, len) = (page * PAGE, row.len() as u64 * PAGE);
+            page += row.len() as u64;
+            if !row[0] {
+                self.memory.claim(Range { offset: range.offset + offset, len })?;
+                map.populate(offset as usize, len as usize, true)?;
+                row.fill(true);
+            }
         }
         Ok(())
     }
@@ -256,7 +261,7 @@ impl Control {
             Some((block, queues?))
         })?;
         let place = ConnectionPlace { block, queues, shape, subscription };
-        let made = self.make(&place, subscription, samples).and_then(|connection| {
+        let made = self.make(&place, samples).and_then(|connection| {
             self.enter(&place)?;
             Ok((connection, place))
         });
@@ -267,8 +272,8 @@ impl Control {
     }
 
     /// Claims the memory of a connection, and makes it.
-    fn make(&mut self, place: &ConnectionPlace, subscription: Gid, samples: usize) -> io::Result<Connection> {
-        let ConnectionPlace { block, queues, shape, .. } = *place;
+    fn make(&mut self, place: &ConnectionPlace, samples: usize) -> io::Result<Connection> {
+        let ConnectionPlace { block, queues, shape, subscription } = *place;
         self.claim(block, 0, BLOCK_BYTES as u64)?;
         self.claim_queues(place, samples)?;
         let map = &self.parts[block.part].1;

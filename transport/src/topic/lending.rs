@@ -112,7 +112,7 @@ pub(crate) struct Lent<S> {
 impl<S> Drop for Lent<S> {
     /// # Real-time
     /// Wait-free; no allocation; no syscall, unless the subscription's task waits for a sample to come back. The last one
-    /// after its subscription was dropped frees the shelf.
+    /// after its subscription was dropped frees the shelf and what it refers to.
     fn drop(&mut self) {
         let Some(word) = self.shared.back.get(self.place / 64) else { return };
         word.fetch_or(1 << (self.place % 64), Ordering::Release);

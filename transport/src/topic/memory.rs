@@ -53,7 +53,8 @@ impl Demand {
     /// joiners, hold no more than the newest `depth`. An older sample is one that a subscription holds, or that the publisher has
     /// loaned: while it loans it sends nothing, so meanwhile no sample grows old, and a subscription that gives one back and takes
     /// another takes one of the newest. Only a late joiner that is being connected right now has a queue that the publisher does not
-    /// fill yet, with what was kept when that began.
+    /// fill yet, with what was kept when that began. A subscription that has gone leaves its queue as it was until its samples are
+    /// back, while the others go on: until then it counts its depth as held.
     pub(crate) fn samples(self, loans: usize) -> usize {
         self.depth.saturating_add(self.held).saturating_add(self.kept).saturating_add(loans)
     }

@@ -141,7 +141,9 @@ mod tests {
         drop(seat);
         // As one that was killed leaves it.
         std::fs::write(&path, "1").unwrap();
+        let since = std::time::Instant::now();
         while path.exists() {
+            assert!(since.elapsed() < Duration::from_secs(30), "the warden leaves it there");
             std::thread::yield_now();
         }
         drop(participant);

@@ -25,7 +25,7 @@ use crate::graph::{Entry, RemoteGraph};
 use crate::participant::Reached;
 use crate::participant::file::Peers;
 use crate::topic::header::Gid;
-use crate::topic::publisher::core::{Outcome, PublisherCore, Target};
+use crate::topic::publisher::core::{PublisherCore, Target};
 use crate::topic::subscription::core::{Expected, SubscriptionCore};
 use index::{Index, News};
 use source::PeerPublishers;
@@ -420,7 +420,7 @@ impl State {
         let Some(peer) = self.peers.get(self.domain.number(), gid.participant())? else { return Ok(()) };
         work.publisher(core);
         let target = Target { gid, port, reached: Reached::Peer(peer) };
-        if core.connect(&target)? == Outcome::Connected {
+        if core.connect(&target)? {
             work.calls.insert(gid.participant());
         }
         Ok(())

@@ -44,8 +44,7 @@ impl Source {
     /// The publisher's segments of samples, mapped, and how often they have changed. The same as before if there are no others.
     pub(crate) fn segments(&self) -> Result<(SegmentViews, u32), TransportError> {
         match self {
-            // Mapped as long as there are any.
-            Source::Own(core) => Ok((core.segment_views(), 0)),
+            Source::Own(core) => Ok(core.segment_views()),
             Source::Peer(peer) => peer.segments(),
         }
     }

@@ -64,6 +64,8 @@ struct Setup {
     sample_bytes: usize,
     /// There are other segments than when this was last asked.
     has_grown: bool,
+    /// Of those that there were after so many changes.
+    views: Option<(SegmentViews, u32)>,
     senders: Chunks<Connected>,
     /// Those that are in no table yet that was handed over.
     unserved: Vec<Arc<Sender>>,
@@ -84,7 +86,6 @@ pub(super) struct Connected {
     subscription: Gid,
     pub(super) sender: Arc<Sender>,
     place: ConnectionPlace,
-    shape: Shape,
     /// A longer list for the publishing thread to take, if it has not done so.
     pub(super) spare: Option<Arc<Spare>>,
 }
@@ -100,14 +101,6 @@ pub(crate) struct Target {
     pub(crate) gid: Gid,
     pub(crate) port: PortRecord,
     pub(crate) reached: Reached,
-}
-
-/// What became of a subscription.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Outcome {
-    Connected,
-    /// It was known already, or does not match.
-    Nothing,
 }
 
 impl PublisherCore {
@@ -130,12 +123,13 @@ impl PublisherCore {
             source,
         })?;
         let claims_on_use = limits.claim == Claim::OnUse;
-        let first = Arc::new(Table::empty(Pool::default(), sample_bytes, claims_on_use));
+        let first = Arc::new(Table::empty(sample_bytes, claims_on_use));
         let (table, reader) = latest(first);
         let setup = Setup {
             memory: memory.clone(),
             record: record.clone(),
             has_grown: false,
+            views: None,
             demand: Demand::of_publisher(&qos),
             control: Some(control),
             pool: Pool::default(),
@@ -197,14 +191,14 @@ impl PublisherCore {
         hash_of(&self.topic.name)
     }
 
-    /// Connects a subscription, unless it is connected or does not match. Call [`settle`](Self::settle) afterwards.
+    /// Connects a subscription, unless it is known or does not match. True if it did: call [`settle`](Self::settle) afterwards.
     ///
     /// # Errors
     /// There is no shared memory for it: nothing has changed.
-    pub(crate) fn connect(&self, target: &Target) -> Result<Outcome, TransportError> {
+    pub(crate) fn connect(&self, target: &Target) -> Result<bool, TransportError> {
         let mut setup = self.setup();
         if setup.control.is_none() || setup.ends.contains(target.gid) {
-            return Ok(Outcome::Nothing);
+            return Ok(false);
         }
         let qos = target.port.qos.qos();
         let mismatch = self.mismatch(&target.port, &qos);
@@ -214,18 +208,18 @@ impl PublisherCore {
         if let Some(mismatch) = mismatch {
             self.topic.warn_of_mismatch(mismatch, "publisher", "subscription", &target.port);
             setup.ends.set(end);
-            return Ok(Outcome::Nothing);
+            return Ok(false);
         }
         let slot = target.port.slot as usize;
         if !target.reached.reach(slot)? {
             // Its memory has gone: so will it.
-            return Ok(Outcome::Nothing);
+            return Ok(false);
         }
         let shape = Shape::of(&target.port, self.limits.loans);
         self.grow(&mut setup, Some(shape))?;
         let is_on_use = self.limits.claim == Claim::OnUse;
         let Setup { control: Some(control), pool, sample_bytes, words, .. } = &mut *setup else {
-            return Ok(Outcome::Nothing);
+            return Ok(false);
         };
         let refuse = |source| self.no_memory(shape.queues_bytes() as u64, *sample_bytes, source);
         let connected = control.connect(target.gid, shape, if is_on_use { 0 } else { usize::MAX });
@@ -248,7 +242,7 @@ impl PublisherCore {
         }
         let (subscription, sender) = (target.gid, Arc::new(sender));
         setup.unserved.push(sender.clone());
-        setup.senders.insert(Connected { subscription, sender, place, shape, spare: None });
+        setup.senders.insert(Connected { subscription, sender, place, spare: None });
         self.join(&mut setup.demand, shape);
         setup.ends.set(end);
         setup.is_stale = true;
@@ -257,7 +251,7 @@ impl PublisherCore {
             self.hand_over(&mut setup);
             self.top_up(&mut setup);
         }
-        Ok(Outcome::Connected)
+        Ok(true)
     }
 
     fn mismatch(&self, port: &PortRecord, requested: &Qos) -> Option<Mismatch> {
@@ -389,6 +383,7 @@ impl PublisherCore {
             |segment: &&Arc<Segment>| segment.sample_bytes() < setup.sample_bytes && segment.is_unused();
         let short: Vec<_> = setup.pool.segments().filter(is_short).cloned().collect();
         for segment in short {
+            setup.views = None;
             setup.pool.remove(segment.id());
             if let Some(control) = &setup.control {
                 control.hide_segment(segment.id());
@@ -415,12 +410,12 @@ impl PublisherCore {
         let mut setup = self.setup();
         setup.ends.remove(subscription, is_dead);
         let Setup { senders, pool, is_stale, retired, demand, .. } = &mut *setup;
-        let Some(Connected { sender, shape, .. }) = senders.get(subscription) else { return false };
+        let Some(Connected { sender, place, .. }) = senders.get(subscription) else { return false };
         if !is_dead && sender.block().back.state() == ReaderState::Attached {
             if !sender.is_leaving() {
                 sender.leave();
                 // What is in its queue stays there while the others go on.
-                demand.join(0, shape.depth);
+                demand.join(0, place.shape.depth);
                 if let Err(error) = self.grow(&mut setup, None) {
                     tracing::warn!(
                         "loans may fail until a subscription that has gone has returned its samples: {error}"
@@ -528,10 +523,10 @@ impl PublisherCore {
         *retired -= drained.len();
         *is_stale = true;
         *demand = Demand::of_publisher(&self.qos);
-        for Connected { sender, shape, .. } in senders.iter() {
-            self.join(demand, *shape);
+        for Connected { sender, place, .. } in senders.iter() {
+            self.join(demand, place.shape);
             if sender.is_leaving() {
-                demand.join(0, shape.depth);
+                demand.join(0, place.shape.depth);
             }
         }
     }
@@ -564,16 +559,20 @@ impl PublisherCore {
         self.setup().control.as_ref().map(View::of_own)
     }
 
-    /// What a subscription of the same process reads samples from.
-    pub(crate) fn segment_views(&self) -> SegmentViews {
-        let setup = self.setup();
+    /// What a subscription of the same process reads samples from, and how often that has changed. The same as before if it has not.
+    pub(crate) fn segment_views(&self) -> (SegmentViews, u32) {
+        let mut setup = self.setup();
+        let grown = setup.control.as_ref().map_or(0, |control| control.head().grown.load(Ordering::Acquire));
+        if let Some(views) = setup.views.as_ref().filter(|(_, of)| *of == grown) {
+            return views.clone();
+        }
         let mut views: Vec<Option<SegmentView>> = Vec::new();
         for segment in setup.pool.segments() {
             views.resize(views.len().max(segment.id() + 1), None);
             let (map, sample_bytes) = (segment.map.clone(), segment.sample_bytes());
             views[segment.id()] = Some(SegmentView { map, sample_bytes, place: segment.range.offset });
         }
-        views.into()
+        setup.views.insert((views.into(), grown)).clone()
     }
 
     pub(crate) fn monitor(&self) -> tautline_rt::LatestReader<Arc<crate::topic::ends::EndList>> {
@@ -611,7 +610,7 @@ impl PublisherCore {
         }
         let segments: Vec<_> = setup.pool.segments().map(|segment| segment.range).collect();
         segments.into_iter().for_each(|range| setup.memory.release(range));
-        setup.pool = Pool::default();
+        (setup.pool, setup.views) = (Pool::default(), None);
         if let Some(control) = setup.control.take() {
             control.release();
         }

@@ -129,7 +129,8 @@ impl RawPublisher {
     /// write every byte.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall. For a type without a fixed size, a body that
+    /// Lock-free, O(subscriptions + samples that came back): tries again only while the janitor gives samples of a subscription back
+    /// that has gone; no allocation; no syscall. For a type without a fixed size, a body that
     /// is longer than `Limits::message_bytes` and than all before takes a larger segment, and a publisher whose memory is claimed on
     /// use may take more samples: allocates, maps memory, takes a lock.
     ///
@@ -416,8 +417,8 @@ impl<'p> RawLoan<'p> {
     /// loan comes back.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
-    /// sleeps and is woken directly; no other syscall.
+    /// As [`loan`](RawPublisher::loan), O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per
+    /// callback thread that sleeps and is woken directly; no other syscall.
     /// When subscriptions have come or gone since the last call: O(subscriptions x samples / 64) besides. A publisher whose memory
     /// is claimed on use may make system calls.
     ///
@@ -497,7 +498,7 @@ impl<'p> RawLoan<'p> {
 
 impl Drop for RawLoan<'_> {
     /// # Real-time
-    /// Wait-free; no allocation; no syscall.
+    /// As [`loan`](RawPublisher::loan), O(1).
     fn drop(&mut self) {
         self.publisher.loaned.set(self.publisher.loaned.get() - 1);
         // SAFETY: the sample has this loan's reference until here, so its segment is there.

@@ -395,8 +395,8 @@ impl Table {
         self.senders.iter().map(|connected| &*connected.sender).filter(|sender| sender.is_live())
     }
 
-    pub(crate) fn empty(pool: Pool, sample_bytes: usize, claims_on_use: bool) -> Self {
-        Table { senders: Default::default(), pool, sample_bytes, claims_on_use }
+    pub(crate) fn empty(sample_bytes: usize, claims_on_use: bool) -> Self {
+        Table { senders: Default::default(), pool: Pool::default(), sample_bytes, claims_on_use }
     }
 }
 

@@ -259,7 +259,7 @@ struct Returned {
 
 impl Drop for Returned {
     /// # Real-time
-    /// Wait-free; one futex wake.
+    /// Wait-free; one futex wake. If the participant was dropped before, it ends here: that waits for its threads.
     fn drop(&mut self) {
         if let Some(core) = self.core.upgrade() {
             core.is_returned.store(true, Ordering::Release);

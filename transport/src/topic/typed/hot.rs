@@ -26,8 +26,8 @@ impl<T: Message> Publisher<T> {
     /// Loan and publish in a block or function of its own, or run the future with `Node::spawn_local`.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall. For a type with bool, char or enum fields,
-    /// O(number of these) to check that the memory holds a valid `T`.
+    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions + samples that came back); no allocation; no syscall. For a type with
+    /// bool, char or enum fields, O(number of these) to check that the memory holds a valid `T`.
     ///
     /// # Errors
     /// [`LoanError::Exhausted`]: `Limits::loans` are out already.
@@ -55,9 +55,9 @@ impl<T: Message> Publisher<T> {
     /// Loans a sample for a message of these lengths, to be [written](Unwritten::write) in place.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall; linear in the number of fields and of elements that
-    /// have sizes of their own. A message that is longer than `Limits::message_bytes` and than all before takes a larger
-    /// segment: allocates, maps memory.
+    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions + samples that came back); no allocation; no syscall; linear in the number
+    /// of fields and of elements that have sizes of their own. A message that is longer than `Limits::message_bytes` and than all
+    /// before takes a larger segment: allocates, maps memory.
     ///
     /// # Errors
     /// [`LoanError`]: see [`RawPublisher::loan`](crate::RawPublisher::loan).
@@ -201,8 +201,8 @@ impl<'p, T: Message> Loan<'p, T> {
     /// loan comes back.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
-    /// sleeps and is woken directly; no other syscall.
+    /// As [`RawLoan::publish`]: lock-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per
+    /// callback thread that sleeps and is woken directly; no other syscall.
     /// When subscriptions have come or gone since the last call: O(subscriptions x samples / 64) besides. For a plain type with
     /// padding between its fields, O(number of these) to zero it.
     ///
