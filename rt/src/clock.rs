@@ -11,7 +11,7 @@ use rustix::time::{ClockId, Timespec, clock_gettime};
 /// # Real-time
 /// Wait-free; no allocation; no syscall where the kernel maps its clock (vDSO).
 pub fn monotonic_ns() -> u64 {
-    nanoseconds(clock_gettime(ClockId::Monotonic)).cast_unsigned()
+    of_timespec(clock_gettime(ClockId::Monotonic)).cast_unsigned()
 }
 
 /// `CLOCK_REALTIME`: ns since 1970-01-01 UTC; it jumps when the clock is set.
@@ -19,7 +19,7 @@ pub fn monotonic_ns() -> u64 {
 /// # Real-time
 /// Wait-free; no allocation; no syscall where the kernel maps its clock (vDSO).
 pub fn wall_ns() -> i64 {
-    nanoseconds(clock_gettime(ClockId::Realtime))
+    of_timespec(clock_gettime(ClockId::Realtime))
 }
 
 /// `CLOCK_THREAD_CPUTIME_ID`: ns of CPU time that the current thread has used.
@@ -27,7 +27,7 @@ pub fn wall_ns() -> i64 {
 /// # Real-time
 /// Wait-free; no allocation; one syscall.
 pub fn thread_cpu_ns() -> u64 {
-    nanoseconds(clock_gettime(ClockId::ThreadCPUTime)).cast_unsigned()
+    of_timespec(clock_gettime(ClockId::ThreadCPUTime)).cast_unsigned()
 }
 
 /// CPU time of all threads of this process, in nanoseconds.
@@ -35,7 +35,7 @@ pub fn thread_cpu_ns() -> u64 {
 /// # Real-time
 /// One syscall; no allocation.
 pub fn process_cpu_ns() -> u64 {
-    nanoseconds(clock_gettime(ClockId::ProcessCPUTime)).cast_unsigned()
+    of_timespec(clock_gettime(ClockId::ProcessCPUTime)).cast_unsigned()
 }
 
 /// Sleeps until [`monotonic_ns`] reaches `ns`; returns at once if it has. Signals do not cut it short.
@@ -54,13 +54,18 @@ pub fn sleep_until_monotonic(ns: u64) {
 /// # Real-time
 /// No allocation; one short syscall per turn; takes at least `time`.
 pub fn burn_cpu(time: Duration) {
-    let end = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX).saturating_add(thread_cpu_ns());
+    let end = nanoseconds(time).saturating_add(thread_cpu_ns());
     while thread_cpu_ns() < end {
         std::hint::spin_loop();
     }
 }
 
-fn nanoseconds(time: Timespec) -> i64 {
+/// A time span as these clocks count: in nanoseconds, 584 years at most.
+pub fn nanoseconds(span: Duration) -> u64 {
+    u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
+}
+
+fn of_timespec(time: Timespec) -> i64 {
     time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
 

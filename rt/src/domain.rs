@@ -82,6 +82,11 @@ pub fn shared_folder(domain: u32) -> String {
     }
 }
 
+/// Where a domain's folder is, for this user and scope.
+pub fn shared_path(domain: u32) -> PathBuf {
+    Path::new(crate::shm::DIRECTORY).join(shared_folder(domain))
+}
+
 /// Where this user's files are that outlive processes: definitions of message types.
 pub fn kept_folder() -> PathBuf {
     let user = rustix::process::geteuid().as_raw();

@@ -35,7 +35,7 @@ impl Interruptions {
     pub fn watch(window: Duration) -> Interruptions {
         let mut steps_ns = Vec::with_capacity(ROOM);
         let start_ns = monotonic_ns();
-        let end_ns = start_ns.saturating_add(u64::try_from(window.as_nanos()).unwrap_or(u64::MAX));
+        let end_ns = start_ns.saturating_add(crate::clock::nanoseconds(window));
         let mut last_ns = start_ns;
         while last_ns < end_ns {
             let now_ns = monotonic_ns();

@@ -2,7 +2,7 @@
 //! What a sampler serves besides samples: timers and guard conditions, made from any thread.
 
 use crate::alarm::Alarm;
-use crate::timer::{Timer, nanoseconds};
+use crate::timer::Timer;
 use crate::timers::{Room, Timers};
 use crate::watchdog::Watchdog;
 use std::future::poll_fn;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::{Doorbell, Participant, Pulse, Slot, TransportError};
 
 /// The part of a sampler that other threads hold: they make timers and guard conditions here, and stop the sampler.

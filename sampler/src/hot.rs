@@ -5,12 +5,12 @@
 
 use crate::events::Shared;
 use crate::sampler::{Sampler, Wait};
-use crate::timer::{TimerWords, nanoseconds};
+use crate::timer::TimerWords;
 use crate::timers::{Due, Room};
 use core::cmp::Reverse;
 use core::sync::atomic::{Ordering, fence};
 use core::time::Duration;
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::Pulse;
 
 /// The timers by their next release. It has room for as many as there are slots where one may be armed, so pushing never allocates.

@@ -8,7 +8,6 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
-use std::time::Duration;
 use tautline_transport::{Pulse, Slot};
 
 /// What a timer and the sampler tell each other, one per slot.
@@ -148,10 +147,6 @@ impl Stream for Timer {
 }
 
 /// 584 years at most.
-pub(crate) fn nanoseconds(time: Duration) -> u64 {
-    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
-}
-
 impl Drop for Timer {
     fn drop(&mut self) {
         self.shared.timers.at(self.slot.index()).disarm();
@@ -164,7 +159,8 @@ mod tests {
     use super::*;
     use crate::Sampler;
     use std::task::Waker;
-    use tautline_rt::clock::monotonic_ns;
+    use std::time::Duration;
+    use tautline_rt::clock::{monotonic_ns, nanoseconds};
     use tautline_transport::Participant;
 
     /// The sampler accepts the timer when it looks for the ring of the slot's owner before, and again for its own.

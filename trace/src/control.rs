@@ -8,9 +8,9 @@ use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
 use std::os::fd::OwnedFd;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
-use tautline_rt::domain::shared_folder;
+use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, PeerFile, ShmError, has_name};
 
 const ON: &[u8] = b"1";
@@ -53,11 +53,11 @@ pub(crate) fn in_folder<T>(domain: u32, make: impl Fn() -> Result<T, ShmError>) 
 
 /// Removes the folder of a domain, unless something is in it.
 pub(crate) fn leave_folder(domain: u32) {
-    let _ = rustix::fs::rmdir(Path::new(shm::DIRECTORY).join(shared_folder(domain)));
+    let _ = rustix::fs::rmdir(shared_path(domain));
 }
 
 fn path(domain: u32) -> PathBuf {
-    Path::new(shm::DIRECTORY).join(shared_folder(domain)).join(format!("{PREFIX}control"))
+    shared_path(domain).join(format!("{PREFIX}control"))
 }
 
 /// Looks whether a recorder is there.

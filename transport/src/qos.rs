@@ -177,10 +177,6 @@ impl Default for Limits {
 }
 
 /// 584 years at most.
-pub(crate) fn nanoseconds(time: Duration) -> u64 {
-    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
-}
-
 fn in_range(topic: &str, limit: &'static str, requested: usize, max: usize) -> Result<(), TransportError> {
     if (1..=max).contains(&requested) {
         return Ok(());

@@ -7,8 +7,7 @@ use std::fs::{self, File};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use tautline_benches::Scratch;
-use tautline_rt::domain::shared_folder;
-use tautline_rt::shm;
+use tautline_rt::domain::shared_path;
 
 use crate::job::DOMAIN;
 
@@ -30,7 +29,7 @@ impl Place {
 
     /// The domain's folder in shared memory.
     pub fn folder(&self) -> PathBuf {
-        Path::new(shm::DIRECTORY).join(shared_folder(DOMAIN))
+        shared_path(DOMAIN)
     }
 
     /// Shared memory of all processes of the domain, in bytes.

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The end that answers.
 
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
 use crate::job::{Exchange, Job, Measured};
-use crate::near::{WARM_UP_SHARE, nanoseconds};
+use crate::near::WARM_UP_SHARE;
 
 /// What follows from a message of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,11 +7,11 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tautline_rt::clock::{monotonic_ns, process_cpu_ns, sleep_until_monotonic};
+use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns, sleep_until_monotonic};
 
 use crate::Stamp;
 use crate::job::{Exchange, Job, Line, Measured, Memory, say};
-use crate::near::{WARM_UP_SHARE, nanoseconds};
+use crate::near::WARM_UP_SHARE;
 
 /// Of what goes as fast as it can, between two messages of number 0, and for each of their bytes: no system is flooded before it
 /// is measured.

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use tautline_rt::clock::{monotonic_ns, process_cpu_ns};
+use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns};
 
 use crate::job::{Exchange, Job, Measured, Memory};
 use crate::{Answer, Result};
@@ -263,10 +263,6 @@ fn never(is_connected: bool, since_ns: u64) -> Result<()> {
         return Err(format!("the other end did not answer in {} s", NEVER.as_secs()).into());
     }
     Ok(())
-}
-
-pub(crate) fn nanoseconds(time: Duration) -> u64 {
-    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use crate::Result;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use tautline_rt::domain::{kept_folder, set_scope, shared_folder};
+use tautline_rt::domain::{kept_folder, set_scope, shared_path};
 
 const SCOPE: &str = "kills";
 
@@ -64,7 +64,7 @@ impl Drop for Place {
 
 /// The folder of a domain.
 pub fn folder(domain: u32) -> PathBuf {
-    Path::new(tautline_rt::shm::DIRECTORY).join(shared_folder(domain))
+    shared_path(domain)
 }
 
 pub fn entries(folder: &Path) -> Vec<PathBuf> {

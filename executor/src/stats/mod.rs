@@ -184,7 +184,7 @@ impl CallbackStats {
 }
 
 fn nanoseconds(time: Option<Duration>) -> u64 {
-    time.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX))
+    time.map_or(0, tautline_rt::clock::nanoseconds)
 }
 
 #[cfg(test)]

@@ -130,7 +130,7 @@ impl<W> Goals<W> {
 
     /// Forgets the goals whose results were there for longer than the time-out. True if there were any.
     pub(crate) fn expire(&mut self, now_ns: u64) -> bool {
-        let limit_ns = u64::try_from(self.result_timeout.as_nanos()).unwrap_or(u64::MAX);
+        let limit_ns = tautline_rt::clock::nanoseconds(self.result_timeout);
         let before = self.list.len();
         self.list.retain(|goal| {
             goal.result.as_ref().is_none_or(|(_, since_ns)| now_ns.saturating_sub(*since_ns) < limit_ns)

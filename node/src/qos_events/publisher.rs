@@ -55,7 +55,7 @@ impl PublisherEvents {
         let lease = match monitor.lease() {
             Some((pulse, period)) => {
                 let period = watched(period);
-                let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
+                let period_ns = tautline_rt::clock::nanoseconds(period);
                 let watchdog = events.watchdog(pulse, period)?;
                 Some(Lease { watchdog, told: None, period_ns, lost: 0 })
             }

@@ -87,7 +87,7 @@ pub(super) struct Limit {
 impl Limit {
     pub(super) fn new(events: &Events, timeout: Duration, service: &str) -> Result<Self> {
         let mut alarm = events.alarm()?;
-        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
+        let timeout_ns = tautline_rt::clock::nanoseconds(timeout);
         alarm.set(Some(monotonic_ns().saturating_add(timeout_ns)));
         Ok(Limit { alarm, timeout, service: service.to_owned() })
     }

@@ -12,7 +12,7 @@ use crate::{Doorbell, DoorbellError, Slot};
 use core::time::Duration;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
 /// The bit of wakes that come from no publisher.
 const OTHERS: usize = 63;
@@ -103,7 +103,7 @@ fn is_rung_within(bell: &Bell<1>, spin: Duration) -> bool {
     if spin.is_zero() {
         return false;
     }
-    let give_up_ns = monotonic_ns().saturating_add(u64::try_from(spin.as_nanos()).unwrap_or(u64::MAX));
+    let give_up_ns = monotonic_ns().saturating_add(nanoseconds(spin));
     while !bell.is_pending() {
         if monotonic_ns() >= give_up_ns {
             return false;

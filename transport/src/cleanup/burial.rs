@@ -15,10 +15,9 @@ use crate::topic::header::Gid;
 use rustix::fs::FlockOperation;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
-use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
-use tautline_rt::domain::shared_folder;
+use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, PeerFile, ShmError};
 
 /// How long a dead publisher's samples wait for subscriptions that have not found them yet.
@@ -70,7 +69,7 @@ pub(super) struct Dead {
 /// # Errors
 /// The system refuses, at its limit of open files for one.
 pub(super) fn look_after(domain: &Domain, name: &str) -> Result<Found, TransportError> {
-    let path = Path::new(shm::DIRECTORY).join(shared_folder(domain.number())).join(name);
+    let path = shared_path(domain.number()).join(name);
     let file = match PeerFile::open(path, false) {
         Err(ShmError { source, .. }) if source.kind() == io::ErrorKind::NotFound => return Ok(Found::Gone),
         file => file.map_err(file::file_error)?,

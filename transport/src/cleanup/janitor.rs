@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tautline_doorbell::Doorbell;
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
 /// When it looks again though nobody calls it, if something was left to be done: each time later.
 const AGAIN: [Duration; 5] = [
@@ -103,8 +103,7 @@ fn run(shared: &Shared) {
             (pause, Some(period)) => Some(pause.map_or(period, |pause| pause.min(period))),
             (pause, None) => pause,
         };
-        let until_ns =
-            pause.map(|pause| monotonic_ns() + u64::try_from(pause.as_nanos()).unwrap_or(u64::MAX));
+        let until_ns = pause.map(|pause| monotonic_ns() + nanoseconds(pause));
         calls.wait(seen, until_ns);
         if calls.0.load(Ordering::Acquire) != seen {
             again = 0;

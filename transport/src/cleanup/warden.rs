@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
-use tautline_rt::domain::shared_folder;
+use tautline_rt::domain::shared_path;
 use tautline_rt::shm::{self, ShmError};
 
 /// A file that was closed is looked at at once and after each of these times: the kernel tells that a file is closed a moment before
@@ -89,7 +89,7 @@ struct Candidate {
 
 impl Candidate {
     fn new(domain: &Arc<Domain>) -> Result<Self, TransportError> {
-        let path = Path::new(shm::DIRECTORY).join(shared_folder(domain.number())).join(WARDEN);
+        let path = shared_path(domain.number()).join(WARDEN);
         let open = || -> io::Result<OwnedFd> {
             match rustix::fs::mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0) {
                 Ok(()) | Err(Errno::EXIST) => {}

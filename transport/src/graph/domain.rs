@@ -23,8 +23,8 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::FutexWord;
-use tautline_rt::clock::monotonic_ns;
-use tautline_rt::domain::shared_folder;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, ShmError};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautdom1");
@@ -108,7 +108,7 @@ impl Domain {
 
     /// The domain as it is, for who only looks: `None` if nobody is in it.
     pub(crate) fn visit(number: u32) -> Result<Option<Arc<Self>>, TransportError> {
-        let path = Path::new(shm::DIRECTORY).join(shared_folder(number)).join(NAME);
+        let path = shared_path(number).join(NAME);
         match Self::open(&path) {
             Ok(Opened::Whole(file, map)) => {
                 Ok(Some(Arc::new(Domain { number, path, file, map, has_left: Mutex::default() })))
@@ -165,11 +165,8 @@ impl Domain {
 
     /// Sleeps until the epoch is not `since`, at most for `timeout`. Returns the epoch.
     pub(crate) fn wait(&self, since: u32, timeout: Option<Duration>) -> u32 {
-        let end_ns = timeout.map(|timeout| {
-            monotonic_ns()
-                .saturating_add(u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX))
-                .min(i64::MAX as u64)
-        });
+        let end_ns =
+            timeout.map(|timeout| monotonic_ns().saturating_add(nanoseconds(timeout)).min(i64::MAX as u64));
         while self.epoch() == since && end_ns.is_none_or(|end_ns| monotonic_ns() < end_ns) {
             self.layout().epoch.wait(since, end_ns);
         }
@@ -340,7 +337,7 @@ mod tests {
     #[test]
     fn the_last_one_removes_it() {
         isolated();
-        let folder = Path::new(shm::DIRECTORY).join(shared_folder(230));
+        let folder = shared_path(230);
         let one = Domain::join(230).unwrap();
         let other = Domain::join(230).unwrap();
         assert_eq!((one.add(5).unwrap(), other.add(7).unwrap()), (0, 1));

@@ -17,7 +17,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 use tautline_doorbell::{Arena, ArenaId, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of};
-use tautline_rt::domain::shared_folder;
+use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
@@ -319,7 +319,7 @@ fn open(path: &std::path::Path) -> Result<Option<PeerFile>, TransportError> {
 }
 
 pub(crate) fn path(domain: u32, id: u64) -> PathBuf {
-    std::path::Path::new(shm::DIRECTORY).join(shared_folder(domain)).join(format!("{PREFIX}{id:016x}"))
+    shared_path(domain).join(format!("{PREFIX}{id:016x}"))
 }
 
 /// The participant whose file has this name, or a file that stands for it.

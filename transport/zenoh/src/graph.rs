@@ -6,6 +6,7 @@ use crate::lifespans::Lifespans;
 use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
+use tautline_rt::clock::nanoseconds;
 use tautline_transport::Gid;
 
 /// Limits of what is kept of other hosts.
@@ -155,7 +156,7 @@ impl Graph {
             return;
         }
         if let Some(lifespan) = end.endpoint.qos.lifespan.to_duration() {
-            let lifespan_ns = u64::try_from(lifespan.as_nanos()).unwrap_or(u64::MAX);
+            let lifespan_ns = nanoseconds(lifespan);
             self.lifespans.set(end.gid, is_there.then_some(lifespan_ns));
         }
     }

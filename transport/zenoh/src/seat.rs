@@ -110,6 +110,7 @@ impl Drop for Seat {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tautline_rt::domain::shared_path;
     use tautline_transport::Participant;
 
     #[test]
@@ -124,7 +125,7 @@ mod tests {
         drop(seat);
         drop(Seat::wait(178, || false).unwrap().unwrap());
         for domain in [177, 178] {
-            assert!(!Path::new(shm::DIRECTORY).join(shared_folder(domain)).exists(), "nothing is left");
+            assert!(!shared_path(domain).exists(), "nothing is left");
         }
     }
 

@@ -33,7 +33,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
 /// How long a new subscription waits for the participants of publishers that are there.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -96,16 +96,12 @@ pub(crate) struct Looked {
 
 impl Work {
     fn publisher(&mut self, core: &Arc<PublisherCore>) {
-        self.publishers.entry(number_of(core.gid)).or_insert_with(|| core.clone());
+        self.publishers.entry(core.gid.number()).or_insert_with(|| core.clone());
     }
 
     fn subscription(&mut self, core: &Arc<SubscriptionCore>) {
-        self.subscriptions.entry(number_of(core.gid)).or_insert_with(|| core.clone());
+        self.subscriptions.entry(core.gid.number()).or_insert_with(|| core.clone());
     }
-}
-
-fn number_of(gid: Gid) -> u64 {
-    gid.words()[1]
 }
 
 impl Matcher {
@@ -166,9 +162,9 @@ impl Matcher {
     ) -> Result<(), TransportError> {
         let port = core.record(node.map(|node| node.number));
         let added = self.work_and_leave(|state, work| {
-            self.record.add_port(number_of(core.gid), &port)?;
-            state.publishers.insert(number_of(core.gid), core.clone());
-            state.by_topic.entry(core.hash()).or_default().publishers.insert(number_of(core.gid));
+            self.record.add_port(core.gid.number(), &port)?;
+            state.publishers.insert(core.gid.number(), core.clone());
+            state.by_topic.entry(core.hash()).or_default().publishers.insert(core.gid.number());
             state.connect_all(core, work)
         });
         added.inspect_err(|_| self.remove_publisher(core))
@@ -182,9 +178,9 @@ impl Matcher {
     ) -> Result<(), TransportError> {
         let port = core.record(node.map(|node| node.number));
         let added = self.work_and_leave(|state, work| {
-            self.record.add_port(number_of(core.gid), &port)?;
-            state.subscriptions.insert(number_of(core.gid), core.clone());
-            state.by_topic.entry(core.hash()).or_default().subscriptions.insert(number_of(core.gid));
+            self.record.add_port(core.gid.number(), &port)?;
+            state.subscriptions.insert(core.gid.number(), core.clone());
+            state.by_topic.entry(core.hash()).or_default().subscriptions.insert(core.gid.number());
             state.find_all(core, work)
         });
         // Who made it drops it if it is refused, and so it is taken back.
@@ -223,7 +219,7 @@ impl Matcher {
                 );
                 return;
             }
-            calls.wait(seen, Some(monotonic_ns() + u64::try_from(patience.as_nanos()).unwrap_or(u64::MAX)));
+            calls.wait(seen, Some(monotonic_ns() + nanoseconds(patience)));
         }
     }
 
@@ -259,11 +255,11 @@ impl Matcher {
             // Before it is seen to have gone: it has ended, not died.
             core.end();
             if core.is_awaited(|gid| state.index.has(gid, core.hash())) {
-                self.record.end(number_of(core.gid));
+                self.record.end(core.gid.number());
             } else {
-                self.record.remove(number_of(core.gid));
+                self.record.remove(core.gid.number());
             }
-            state.publishers.remove(&number_of(core.gid));
+            state.publishers.remove(&core.gid.number());
             for subscription in state.own_subscriptions(core.hash()) {
                 subscription.disconnect(core.gid, false);
                 work.subscription(&subscription);
@@ -271,8 +267,8 @@ impl Matcher {
             // Who has made a subscription since then has seen that.
             state.look(work);
             work.calls.extend(state.index.participants(core.hash()));
-            state.forget(core.hash(), number_of(core.gid));
-            state.departing.insert(number_of(core.gid), core.clone());
+            state.forget(core.hash(), core.gid.number());
+            state.departing.insert(core.gid.number(), core.clone());
             work.closed.insert(core.gid);
         });
     }
@@ -280,8 +276,8 @@ impl Matcher {
     /// The subscription has gone; samples of it may be out.
     pub(crate) fn remove_subscription(&self, core: &Arc<SubscriptionCore>) {
         self.work_and_leave(|state, work| {
-            self.record.remove(number_of(core.gid));
-            state.subscriptions.remove(&number_of(core.gid));
+            self.record.remove(core.gid.number());
+            state.subscriptions.remove(&core.gid.number());
             state.returning.push(core.clone());
             state.close_returned(work);
             for publisher in state.own_publishers(core.hash()) {
@@ -290,7 +286,7 @@ impl Matcher {
             // Who has made a publisher since then has seen that.
             state.look(work);
             work.calls.extend(state.index.participants(core.hash()));
-            state.forget(core.hash(), number_of(core.gid));
+            state.forget(core.hash(), core.gid.number());
         });
     }
 
@@ -449,7 +445,7 @@ impl State {
     fn disconnect(&mut self, core: &Arc<PublisherCore>, subscription: Gid, is_dead: bool, work: &mut Work) {
         work.publisher(core);
         if core.disconnect(subscription, is_dead) {
-            self.held_up.insert(number_of(core.gid));
+            self.held_up.insert(core.gid.number());
         }
     }
 

@@ -3,12 +3,13 @@
 use super::{
     Changes, Ends, Events, IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost,
 };
-use crate::qos::{Qos, nanoseconds};
+use crate::qos::Qos;
 use crate::topic::subscription::core::SubscriptionCore;
 use crate::topic::subscription::{Counters, RawSubscription};
 use std::sync::Arc;
 use std::time::Duration;
 use tautline_doorbell::{Pulse, PulseOf, Slot};
+use tautline_rt::clock::nanoseconds;
 
 /// Tells what becomes of a subscription's publishers and of what they send. See [`RawSubscription::monitor`].
 pub struct SubscriptionMonitor {

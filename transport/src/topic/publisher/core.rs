@@ -50,7 +50,7 @@ pub(crate) struct PublisherCore {
     /// The number of the last sample that was published.
     pub(crate) published: AtomicU64,
     /// Subscriptions on this host that match.
-    pub(crate) matched: AtomicUsize,
+    pub(crate) matched: Arc<AtomicUsize>,
     setup: Mutex<Setup>,
 }
 
@@ -153,7 +153,7 @@ impl PublisherCore {
             slot,
             history,
             published: AtomicU64::new(0),
-            matched: AtomicUsize::new(0),
+            matched: Arc::default(),
             setup: Mutex::new(setup),
         };
         let grown = core.grow(&mut core.setup(), None);

@@ -14,7 +14,7 @@ pub(crate) use hot::{Sending, Stamp, WhenFull};
 use crate::error::TransportError;
 use crate::graph::{EndpointKind, Entry, TopicEndpoint};
 use crate::participant::{Participant, Shared};
-use crate::qos::{History, Limits, Liveliness, Qos, nanoseconds};
+use crate::qos::{History, Limits, Liveliness, Qos};
 use crate::topic::Topic;
 use crate::topic::header::{Gid, NEVER};
 use crate::topic::memory::{padded, sample_bytes};
@@ -26,7 +26,7 @@ use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::{PulseOf, Slot};
-use tautline_rt::clock::monotonic_ns;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
 /// Publishes bodies of CDR on one topic, of whatever type. What is written is not looked at.
 ///
@@ -207,7 +207,7 @@ impl RawPublisher {
 
     /// As [`subscription_count`](Self::subscription_count), to be asked from any thread.
     pub fn matched(&self) -> MatchedCount {
-        MatchedCount(MatchedOf::Publisher(self.core.clone()))
+        MatchedCount(self.core.matched.clone())
     }
 
     /// Waits until the topic has a subscription, on this host or on one that a gateway tells of. The future borrows nothing of
@@ -237,13 +237,7 @@ impl RawPublisher {
 
 /// How many ends of the other kind match an end of a topic: a count that any thread may read.
 #[derive(Clone)]
-pub struct MatchedCount(pub(crate) MatchedOf);
-
-#[derive(Clone)]
-pub(crate) enum MatchedOf {
-    Publisher(Arc<PublisherCore>),
-    Subscription(Arc<crate::topic::subscription::core::SubscriptionCore>),
-}
+pub struct MatchedCount(pub(crate) Arc<AtomicUsize>);
 
 impl MatchedCount {
     /// The count.
@@ -251,11 +245,7 @@ impl MatchedCount {
     /// # Real-time
     /// Wait-free: one load.
     pub fn get(&self) -> usize {
-        let count: &AtomicUsize = match &self.0 {
-            MatchedOf::Publisher(core) => &core.matched,
-            MatchedOf::Subscription(core) => &core.matched,
-        };
-        count.load(Ordering::Acquire)
+        self.0.load(Ordering::Acquire)
     }
 }
 

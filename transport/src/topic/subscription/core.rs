@@ -33,7 +33,7 @@ pub(crate) struct SubscriptionCore {
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
     /// Publishers on this host that match.
-    pub(crate) matched: AtomicUsize,
+    pub(crate) matched: Arc<AtomicUsize>,
     /// Samples of ended publishers that no take has seen and none will.
     pub(crate) forgotten: AtomicU64,
     /// The subscription has gone, and all its samples are back.
@@ -113,7 +113,7 @@ impl SubscriptionCore {
             is_relay: role.is_relay,
             partner: role.partner,
             slot,
-            matched: AtomicUsize::new(0),
+            matched: Arc::default(),
             forgotten: AtomicU64::new(0),
             is_returned: AtomicBool::new(false),
             has_called: AtomicBool::new(false),

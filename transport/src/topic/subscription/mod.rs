@@ -16,7 +16,7 @@ use crate::topic::Topic;
 use crate::topic::connection::Connection;
 use crate::topic::header::Gid;
 use crate::topic::lending::Shelf;
-use crate::topic::publisher::{MatchedCount, MatchedOf};
+use crate::topic::publisher::MatchedCount;
 use crate::topic::topic_type::TopicType;
 use core::SubscriptionCore;
 use receiver::{Held, Live, Receiver};
@@ -195,7 +195,7 @@ impl RawSubscription {
 
     /// As [`publisher_count`](Self::publisher_count), to be asked from any thread.
     pub fn matched(&self) -> MatchedCount {
-        MatchedCount(MatchedOf::Subscription(self.core().clone()))
+        MatchedCount(self.core().matched.clone())
     }
 
     /// Whether its node has ended: nothing comes any more.
