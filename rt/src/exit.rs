@@ -10,7 +10,7 @@ type Last = Box<dyn FnOnce() + Send>;
 struct List {
     entries: Vec<(u64, Last)>,
     next: u64,
-    /// Whose process this is: one that it forks and that ends has the list, too.
+    /// The process whose entries these are.
     pid: u32,
 }
 
@@ -36,7 +36,11 @@ pub fn at_exit(last: impl FnOnce() + Send + 'static) -> AtExit {
     // SAFETY: `run` may be called at any time from C, and does not unwind. If that is refused, nothing is called.
     REGISTERED.call_once(|| _ = unsafe { libc::atexit(run) });
     let mut list = list();
-    list.pid = std::process::id();
+    if list.pid != std::process::id() {
+        // A process that was forked has its parent's list.
+        std::mem::forget(std::mem::take(&mut list.entries));
+        list.pid = std::process::id();
+    }
     list.next += 1;
     let number = list.next;
     list.entries.push((number, Box::new(last)));

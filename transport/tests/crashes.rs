@@ -67,6 +67,7 @@ fn child_main() {
             // SAFETY: the child only ends.
             let child = unsafe { libc::fork() };
             if child == 0 {
+                let _own = tautline_rt::at_exit(|| {});
                 std::process::exit(0);
             }
             // SAFETY: it is this process's child.
