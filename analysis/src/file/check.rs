@@ -290,11 +290,13 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
         if let (true, Some(Throttling { runtime_ns, period_ns })) = (*throttled, core.overheads.throttling) {
             warnings.push(format!(
                 "host `{}`, core {}: real-time work may exceed {} ms in {} ms, where the kernel pauses it; the bounds \
-                 contain the pauses (kernel.sched_rt_runtime_us = -1 removes them)",
+                 contain the pauses (kernel.sched_rt_runtime_us = -1 removes them; since Linux 6.12, 0 in \
+                 /sys/kernel/debug/sched/fair_server/cpu{}/runtime)",
                 entry.host,
                 entry.number,
                 runtime_ns / 1_000_000,
-                period_ns / 1_000_000
+                period_ns / 1_000_000,
+                entry.number
             ));
         }
     }

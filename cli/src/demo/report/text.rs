@@ -168,8 +168,9 @@ fn explanations(report: &DemoReport) -> Vec<String> {
     if report.realtime && beyond && report.steal_ticks == 0 && !sampler_below {
         texts.push(
             "The prediction covers the callbacks and the middleware of this core only: look for interrupts, other \
-             real-time threads on the core, throttling (kernel.sched_rt_runtime_us), or a callback that runs longer \
-             than its wcet."
+             real-time threads on the core, throttling (kernel.sched_rt_runtime_us; since Linux 6.12 \
+             /sys/kernel/debug/sched/fair_server), a callback that runs longer than its wcet, and on a virtual machine \
+             for a host that is busy with the disk: it tells of the time that it takes only by ticks of 10 ms."
                 .into(),
         );
     }
