@@ -14,7 +14,7 @@ type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 pub struct Scratch {
     directory: TempDir,
     prefix: String,
-    scope: String,
+    bench: String,
 }
 
 impl Scratch {
@@ -26,9 +26,10 @@ impl Scratch {
     pub fn new(bench: &str) -> Result<Self> {
         remove(|name| owner(name, bench).is_some_and(|pid| !Path::new(&format!("/proc/{pid}")).exists()));
         let pid = std::process::id();
-        let (scope, prefix) = (format!("{bench}_{pid}"), format!("taut_{bench}_{pid}_"));
-        set_scope(&scope)?;
-        Ok(Self { directory: tempfile::Builder::new().prefix(&prefix).tempdir()?, prefix, scope })
+        set_scope(&format!("{bench}_{pid}"))?;
+        let prefix = format!("taut_{bench}_{pid}_");
+        let directory = tempfile::Builder::new().prefix(&prefix).tempdir()?;
+        Ok(Self { directory, prefix, bench: bench.to_owned() })
     }
 
     /// For files.
@@ -46,8 +47,7 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        let scope = format!(".{}", self.scope);
-        remove(|name| name.starts_with(&self.prefix) || name.ends_with(&scope));
+        remove(|name| owner(name, &self.bench) == Some(std::process::id()));
     }
 }
 

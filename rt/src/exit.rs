@@ -3,6 +3,7 @@
 //! then that those threads hold.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
 
 type Last = Box<dyn FnOnce() + Send>;
@@ -10,11 +11,11 @@ type Last = Box<dyn FnOnce() + Send>;
 struct List {
     entries: Vec<(u64, Last)>,
     next: u64,
-    /// The process whose entries these are.
-    pid: u32,
 }
 
-static LIST: Mutex<List> = Mutex::new(List { entries: Vec::new(), next: 0, pid: 0 });
+static LIST: Mutex<List> = Mutex::new(List { entries: Vec::new(), next: 0 });
+/// The process whose list this is: one that it forks has a copy, whose lock a thread may hold that is not there.
+static PID: AtomicU32 = AtomicU32::new(0);
 
 fn list() -> MutexGuard<'static, List> {
     LIST.lock().unwrap_or_else(PoisonError::into_inner)
@@ -36,10 +37,9 @@ pub fn at_exit(last: impl FnOnce() + Send + 'static) -> AtExit {
     // SAFETY: `run` may be called at any time from C, and does not unwind. If that is refused, nothing is called.
     REGISTERED.call_once(|| _ = unsafe { libc::atexit(run) });
     let mut list = list();
-    if list.pid != std::process::id() {
-        // A process that was forked has its parent's list.
+    if PID.swap(std::process::id(), Ordering::Relaxed) != std::process::id() {
+        // What its parent leaves is not to be done here, nor dropped.
         std::mem::forget(std::mem::take(&mut list.entries));
-        list.pid = std::process::id();
     }
     list.next += 1;
     let number = list.next;
@@ -55,12 +55,10 @@ impl Drop for AtExit {
 }
 
 extern "C" fn run() {
-    let mut list = list();
-    if list.pid != std::process::id() {
+    if PID.load(Ordering::Relaxed) != std::process::id() {
         return;
     }
-    let entries = std::mem::take(&mut list.entries);
-    drop(list);
+    let entries = std::mem::take(&mut list().entries);
     for (_, last) in entries.into_iter().rev() {
         // Said by the panic itself; the others are still called.
         let _ = catch_unwind(AssertUnwindSafe(last));

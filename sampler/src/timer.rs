@@ -146,7 +146,6 @@ impl Stream for Timer {
     }
 }
 
-/// 584 years at most.
 impl Drop for Timer {
     fn drop(&mut self) {
         self.shared.timers.at(self.slot.index()).disarm();

@@ -61,7 +61,7 @@ pub use init::{
     subscription_callback_init, subscription_init, timer_callback_init, timer_init,
 };
 pub use object::{Description, Object, ObjectKind};
-pub use process::{Membership, attend, configure, join};
+pub use process::{Membership, attend, configure, join, leave_at_exit};
 pub use recorder::{Record, Recorder, remove_dead_files};
 pub use settings::{TraceMode, TraceSettings};
 pub use thread::{register_thread, register_thread_as};

@@ -98,7 +98,7 @@ impl Drop for Membership {
 pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
     let process = process();
     if let Some(own) = &process.file {
-        if own.free_rings() <= SPARE_RINGS {
+        if own.missing_rings(SPARE_RINGS + 1) > 0 {
             own.give_back_rings(control::asked(own.domain));
         }
         own.prepare_rings(SPARE_RINGS + 1);
@@ -109,7 +109,7 @@ pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
 /// How often to look while there is a recorder: it may be killed, and threads end.
 const PERIOD: Duration = Duration::from_millis(250);
 
-/// Looks whether a recorder is there, and gives rings of ended threads back. For a low-priority thread, when a recorder has come.
+/// Looks whether a recorder is there. If one is, or rings run short, gives those of ended threads back. For a low-priority thread, when a recorder has come.
 /// Returns after how long it is to look again; `None`: not before the next one comes.
 pub fn attend() -> Option<Duration> {
     let is_recorded = process().file.as_ref().is_some_and(Own::attend);
@@ -176,8 +176,8 @@ impl Own {
                 self.map.state().store(wanted, Ordering::Release);
             }
         }
-        // Else when they run short.
-        if asked != Asked::Nothing || self.free_rings() <= SPARE_RINGS {
+        // Else before others get memory.
+        if asked != Asked::Nothing || self.missing_rings(SPARE_RINGS) > 0 {
             self.give_back_rings(asked);
         }
         self.prepare_rings(SPARE_RINGS);
@@ -217,13 +217,16 @@ impl Own {
         }
     }
 
+    /// How many rings are to get memory so that `spare` of those that have it are nobody's.
+    fn missing_rings(&self, spare: usize) -> usize {
+        let is_spare = |ring: &Ring| is_ready(ring) && ring.head.tid.load(Ordering::Relaxed) == 0;
+        spare.saturating_sub((0..RINGS).filter(|index| is_spare(&self.map.ring(*index))).count())
+    }
+
     /// Gives rings memory, until `spare` of those that have it are nobody's.
     fn prepare_rings(&self, spare: usize) {
-        let is_free = |ring: &Ring| ring.head.tid.load(Ordering::Relaxed) == 0;
-        let rings = || (0..RINGS).map(|index| (index, self.map.ring(index)));
-        let ready = |ring: &Ring| ring.head.ready.load(Ordering::Relaxed) != 0;
-        let missing = spare.saturating_sub(rings().filter(|(_, ring)| ready(ring) && is_free(ring)).count());
-        for (index, ring) in rings().filter(|(_, ring)| !ready(ring)).take(missing) {
+        let rings = (0..RINGS).map(|index| (index, self.map.ring(index)));
+        for (index, ring) in rings.filter(|(_, ring)| !is_ready(ring)).take(self.missing_rings(spare)) {
             let (offset, len) = self.map.ring_range(index);
             if self.file.claim(offset, len).is_err() {
                 return;
@@ -235,15 +238,30 @@ impl Own {
     }
 
     /// What nobody has fetched stays for a recorder: the one that asked for it, or any if it was recorded from the start.
-    fn give_up(self) {
+    fn leave(&self) {
         hot::switch(false);
         let wanted = self.mode == TraceMode::On || control::asked(self.domain) != Asked::Nothing;
         if !wanted || self.map.is_drained() {
             self.file.retire();
             control::leave_folder(self.domain);
         }
+    }
+
+    fn give_up(self) {
+        self.leave();
         // Should this fail, the pages stay until the process ends.
         let _ = self.map.forget_file();
+    }
+}
+
+fn is_ready(ring: &Ring) -> bool {
+    ring.head.ready.load(Ordering::Relaxed) != 0
+}
+
+/// The process ends while threads of it may still write events.
+pub fn leave_at_exit() {
+    if let Some(own) = &process().file {
+        own.leave();
     }
 }
 

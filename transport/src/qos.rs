@@ -176,7 +176,6 @@ impl Default for Limits {
     }
 }
 
-/// 584 years at most.
 fn in_range(topic: &str, limit: &'static str, requested: usize, max: usize) -> Result<(), TransportError> {
     if (1..=max).contains(&requested) {
         return Ok(());

@@ -56,7 +56,20 @@ fn child_main() {
             say("left");
             wait_for_the_end();
         }
-        "exit" => exit_while_threads_run(participant),
+        "exit" => exit_while_threads_run(participant.clone(), Participant::new(domain).unwrap()),
+        "exit of the other first" => exit_while_threads_run(Participant::new(domain).unwrap(), participant),
+        "exit with a full queue" => {
+            let subscription = new_subscription(&participant, Qos::keep_all(4));
+            wait_for("the publisher", || subscription.publisher_count() == 1);
+            say("exits");
+            let parked = std::thread::spawn(move || {
+                std::thread::park();
+                drop(subscription);
+            });
+            drop(parked);
+            wait_for_the_end();
+            std::process::exit(0);
+        }
         "last words" => {
             let publisher = new_publisher(&participant, Qos::keep_all(50));
             wait_for("the subscription", || publisher.subscription_count() == 1);
@@ -67,11 +80,18 @@ fn child_main() {
             // SAFETY: the child only ends.
             let child = unsafe { libc::fork() };
             if child == 0 {
+                std::process::exit(0);
+            }
+            // SAFETY: as above.
+            let other = unsafe { libc::fork() };
+            if other == 0 {
                 let _own = tautline_rt::at_exit(|| {});
                 std::process::exit(0);
             }
-            // SAFETY: it is this process's child.
-            assert_eq!(unsafe { libc::waitpid(child, std::ptr::null_mut(), 0) }, child);
+            for child in [child, other] {
+                // SAFETY: it is this process's child.
+                assert_eq!(unsafe { libc::waitpid(child, std::ptr::null_mut(), 0) }, child);
+            }
             say("forked");
             wait_for_the_end();
         }
@@ -80,8 +100,7 @@ fn child_main() {
 }
 
 /// Ends by `exit`; threads hold all there is.
-fn exit_while_threads_run(participant: Participant) {
-    let beside = Participant::new(participant.domain()).unwrap();
+fn exit_while_threads_run(participant: Participant, beside: Participant) {
     let (publisher, subscription) =
         (new_publisher(&participant, Qos::keep_all(100)), new_subscription(&beside, Qos::keep_all(100)));
     // Both ends in one participant, as every ROS node has them.
@@ -283,13 +302,30 @@ fn a_subscription_that_left_with_a_sample_of_a_process_that_is_killed() {
 #[test]
 fn a_process_that_exits_leaves_nothing_though_its_threads_run_on() {
     const DOMAIN: u32 = 185;
-    for _ in 0..CYCLES {
-        let mut part = Part::start("exit", domain(DOMAIN));
+    for part in ["exit", "exit of the other first"].into_iter().cycle().take(2 * CYCLES) {
+        let mut part = Part::start(part, domain(DOMAIN));
         assert_eq!(part.hear(), "exits");
         assert!(part.end().success());
         assert_eq!(remains(DOMAIN), Vec::<String>::new());
         let folder = std::path::Path::new("/dev/shm").join(tautline_rt::domain::shared_folder(DOMAIN));
         assert!(!folder.exists());
+    }
+}
+
+/// As of one that is killed: a full queue of it holds nobody up.
+#[test]
+fn others_notice_an_exit() {
+    const DOMAIN: u32 = 188;
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
+    let publisher = new_publisher(&participant, Qos::keep_all(4));
+    for _ in 0..CYCLES {
+        let mut part = Part::start("exit with a full queue", DOMAIN);
+        wait_for("the subscription", || publisher.subscription_count() == 1);
+        while publisher.publish(&Count { n: 1 }).is_ok() {}
+        assert_eq!(part.hear(), "exits");
+        assert!(part.end().success());
+        wait_for("the end of the subscription", || publisher.subscription_count() == 0);
+        wait_for("room", || publisher.publish(&Count { n: 2 }).is_ok());
     }
 }
 

@@ -106,7 +106,7 @@ impl Drop for Scope {
             let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
         }
         let ending = format!(".{}", self.name);
-        for folder in entries(&std::env::temp_dir()) {
+        for folder in entries(Path::new("/tmp")) {
             let name = folder.file_name().unwrap_or_default().to_string_lossy();
             if name.starts_with("tautline_") && name.ends_with(&ending) {
                 let _ = fs::remove_dir_all(&folder);

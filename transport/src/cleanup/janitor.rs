@@ -90,15 +90,18 @@ fn run(shared: &Shared) {
             shared.doorbell.arena().rescue();
         }
         let is_traced = tautline_trace::attend();
-        if !has_stand_in && shared.memory.is_removed() {
-            // So that the others notice when it dies; none can if the folder was removed, too.
+        // Not by the end of this process.
+        let is_removed = !has_stand_in && shared.memory.is_removed() && !*shared.domain.has_left();
+        if is_removed {
+            // So that the others notice when it dies.
             has_stand_in = shared.memory.make_stand_in().is_ok();
             if !std::mem::replace(&mut is_said, true) {
                 say_that_it_was_removed(shared.memory.path());
             }
         }
-        let pause = looked.is_pending.then(|| AGAIN[again]);
-        again = if looked.is_pending { (again + 1).min(AGAIN.len() - 1) } else { 0 };
+        let is_pending = looked.is_pending || is_removed && !has_stand_in;
+        let pause = is_pending.then(|| AGAIN[again]);
+        again = if is_pending { (again + 1).min(AGAIN.len() - 1) } else { 0 };
         let pause = match (pause, is_traced) {
             (pause, Some(period)) => Some(pause.map_or(period, |pause| pause.min(period))),
             (pause, None) => pause,

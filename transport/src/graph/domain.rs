@@ -14,13 +14,14 @@
 
 use crate::cleanup::has_owner;
 use crate::error::TransportError;
+use crate::participant::file::id_of;
 use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::FutexWord;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
@@ -257,9 +258,10 @@ impl Domain {
 }
 
 impl Domain {
-    /// The last one removes the domain's files and its folder. Traces of killed processes stay for a recorder.
+    /// This process is none of its members any more, or ends right now. The last one removes the domain's files and its folder. Traces
+    /// of killed processes stay for a recorder.
     pub(crate) fn leave(&self) {
-        let mut has_left = self.has_left.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut has_left = self.has_left();
         if std::mem::replace(&mut has_left, true) {
             return;
         }
@@ -269,10 +271,12 @@ impl Domain {
             return;
         }
         let Some(folder) = self.path.parent() else { return };
-        // Of those that were killed when nobody looked after them any more.
+        // A participant's is of one that was killed when nobody looked after it any more, or of a process that ends right now.
         for file in shm::list(&format!("{}/", shared_folder(self.number))).unwrap_or_default() {
             let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-            if has_owner(name)
+            if id_of(name).is_some() {
+                let _ = rustix::fs::unlink(file);
+            } else if has_owner(name)
                 && !tautline_trace::is_trace_file(name)
                 && let Ok(file) = shm::PeerFile::open(file, false)
             {
@@ -282,6 +286,13 @@ impl Domain {
         let _ = rustix::fs::unlink(folder.join(WARDEN));
         let _ = rustix::fs::unlink(&self.path);
         let _ = rustix::fs::rmdir(folder);
+    }
+}
+
+impl Domain {
+    /// Whether it was left; who has it keeps others from leaving meanwhile.
+    pub(crate) fn has_left(&self) -> MutexGuard<'_, bool> {
+        self.has_left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

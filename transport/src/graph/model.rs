@@ -12,6 +12,7 @@ use crate::error::TransportError;
 use crate::participant::file::Peer;
 use crate::topic::header::Gid;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::io::ErrorKind::WouldBlock;
 use std::sync::Arc;
 
 /// Who looks without being a participant.
@@ -176,9 +177,16 @@ impl Model {
                 self.unlist(id, &member);
             }
         }
+        let mut is_behind = false;
         for member in seen {
             if self.members.get(&member.id).is_none_or(|known| known.generation != member.generation) {
-                self.update(domain.number(), member.id, member.generation)?;
+                match self.update(domain.number(), member.id, member.generation) {
+                    // It changes all the time: what was known of it is listed, and the next look reads on.
+                    Err(TransportError::File { source, .. }) if source.kind() == WouldBlock => {
+                        is_behind = true
+                    }
+                    updated => updated?,
+                }
             }
         }
         self.snapshot = Arc::new(GraphSnapshot {
@@ -187,7 +195,7 @@ impl Model {
             services: self.services.values().cloned().collect(),
             relays: self.members.iter().flat_map(|(id, member)| member.relays(*id)).collect(),
         });
-        self.epoch = Some(epoch);
+        self.epoch = Some(epoch).filter(|_| !is_behind);
         Ok(self.snapshot.clone())
     }
 

@@ -14,7 +14,7 @@ use crate::error::TransportError;
 use std::collections::BTreeMap;
 use std::io;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 use tautline_doorbell::{Arena, ArenaId, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of};
 use tautline_rt::domain::{shared_folder, shared_path};
@@ -77,7 +77,6 @@ pub(crate) struct OwnMemory {
     /// How long the file is.
     len: Mutex<u64>,
     stand_in: Mutex<Option<OwnFile>>,
-    is_retired: AtomicBool,
 }
 
 impl OwnMemory {
@@ -110,7 +109,6 @@ impl OwnMemory {
             ranges: Mutex::new(ranges),
             len: Mutex::new(len),
             stand_in: Mutex::default(),
-            is_retired: AtomicBool::new(false),
         })
     }
 
@@ -194,14 +192,13 @@ impl OwnMemory {
 
     /// Whether somebody removed the file, as systemd-logind does when a user logs out: nobody finds this participant then.
     pub(crate) fn is_removed(&self) -> bool {
-        // In this order: it is noted before the name goes.
-        !shm::has_name(&self.file) && !self.is_retired.load(Ordering::Acquire)
+        !shm::has_name(&self.file)
     }
 
     /// The file was removed: makes another one, which says by its lock whether this participant lives. It is empty.
     ///
     /// # Errors
-    /// The folder was removed, too.
+    /// The folder was removed, too, or the system refuses, or somebody took the file for a dead one's: try again.
     pub(crate) fn make_stand_in(&self) -> Result<(), TransportError> {
         let path = self.path().with_file_name(format!("{STAND_IN}{:016x}", self.id()));
         *self.stand_in() = Some(OwnFile::create_at(path, self.id()).map_err(file_error)?);
@@ -214,7 +211,6 @@ impl OwnMemory {
 
     /// Removes the file.
     pub(crate) fn retire(&self) {
-        self.is_retired.store(true, Ordering::Release);
         if let Some(stand_in) = self.stand_in().take() {
             stand_in.retire();
         }

@@ -16,8 +16,7 @@ use crate::topic::topic_type::TopicType;
 use crate::topic::typed::{Publisher, Subscription};
 use file::{OwnMemory, Peer};
 use iceoryx2_log::{LogLevel, set_log_level};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline_doorbell::{Arena, Doorbell, Slot};
 use tautline_msgs::Message;
 use tautline_rt::{AtExit, at_exit};
@@ -44,11 +43,11 @@ pub(crate) struct Shared {
     pub(crate) doorbell: Arc<Doorbell>,
     model: Mutex<Model>,
     trace: tautline_trace::Object,
-    _ending: Ending,
-    place: usize,
+    _tracing: tautline_trace::Membership,
+    membership: Membership,
     pub(crate) memory: Arc<OwnMemory>,
     pub(crate) domain: Arc<Domain>,
-    // While there is anything left to be given up.
+    // Last: it leaves the domain, too.
     _at_exit: AtExit,
 }
 
@@ -58,39 +57,7 @@ struct Membership {
     memory: Arc<OwnMemory>,
     record: Arc<OwnRecord>,
     matcher: Arc<Matcher>,
-}
-
-/// What a participant gives up at its end, in this order, or at the end of its process.
-struct Given(Mutex<Option<(tautline_trace::Membership, Membership)>>);
-
-impl Given {
-    /// How long the end of the process waits for a thread that gives it up right now.
-    const PATIENCE: Duration = Duration::from_secs(1);
-
-    /// The process ends while threads of it go on.
-    fn give_up_at_exit(&self, domain: &Domain) {
-        let since = Instant::now();
-        let mut given = loop {
-            match self.0.try_lock() {
-                Ok(given) => break given,
-                Err(TryLockError::Poisoned(given)) => break given.into_inner(),
-                Err(TryLockError::WouldBlock) if since.elapsed() > Self::PATIENCE => return,
-                Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(1)),
-            }
-        };
-        *given = None;
-        drop(given);
-        domain.leave();
-    }
-}
-
-/// Gives up what there is on drop.
-struct Ending(Arc<Given>);
-
-impl Drop for Ending {
-    fn drop(&mut self) {
-        *self.0.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
-    }
+    place: usize,
 }
 
 impl Drop for Membership {
@@ -175,10 +142,14 @@ impl Participant {
             memory: memory.clone(),
             record: record.clone(),
             matcher: matcher.clone(),
+            place,
         };
-        let given = Arc::new(Given(Mutex::new(Some((tracing, membership)))));
-        let (ending, left) = (Ending(given.clone()), domain.clone());
-        let at_exit = at_exit(move || given.give_up_at_exit(&left));
+        let left = domain.clone();
+        // If others are there, one of them buries this participant like one that was killed: its threads run until then.
+        let at_exit = at_exit(move || {
+            tautline_trace::leave_at_exit();
+            left.leave();
+        });
         record.publish(place);
         let janitor = Janitor::start(&domain, place, &doorbell, &matcher, &memory)?;
         let warden = Warden::start(&domain)?;
@@ -191,8 +162,8 @@ impl Participant {
             doorbell,
             model: Mutex::new(Model::new(memory.id())),
             trace: tautline_trace::context_init(number),
-            _ending: ending,
-            place,
+            _tracing: tracing,
+            membership,
             memory,
             domain,
             _at_exit: at_exit,
@@ -347,6 +318,6 @@ impl Shared {
     /// # Real-time
     /// Wait-free; one futex wake.
     pub(crate) fn call_janitor(&self) {
-        self.domain.call(self.place);
+        self.domain.call(self.membership.place);
     }
 }

@@ -302,16 +302,12 @@ impl Matcher {
         self.work(look).1
     }
 
-    /// The participant ends, or its process while publishers of it are still there. True if somebody may still look for what they have
-    /// sent.
+    /// The participant ends. True if somebody may still look for what its publishers have sent.
     pub(crate) fn is_awaited(&self) -> bool {
         let mut state = self.state();
-        let State { index, peers, publishers, departing, domain, .. } = &mut *state;
+        let State { index, peers, departing, domain, .. } = &mut *state;
         index.look(domain, peers);
-        departing
-            .values()
-            .chain(publishers.values())
-            .any(|core| core.is_awaited(|gid| index.has(gid, core.hash())))
+        departing.values().any(|core| core.is_awaited(|gid| index.has(gid, core.hash())))
     }
 }
 
