@@ -370,6 +370,8 @@ fn kind(error: &Error) -> String {
         Error::Service(ServiceError::ServerGone { .. }) => gone.into(),
         Error::Service(ServiceError::RequestsFull { .. }) => FULL.into(),
         Error::GoalRejected { .. } => rejected.into(),
+        // Its server went between the two requests.
+        Error::GoalUnheard { source, .. } => kind(source),
         other => other.to_string(),
     }
 }
