@@ -9,7 +9,7 @@
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in; [`domain`] says where they are.
 //! - [`PiMutex`] protects what threads of different priorities use; [`FutexWord`] is a word to sleep on.
-//! - [`at_exit`] is for what a process leaves to others, and whose threads may run on when it ends.
+//! - [`at_exit`] has something done when the process ends, though threads of it run on.
 //! - [`latest`] passes the newest of many values on, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
 //!

@@ -109,8 +109,8 @@ pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
 /// How often to look while there is a recorder: it may be killed, and threads end.
 const PERIOD: Duration = Duration::from_millis(250);
 
-/// Looks whether a recorder is there. If one is, or rings run short, gives those of ended threads back. For a low-priority thread, when a recorder has come.
-/// Returns after how long it is to look again; `None`: not before the next one comes.
+/// Looks whether a recorder is there. If one is, or rings run short, gives those of ended threads back. For a low-priority thread, when
+/// a recorder has come. Returns after how long it is to look again; `None`: not before the next one comes.
 pub fn attend() -> Option<Duration> {
     let is_recorded = process().file.as_ref().is_some_and(Own::attend);
     is_recorded.then_some(PERIOD)

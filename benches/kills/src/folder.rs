@@ -2,7 +2,7 @@
 //! Whose the files of a domain are, and how long those of the dead stay.
 
 use crate::Result;
-use crate::place::{entries, folder};
+use crate::place::entries;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::mem::MaybeUninit;
@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
+use tautline_rt::domain::shared_path;
 use tautline_rt::host::steal_ticks;
 
 /// Files that belong to all members together.
@@ -53,12 +54,12 @@ fn locks() -> BTreeMap<u64, u32> {
 fn files(domain: u32) -> impl Iterator<Item = PathBuf> {
     let is_owned =
         |path: &PathBuf| path.file_name().is_some_and(|name| !COMMON.iter().any(|common| *common == name));
-    entries(&folder(domain)).into_iter().filter(is_owned)
+    entries(&shared_path(domain)).into_iter().filter(is_owned)
 }
 
 /// The process that is the domain's warden.
 pub fn warden(domain: u32) -> Option<u32> {
-    let inode = std::fs::metadata(folder(domain).join("warden")).ok()?.ino();
+    let inode = std::fs::metadata(shared_path(domain).join("warden")).ok()?.ino();
     locks().get(&inode).copied()
 }
 
@@ -89,9 +90,9 @@ fn is_of_living(path: &Path) -> bool {
 /// What is in the folder of a domain, for whoever looks for the cause of a failure.
 pub fn listing(domain: u32) -> String {
     let locks = locks();
-    let mut paths = entries(&folder(domain));
+    let mut paths = entries(&shared_path(domain));
     paths.sort();
-    let mut text = format!("{}:\n", folder(domain).display());
+    let mut text = format!("{}:\n", shared_path(domain).display());
     for path in paths {
         let Ok(data) = std::fs::symlink_metadata(&path) else { continue };
         let lock = locks.get(&data.ino()).map_or("not locked".to_owned(), |pid| format!("locked by {pid}"));
@@ -139,7 +140,7 @@ pub struct Watch {
 impl Watch {
     pub fn start(domain: u32, limit: Duration) -> Result<Self> {
         let watch = inotify::init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC)?;
-        inotify::add_watch(&watch, folder(domain), WatchFlags::DELETE)?;
+        inotify::add_watch(&watch, shared_path(domain), WatchFlags::DELETE)?;
         let (state, stop) = (Arc::<Mutex<State>>::default(), Arc::<AtomicBool>::default());
         let thread = {
             let (state, stop) = (state.clone(), stop.clone());
@@ -152,7 +153,7 @@ impl Watch {
                     while let Ok(event) = reader.next() {
                         let name = event.file_name().and_then(|name| name.to_str().ok());
                         if let Some(name) = name.filter(|_| event.events().contains(ReadFlags::DELETE)) {
-                            lock(&state).gone(&folder(domain).join(name), limit);
+                            lock(&state).gone(&shared_path(domain).join(name), limit);
                         }
                     }
                 }

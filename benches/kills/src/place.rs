@@ -4,7 +4,7 @@
 use crate::Result;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use tautline_rt::domain::{kept_folder, set_scope, shared_path};
+use tautline_rt::domain::{kept_folder, set_scope};
 
 const SCOPE: &str = "kills";
 
@@ -60,11 +60,6 @@ impl Drop for Place {
         let is_ours = |path: &PathBuf| path.to_string_lossy().ends_with(&ours);
         all().iter().filter(|path| is_ours(path)).for_each(|path| remove(path));
     }
-}
-
-/// The folder of a domain.
-pub fn folder(domain: u32) -> PathBuf {
-    shared_path(domain)
 }
 
 pub fn entries(folder: &Path) -> Vec<PathBuf> {

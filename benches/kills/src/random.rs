@@ -6,7 +6,7 @@ use crate::Result;
 use crate::actors::{self, Role};
 use crate::folder::{self, Watch};
 use crate::inspector::{Graph, Late, Met};
-use crate::place::{Place, folder};
+use crate::place::Place;
 use crate::process::{Complaints, Holdings, PATIENCE, Process, Said, Stage, kill};
 use crate::survivors::{ACTORS_ADD, ACTORS_FIBONACCI, ADD, Asked, FULL, OF_SERVERS_THAT_GO, Received, Sent};
 use clap::Args;
@@ -17,6 +17,7 @@ use std::process::{Child, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
+use tautline_rt::domain::shared_path;
 
 const DOMAIN: u32 = 0;
 /// An actor lives at most so long.
@@ -147,7 +148,7 @@ impl Run {
             } else {
                 self.without_survivors(left.min(CHECK_EVERY))?;
             }
-            if folder(DOMAIN).exists() {
+            if shared_path(DOMAIN).exists() {
                 return Err("all have left, and the folder stays".into());
             }
         }

@@ -5,7 +5,7 @@
 use crate::Result;
 use crate::folder::{listing, of_dead, stolen};
 use crate::inspector::Graph;
-use crate::place::{Place, folder};
+use crate::place::Place;
 use crate::process::{Complaints, PATIENCE, Process, Said, Stage, kill, threads};
 use crate::scenes::{Friend, Scene};
 use crate::tracer::{self, End, Point, When};
@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
+use tautline_rt::domain::shared_path;
 
 /// Within this the graph answers, the friend's new ends and a newcomer's have passed a message, and nobody is kept from publishing.
 const ANSWER: Duration = Duration::from_millis(100);
@@ -299,7 +300,7 @@ impl Lane {
     fn check(&mut self, end: &End, pid: u32, victim: Option<(u32, Instant)>) -> Result<()> {
         let (start, before) = (Instant::now(), stolen());
         if self.scene == Scene::Warden {
-            if end.code.is_some() && folder(self.stage.domain).exists() {
+            if end.code.is_some() && shared_path(self.stage.domain).exists() {
                 return Err("all have left, and the folder stays".into());
             }
             if end.code.is_some() || victim.is_none() || self.friend_has_left()? {
@@ -347,7 +348,7 @@ impl Lane {
         if self.scene == Scene::Warden {
             self.friend.tell("leave")?;
             self.friend.expect_ready()?;
-            if folder(self.stage.domain).exists() {
+            if shared_path(self.stage.domain).exists() {
                 return Err("all have left or died, and the folder stays".into());
             }
         }

@@ -6,7 +6,7 @@
 //! the middle of this leaves it to be done again. However many die at once, none waits for another one's burial.
 
 use crate::error::TransportError;
-use crate::graph::domain::{Domain, WARDEN};
+use crate::graph::domain::{Domain, has_owner};
 use crate::graph::log::{Kind, Reader};
 use crate::graph::record::{PortKind, PortRecord};
 use crate::participant::file::{self, Peer, Place};
@@ -45,11 +45,6 @@ pub(super) fn names(domain: u32) -> Result<Vec<String>, TransportError> {
     let paths = shm::list(&format!("{}/", shared_folder(domain))).map_err(file::file_error)?;
     let names = paths.iter().filter_map(|path| path.file_name()?.to_str());
     Ok(names.filter(|name| has_owner(name)).map(str::to_owned).collect())
-}
-
-/// All but the domain's own, which are their members' together.
-pub(crate) fn has_owner(name: &str) -> bool {
-    name != WARDEN && name != crate::graph::domain::NAME
 }
 
 /// A participant that has died, or a file that is nobody's.

@@ -91,7 +91,7 @@ fn run(shared: &Shared) {
         }
         let is_traced = tautline_trace::attend();
         // Not by the end of this process.
-        let is_removed = !has_stand_in && shared.memory.is_removed() && !*shared.domain.has_left();
+        let is_removed = !has_stand_in && shared.memory.is_removed() && !shared.domain.has_left();
         if is_removed {
             // So that the others notice when it dies.
             has_stand_in = shared.memory.make_stand_in().is_ok();

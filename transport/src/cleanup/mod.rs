@@ -9,7 +9,6 @@ mod burial;
 mod janitor;
 mod warden;
 
-pub(crate) use burial::has_owner;
 pub(crate) use janitor::Janitor;
 pub(crate) use warden::Warden;
 

@@ -9,7 +9,7 @@
 
 use super::burial::{self, Dead, Found};
 use crate::error::TransportError;
-use crate::graph::domain::{Domain, WARDEN};
+use crate::graph::domain::{Domain, WARDEN, has_owner};
 use crate::participant::file::{file_error, id_of};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
@@ -236,7 +236,7 @@ struct Office {
 
 impl Office {
     fn suspect(&mut self, name: &str) {
-        if burial::has_owner(name) && !self.kept.contains(name) {
+        if has_owner(name) && !self.kept.contains(name) {
             self.suspects.insert(name.to_owned(), (0, 0));
         }
     }

@@ -10,9 +10,9 @@
 //! | a member's calls, a futex word on which its janitor sleeps | whoever wants that one to look |
 //!
 //! Every member holds a shared lock of the file. Who leaves and gets it for itself alone is the last one, and removes the domain's
-//! files: killed processes hold no locks.
+//! files: killed processes hold no locks. So does who is the last one when its process ends, though threads of it run on; who is not is
+//! buried by the others when it is dead: until then its threads may hold samples.
 
-use crate::cleanup::has_owner;
 use crate::error::TransportError;
 use crate::participant::file::id_of;
 use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
@@ -21,7 +21,7 @@ use std::io;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::FutexWord;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
@@ -34,6 +34,12 @@ pub(crate) const MEMBERS: usize = 2048;
 pub(crate) const NAME: &str = "domain";
 /// The pipe by which members know that there is a warden.
 pub(crate) const WARDEN: &str = "warden";
+
+/// Whether a file of the folder has an owner: all but the domain's own, which are their members' together.
+pub(crate) fn has_owner(name: &str) -> bool {
+    name != WARDEN && name != NAME
+}
+
 /// How long a newcomer waits for the last member of before to remove its files.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -86,9 +92,7 @@ impl Domain {
             shm::make_folder(&folder)
                 .map_err(|ShmError { path, source }| TransportError::File { path, source })?;
             match Self::open(&path).map_err(refuse)? {
-                Opened::Whole(file, map) => {
-                    return Ok(Arc::new(Domain { number, path, file, map, has_left: Mutex::default() }));
-                }
+                Opened::Whole(file, map) => return Ok(Self::of(number, path, file, map)),
                 Opened::Other => return Err(TransportError::Version { path }),
                 Opened::Missing if start.elapsed() > PATIENCE => {
                     return Err(refuse(io::Error::other(
@@ -111,13 +115,15 @@ impl Domain {
     pub(crate) fn visit(number: u32) -> Result<Option<Arc<Self>>, TransportError> {
         let path = shared_path(number).join(NAME);
         match Self::open(&path) {
-            Ok(Opened::Whole(file, map)) => {
-                Ok(Some(Arc::new(Domain { number, path, file, map, has_left: Mutex::default() })))
-            }
+            Ok(Opened::Whole(file, map)) => Ok(Some(Self::of(number, path, file, map))),
             Ok(Opened::Other) => Err(TransportError::Version { path }),
             Ok(Opened::Missing | Opened::Leaving) => Ok(None),
             Err(source) => Err(TransportError::File { path, source }),
         }
+    }
+
+    fn of(number: u32, path: PathBuf, file: OwnedFd, map: Mapping) -> Arc<Self> {
+        Arc::new(Domain { number, path, file, map, has_left: Mutex::default() })
     }
 
     fn open(path: &Path) -> io::Result<Opened> {
@@ -255,13 +261,11 @@ impl Domain {
     pub(crate) fn is_removed(&self) -> bool {
         !shm::has_name(&self.file)
     }
-}
 
-impl Domain {
     /// This process is none of its members any more, or ends right now. The last one removes the domain's files and its folder. Traces
     /// of killed processes stay for a recorder.
     pub(crate) fn leave(&self) {
-        let mut has_left = self.has_left();
+        let mut has_left = self.has_left.lock().unwrap_or_else(PoisonError::into_inner);
         if std::mem::replace(&mut has_left, true) {
             return;
         }
@@ -287,12 +291,10 @@ impl Domain {
         let _ = rustix::fs::unlink(&self.path);
         let _ = rustix::fs::rmdir(folder);
     }
-}
 
-impl Domain {
-    /// Whether it was left; who has it keeps others from leaving meanwhile.
-    pub(crate) fn has_left(&self) -> MutexGuard<'_, bool> {
-        self.has_left.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Whether it was left, by a process that ends.
+    pub(crate) fn has_left(&self) -> bool {
+        *self.has_left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -13,6 +13,8 @@
 
 mod index;
 mod source;
+#[cfg(all(test, not(taut_loom)))]
+mod tests;
 
 pub(crate) use source::Source;
 
@@ -618,132 +620,5 @@ fn complain(error: &TransportError) {
         tracing::warn!(
             "ports of this process and of another one are not connected, and that is tried again: {text} (said once)"
         );
-    }
-}
-
-#[cfg(all(test, not(taut_loom)))]
-mod tests {
-    use super::*;
-    use crate::participant::file::OwnMemory;
-    use crate::qos::{Limits, Qos};
-    use crate::tests::isolated;
-    use crate::topic::Topic;
-    use crate::topic::publisher::PublisherRole;
-    use crate::topic::subscription::SubscriptionRole;
-    use crate::topic::topic_type::TopicType;
-    use tautline_doorbell::Doorbell;
-
-    /// A participant without threads: it looks when it is told to.
-    struct Party {
-        matcher: Matcher,
-        record: Arc<OwnRecord>,
-        memory: Arc<OwnMemory>,
-        doorbell: Arc<Doorbell>,
-        domain: Arc<Domain>,
-        place: usize,
-    }
-
-    impl Party {
-        fn join(number: u32) -> Self {
-            isolated();
-            let domain = Domain::join(number).unwrap();
-            let memory = Arc::new(OwnMemory::create(number).unwrap());
-            let arena = memory.create_arena();
-            let grown = memory.clone();
-            let doorbell = Doorbell::new(arena, Box::new(move |window| grown.grow_arena(window)));
-            let record = OwnRecord::new(&domain, &memory);
-            let place = domain.add(memory.id()).unwrap();
-            record.publish(place);
-            let matcher = Matcher::new(&domain, memory.id(), &record);
-            Party { matcher, record, memory, doorbell, domain, place }
-        }
-
-        fn gid(&self) -> Gid {
-            Gid::of(self.memory.id(), self.record.number())
-        }
-
-        fn topic(limits: Limits) -> Topic {
-            Topic::check("/t", &TopicType::new("a/msg/B"), Qos::default(), limits).unwrap()
-        }
-
-        fn publisher(&self) -> (Arc<PublisherCore>, impl Sized) {
-            let (limits, role) = (Limits::default(), PublisherRole::default());
-            let slot = Arc::new(self.doorbell.claim().unwrap());
-            let home = (&self.memory, &self.record);
-            let topic = Party::topic(limits);
-            let made =
-                PublisherCore::create(home, self.gid(), topic, Qos::default(), limits, role, slot).unwrap();
-            self.matcher.add_publisher(&made.0, None).unwrap();
-            made
-        }
-
-        fn subscription(&self) -> (Arc<SubscriptionCore>, impl Sized) {
-            let (limits, role) = (Limits::default(), SubscriptionRole::default());
-            let slot = Arc::new(self.doorbell.claim().unwrap());
-            let made = SubscriptionCore::create(
-                self.gid(),
-                Party::topic(limits),
-                Qos::default(),
-                limits,
-                role,
-                slot,
-            );
-            self.matcher.add_subscription(&made.0, None).unwrap();
-            made
-        }
-
-        fn calls(&self) -> u32 {
-            self.domain.calls(self.place).0.load(Ordering::Acquire)
-        }
-    }
-
-    impl Drop for Party {
-        fn drop(&mut self) {
-            self.domain.remove(self.memory.id());
-            self.memory.retire();
-        }
-    }
-
-    #[test]
-    fn a_subscription_that_goes_before_it_has_found_its_publisher_calls_it_and_holds_nothing() {
-        let (one, other) = (Party::join(222), Party::join(222));
-        let (subscription, _live) = other.subscription();
-        let (publisher, _live) = one.publisher();
-        assert_eq!(publisher.participants().len(), 1, "connected, and the other has not looked");
-        let before = one.calls();
-        other.matcher.remove_subscription(&subscription);
-        assert_ne!(one.calls(), before, "its publisher is told");
-        one.matcher.look();
-        assert!(publisher.participants().is_empty(), "nothing is kept for it");
-        assert_eq!(publisher.matched.load(Ordering::Acquire), 0);
-    }
-
-    #[test]
-    fn a_publisher_is_awaited_until_what_it_sends_from_can_be_reached() {
-        let (one, other) = (Party::join(223), Party::join(223));
-        let (publisher, _live) = one.publisher();
-        let all = |_: Gid| true;
-        assert!(!publisher.is_awaited(all), "by nobody");
-        let (subscription, _other_live) = {
-            let limits = Limits::default();
-            let slot = Arc::new(other.doorbell.claim().unwrap());
-            let role = SubscriptionRole::default();
-            SubscriptionCore::create(other.gid(), Party::topic(limits), Qos::default(), limits, role, slot)
-        };
-        std::thread::scope(|scope| {
-            // It waits for the publisher's participant.
-            let added = scope.spawn(|| other.matcher.add_subscription(&subscription, None).unwrap());
-            while !added.is_finished() {
-                one.matcher.look();
-                std::thread::yield_now();
-            }
-        });
-        assert_eq!(subscription.expected(), 0);
-        assert!(!publisher.is_awaited(all), "it has found everything");
-        publisher.lengthen(1 << 16).unwrap();
-        one.matcher.announce_segments(&publisher);
-        assert!(publisher.is_awaited(all), "there is a segment that it has not mapped");
-        other.matcher.look();
-        assert!(!publisher.is_awaited(all));
     }
 }
