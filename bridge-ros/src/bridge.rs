@@ -5,12 +5,14 @@ use crate::control::{Control, Event};
 use crate::incoming::{Incoming, IncomingError};
 use crate::outgoing::{Outgoing, Ros};
 use crate::rcl::{
-    Context, GraphGuard, GuardCondition, Node, RclError, WaitSet, Waitable, rmw_implementation,
+    Context, GraphGuard, GuardCondition, Node, RclError, RosSubscription, SerializedMessage, WaitSet,
+    Waitable, rmw_implementation,
 };
 use crate::ros_graph::BRIDGE_PREFIX;
 use crate::rules::Rules;
 use crate::services::{Services, ServicesError};
 use crate::stats::Stats;
+use crate::table::{self, OwnTable, Tables};
 use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
@@ -85,6 +87,9 @@ pub enum BridgeError {
         /// Its name.
         rmw: String,
     },
+    /// What bridges of one ROS domain tell each other cannot be made.
+    #[error("bridges cannot tell each other what they carry: {0}")]
+    Table(String),
     /// ROS.
     #[error("{0}; is ROS 2 sourced, and RMW_IMPLEMENTATION unset or one that is installed?")]
     Ros(#[from] RclError),
@@ -184,14 +189,18 @@ impl Bridge {
         let shared = Arc::new(Shared { stop: AtomicBool::new(false), stats: Mutex::new(stats) });
         let (events, received) = mpsc::sync_channel(EVENTS);
         let wake = GuardCondition::new(&context)?;
+        let own_table = OwnTable::new(&node).map_err(BridgeError::Table)?;
+        let (tables, heard) = (Tables::default(), table::subscription(&node).map_err(BridgeError::Table)?);
+        let buffer = SerializedMessage::new()?;
         let threads = Vec::new();
         // From here on what was started ends if something fails.
         let mut bridge =
             Bridge { events, shared, wake, threads, info, _seat: seat, _participant: participant.clone() };
         let control = {
             let shared = bridge.shared.clone();
-            let (participant, node) = (participant.clone(), node.clone());
-            let control = Control::new(&options, participant, node, outgoing, incoming, services, shared);
+            let (participant, node, tables) = (participant.clone(), node.clone(), (tables.clone(), own_table));
+            let control =
+                Control::new(&options, participant, node, outgoing, incoming, services, tables, shared);
             priorities.other("ros-control").spawn(move || move || control.run(&received))?
         };
         bridge.hold(control);
@@ -207,7 +216,12 @@ impl Bridge {
             let (wake, events, shared) = (bridge.wake.clone(), bridge.events.clone(), bridge.shared.clone());
             priorities
                 .other("ros-there")
-                .spawn(move || move || watch_ros(&graph, wait_set, &wake, &events, &shared))?
+                .spawn(move || {
+                    move || {
+                        let there = There { graph, heard, tables, buffer };
+                        watch_ros(there, wait_set, &wake, &events, &shared);
+                    }
+                })?
         };
         bridge.hold(there);
         Ok(bridge)
@@ -275,16 +289,28 @@ fn watch_tautline(participant: &Participant, events: &mpsc::SyncSender<Event>, s
     }
 }
 
-/// Says when ROS's graph changed.
+/// What tells that something changed in ROS.
+struct There {
+    graph: GraphGuard,
+    /// Other bridges' tables.
+    heard: RosSubscription,
+    tables: Tables,
+    buffer: SerializedMessage,
+}
+
+/// Says when ROS's graph changed, or what other bridges tell.
 fn watch_ros(
-    graph: &GraphGuard,
+    mut there: There,
     mut wait_set: WaitSet,
     wake: &GuardCondition,
     events: &mpsc::SyncSender<Event>,
     shared: &Shared,
 ) {
     while !shared.stop.load(Ordering::Acquire) {
-        match wait_set.wait(&[Waitable::Graph(graph), Waitable::Guard(wake)], None) {
+        let all =
+            [Waitable::Subscription(&there.heard), Waitable::Graph(&there.graph), Waitable::Guard(wake)];
+        let woken = wait_set.wait(&all, None).map(drop);
+        match woken.and_then(|()| there.tables.take(&mut there.heard, &mut there.buffer)) {
             Ok(_) => drop(events.try_send(Event::There)),
             Err(error) => {
                 tracing::error!("changes in ROS are not seen: {error}");

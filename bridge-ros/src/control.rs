@@ -15,6 +15,7 @@ use crate::ros_graph::{self, RosGraph};
 use crate::rules::{Direction, Rules};
 use crate::services::{Routes, Services};
 use crate::stats::Book;
+use crate::table::{OwnTable, Table, TableEnd, TableNode, Tables};
 use crate::types::{BridgedType, Types};
 use counterparts::{Counterparts, MATCH_TIME};
 use failed::Failed;
@@ -23,9 +24,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
+use tautline_relay::Transit;
 use tautline_transport::{
-    Claim, Durability, Gid, GraphSnapshot, Limits, Participant, Qos, RawPublisher, RawSubscription,
-    ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
+    Claim, Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos, RawPublisher,
+    RawSubscription, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
 };
 
 /// What the control thread is told.
@@ -56,6 +58,11 @@ pub(crate) struct Control {
     service_rules: Rules,
     shared: Arc<Shared>,
     graph: RosGraph,
+    tables: Tables,
+    own_table: OwnTable,
+    transit: Transit,
+    /// What this host and the ROS domain are called where people read it.
+    places: (String, String),
     /// Whether the last look at what exists failed.
     is_stale: bool,
     book: Book,
@@ -86,9 +93,18 @@ impl Control {
         outgoing: Outgoing,
         incoming: Incoming,
         services: Services,
+        tables: (Tables, OwnTable),
         shared: Arc<Shared>,
     ) -> Self {
+        let (domain, own) = (participant.domain_id(), participant.id());
+        let host = tautline_rt::host::name();
+        let place = format!("ros{}_{host}", node.context().domain());
+        let (tables, own_table) = tables;
         Control {
+            tables,
+            own_table,
+            transit: Transit::to_ros(domain, own, own.into()),
+            places: (host, place),
             participant,
             node,
             mirror: Mirror::new(options.rules.clone()),
@@ -157,7 +173,7 @@ impl Control {
     /// Brings everything in line with what exists.
     fn update(&mut self) {
         let here = self.participant.graph().map_err(|error| error.to_string());
-        let read = here.and_then(|here| match self.graph.read(&self.node) {
+        let read = here.and_then(|here| match self.graph.read(&self.node, &self.places.1, &self.tables) {
             Ok(()) => Ok(here),
             Err(error) => Err(error.to_string()),
         });
@@ -167,39 +183,138 @@ impl Control {
             Ok(here) => here,
             Err(error) => return tracing::warn!("what exists is not known: {error}"),
         };
-        let relays = here.relays.iter().copied().collect();
-        *self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner) = relays;
-        let ends = here.endpoints.iter().map(AsRef::as_ref).filter(|end: &&TopicEndpoint| !end.is_remote);
-        for action in self.mirror.update(ends, &self.graph.endpoints) {
+        let nodes = self.graph.others(&self.shown.in_ros(), self.participant.domain_id(), &self.places.1);
+        let mut services = self.read_services(&here);
+        self.weigh(&here, &nodes, &services);
+        let own = Some(self.participant.id());
+        let ends = here.endpoints.iter().map(AsRef::as_ref).filter(|end: &&TopicEndpoint| end.teller != own);
+        let is_publisher = |end: &TopicEndpoint| end.kind == EndpointKind::Publisher;
+        let is_announced = |end: &TopicEndpoint| self.transit.announced(&end.origin).is_some();
+        // Left to somebody else who tells ROS of the same.
+        let passed_over = ends.clone().filter(|end| is_publisher(end) && !is_announced(end));
+        *self.outgoing.passed_over().lock().unwrap_or_else(PoisonError::into_inner) =
+            passed_over.map(|end| end.gid).collect();
+        let told = ends.clone().filter(|end| !is_publisher(end) || is_announced(end));
+        let there = self.graph.endpoints.iter().filter(|(end, teller)| match end.kind {
+            EndpointKind::Publisher => self.transit.carries(&end.origin, *teller),
+            EndpointKind::Subscription => self.transit.told(&end.origin, *teller).is_some(),
+        });
+        let there: Vec<TopicEndpoint> = there.map(|(end, _)| end.clone()).collect();
+        let told: Vec<&TopicEndpoint> = told.collect();
+        for action in self.mirror.update(told, &there) {
             self.act(action);
         }
         self.renew_senders();
-        self.shown
-            .update(&self.node, here.nodes.iter().filter(|node| !node.is_remote).map(|node| &node.name));
+        let transit = &self.transit;
+        let is_announced = |node: &NodeInfo| transit.announced(&node.origin).is_some();
+        let shown = here.nodes.iter().filter(|node| node.teller != own && is_announced(node));
+        self.shown.update(&self.node, shown.map(|node| &node.name));
         // After the topics: an action's feedback has its way before goals have.
-        let services = self.read_services();
+        services.retain(|(end, teller)| self.transit.told(&end.origin, *teller).is_some());
         self.route_services(&here, &services);
-        self.show_ros(services);
+        self.tell_bridges(&here);
+        self.show_ros(&nodes, services);
     }
 
-    /// Those of ROS, but for bridges' and for what stands there for Tautline's.
-    fn read_services(&self) -> Vec<ServiceEndpoint> {
-        ros_graph::services(&self.node, self.graph.nodes.iter().filter(|node| !self.shown.has(node)))
+    /// Takes in what others tell of, on both sides.
+    fn weigh(
+        &mut self,
+        here: &GraphSnapshot,
+        nodes: &[(RemoteNode, u128)],
+        services: &[(ServiceEndpoint, u128)],
+    ) {
+        let transit = &mut self.transit;
+        transit.set_rivals(&here.rivals);
+        transit.clear();
+        nodes.iter().for_each(|(node, teller)| transit.insert(&node.origin, *teller));
+        self.graph.endpoints.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
+        services.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
     }
 
-    fn route_services(&mut self, here: &GraphSnapshot, there: &[ServiceEndpoint]) {
-        let ends = here.services.iter().map(AsRef::as_ref).filter(|end: &&ServiceEndpoint| !end.is_remote);
-        let mut there = there.to_vec();
-        let asked = ends.clone().filter(|end| end.kind == ServiceKind::Client).map(|end| &*end.name);
-        for service in asked.collect::<BTreeSet<_>>() {
-            if let Some(choice) = self.service_rules.choice(service) {
-                // Without it a server is known by its node's name alone.
-                let found = self.node.servers(&choice.ros_topic).unwrap_or_default();
-                ros_graph::identify(&mut there, &choice.ros_topic, &found);
+    /// Those of ROS, but for this bridge's, with who tells of them.
+    fn read_services(&mut self, here: &GraphSnapshot) -> Vec<(ServiceEndpoint, u128)> {
+        let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
+        let mut ends = ros_graph::services(&self.node, others, &self.places.1);
+        let tables = &self.graph.tables;
+        let told = || tables.iter().flat_map(|table| table.ends.iter().map(|end| (end, table.bridge)));
+        // Servers of other bridges bear the names of the nodes that they stand for.
+        let servers: BTreeSet<_> = told().map(|(end, _)| (&*end.name, end.node.as_ref())).collect();
+        ends.retain(|end| !servers.contains(&(&*end.name, end.node.as_ref())));
+        let names: BTreeSet<String> = match tables.is_empty() {
+            // Other bridges know a server by where it takes requests.
+            false => ends.iter().map(|end| end.name.clone()).collect(),
+            // And without it one is known by its node's name alone.
+            true => {
+                let asked = here.services.iter().filter(|end| end.kind == ServiceKind::Client);
+                let asked = asked.filter_map(|end| Some(self.service_rules.choice(&end.name)?.ros_topic));
+                asked.collect()
+            }
+        };
+        for name in names {
+            let found = self.node.servers(&name).unwrap_or_default();
+            ros_graph::identify(&mut ends, &name, &found);
+        }
+        for end in &mut ends {
+            end.type_hash = self.types.service_hash(&end.type_name);
+        }
+        ros_graph::mark(&mut ends, self.participant.domain_id());
+        let told = told().filter_map(|(end, bridge)| Some((end.service()?, u128::from(bridge))));
+        ends.into_iter().map(|end| (end, 0)).chain(told).collect()
+    }
+
+    fn route_services(&mut self, here: &GraphSnapshot, there: &[(ServiceEndpoint, u128)]) {
+        let own = Some(self.participant.id());
+        let ends = here.services.iter().map(AsRef::as_ref).filter(|end: &&ServiceEndpoint| end.teller != own);
+        let there: Vec<ServiceEndpoint> = there.iter().map(|(end, _)| end.clone()).collect();
+        let announced = |end: &ServiceEndpoint| self.transit.announced(&end.origin).is_some();
+        let routes = Routes::of(&self.service_rules, ends, &there, self.services.routes(), announced);
+        self.services.set_routes(routes, self.shown.by_name());
+    }
+
+    /// Other bridges of the ROS domain are told what this one's ends stand for.
+    fn tell_bridges(&mut self, here: &GraphSnapshot) {
+        let own = Some(self.participant.id());
+        let host = &self.places.0;
+        let announced = |origin| {
+            let mut origin = self.transit.announced(origin)?;
+            if origin.place.is_empty() {
+                origin.place = tautline_transport::Origin::here(Gid::default(), host).place;
+            }
+            Some(origin)
+        };
+        let mut table = Table { bridge: self.participant.id(), ..Table::default() };
+        for node in here.nodes.iter().filter(|node| node.teller != own) {
+            let node = announced(&node.origin).map(|origin| TableNode { name: node.name.clone(), origin });
+            table.nodes.extend(node);
+        }
+        let stand_ins: BTreeMap<Gid, (&TopicKey, Gid)> =
+            self.counterparts.gids().map(|(key, gid, in_ros)| (gid, (key, in_ros))).collect();
+        for end in here.endpoints.iter().filter(|end| end.teller != own) {
+            let Some(origin) = announced(&end.origin) else { continue };
+            let told = match end.kind {
+                EndpointKind::Publisher => stand_ins
+                    .get(&end.gid)
+                    .map(|(key, in_ros)| TableEnd::of_topic(end, &key.ros_topic, *in_ros, origin)),
+                EndpointKind::Subscription => (self.mirror.rules().choice(&end.topic))
+                    .filter(|choice| choice.goes(Direction::FromRos))
+                    .map(|choice| TableEnd::of_topic(end, &choice.ros_topic, end.gid, origin)),
+            };
+            table.ends.extend(told);
+        }
+        for end in here.services.iter().filter(|end| end.teller != own) {
+            let Some(origin) = announced(&end.origin) else { continue };
+            let Some(choice) = self.service_rules.choice(&end.name) else { continue };
+            let goes = match end.kind {
+                ServiceKind::Server => Direction::ToRos,
+                ServiceKind::Client => Direction::FromRos,
+            };
+            if choice.goes(goes) {
+                table.ends.push(TableEnd::of_service(end, &choice.ros_topic, origin));
             }
         }
-        let routes = Routes::of(&self.service_rules, ends, &there, self.services.routes());
-        self.services.set_routes(routes, self.shown.by_name());
+        if let Err(reason) = self.own_table.say(table) {
+            tracing::warn!("other bridges of this ROS domain are not told what this one carries: {reason}");
+        }
     }
 
     /// Publishers in ROS come and go that a subscription matches though they are not of its class.
@@ -379,7 +494,6 @@ impl Control {
         let limits = Limits { claim, ..Limits::default() };
         let port = self.participant.create_raw_publisher(&key.topic, &topic_type, inward.offered, limits);
         let port = port.map_err(|error| error.to_string())?;
-        self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).insert(port.gid());
         Ok(Some(port))
     }
 
@@ -389,13 +503,14 @@ impl Control {
     }
 
     /// Tautline's tools list what is in ROS.
-    fn show_ros(&self, services: Vec<ServiceEndpoint>) {
-        let mut remote = ros_graph::as_remote(&self.graph, &self.shown.in_ros(), self.mirror.rules());
-        remote.services = services;
-        remote.services.retain_mut(|end| {
-            let name = self.service_rules.tautline_name(&end.name);
-            name.map(|name| end.name = name).is_some()
-        });
+    fn show_ros(&self, nodes: &[(RemoteNode, u128)], services: Vec<(ServiceEndpoint, u128)>) {
+        let mut remote = ros_graph::as_remote(&self.graph, nodes, self.mirror.rules(), &self.transit);
+        let told = |(end, teller): (ServiceEndpoint, u128)| {
+            let name = self.service_rules.tautline_name(&end.name)?;
+            let origin = self.transit.told(&end.origin, teller)?;
+            Some(ServiceEndpoint { name, origin, ..end })
+        };
+        remote.services = services.into_iter().filter_map(told).collect();
         if let Err(error) = self.participant.set_remote(&remote) {
             tracing::warn!("nodes and tools of this host do not see what ROS has: {error}");
         }

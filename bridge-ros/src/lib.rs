@@ -24,6 +24,7 @@ mod ros_graph;
 mod rules;
 mod services;
 mod stats;
+mod table;
 mod threads;
 mod types;
 

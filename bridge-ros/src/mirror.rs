@@ -11,8 +11,9 @@
 //!   ROS: what it is compatible with. While there are no publishers, a subscription of the default class shows in ROS that
 //!   somebody listens.
 //!
-//! **Nothing goes in circles.** Only what others made is looked at: ports of bridges and gateways are no endpoints here,
-//! endpoints of bridges are none there. So a message crosses one bridge at most, however many there are.
+//! **Nothing goes in circles, or twice.** What this bridge itself tells of on either side is not looked at; what gateways and other
+//! bridges tell of is, with where it was first, and whoever calls [`Mirror::update`] leaves out what comes another way: see
+//! [`Transit`](tautline_relay::Transit).
 
 use crate::rules::{Choice, Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
@@ -199,7 +200,8 @@ impl Mirror {
         &self.problems
     }
 
-    /// What exists now: `here` in Tautline, `there` in ROS, both without what bridges and gateways made.
+    /// What exists now: `here` in Tautline, `there` in ROS, both without what this bridge made, and of publishers those
+    /// alone whose messages it carries.
     pub fn update<'e>(
         &mut self,
         here: impl IntoIterator<Item = &'e TopicEndpoint>,

@@ -7,10 +7,9 @@ use crate::mirror::TopicKey;
 use crate::rate::Limiter;
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use crate::stats::Counters;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Outlet, Relay, Taken};
+use tautline_relay::{EarlyLimits, Last, Outlet, Relay, Taken};
 use tautline_rt::clock::monotonic_ns;
 
 /// XCDR1, little endian.
@@ -34,19 +33,8 @@ pub(crate) struct Outbound {
 #[derive(Clone)]
 pub(crate) struct Writer {
     pub(crate) publisher: Arc<RosPublisher>,
-    pub(crate) last: Last,
-}
-
-/// The last sample's number at its port: a subscription that takes over, or begins anew and gets what is kept, sees some again.
-/// It lives as long as the publisher in ROS, which has them.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Last(Arc<AtomicU64>);
-
-impl Last {
-    /// Whether it is new; it is not from now on.
-    fn admits(&self, number: u64) -> bool {
-        self.0.fetch_max(number, Ordering::Relaxed) < number
-    }
+    /// Lives as long as the publisher in ROS, which has what was passed on. The relay's thread alone uses it.
+    pub(crate) last: Arc<Mutex<Last>>,
 }
 
 impl Ros {
@@ -64,7 +52,7 @@ impl Outlet for Ros {
     const EARLY: EarlyLimits = EarlyLimits { samples: 1000, bytes: 64 << 20, time: Duration::from_secs(3) };
 
     fn pass(&mut self, topic: &mut Outbound, writer: &mut Writer, sample: Taken) {
-        if !writer.last.admits(sample.number()) {
+        if !writer.last.lock().unwrap_or_else(PoisonError::into_inner).admits(&sample) {
             return;
         }
         if !topic.limiter.admits(monotonic_ns()) {
@@ -83,20 +71,5 @@ impl Outlet for Ros {
 
     fn lost(topic: &Outbound, samples: u64) {
         topic.counters.lost(samples);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_publisher_in_ros_has_does_not_come_again() {
-        let last = Last::default();
-        assert!([1, 2, 5].into_iter().all(|number| last.admits(number)));
-        // Taken up again, by a subscription that gets what is kept.
-        let again = last.clone();
-        assert!(![2, 5].into_iter().any(|number| again.admits(number)));
-        assert!(again.admits(6) && !last.admits(6));
     }
 }

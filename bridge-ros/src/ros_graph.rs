@@ -1,19 +1,24 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What exists in ROS, without what bridges made; and the same in Tautline's terms, for its nodes and tools.
+//! What exists in ROS, without what this bridge made; and the same in Tautline's terms, for its nodes and tools.
 
 use crate::rcl::{Node, RclError, RosEndpoint, RosNode};
 use crate::rules::Rules;
-use std::collections::{BTreeSet, HashMap};
+use crate::table::{self, Kind, Table, TableNode, Tables};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tautline_relay::Transit;
 use tautline_transport::{
-    EndpointKind, Gid, NodeName, RemoteGraph, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
+    EndpointKind, Gid, NodeName, Origin, Qos, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind,
+    TopicEndpoint, TopicType,
 };
 
 /// How the names of bridges' nodes begin: what these nodes have stands for others' ends.
 pub const BRIDGE_PREFIX: &str = "taut_bridge_";
 
 /// Whose node an endpoint is comes later than the endpoint; what stays without one for so long is no ROS node's. Longer than two
-/// heartbeats of Fast DDS (3 s), after which it sends again what got lost: another bridge's end must not be taken for a node's.
+/// heartbeats of Fast DDS (3 s), after which it sends again what got lost: another bridge's end must not be taken for a node's. As long
+/// is another bridge's word waited for of what its ends stand for.
 pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 
 /// What exists in ROS.
@@ -21,22 +26,39 @@ pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 pub(crate) struct RosGraph {
     /// All nodes, bridges' too.
     pub(crate) nodes: Vec<RosNode>,
-    /// Publishers and subscriptions, but for bridges'.
-    pub(crate) endpoints: Vec<TopicEndpoint>,
-    /// By topic, all publishers that it is known of whether they are a bridge's.
+    /// Publishers and subscriptions: ROS nodes' own, and what other bridges' stand for, with who tells of them; see [`Transit`].
+    pub(crate) endpoints: Vec<(TopicEndpoint, u128)>,
+    /// By topic, all publishers that it is known of what they are.
     pub(crate) publishers: HashMap<String, BTreeSet<Gid>>,
+    /// Other bridges' tables.
+    pub(crate) tables: Vec<Arc<Table>>,
+    /// What the gids of nodes' ends begin with.
+    processes: HashMap<RosNode, [u8; 12]>,
     unknown: HashMap<Gid, Instant>,
 }
 
 impl RosGraph {
-    /// Reads it anew.
-    pub(crate) fn read(&mut self, node: &Node) -> Result<(), RclError> {
+    /// Reads it anew. `place` is what the ROS domain is called where people read it.
+    pub(crate) fn read(&mut self, node: &Node, place: &str, tables: &Tables) -> Result<(), RclError> {
         let (mut endpoints, mut publishers) = (Vec::new(), HashMap::<String, BTreeSet<Gid>>::new());
         let before = std::mem::take(&mut self.unknown);
-        for topic in node.topics()?.into_keys() {
+        let tellers = node.endpoints(table::TOPIC, EndpointKind::Publisher)?;
+        self.tables = tables.of(&tellers.iter().map(|end| end.gid).collect());
+        let stand_ins: HashMap<Gid, (TopicEndpoint, u128)> = (self.tables.iter())
+            .flat_map(|table| table.ends.iter().map(|end| (u128::from(table.bridge), end)))
+            .filter(|(_, end)| end.kind == Kind::Publisher)
+            .filter_map(|(bridge, end)| Some((end.gid, (end.topic()?, bridge))))
+            .collect();
+        self.processes.clear();
+        for topic in node.topics()?.into_keys().filter(|topic| topic != table::TOPIC) {
             for kind in [EndpointKind::Publisher, EndpointKind::Subscription] {
                 for end in node.endpoints(&topic, kind)? {
-                    if end.node.is_none() {
+                    let is_own = node.context().is_own(&end.gid);
+                    let is_bridge =
+                        is_own || end.node.as_ref().is_some_and(|node| node.name.starts_with(BRIDGE_PREFIX));
+                    let stands_for = stand_ins.get(&end.gid);
+                    let is_told = is_own || kind == EndpointKind::Subscription || stands_for.is_some();
+                    if !is_own && (end.node.is_none() || (is_bridge && !is_told)) {
                         let since = before.get(&end.gid).copied().unwrap_or_else(Instant::now);
                         self.unknown.insert(end.gid, since);
                         if since.elapsed() < NAME_TIME {
@@ -46,17 +68,61 @@ impl RosGraph {
                     if kind == EndpointKind::Publisher {
                         publishers.entry(topic.clone()).or_default().insert(end.gid);
                     }
-                    let is_bridge =
-                        end.node.as_ref().is_some_and(|node| node.name.starts_with(BRIDGE_PREFIX));
-                    if !is_bridge {
-                        endpoints.push(endpoint(&topic, end));
+                    match (is_bridge, stands_for) {
+                        (false, _) => {
+                            if let Some(node) = &end.node {
+                                let process = std::array::from_fn(|at| end.gid.0[at]);
+                                self.processes.insert(node.clone(), process);
+                            }
+                            endpoints.push((endpoint(&topic, end, place), 0));
+                        }
+                        (true, Some((told, bridge))) => {
+                            // ROS knows best how it is called, and whom it fits.
+                            let qos = Qos { depth: told.qos.depth, history: told.qos.history, ..end.qos };
+                            let told = TopicEndpoint { topic: topic.clone(), qos, ..told.clone() };
+                            endpoints.push((told, *bridge));
+                        }
+                        (true, None) => {}
                     }
                 }
             }
         }
+        for table in &self.tables {
+            let ends = table.ends.iter().filter(|end| end.kind == Kind::Subscription);
+            endpoints.extend(ends.filter_map(|end| Some((end.topic()?, u128::from(table.bridge)))));
+        }
         (self.endpoints, self.publishers) = (endpoints, publishers);
         self.nodes = node.nodes()?;
         Ok(())
+    }
+
+    /// Nodes but for bridges', what they show, and `own`, with who tells of them.
+    pub(crate) fn others(&self, own: &[RosNode], domain: u64, place: &str) -> Vec<(RemoteNode, u128)> {
+        let mut shown = own.to_vec();
+        let mut nodes = Vec::new();
+        for table in &self.tables {
+            for node in &table.nodes {
+                let TableNode { name, origin } = node.clone();
+                shown.push(RosNode { name: name.name.clone(), namespace: name.namespace.clone() });
+                nodes.push((RemoteNode { name, origin }, u128::from(table.bridge)));
+            }
+        }
+        let mut count = BTreeMap::<&RosNode, usize>::new();
+        for node in self.nodes.iter().filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
+            // One of each name is a bridge's; another is somebody else's.
+            if let Some(at) = shown.iter().position(|shown| shown == node) {
+                shown.swap_remove(at);
+                continue;
+            }
+            let count = count.entry(node).or_default();
+            *count += 1;
+            let (name, process) = (node_name(node), self.processes.get(node));
+            // Without an end it is not known which process has it: other bridges' word of it is another node then.
+            let of = process.map_or_else(|| format!("{domain:x}"), |process| format!("{process:02x?}"));
+            let tag = Origin::tag_of(&format!("{of} {name} {count}"));
+            nodes.push((RemoteNode { name, origin: Origin { tag, ..Origin::here(Gid::default(), place) } }, 0));
+        }
+        nodes
     }
 
     /// Whether there are endpoints whose node is waited for.
@@ -65,7 +131,7 @@ impl RosGraph {
     }
 }
 
-fn endpoint(topic: &str, end: RosEndpoint) -> TopicEndpoint {
+fn endpoint(topic: &str, end: RosEndpoint, place: &str) -> TopicEndpoint {
     let topic_type = TopicType::new(end.type_name);
     TopicEndpoint {
         kind: end.kind,
@@ -80,6 +146,8 @@ fn endpoint(topic: &str, end: RosEndpoint) -> TopicEndpoint {
         pid: None,
         is_remote: true,
         is_own: false,
+        origin: Origin::here(end.gid, place),
+        teller: None,
     }
 }
 
@@ -87,25 +155,47 @@ pub(crate) fn node_name(node: &RosNode) -> NodeName {
     NodeName { namespace: node.namespace.clone(), name: node.name.clone() }
 }
 
-/// What Tautline's tools are to list: nodes but for bridges and `own`, the endpoints of bridged topics by Tautline's names.
-pub(crate) fn as_remote(graph: &RosGraph, own: &[RosNode], rules: &Rules) -> RemoteGraph {
-    let mut own = own.to_vec();
+/// What the domain is to be told of: nodes, and the endpoints of bridged topics by Tautline's names.
+pub(crate) fn as_remote(
+    graph: &RosGraph,
+    nodes: &[(RemoteNode, u128)],
+    rules: &Rules,
+    transit: &Transit,
+) -> RemoteGraph {
     let mut remote = RemoteGraph::default();
-    let listed = graph.nodes.iter().filter(|node| !node.name.starts_with(BRIDGE_PREFIX)).filter(|node| {
-        // One of each name is this bridge's; another is somebody else's.
-        let at = own.iter().position(|own| own == *node);
-        at.map(|at| own.swap_remove(at)).is_none()
-    });
-    remote.nodes.extend(listed.map(node_name));
-    for end in &graph.endpoints {
-        if let Some(topic) = rules.tautline_name(&end.topic) {
-            remote.endpoints.push(TopicEndpoint { topic, ..end.clone() });
+    let told = |(node, teller): &(RemoteNode, u128)| {
+        let origin = transit.told(&node.origin, *teller)?;
+        Some(RemoteNode { name: node.name.clone(), origin })
+    };
+    remote.nodes.extend(nodes.iter().filter_map(told));
+    for (end, teller) in &graph.endpoints {
+        if let (Some(topic), Some(origin)) =
+            (rules.tautline_name(&end.topic), transit.told(&end.origin, *teller))
+        {
+            remote.endpoints.push(TopicEndpoint { topic, origin, ..end.clone() });
         }
     }
     // The same graph is the same list.
     remote.nodes.sort();
     remote.endpoints.sort_by(|one, other| (&one.topic, one.gid).cmp(&(&other.topic, other.gid)));
     remote
+}
+
+/// Gives each of ROS's own services and clients what it is known by everywhere: where it takes requests, if that is known, or else
+/// something of this `domain`.
+pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64) {
+    let mut count = HashMap::<String, usize>::new();
+    for end in ends {
+        if end.gid == Gid::default() {
+            let node = end.node.as_ref().map(NodeName::full_name).unwrap_or_default();
+            let text = format!("{domain:x} {:?} {} {} {node}", end.kind, end.name, end.type_name);
+            let count = count.entry(text.clone()).or_default();
+            *count += 1;
+            let halves = ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {count} {text}")).to_le_bytes());
+            end.gid = Gid(std::array::from_fn(|at| halves[at / 8][at % 8]));
+        }
+        end.origin.tag = end.gid.tag();
+    }
 }
 
 /// Says in `ends` which servers of `service` there are, as far as `found` tells: a node that was started anew has the name of the
@@ -126,7 +216,11 @@ pub(crate) fn identify(ends: &mut Vec<ServiceEndpoint>, service: &str, found: &[
 }
 
 /// The services and clients of `nodes`, but for bridges'. A name that two nodes have is there twice, and so is what they have.
-pub(crate) fn services<'n>(node: &Node, nodes: impl Iterator<Item = &'n RosNode>) -> Vec<ServiceEndpoint> {
+pub(crate) fn services<'n>(
+    node: &Node,
+    nodes: impl Iterator<Item = &'n RosNode>,
+    place: &str,
+) -> Vec<ServiceEndpoint> {
     let mut ends = Vec::new();
     for of in nodes.filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
         let lists = [(ServiceKind::Server, node.services_of(of)), (ServiceKind::Client, node.clients_of(of))];
@@ -142,6 +236,8 @@ pub(crate) fn services<'n>(node: &Node, nodes: impl Iterator<Item = &'n RosNode>
                     node: Some(node_name(of)),
                     pid: None,
                     is_remote: true,
+                    origin: Origin::here(Gid::default(), place),
+                    teller: None,
                 }));
             }
         }
@@ -153,7 +249,6 @@ pub(crate) fn services<'n>(node: &Node, nodes: impl Iterator<Item = &'n RosNode>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tautline_transport::Qos;
 
     #[test]
     fn servers_are_told_apart_by_where_they_take_requests() {
@@ -167,6 +262,8 @@ mod tests {
             node: Some(node_name(&node(of))),
             pid: None,
             is_remote: true,
+            origin: Origin::default(),
+            teller: None,
         };
         let found = |of, gid| RosEndpoint {
             kind: EndpointKind::Subscription,

@@ -35,11 +35,13 @@ pub(crate) struct Types {
     store: SchemaStore,
     packages: Packages,
     found: HashMap<String, BridgedType>,
+    services: HashMap<String, Option<String>>,
 }
 
 impl Types {
     pub(crate) fn new() -> Self {
-        Types { store: SchemaStore::of_user(), packages: Packages::from_env(), found: HashMap::new() }
+        let (found, services) = Default::default();
+        Types { store: SchemaStore::of_user(), packages: Packages::from_env(), found, services }
     }
 
     /// The type `name`, if its hash is the one that the topic states.
@@ -61,6 +63,17 @@ impl Types {
             }
             _ => Ok(found),
         }
+    }
+
+    /// The hash of a service's type, if its definition is installed.
+    pub(crate) fn service_hash(&mut self, name: &str) -> Option<String> {
+        if let Some(known) = self.services.get(name) {
+            return known.clone();
+        }
+        let schema = name.parse().ok().and_then(|name| self.packages.schema(&name).ok());
+        let hash = schema.map(|schema| schema.hash().to_string());
+        self.services.insert(name.to_owned(), hash.clone());
+        hash
     }
 
     /// The definition that ROS's type support was made from.

@@ -8,7 +8,7 @@ use futures::{FutureExt, StreamExt};
 use serde_json::json;
 use std::pin::pin;
 use std::time::Duration;
-use support::node::Spinning;
+use support::node::{Spinning, fibonacci};
 use support::{BridgeProcess, Peer, ros};
 use tautline::test_msgs::action::Fibonacci;
 use tautline::{
@@ -19,14 +19,6 @@ use tautline::{
 /// `action_msgs/msg/GoalStatus`.
 const SUCCEEDED: i8 = 4;
 const CANCELED: i8 = 5;
-
-fn fibonacci(order: usize) -> Vec<i32> {
-    let mut sequence = vec![0, 1];
-    while sequence.len() <= order {
-        sequence.push((sequence[sequence.len() - 1] + sequence[sequence.len() - 2]) % 1000);
-    }
-    sequence
-}
 
 /// As the one in `ros_services_peer.py`.
 fn serve(node: &mut Node, name: &str) -> CallbackHandle {

@@ -8,11 +8,11 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use support::{
-    BridgeProcess, Peer, STRING, failure, failure_of, matched, publisher, reserve, ros, scope, text_body,
-    wait_until,
+    BridgeProcess, Peer, STRING, built, failure, failure_of, matched, publisher, reserve, ros, scope,
+    text_body, wait_until,
 };
 use tautline_transport::{Limits, Participant, Qos, TopicType};
 
@@ -95,17 +95,6 @@ fn what_cannot_run_says_what_to_do() {
     assert!(said.contains("TAUT_DOMAIN=x"), "{said}");
 }
 
-/// `taut` as `cargo xtask bridge` has built it, which is where the bridge is.
-fn taut() -> Option<PathBuf> {
-    let taut = Path::new(BRIDGE).with_file_name("taut");
-    if !taut.is_file() {
-        assert!(std::env::var_os("CI").is_none(), "CI needs {}: cargo build -p taut", taut.display());
-        eprintln!("skipped: no {}: run `cargo xtask bridge`, or `cargo build -p taut`", taut.display());
-        return None;
-    }
-    Some(taut)
-}
-
 /// What `taut bridge-ros` says of a bridge that cannot run.
 fn taut_says(taut: &Path, change: impl FnOnce(&mut Command)) -> String {
     let mut command = Command::new(taut);
@@ -117,7 +106,7 @@ fn taut_says(taut: &Path, change: impl FnOnce(&mut Command)) -> String {
 
 #[test]
 fn another_rmw_is_told_by_taut_with_the_fix() {
-    let (Some(_), Some(taut)) = (ros(), taut()) else { return };
+    let (Some(_), Some(taut)) = (ros(), built("taut", "taut")) else { return };
     let said = taut_says(&taut, |command| {
         command.env("RMW_IMPLEMENTATION", "rmw_nowhere_cpp");
     });
@@ -146,7 +135,7 @@ fn without_rpath(program: Vec<u8>) -> Vec<u8> {
 
 #[test]
 fn missing_libraries_are_told_by_taut_with_the_fix() {
-    let (Some(_), Some(taut)) = (ros(), taut()) else { return };
+    let (Some(_), Some(taut)) = (ros(), built("taut", "taut")) else { return };
     let folder = tempfile::tempdir().unwrap();
     let [beside, bridge] = ["taut", "taut-bridge-ros"].map(|name| folder.path().join(name));
     fs::copy(taut, &beside).unwrap();

@@ -9,6 +9,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.parameter_service import ParameterService
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
@@ -136,6 +137,13 @@ class Peer(ros_peer.Peer):
         self.wait(lambda: len(feedback) >= told)
         return {"accepted": True, "status": result.status, "sequence": list(result.result.sequence),
                 "feedback": feedback, "cancelling": cancelling}
+
+    def serve_parameters(self, values):
+        """Declares parameters of this node, and has them got and set by others from now on."""
+        for name, value in values.items():
+            self.node.declare_parameter(name, value)
+        self.parameter_service = ParameterService(self.node)
+        return True
 
     def parameters(self, node):
         """A client of a node's parameters, once its services are there."""

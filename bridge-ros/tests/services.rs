@@ -9,7 +9,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 use std::time::Duration;
-use support::node::Spinning;
+use support::node::{Spinning, serve_echo};
 use support::{BridgeProcess, Peer, recovers, ros, wait_until};
 use tautline::std_srvs::srv::SetBool;
 use tautline::test_msgs::srv::BasicTypes;
@@ -31,15 +31,6 @@ fn serve_set_bool(node: &mut Node, name: &str) -> tautline::CallbackHandle {
         let message = if success { "on" } else { "off" }.to_owned();
         // Ignored: who asked may have gone.
         let _ = request.respond(SetBool::Response { success, message });
-    });
-    node.spawn_callback(CallbackOptions::other(), answer).unwrap()
-}
-
-fn serve_echo(node: &mut Node, name: &str) -> tautline::CallbackHandle {
-    let requests = node.create_service::<BasicTypes::Service>(name, qos()).unwrap();
-    let answer = requests.for_each(|request| async move {
-        let json = serde_json::to_value(&request.message).unwrap();
-        request.respond(serde_json::from_value(json).unwrap()).unwrap();
     });
     node.spawn_callback(CallbackOptions::other(), answer).unwrap()
 }

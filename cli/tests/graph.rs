@@ -59,6 +59,8 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         pid: None,
         is_remote: true,
         is_own: false,
+        origin: Default::default(),
+        teller: None,
     };
     let service = ServiceEndpoint {
         kind: ServiceKind::Server,
@@ -69,6 +71,8 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         node: Some(theirs),
         pid: None,
         is_remote: true,
+        origin: Default::default(),
+        teller: None,
     };
     let remote = RemoteGraph { nodes: vec![], endpoints: vec![subscription], services: vec![service] };
     gateway.set_remote(&remote).unwrap();

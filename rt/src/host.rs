@@ -63,6 +63,11 @@ impl HostInfo {
     }
 }
 
+/// What this host is called.
+pub fn name() -> String {
+    uname().nodename().to_string_lossy().into_owned()
+}
+
 /// The cores that are online.
 ///
 /// # Errors

@@ -420,7 +420,8 @@ impl Drop for Mapping {
 }
 
 /// Random enough for a name: the seeds of the standard library's hash maps.
-fn random() -> u64 {
+/// A number that nobody has chosen, never 0: for names, not for secrets.
+pub fn random() -> u64 {
     use std::hash::{BuildHasher, Hasher};
     std::collections::hash_map::RandomState::new().build_hasher().finish() | 1
 }

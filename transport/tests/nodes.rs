@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use support::{Count, Part, clean, domain, participants, say, wait_for, wait_for_the_end};
 use tautline_transport::{
-    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Participant, Qos, RawClient, RawServer,
-    RemoteGraph, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint, TopicType, TransportError,
+    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Origin, Participant, Qos, Rank,
+    RawClient, RawServer, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint, TopicType, TransportError,
     graph_of,
 };
 
@@ -80,8 +80,10 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
     let epoch = observer.graph_epoch();
     let node = participant.create_node("listener", "/robot").unwrap();
     assert_ne!(observer.graph_epoch(), epoch);
-    let me = NodeInfo { name: name("/robot", "listener"), pid: Some(std::process::id()), is_remote: false };
-    assert_eq!(nodes(&observer), [me]);
+    let listed = nodes(&observer);
+    let [me] = listed.as_slice() else { panic!("{listed:?}") };
+    let process = Some(std::process::id());
+    assert_eq!((&me.name, me.pid, me.is_remote), (&name("/robot", "listener"), process, false));
     assert!(observer.graph().unwrap().endpoints.is_empty());
 
     let of_node = participant.for_node(&node);
@@ -111,8 +113,9 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
     let gids: HashSet<Gid> = graph.services.iter().map(|service| service.gid).collect();
     assert_eq!(gids.len(), 2);
     let expected = |kind| {
+        let gid = graph.services[usize::from(kind == ServiceKind::Client)].gid;
         Arc::new(ServiceEndpoint {
-            gid: graph.services[usize::from(kind == ServiceKind::Client)].gid,
+            gid,
             kind,
             name: "/robot/add".into(),
             type_name: "a_msgs/srv/Add".into(),
@@ -120,6 +123,8 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
             node: Some(full_name.clone()),
             pid: Some(std::process::id()),
             is_remote: false,
+            origin: Origin { tag: gid.tag(), ..Origin::default() },
+            teller: None,
         })
     };
     assert_eq!(graph.services, [expected(ServiceKind::Server), expected(ServiceKind::Client)]);
@@ -231,6 +236,76 @@ fn events_come_for_every_change_and_end_with_the_participant() {
     futures::executor::block_on(async { while events.next().await.is_some() {} });
 }
 
+fn origin(gid: u8) -> Origin {
+    Origin { tag: Gid([gid; 16]).tag(), ..Origin::default() }
+}
+
+fn remote_node(of: &str, gid: u8) -> RemoteNode {
+    RemoteNode { name: name("/theirs", of), origin: origin(gid) }
+}
+
+/// Two ways lead to one end: a ring. It is listed as the shorter way tells of it, as the other once that one has gone.
+#[test]
+fn what_two_tell_of_is_listed_once() {
+    let domain = domain(108);
+    clean(domain);
+    let [near, far, observer] = [(); 3].map(|()| Participant::new(domain).unwrap());
+    assert!(near.domain_id() != 0 && near.domain_id() == observer.domain_id());
+    let end = |gid, path: &[u64]| TopicEndpoint {
+        kind: EndpointKind::Publisher,
+        topic: "/ring".into(),
+        topic_type: TopicType::new("std_msgs/msg/String"),
+        gid: Gid([gid; 16]),
+        qos: Qos::default(),
+        node: Some(name("/theirs", "talker")),
+        pid: None,
+        is_remote: true,
+        is_own: false,
+        origin: Origin { path: path.to_vec(), ..origin(9) },
+        teller: None,
+    };
+    let told = |gid, path: &[u64]| RemoteGraph {
+        nodes: vec![RemoteNode { origin: Origin { path: path.to_vec(), ..origin(8) }, ..remote_node("talker", 8) }],
+        endpoints: vec![end(gid, path)],
+        services: vec![],
+    };
+    far.set_remote(&told(1, &[70, 71])).unwrap();
+    near.set_remote(&told(2, &[70])).unwrap();
+    let listed = || {
+        let graph = observer.graph().unwrap();
+        let ends: Vec<_> = graph.endpoints.iter().map(|end| (end.gid.0[0], end.teller)).collect();
+        let nodes: Vec<_> = graph.nodes.iter().map(|node| node.teller).collect();
+        (ends, nodes)
+    };
+    assert_eq!(listed(), (vec![(2, Some(near.id()))], vec![Some(near.id())]));
+    // Each of them sees what the other one tells, and nobody else has to.
+    let rank = |of: &Participant| of.graph().unwrap().rivals.get(&origin(9).tag).copied();
+    assert_eq!(rank(&near), Some(Rank { hops: 2, ros: 0, teller: far.id().into() }));
+    assert_eq!(rank(&far), Some(Rank { hops: 1, ros: 0, teller: near.id().into() }));
+    assert_eq!(rank(&observer), None);
+    near.set_remote(&RemoteGraph::default()).unwrap();
+    assert_eq!(listed(), (vec![(1, Some(far.id()))], vec![Some(far.id())]));
+    near.set_remote(&told(2, &[70])).unwrap();
+    assert_eq!(listed(), (vec![(2, Some(near.id()))], vec![Some(near.id())]));
+    drop(near);
+    assert_eq!(listed(), (vec![(1, Some(far.id()))], vec![Some(far.id())]));
+}
+
+#[test]
+fn nodes_elsewhere_that_have_one_name_are_two() {
+    let domain = domain(109);
+    clean(domain);
+    let [gateway, observer] = [(); 2].map(|()| Participant::new(domain).unwrap());
+    let nodes = |gids: &[u8]| RemoteGraph {
+        nodes: gids.iter().map(|gid| remote_node("twin", *gid)).collect(),
+        ..RemoteGraph::default()
+    };
+    for (gids, listed) in [(&[1, 2][..], 2), (&[1, 2, 2], 2), (&[2], 1), (&[], 0)] {
+        gateway.set_remote(&nodes(gids)).unwrap();
+        assert_eq!(observer.graph().unwrap().nodes.len(), listed, "{gids:?}");
+    }
+}
+
 #[test]
 fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
     let domain = domain(107);
@@ -258,6 +333,8 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
         pid: None,
         is_remote: true,
         is_own: false,
+        origin: origin(gid),
+        teller: Some(gateway.id()),
     };
     let service = ServiceEndpoint {
         kind: ServiceKind::Server,
@@ -268,9 +345,11 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
         node: Some(name("/theirs", "talker")),
         pid: None,
         is_remote: true,
+        origin: origin(3),
+        teller: Some(gateway.id()),
     };
     let remote = RemoteGraph {
-        nodes: vec![name("/theirs", "silent"), name("/theirs", "talker")],
+        nodes: vec![remote_node("silent", 4), remote_node("talker", 5)],
         endpoints: vec![
             end("/chatter", EndpointKind::Publisher, 1),
             end("/only_there", EndpointKind::Subscription, 2),
@@ -291,7 +370,6 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
     assert_eq!((&**there, &**only_there), (&remote.endpoints[0], &remote.endpoints[1]));
     assert!(here.node.as_ref() == Some(node.name()) && !here.is_remote);
     assert_eq!(graph.services, [Arc::new(service)]);
-    assert_eq!(graph.relays, [_stand_in.gid()], "from the same look as the endpoints");
 
     gateway.set_remote(&RemoteGraph::default()).unwrap();
     assert_eq!(names(&observer.graph().unwrap()), ["/here"]);

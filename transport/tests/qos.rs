@@ -383,6 +383,8 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
         pid: None,
         is_remote: true,
         is_own: false,
+        origin: Default::default(),
+        teller: None,
     };
     let (publishing, subscribing) = (EndpointKind::Publisher, EndpointKind::Subscription);
     let count = "test_msgs/msg/Count";

@@ -2,7 +2,7 @@
 //! The publishers in ROS that stand for those here: whether they have found somebody, and whom they do not fit.
 
 use crate::mirror::TopicKey;
-use crate::outgoing::{Last, Writer};
+use crate::outgoing::Writer;
 use crate::rcl::RosPublisher;
 use crate::stats::IncompatibleQos;
 use std::collections::{BTreeMap, HashMap};
@@ -35,13 +35,18 @@ struct Incompatible {
 
 impl Counterparts {
     pub(super) fn insert(&mut self, key: &TopicKey, gid: Gid, publisher: RosPublisher) {
-        let writer = Writer { publisher: Arc::new(publisher), last: Last::default() };
+        let writer = Writer { publisher: Arc::new(publisher), last: Arc::default() };
         let counterpart = Counterpart { writer, opened: Instant::now(), is_open: false, incompatible: None };
         self.0.insert((key.clone(), gid), counterpart);
     }
 
     pub(super) fn remove(&mut self, key: &TopicKey, gid: Gid) {
         self.0.remove(&(key.clone(), gid));
+    }
+
+    /// The publishers in ROS, with whom they stand for.
+    pub(super) fn gids(&self) -> impl Iterator<Item = (&TopicKey, Gid, Gid)> {
+        self.0.iter().map(|((key, gid), counterpart)| (key, *gid, counterpart.writer.publisher.gid()))
     }
 
     /// The topic's samples are not taken any more.

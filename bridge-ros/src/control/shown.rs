@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Tautline's nodes, for ROS's tools to list.
+//! Nodes of the domain, for ROS's tools to list.
 
 use crate::rcl::{Node, RosNode};
 use crate::ros_graph;

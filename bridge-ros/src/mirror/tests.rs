@@ -16,6 +16,8 @@ fn end(kind: EndpointKind, topic: &str, id: u8, qos: Qos) -> TopicEndpoint {
         pid: None,
         is_remote: false,
         is_own: false,
+        origin: Default::default(),
+        teller: None,
     }
 }
 

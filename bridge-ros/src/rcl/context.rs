@@ -72,7 +72,7 @@ impl Context {
     }
 
     /// Whether it is the gid of one of its publishers.
-    pub(super) fn is_own(&self, publisher: &Gid) -> bool {
+    pub(crate) fn is_own(&self, publisher: &Gid) -> bool {
         self.own.get() == Some(&prefix(publisher))
     }
 

@@ -13,7 +13,7 @@ use tautline_transport::{EndpointKind, Gid, Qos};
 pub type RosTopics = BTreeMap<String, Vec<String>>;
 
 /// A node's name and namespace.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RosNode {
     /// Without the namespace.
     pub name: String,

@@ -9,11 +9,12 @@ use super::type_support::MessageSupport;
 use crate::qos::to_ros;
 use r2r_rcl::*;
 use std::sync::Arc;
-use tautline_transport::Qos;
+use tautline_transport::{Gid, Qos};
 
 /// A publisher of bytes.
 pub struct RosPublisher {
     raw: *mut rcl_publisher_t,
+    gid: Gid,
     incompatible: Option<Incompatible>,
     node: Arc<Node>,
     _support: MessageSupport,
@@ -44,12 +45,18 @@ impl RosPublisher {
             }
             let mut gid = rmw_gid_t { implementation_identifier: std::ptr::null(), data: [0; 16] };
             let known = rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(raw), &mut gid);
+            let gid = super::graph::gid(&gid.data);
             if check("reading a publisher's gid", known).is_ok() {
-                node.context().learn_own(&super::graph::gid(&gid.data));
+                node.context().learn_own(&gid);
             }
             let incompatible = Incompatible::of_publisher(raw);
-            Ok(RosPublisher { raw, incompatible, node: node.clone(), _support: support.clone() })
+            Ok(RosPublisher { raw, gid, incompatible, node: node.clone(), _support: support.clone() })
         }
+    }
+
+    /// By which others know it.
+    pub fn gid(&self) -> Gid {
+        self.gid
     }
 
     /// Publishes.

@@ -209,7 +209,7 @@ impl Exchange {
         let timeout = match self.sought.values().any(Sought::is_seeking) {
             _ if is_busy => Some(Duration::ZERO),
             true => Some(SEEK_PERIOD),
-            false if self.sought.is_empty() => None,
+            false if self.sought.is_empty() && !self.offered.values().any(Offered::is_waiting) => None,
             false => Some(LOOK_PERIOD),
         };
         let servers = self.offered.values().map(|offered| Waitable::Server(offered.server()));

@@ -11,13 +11,16 @@ use futures::{FutureExt, StreamExt};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use tautline_transport::{Participant, RawClient, RawPending, RawSample, ServiceError};
+use std::time::{Duration, Instant};
+use tautline_transport::{Availability, Participant, RawClient, RawPending, RawSample, ServiceError};
 
 /// Requests taken of one service before the next one has its turn.
 const TURN: usize = 16;
 /// Requests that wait for room at the server here; more are refused and counted.
 const MOST_WAITING: usize = 1024;
 const MOST_WAITING_BYTES: usize = 16 << 20;
+/// How long requests wait for a server.
+const SERVER_TIME: Duration = Duration::from_secs(10);
 
 pub(super) struct Offered {
     client: RawClient,
@@ -26,8 +29,10 @@ pub(super) struct Offered {
     request: RosStruct,
     response: RosStruct,
     /// Bodies that are not passed on yet, for want of room.
-    waiting: VecDeque<(RosRequestId, Vec<u8>)>,
+    waiting: VecDeque<(RosRequestId, Vec<u8>, Instant)>,
     waiting_bytes: usize,
+    /// For a server here: a gateway that tells of one makes it when somebody asks.
+    availability: Option<Availability>,
     /// At most as many as a client can have.
     pending: FuturesUnordered<BoxFuture<'static, Answer>>,
     counters: Arc<Counters>,
@@ -57,9 +62,15 @@ impl Offered {
             response,
             waiting: VecDeque::new(),
             waiting_bytes: 0,
+            availability: None,
             pending,
             counters,
         })
+    }
+
+    /// Whether requests wait for a server here.
+    pub(super) fn is_waiting(&self) -> bool {
+        self.availability.is_some()
     }
 
     pub(super) fn server(&self) -> &RosServer {
@@ -87,13 +98,13 @@ impl Offered {
             return Err("too many requests wait for the server here".to_owned());
         }
         self.waiting_bytes += body.len();
-        self.waiting.push_back((id, body.to_vec()));
+        self.waiting.push_back((id, body.to_vec(), Instant::now()));
         Ok(())
     }
 
     /// Asks here what ROS asked, in order, as long as there is room for it.
     fn pass_on(&mut self) {
-        while let Some((id, body)) = self.waiting.front() {
+        while let Some((id, body, since)) = self.waiting.front() {
             match ask(&self.client, body) {
                 Ok(response) => {
                     let id = *id;
@@ -105,17 +116,28 @@ impl Offered {
                 {
                     return;
                 }
+                Err(ServiceError::NoServer { .. }) if since.elapsed() < SERVER_TIME => {
+                    if self.availability.is_none() {
+                        self.availability = self.client.availability().ok();
+                    }
+                    return;
+                }
                 Err(error) => self.counters.failed(error),
             }
             self.waiting_bytes -= body.len();
             self.waiting.pop_front();
         }
+        self.availability = None;
     }
 
     /// Carries on with what happened here: answers go to whoever asked in ROS.
     pub(super) fn poll(&mut self, context: &mut Context<'_>, buffer: &mut SerializedMessage) {
         loop {
             self.pass_on();
+            if self.availability.as_mut().is_some_and(|wait| wait.poll_unpin(context).is_ready()) {
+                self.availability = None;
+                continue;
+            }
             let Poll::Ready(Some((id, response))) = self.pending.poll_next_unpin(context) else { return };
             let answer = response.map_err(|error| error.to_string());
             match answer.and_then(|response| self.answer(id, &response, buffer)) {

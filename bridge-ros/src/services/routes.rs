@@ -62,13 +62,15 @@ pub(crate) struct Routes {
 }
 
 impl Routes {
-    /// What follows from what exists: `here` in Tautline, `there` in ROS, both without what this bridge made. What was offered
-    /// `before` stays so though ROS gets a server of it, perhaps another bridge's: two would make way for each other for ever.
+    /// What follows from what exists: `here` in the domain, `there` in ROS, both without what this bridge made. A server here that
+    /// is not `announced` is left to somebody else. What was offered `before` stays so though ROS gets a server of it: two would make
+    /// way for each other for ever.
     pub(crate) fn of<'e>(
         rules: &Rules,
         here: impl IntoIterator<Item = &'e ServiceEndpoint>,
         there: &[ServiceEndpoint],
         before: &Routes,
+        announced: impl Fn(&ServiceEndpoint) -> bool,
     ) -> Self {
         let mut routes = Routes::default();
         let mut services: BTreeMap<&str, Vec<&ServiceEndpoint>> = BTreeMap::new();
@@ -76,7 +78,7 @@ impl Routes {
             services.entry(&end.name).or_default().push(end);
         }
         for (name, ends) in services {
-            routes.add(rules, name, &ends, there, before);
+            routes.add(rules, name, &ends, there, before, &announced);
         }
         routes
     }
@@ -88,6 +90,7 @@ impl Routes {
         here: &[&ServiceEndpoint],
         there: &[ServiceEndpoint],
         before: &Routes,
+        announced: &impl Fn(&ServiceEndpoint) -> bool,
     ) {
         let Some(choice) = rules.choice(service) else { return };
         let servers =
@@ -114,6 +117,7 @@ impl Routes {
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
             servers.partition(|server| server.type_name == end.type_name);
         match (server, other.first()) {
+            (Some(server), _) if !announced(server) => {}
             (Some(server), _) if choice.goes(Direction::ToRos) => {
                 let is_alone = same.is_empty() && other.is_empty();
                 if !is_alone {
@@ -161,6 +165,8 @@ mod tests {
             node: Some(NodeName { namespace: "/".into(), name: "node".into() }),
             pid: None,
             is_remote: false,
+            origin: Default::default(),
+            teller: None,
         }
     }
 
@@ -177,7 +183,7 @@ mod tests {
     }
 
     fn of(rules: &Rules, here: &[ServiceEndpoint], there: &[ServiceEndpoint]) -> Routes {
-        Routes::of(rules, here, there, &Routes::default())
+        Routes::of(rules, here, there, &Routes::default(), |_| true)
     }
 
     #[test]
@@ -232,8 +238,8 @@ mod tests {
     fn what_is_offered_stays_so() {
         let rules = Rules { auto: true, ..Rules::default() };
         let first = of(&rules, &[server("/a")], &[]);
-        let second = Routes::of(&rules, &[server("/a")], &[server("/a")], &first);
+        let second = Routes::of(&rules, &[server("/a")], &[server("/a")], &first, |_| true);
         assert_eq!((names(&second.offered), second.problems.len()), (vec![("/a", "/a")], 1));
-        assert!(Routes::of(&rules, &[], &[server("/a")], &second).offered.is_empty());
+        assert!(Routes::of(&rules, &[], &[server("/a")], &second, |_| true).offered.is_empty());
     }
 }

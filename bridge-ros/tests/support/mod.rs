@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the tests share: a bridge in a process of its own, rclpy in another, and patience.
+//! What the tests share: bridges and gateways in processes of their own, rclpy in others, and patience.
 #![allow(dead_code, reason = "no test uses all of it")]
 
+pub mod gateway;
 pub mod node;
 
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
+use std::ops::Deref;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -81,6 +83,18 @@ pub fn ros() -> Option<PathBuf> {
         eprintln!("skipped: no ROS 2 under target/ros: run `cargo xtask ros`");
     }
     found
+}
+
+/// A program of the workspace's as `cargo xtask bridge` has built it, which is where the bridge is; prints why a test is skipped
+/// without it.
+pub fn built(program: &str, package: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_BIN_EXE_taut-bridge-ros")).with_file_name(program);
+    if !path.is_file() {
+        assert!(std::env::var_os("CI").is_none(), "CI needs {}: cargo build -p {package}", path.display());
+        eprintln!("skipped: no {}: run `cargo xtask bridge`, or `cargo build -p {package}`", path.display());
+        return None;
+    }
+    Some(path)
 }
 
 /// A node of rclpy.
@@ -208,11 +222,94 @@ fn end(child: &mut Child) {
     let _ = child.wait();
 }
 
-/// `taut-bridge-ros` in a process of its own.
-pub struct BridgeProcess {
+/// A program that prints its numbers, in a process of its own.
+pub struct Program {
     child: Child,
     last: Arc<Mutex<Value>>,
     said: Arc<Mutex<String>>,
+}
+
+impl Program {
+    /// Returns once it has printed numbers.
+    fn start(name: &'static str, mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let (last, said) = (Arc::new(Mutex::new(Value::Null)), Arc::new(Mutex::new(String::new())));
+        let (output, errors) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
+        let (to_last, to_said) = (last.clone(), said.clone());
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                *to_last.lock().unwrap() = serde_json::from_str(&line).unwrap();
+            }
+        });
+        std::thread::spawn(move || {
+            for line in BufReader::new(errors).lines().map_while(Result::ok) {
+                eprintln!("{name}: {line}");
+                *to_said.lock().unwrap() += &format!("{line}\n");
+            }
+        });
+        let mut program = Program { child, last, said };
+        wait_until("its first numbers", || {
+            let status = program.child.try_wait().unwrap();
+            assert!(status.is_none(), "the {name} ended: {}", program.said());
+            program.stats().is_object()
+        });
+        program
+    }
+
+    /// The numbers that it printed last.
+    pub fn stats(&self) -> Value {
+        self.last.lock().unwrap().clone()
+    }
+
+    /// All that it has said on standard error.
+    pub fn said(&self) -> String {
+        self.said.lock().unwrap().clone()
+    }
+
+    /// Waits until its numbers are such.
+    pub fn wait_for(&self, what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+        wait_until(what, || is_so(&self.stats()));
+        self.stats()
+    }
+
+    /// The numbers of a topic in a direction.
+    pub fn topic(&self, topic: &str, direction: &str) -> Value {
+        let stats = self.stats();
+        let topics = stats["topics"].as_array().cloned().unwrap_or_default();
+        let is_it = |numbers: &Value| numbers["topic"] == topic && numbers["direction"] == direction;
+        topics.into_iter().find(is_it).unwrap_or_default()
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// `kill -9`.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // The number of one that was waited for may be another's.
+        if matches!(self.child.try_wait(), Ok(None)) {
+            let _ = kill_process(Pid::from_child(&self.child), Signal::TERM);
+        }
+        end(&mut self.child);
+    }
+}
+
+/// `taut-bridge-ros`.
+pub struct BridgeProcess(Program);
+
+impl Deref for BridgeProcess {
+    type Target = Program;
+
+    fn deref(&self) -> &Program {
+        &self.0
+    }
 }
 
 impl BridgeProcess {
@@ -237,43 +334,7 @@ impl BridgeProcess {
         // What may be said on the terminal that runs the tests is no concern of theirs.
         command.env_remove("RUST_LOG").env_remove("ROS_DOMAIN_ID").env_remove("TAUT_DOMAIN");
         change(&mut command);
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let (last, said) = (Arc::new(Mutex::new(Value::Null)), Arc::new(Mutex::new(String::new())));
-        let (output, errors) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
-        let (to_last, to_said) = (last.clone(), said.clone());
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
-                *to_last.lock().unwrap() = serde_json::from_str(&line).unwrap();
-            }
-        });
-        std::thread::spawn(move || {
-            for line in BufReader::new(errors).lines().map_while(Result::ok) {
-                eprintln!("bridge: {line}");
-                *to_said.lock().unwrap() += &format!("{line}\n");
-            }
-        });
-        let mut bridge = BridgeProcess { child, last, said };
-        wait_until("its first numbers", || {
-            assert!(bridge.child.try_wait().unwrap().is_none(), "the bridge ended: {}", bridge.said());
-            bridge.stats().is_object()
-        });
-        bridge
-    }
-
-    /// The numbers that it printed last.
-    pub fn stats(&self) -> Value {
-        self.last.lock().unwrap().clone()
-    }
-
-    /// All that it has said on standard error.
-    pub fn said(&self) -> String {
-        self.said.lock().unwrap().clone()
-    }
-
-    /// Waits until its numbers are such.
-    pub fn wait_for(&self, what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
-        wait_until(what, || is_so(&self.stats()));
-        self.stats()
+        BridgeProcess(Program::start("bridge", command))
     }
 
     /// The numbers of a service.
@@ -282,29 +343,9 @@ impl BridgeProcess {
         services.into_iter().find(|numbers| numbers["service"] == service).unwrap_or_default()
     }
 
-    /// The numbers of a topic in a direction.
-    pub fn topic(&self, topic: &str, direction: &str) -> Value {
-        let stats = self.stats();
-        let topics = stats["topics"].as_array().cloned().unwrap_or_default();
-        let is_it = |numbers: &Value| numbers["topic"] == topic && numbers["direction"] == direction;
-        topics.into_iter().find(is_it).unwrap_or_default()
-    }
-
-    pub fn pid(&self) -> u32 {
-        self.child.id()
-    }
-
     /// `kill -9`.
-    pub fn kill(mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-    }
-}
-
-impl Drop for BridgeProcess {
-    fn drop(&mut self) {
-        let _ = rustix::process::kill_process(rustix::process::Pid::from_child(&self.child), Signal::TERM);
-        end(&mut self.child);
+    pub fn kill(self) {
+        self.0.kill();
     }
 }
 

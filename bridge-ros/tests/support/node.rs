@@ -2,12 +2,14 @@
 //! A node of Tautline's in the test's own process.
 
 use super::PATIENCE;
+use futures::StreamExt;
 use futures::executor::block_on;
 use futures::future::{Either, select};
 use std::future::Future;
 use std::pin::pin;
 use std::thread::JoinHandle;
-use tautline::{Context, Node, Realtime};
+use tautline::test_msgs::srv::BasicTypes;
+use tautline::{CallbackHandle, CallbackOptions, Context, IsAvailablePollable, Node, QosProfile, Realtime};
 
 /// Its context spins until this is dropped.
 pub struct Spinning {
@@ -33,6 +35,31 @@ impl Spinning {
             Either::Right(_) => panic!("{what}: not within {PATIENCE:?}"),
         }
     }
+
+    /// Waits for the servers of a client.
+    pub fn available(&mut self, client: &dyn IsAvailablePollable) {
+        let available = Node::is_available(client).unwrap();
+        self.wait("a server", available).unwrap();
+    }
+}
+
+/// Answers each request with what it says, on a thread of its own.
+pub fn serve_echo(node: &mut Node, name: &str) -> CallbackHandle {
+    let requests = node.create_service::<BasicTypes::Service>(name, QosProfile::default()).unwrap();
+    let answer = requests.for_each(|request| async move {
+        let json = serde_json::to_value(&request.message).unwrap();
+        request.respond(serde_json::from_value(json).unwrap()).unwrap();
+    });
+    node.spawn_callback(CallbackOptions::other(), answer).unwrap()
+}
+
+/// As the action's server in `ros_services_peer.py` counts.
+pub fn fibonacci(order: usize) -> Vec<i32> {
+    let mut sequence = vec![0, 1];
+    while sequence.len() <= order {
+        sequence.push((sequence[sequence.len() - 1] + sequence[sequence.len() - 2]) % 1000);
+    }
+    sequence
 }
 
 impl Drop for Spinning {

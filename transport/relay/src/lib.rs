@@ -8,8 +8,10 @@
 mod program;
 mod relay;
 mod route;
+mod transit;
 mod waker;
 
 pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
-pub use relay::{Ports, Relay, RelayError};
-pub use route::{EarlyLimits, Outlet, Taken};
+pub use relay::{PassedOver, Relay, RelayError};
+pub use route::{EarlyLimits, Last, Outlet, Taken};
+pub use transit::Transit;

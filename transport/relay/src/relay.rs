@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that takes the samples of all topics.
 
-use crate::route::{Outlet, Route};
+use crate::route::{Outlet, Route, Sources};
 use crate::waker::Bell;
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, mpsc};
@@ -10,14 +10,14 @@ use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
 
-/// Ports of relays: what comes through them came from elsewhere and does not go on.
-pub type Ports = Arc<Mutex<HashSet<Gid>>>;
+/// Publishers whose samples are not passed on, for somebody else does so.
+pub type PassedOver = Arc<Mutex<HashSet<Gid>>>;
 
 /// The thread that takes samples and gives them to an [`Outlet`]; dropping it ends it, and with it the outlet.
 pub struct Relay<O: Outlet> {
     commands: Option<mpsc::Sender<Command<O>>>,
     bell: Arc<Bell>,
-    ports: Ports,
+    passed_over: PassedOver,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -49,13 +49,15 @@ impl<O: Outlet> Relay<O> {
         let seat = participant.doorbell().claim_sampler().map_err(TransportError::from)?;
         let bell = Bell::new(participant.claim_slot()?);
         let (commands, received) = mpsc::channel();
-        let ports = Ports::default();
+        let sources = Sources { own: participant.id(), passed_over: PassedOver::default() };
+        let passed_over = sources.passed_over.clone();
         let thread = {
-            let (bell, ports, routes) = (bell.clone(), ports.clone(), HashMap::new());
-            thread
-                .spawn(move || move || Loop { seat, commands: received, bell, ports, routes, outlet }.run())?
+            let (bell, routes) = (bell.clone(), HashMap::new());
+            thread.spawn(move || {
+                move || Loop { seat, commands: received, bell, sources, routes, outlet }.run()
+            })?
         };
-        Ok(Relay { commands: Some(commands), bell, ports, thread: Some(thread) })
+        Ok(Relay { commands: Some(commands), bell, passed_over, thread: Some(thread) })
     }
 
     /// The thread, as it was read back.
@@ -68,7 +70,8 @@ impl<O: Outlet> Relay<O> {
         self.tell(Command::Start(key, Box::new(subscription), topic));
     }
 
-    /// What the publisher `gid` sends goes through `sender`.
+    /// What the publisher `gid` sends goes through `sender`: one of this host, or one elsewhere that somebody else's port stands
+    /// for.
     pub fn open(&self, key: O::Key, gid: Gid, sender: O::Sender) {
         self.tell(Command::Open(key, gid, sender));
     }
@@ -83,9 +86,10 @@ impl<O: Outlet> Relay<O> {
         self.tell(Command::Stop(key));
     }
 
-    /// Ports whose samples are not passed on.
-    pub fn ports(&self) -> &Ports {
-        &self.ports
+    /// Publishers whose samples are not passed on. What comes through a port of this participant is not either: it came from where
+    /// the relay's samples go.
+    pub fn passed_over(&self) -> &PassedOver {
+        &self.passed_over
     }
 
     fn tell(&self, command: Command<O>) {
@@ -110,7 +114,7 @@ struct Loop<O: Outlet> {
     seat: SamplerSeat,
     commands: mpsc::Receiver<Command<O>>,
     bell: Arc<Bell>,
-    ports: Ports,
+    sources: Sources,
     routes: HashMap<O::Key, Route<O>>,
     outlet: O,
 }
@@ -130,11 +134,11 @@ impl<O: Outlet> Loop<O> {
             }
             let mut is_busy = false;
             for route in self.routes.values_mut() {
-                is_busy |= route.serve_if_rung(&self.ports, &mut self.outlet);
+                is_busy |= route.serve_if_rung(&self.sources, &mut self.outlet);
             }
             if Instant::now() >= next_look {
                 next_look = Instant::now() + LOOK;
-                self.routes.values_mut().for_each(|route| route.look(&self.ports));
+                self.routes.values_mut().for_each(|route| route.look(&self.sources));
             }
             if !is_busy {
                 self.seat.sleep(Some(monotonic_ns() + LOOK.as_nanos() as u64));
@@ -143,10 +147,10 @@ impl<O: Outlet> Loop<O> {
     }
 
     fn obey(&mut self, command: Command<O>) {
-        let (ports, outlet) = (&self.ports, &mut self.outlet);
+        let (sources, outlet) = (&self.sources, &mut self.outlet);
         match command {
             Command::Start(key, subscription, topic) => match self.routes.get_mut(&key) {
-                Some(route) => route.change(subscription, topic, ports, outlet),
+                Some(route) => route.change(subscription, topic, sources, outlet),
                 None => {
                     let route = Route::new(subscription, topic, self.bell.clone());
                     self.routes.insert(key, route);
@@ -159,12 +163,12 @@ impl<O: Outlet> Loop<O> {
             }
             Command::Close(key, gid) => {
                 if let Some(route) = self.routes.get_mut(&key) {
-                    route.close(gid, ports, outlet);
+                    route.close(gid, sources, outlet);
                 }
             }
             Command::Stop(key) => {
                 if let Some(route) = self.routes.remove(&key) {
-                    route.end(ports, outlet);
+                    route.end(sources, outlet);
                 }
             }
         }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One topic's way: from its subscription, and from what waited, to the counterparts of its publishers.
 
-use crate::relay::Ports;
+use crate::relay::PassedOver;
 use crate::waker::{Bell, Flag};
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::hash::Hash;
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
@@ -22,7 +22,7 @@ pub trait Outlet: Send + 'static {
     /// How much waits for a counterpart.
     const EARLY: EarlyLimits;
 
-    /// Passes a sample on. When another subscription takes over, samples come a second time: their numbers tell.
+    /// Passes a sample on. When another subscription or another port takes over, samples come a second time: see [`Last`].
     fn pass(&mut self, topic: &mut Self::Topic, sender: &mut Self::Sender, sample: Taken);
 
     /// A sample's publisher did not get a counterpart in time, or too many samples wait.
@@ -61,11 +61,11 @@ pub struct Early {
 }
 
 impl Taken {
-    /// Its number at its port, from 1.
-    pub fn number(&self) -> u64 {
+    /// The port that it came through, and its number there, from 1.
+    pub fn port(&self) -> (Gid, u64) {
         match self {
-            Taken::Now(sample) => sample.port_sequence_number(),
-            Taken::Early(early) => early.number,
+            Taken::Now(sample) => (sample.port_gid(), sample.port_sequence_number()),
+            Taken::Early(early) => (early.port, early.number),
         }
     }
 
@@ -86,6 +86,44 @@ impl Taken {
     }
 }
 
+/// The last sample of a publisher that was passed on: what has been is told by it.
+#[derive(Clone, Debug, Default)]
+pub struct Last {
+    port: Gid,
+    number: u64,
+    /// By the publisher's own count, which not everybody tells: 0.
+    source: u64,
+    /// What came through former ports.
+    former: u64,
+}
+
+impl Last {
+    /// Whether it has not been passed on; it has from now on. Numbers of a port grow, and a port that takes over from another one may
+    /// begin with what came through that one.
+    pub fn admits(&mut self, sample: &Taken) -> bool {
+        let (port, number) = sample.port();
+        self.admits_numbers(port, number, sample.info().sequence_number)
+    }
+
+    fn admits_numbers(&mut self, port: Gid, number: u64, source: u64) -> bool {
+        if port != self.port {
+            (self.port, self.number, self.former) = (port, 0, self.source);
+        }
+        let is_new = number > self.number && (source == 0 || source > self.former);
+        if is_new {
+            (self.number, self.source) = (number, self.source.max(source));
+        }
+        is_new
+    }
+}
+
+/// Whose samples are passed on.
+pub(crate) struct Sources {
+    /// The relay's own participant: what comes through its ports came from elsewhere.
+    pub(crate) own: u64,
+    pub(crate) passed_over: PassedOver,
+}
+
 /// Samples taken of one topic before the next topic has its turn.
 const TURN: usize = 16;
 
@@ -100,6 +138,12 @@ pub(crate) struct Route<O: Outlet> {
     flag: Arc<Flag>,
 }
 
+impl Sources {
+    fn are_passed_over(&self) -> MutexGuard<'_, HashSet<Gid>> {
+        self.passed_over.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 impl<O: Outlet> Route<O> {
     pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, bell: Arc<Bell>) -> Self {
         let (senders, early) = (HashMap::new(), VecDeque::new());
@@ -111,27 +155,27 @@ impl<O: Outlet> Route<O> {
         &mut self,
         subscription: Box<RawSubscription>,
         topic: O::Topic,
-        ports: &Ports,
+        sources: &Sources,
         outlet: &mut O,
     ) {
         // The new one has been there for a while: first what came before, then what came to both once.
-        self.serve_all(ports, outlet);
-        self.look(ports);
+        self.serve_all(sources, outlet);
+        self.look(sources);
         (self.subscription, self.topic, self.lost) = (subscription, topic, 0);
         self.flag.set();
     }
 
     /// Passes on what is there if there may be something, at most a turn of it. Says whether there may be more.
-    pub(crate) fn serve_if_rung(&mut self, ports: &Ports, outlet: &mut O) -> bool {
-        self.flag.take() && self.serve(ports, outlet)
+    pub(crate) fn serve_if_rung(&mut self, sources: &Sources, outlet: &mut O) -> bool {
+        self.flag.take() && self.serve(sources, outlet)
     }
 
-    fn serve(&mut self, ports: &Ports, outlet: &mut O) -> bool {
+    fn serve(&mut self, sources: &Sources, outlet: &mut O) -> bool {
         let waker = self.flag.waker();
         let mut context = Context::from_waker(&waker);
         for _ in 0..TURN {
             match self.subscription.poll_take(&mut context) {
-                Poll::Ready(sample) => self.pass(sample, ports, outlet),
+                Poll::Ready(sample) => self.pass(sample, sources, outlet),
                 Poll::Pending => return false,
             }
         }
@@ -140,28 +184,31 @@ impl<O: Outlet> Route<O> {
     }
 
     /// All that was there: bounded by what fits in, for a publisher could be faster than this.
-    fn serve_all(&mut self, ports: &Ports, outlet: &mut O) {
+    fn serve_all(&mut self, sources: &Sources, outlet: &mut O) {
         // Those that are there, those that have gone and are not closed yet, and one that nobody heard of.
         let publishers = self.subscription.publisher_count() + self.senders.len() + 1;
         for _ in 0..turns(self.subscription.qos().depth, publishers) {
             // After a turn of samples that were passed over it is woken at once for what is behind them.
-            if !self.serve(ports, outlet) && !self.flag.take() {
+            if !self.serve(sources, outlet) && !self.flag.take() {
                 break;
             }
         }
     }
 
-    fn pass(&mut self, sample: RawSample, ports: &Ports, outlet: &mut O) {
-        let port = sample.port_gid();
-        match self.senders.get_mut(&port) {
+    fn pass(&mut self, sample: RawSample, sources: &Sources, outlet: &mut O) {
+        if sample.port_gid().participant() == sources.own {
+            return;
+        }
+        let publisher = sample.info().publisher_gid;
+        match self.senders.get_mut(&publisher) {
             Some(sender) => outlet.pass(&mut self.topic, sender, Taken::Now(sample)),
-            None if ports.lock().unwrap_or_else(PoisonError::into_inner).contains(&port) => {}
-            None => self.keep_early(port, &sample),
+            None if sources.are_passed_over().contains(&publisher) => {}
+            None => self.keep_early(&sample),
         }
     }
 
-    fn keep_early(&mut self, port: Gid, sample: &RawSample) {
-        let (body, number) = (sample.body(), sample.port_sequence_number());
+    fn keep_early(&mut self, sample: &RawSample) {
+        let (body, port, number) = (sample.body(), sample.port_gid(), sample.port_sequence_number());
         if self.early.iter().rev().any(|early| early.port == port && early.number >= number) {
             return;
         }
@@ -176,7 +223,7 @@ impl<O: Outlet> Route<O> {
     /// A publisher has its counterpart: what it sent before goes first.
     pub(crate) fn open(&mut self, gid: Gid, mut sender: O::Sender, outlet: &mut O) {
         for early in std::mem::take(&mut self.early) {
-            if early.port == gid {
+            if early.info.publisher_gid == gid {
                 self.early_bytes -= early.body.len();
                 outlet.pass(&mut self.topic, &mut sender, Taken::Early(early));
             } else {
@@ -187,33 +234,33 @@ impl<O: Outlet> Route<O> {
     }
 
     /// A publisher has gone: what it published before goes first.
-    pub(crate) fn close(&mut self, gid: Gid, ports: &Ports, outlet: &mut O) {
-        self.serve_all(ports, outlet);
+    pub(crate) fn close(&mut self, gid: Gid, sources: &Sources, outlet: &mut O) {
+        self.serve_all(sources, outlet);
         self.senders.remove(&gid);
     }
 
     /// The last that is done.
-    pub(crate) fn end(mut self, ports: &Ports, outlet: &mut O) {
-        self.serve_all(ports, outlet);
-        self.look(ports);
+    pub(crate) fn end(mut self, sources: &Sources, outlet: &mut O) {
+        self.serve_all(sources, outlet);
+        self.look(sources);
         self.early.iter().for_each(|_| O::dropped(&self.topic));
     }
 
     /// For samples of publishers that never became known, and for what a subscription counts by itself.
-    pub(crate) fn look(&mut self, ports: &Ports) {
+    pub(crate) fn look(&mut self, sources: &Sources) {
         let (topic, bytes) = (&self.topic, &mut self.early_bytes);
         if !self.early.is_empty() {
-            let ports = ports.lock().unwrap_or_else(PoisonError::into_inner);
+            let passed_over = sources.are_passed_over();
             self.early.retain(|early| {
-                let is_own = ports.contains(&early.port);
+                let is_passed_over = passed_over.contains(&early.info.publisher_gid);
                 let is_late = early.since.elapsed() >= O::EARLY.time;
-                if is_late && !is_own {
+                if is_late && !is_passed_over {
                     O::dropped(topic);
                 }
-                if is_late || is_own {
+                if is_late || is_passed_over {
                     *bytes -= early.body.len();
                 }
-                !is_late && !is_own
+                !is_late && !is_passed_over
             });
         }
         let lost = self.subscription.counters().lost();
@@ -230,6 +277,20 @@ fn turns(depth: usize, publishers: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_passed_on_does_not_come_again() {
+        let [one, other] = [1, 2].map(|id| Gid([id; 16]));
+        let mut last = Last::default();
+        let mut admits = |port, number, source| last.admits_numbers(port, number, source);
+        assert!([1, 2, 5].into_iter().all(|number| admits(one, number, number)));
+        assert!(![2, 5].into_iter().any(|number| admits(one, number, number)), "another subscription");
+        // Another port, which begins with what it keeps, in its own numbers.
+        assert!(![(1, 4), (2, 5)].into_iter().any(|(number, source)| admits(other, number, source)));
+        assert!(admits(other, 3, 6) && admits(other, 4, 8) && admits(other, 5, 7), "in whatever order they came");
+        // Where nobody counts for the publisher, its port does.
+        assert!(admits(one, 1, 0) && admits(one, 2, 0) && !admits(one, 2, 0));
+    }
 
     #[test]
     fn a_queue_is_emptied_however_deep() {

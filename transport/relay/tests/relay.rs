@@ -20,7 +20,7 @@ impl Outlet for Log {
     fn pass(&mut self, log: &mut Self::Topic, sender: &mut Self::Sender, sample: Taken) {
         let when = if matches!(sample, Taken::Early(_)) { "early" } else { "now" };
         assert_eq!(sample.body(), [7; 10]);
-        let _ = log.send(format!("{sender} {} {when}", sample.number()));
+        let _ = log.send(format!("{sender} {} {when}", sample.port().1));
     }
 
     fn dropped(log: &Self::Topic) {
@@ -45,17 +45,18 @@ fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
     if std::env::var_os("TAUT_SCOPE").is_none() {
         tautline_rt::domain::set_scope("test").unwrap();
     }
-    let participant = Participant::new(93).unwrap();
+    let [participant, relaying] = [(); 2].map(|()| Participant::new(93).unwrap());
     let (topic_type, qos) = (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(10));
-    let publisher = || participant.create_raw_publisher("/x", &topic_type, qos, Limits::default()).unwrap();
-    let [known, early, own, unknown] = std::array::from_fn(|_| publisher());
+    let publisher = |of: &Participant| of.create_raw_publisher("/x", &topic_type, qos, Limits::default()).unwrap();
+    let [known, early, other, unknown] = std::array::from_fn(|_| publisher(&participant));
+    let own = publisher(&relaying);
     let subscription =
-        participant.create_relay_subscription("/x", &topic_type, qos, Limits::default()).unwrap();
+        relaying.create_relay_subscription("/x", &topic_type, qos, Limits::default()).unwrap();
 
-    let relay = Relay::start(&participant, ThreadBuilder::new("relay"), Log).unwrap();
+    let relay = Relay::start(&relaying, ThreadBuilder::new("relay"), Log).unwrap();
     let (log, told) = mpsc::channel();
     let next = || told.recv_timeout(Duration::from_secs(30)).expect("waited in vain");
-    relay.ports().lock().unwrap().insert(own.gid());
+    relay.passed_over().lock().unwrap().insert(other.gid());
     relay.open("/x", known.gid(), "a topic that is not taken yet");
     relay.start_topic("/x", subscription, log);
     relay.open("/x", known.gid(), "known");
@@ -64,6 +65,7 @@ fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
         publish(&early);
     }
     publish(&own);
+    publish(&other);
     // Once it was passed on, what is there with it has been taken before the next command.
     publish(&known);
     let mut both = [next(), next()];

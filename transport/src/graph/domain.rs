@@ -3,6 +3,7 @@
 //!
 //! | in the file | written by |
 //! |---|---|
+//! | the domain's id, a random number | who makes the file |
 //! | the epoch, a futex word: moves when a node, a port or a participant appears or goes | who makes that change |
 //! | a member's id | the participant that takes the place; whoever buries it sets it to 0 |
 //! | a member's generation: moves when its record changes | that participant |
@@ -18,6 +19,7 @@ use crate::participant::file::id_of;
 use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
+use std::mem::offset_of;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -28,7 +30,7 @@ use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, ShmError};
 
-const MAGIC: u64 = u64::from_le_bytes(*b"tautdom1");
+const MAGIC: u64 = u64::from_le_bytes(*b"tautdom2");
 /// Participants of a domain at once.
 pub(crate) const MEMBERS: usize = 2048;
 pub(crate) const NAME: &str = "domain";
@@ -50,6 +52,8 @@ struct Layout {
     epoch: FutexWord,
     /// Places from here on were never taken.
     end: AtomicU32,
+    /// Tells this domain from those of other hosts, users and scopes, and from itself at another time.
+    id: AtomicU64,
     members: [Member; MEMBERS],
 }
 
@@ -157,6 +161,11 @@ impl Domain {
 
     fn layout(&self) -> &Layout {
         layout(&self.map)
+    }
+
+    /// Tells this domain from all others.
+    pub(crate) fn id(&self) -> u64 {
+        self.layout().id.load(Ordering::Relaxed)
     }
 
     pub(crate) fn epoch(&self) -> u32 {
@@ -333,6 +342,7 @@ fn make(path: &Path) -> io::Result<()> {
     };
     shm::claim(&file, 0, size_of::<Layout>() as u64)?;
     rustix::io::pwrite(&file, &MAGIC.to_ne_bytes(), 0)?;
+    rustix::io::pwrite(&file, &shm::random().to_ne_bytes(), offset_of!(Layout, id) as u64)?;
     let unnamed = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&file));
     let here = rustix::fs::CWD;
     match rustix::fs::linkat(here, unnamed.as_str(), here, path, AtFlags::SYMLINK_FOLLOW) {

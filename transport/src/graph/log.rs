@@ -100,8 +100,12 @@ impl Entry {
 
 /// The hash of a topic's name: FNV-1a, for it must be the same in every process.
 pub(crate) fn hash_of(topic: &str) -> u64 {
+    hash_of_bytes(topic.as_bytes())
+}
+
+pub(crate) fn hash_of_bytes(bytes: &[u8]) -> u64 {
     let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
-    topic.as_bytes().iter().fold(0xcbf2_9ce4_8422_2325, step)
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
 }
 
 /// The owner's side of its record.

@@ -12,6 +12,7 @@ pub(crate) mod domain;
 mod events;
 pub(crate) mod log;
 mod model;
+mod origin;
 pub(crate) mod own;
 pub(crate) mod record;
 
@@ -19,6 +20,7 @@ pub use events::GraphEvents;
 pub(crate) use events::Watchers;
 pub(crate) use model::Model;
 pub use model::graph_of;
+pub use origin::{Origin, Rank};
 pub(crate) use own::{Entry, OwnRecord};
 
 use crate::error::TransportError;
@@ -28,6 +30,7 @@ use crate::topic::header::Gid;
 use crate::topic::topic_type::TopicType;
 use record::{REQUESTS, RESPONSES};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -62,8 +65,12 @@ pub struct NodeInfo {
     pub name: NodeName,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
-    /// Whether it is on another host.
+    /// Whether it is on another host, or in ROS.
     pub is_remote: bool,
+    /// Where it was first.
+    pub origin: Origin,
+    /// The participant that tells of it, if it is elsewhere.
+    pub teller: Option<u64>,
 }
 
 /// Which end of a topic.
@@ -92,10 +99,14 @@ pub struct TopicEndpoint {
     pub node: Option<NodeName>,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
-    /// Whether it is on another host.
+    /// Whether it is on another host, or in ROS.
     pub is_remote: bool,
     /// Whether it belongs to the participant that asked.
     pub is_own: bool,
+    /// Where it was first.
+    pub origin: Origin,
+    /// The participant that tells of it, if it is elsewhere.
+    pub teller: Option<u64>,
 }
 
 /// Which end of a service.
@@ -124,12 +135,17 @@ pub struct ServiceEndpoint {
     pub node: Option<NodeName>,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
-    /// Whether it is on another host.
+    /// Whether it is on another host, or in ROS.
     pub is_remote: bool,
+    /// Where it was first.
+    pub origin: Origin,
+    /// The participant that tells of it, if it is elsewhere.
+    pub teller: Option<u64>,
 }
 
-/// What exists in a domain, on this host and, if it has a gateway, on others. What a gateway opens here for other hosts'
-/// publishers and subscriptions is left out: those are listed themselves.
+/// What exists in a domain: on this host and, if it has gateways or bridges, on others and in ROS. What these open here for
+/// others' publishers and subscriptions is left out: those are listed themselves, each once, as the one with the least [`Rank`] of
+/// those that tell of it does.
 #[derive(Clone, Debug, Default)]
 pub struct GraphSnapshot {
     /// Nodes, sorted by namespace and name.
@@ -138,8 +154,8 @@ pub struct GraphSnapshot {
     pub endpoints: Vec<Arc<TopicEndpoint>>,
     /// Services and clients, sorted by name.
     pub services: Vec<Arc<ServiceEndpoint>>,
-    /// Publishers that gateways and bridges opened here: they stand for others' and are in no list above.
-    pub relays: Vec<Gid>,
+    /// For who tells of others' ends itself: the least rank, by tag, with which other participants tell of something.
+    pub rivals: HashMap<u64, Rank>,
 }
 
 impl GraphSnapshot {
@@ -152,12 +168,21 @@ impl GraphSnapshot {
     }
 }
 
-/// What other hosts have: see [`Participant::set_remote`]. `pid`, `is_remote` and `is_own` are not looked at, nor are ends without
-/// a node.
+/// A node elsewhere.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RemoteNode {
+    /// Its name. Two nodes may have the same.
+    pub name: NodeName,
+    /// Where it was first.
+    pub origin: Origin,
+}
+
+/// What other hosts have: see [`Participant::set_remote`]. `pid`, `is_remote`, `is_own` and `teller` are not looked at, nor are ends
+/// without a node.
 #[derive(Clone, Debug, Default)]
 pub struct RemoteGraph {
-    /// Nodes.
-    pub nodes: Vec<NodeName>,
+    /// Nodes. What an end's node is called need not be among them.
+    pub nodes: Vec<RemoteNode>,
     /// Publishers and subscriptions.
     pub endpoints: Vec<TopicEndpoint>,
     /// Services and clients.
@@ -328,6 +353,23 @@ impl Participant {
     /// Waits.
     pub fn wait_for_graph_change(&self, since: u32, timeout: Duration) -> u32 {
         self.shared.domain.wait(since, Some(timeout))
+    }
+
+    /// Tells this domain from those of other hosts, users and scopes, and from itself at another time: a random number, made with
+    /// the domain's first participant.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn domain_id(&self) -> u64 {
+        self.shared.domain.id()
+    }
+
+    /// This participant's own number, by which it is the [`teller`](TopicEndpoint::teller) of what it tells.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub fn id(&self) -> u64 {
+        self.shared.memory.id()
     }
 
     /// Says what other hosts have, in place of what it said before, and that this participant's own ports stand for

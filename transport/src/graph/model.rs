@@ -3,10 +3,10 @@
 
 use super::domain::Domain;
 use super::log::{Entry, Kind, Reader};
-use super::record::{PortRecord, RemotePortRecord, RemoteServiceRecord};
+use super::record::{NodeRecord, PortRecord, RemotePortRecord, RemoteServiceRecord};
 use super::{
-    EndpointKind, GraphSnapshot, NodeInfo, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint,
-    is_of_service, service_of,
+    EndpointKind, GraphSnapshot, NodeInfo, NodeName, Origin, Rank, ServiceEndpoint, ServiceKind,
+    TopicEndpoint, is_of_service, service_of,
 };
 use crate::error::TransportError;
 use crate::participant::file::Peer;
@@ -30,6 +30,8 @@ pub(crate) struct Model {
     nodes: BTreeSet<(Arc<NodeInfo>, Gid)>,
     endpoints: BTreeMap<(String, EndpointKind, Gid, Gid), Arc<TopicEndpoint>>,
     services: BTreeMap<(String, ServiceKind, Gid, Gid), Arc<ServiceEndpoint>>,
+    /// Who tells of what is elsewhere, by its tag, the best first.
+    told: HashMap<u64, BTreeSet<(Rank, Gid)>>,
     snapshot: Arc<GraphSnapshot>,
 }
 
@@ -40,7 +42,7 @@ struct Member {
     generation: u64,
     reader: Reader,
     is_relay: bool,
-    nodes: BTreeMap<u64, NodeName>,
+    nodes: BTreeMap<u64, NodeRecord>,
     ports: BTreeMap<u64, PortRecord>,
     remote_ports: BTreeMap<u64, RemotePortRecord>,
     remote_services: BTreeMap<u64, RemoteServiceRecord>,
@@ -80,7 +82,7 @@ impl Member {
         let (number, body) = (entry.number, &entry.body);
         match entry.kind {
             Kind::Gone | Kind::Ended => {}
-            Kind::Node => self.nodes.extend(NodeName::parse(body).map(|node| (number, node))),
+            Kind::Node => self.nodes.extend(NodeRecord::parse(body).map(|node| (number, node))),
             Kind::Port => self.ports.extend(PortRecord::parse(body).map(|port| (number, port))),
             Kind::RemotePort => {
                 self.remote_ports.extend(RemotePortRecord::parse(body).map(|port| (number, port)));
@@ -99,15 +101,20 @@ impl Member {
         self.remote_services.remove(&number);
     }
 
+    fn node(&self, number: u64) -> Option<&NodeName> {
+        self.nodes.get(&number).map(|node| &node.name)
+    }
+
     /// How what it says under `number` is listed.
     fn listed(&self, own: u64, id: u64, number: u64) -> Option<Listed> {
-        if let Some(name) = self.nodes.get(&number) {
-            let node = NodeInfo { name: name.clone(), pid: self.pid(), is_remote: self.is_relay };
-            return Some(Listed::Node(node));
+        if let Some(NodeRecord { name, origin }) = self.nodes.get(&number) {
+            let (name, origin) = (name.clone(), origin.clone().unwrap_or_else(|| here(Gid::of(id, number))));
+            let (is_remote, teller) = (self.is_relay, self.is_relay.then_some(id));
+            return Some(Listed::Node(NodeInfo { name, pid: self.pid(), is_remote, origin, teller }));
         }
         if let Some(port) = self.ports.get(&number).filter(|_| !self.is_relay) {
             let (gid, kind) = (Gid::of(id, number), EndpointKind::from(port.kind));
-            let node = port.node.and_then(|node| self.nodes.get(&node)).cloned();
+            let node = port.node.and_then(|node| self.nodes.get(&node)).map(|node| node.name.clone());
             if let Some(service) = service_of(&port.topic) {
                 // Who publishes requests asks.
                 let kind = match kind {
@@ -123,6 +130,8 @@ impl Member {
                     node,
                     pid: self.pid(),
                     is_remote: false,
+                    origin: here(gid),
+                    teller: None,
                 }));
             }
             return (!is_of_service(&port.topic)).then(|| {
@@ -136,14 +145,16 @@ impl Member {
                     pid: self.pid(),
                     is_remote: false,
                     is_own: id == own,
+                    origin: here(gid),
+                    teller: None,
                 })
             });
         }
         if let Some(port) = self.remote_ports.get(&number) {
-            return Some(Listed::Topic(port.endpoint(self.nodes.get(&port.node())?)));
+            return Some(Listed::Topic(port.endpoint(self.node(port.node())?, id)));
         }
         let service = self.remote_services.get(&number)?;
-        Some(Listed::Service(service.endpoint(self.nodes.get(&service.node())?)))
+        Some(Listed::Service(service.endpoint(self.node(service.node())?, id)))
     }
 }
 
@@ -151,6 +162,21 @@ enum Listed {
     Node(NodeInfo),
     Topic(TopicEndpoint),
     Service(ServiceEndpoint),
+}
+
+impl Listed {
+    fn origin(&self) -> (&Origin, Option<u64>) {
+        match self {
+            Listed::Node(node) => (&node.origin, node.teller),
+            Listed::Topic(end) => (&end.origin, end.teller),
+            Listed::Service(end) => (&end.origin, end.teller),
+        }
+    }
+}
+
+/// Of what is on this host.
+fn here(gid: Gid) -> Origin {
+    Origin { tag: gid.tag(), ..Origin::default() }
 }
 
 fn complain(error: &TransportError) {
@@ -189,14 +215,35 @@ impl Model {
                 }
             }
         }
+        let nodes = self.nodes.iter().filter(|(node, gid)| self.counts(&node.origin, *gid));
+        let endpoints = self.endpoints.iter().filter(|((.., gid), end)| self.counts(&end.origin, *gid));
+        let services = self.services.iter().filter(|((.., gid), end)| self.counts(&end.origin, *gid));
         self.snapshot = Arc::new(GraphSnapshot {
-            nodes: self.nodes.iter().map(|(node, _)| node.clone()).collect(),
-            endpoints: self.endpoints.values().cloned().collect(),
-            services: self.services.values().cloned().collect(),
-            relays: self.members.iter().flat_map(|(id, member)| member.relays(*id)).collect(),
+            nodes: nodes.map(|(node, _)| node.clone()).collect(),
+            endpoints: endpoints.map(|(_, end)| end.clone()).collect(),
+            services: services.map(|(_, end)| end.clone()).collect(),
+            rivals: self.rivals(),
         });
         self.epoch = Some(epoch).filter(|_| !is_behind);
         Ok(self.snapshot.clone())
+    }
+
+    /// Whether it is here, or of those that tell of it this is the best.
+    fn counts(&self, origin: &Origin, gid: Gid) -> bool {
+        let best = self.told.get(&origin.tag).and_then(BTreeSet::first);
+        best.is_none_or(|(_, best)| *best == gid)
+    }
+
+    /// What others tell of, if this one does so too.
+    fn rivals(&self) -> HashMap<u64, Rank> {
+        if !self.members.get(&self.own).is_some_and(|own| own.is_relay) {
+            return HashMap::new();
+        }
+        let of_others = |(tag, tellers): (&u64, &BTreeSet<(Rank, Gid)>)| {
+            let (rank, _) = tellers.iter().find(|(rank, _)| rank.teller != u128::from(self.own))?;
+            Some((*tag, *rank))
+        };
+        self.told.iter().filter_map(of_others).collect()
     }
 
     /// Reads what is new in the record of a participant.
@@ -266,7 +313,18 @@ impl Model {
     /// Lists what a participant says under a number, or takes it from the list.
     fn change(&mut self, id: u64, member: &Member, number: u64, is_listed: bool) {
         let gid = Gid::of(id, number);
-        match member.listed(self.own, id, number) {
+        let listed = member.listed(self.own, id, number);
+        if let Some((origin, Some(teller))) = listed.as_ref().map(Listed::origin)
+            && origin.tag != 0
+        {
+            let told = (origin.rank(teller.into()), gid);
+            let tellers = self.told.entry(origin.tag).or_default();
+            let _ = if is_listed { tellers.insert(told) } else { tellers.remove(&told) };
+            if tellers.is_empty() {
+                self.told.remove(&origin.tag);
+            }
+        }
+        match listed {
             None => {}
             Some(Listed::Node(node)) => {
                 let key = (Arc::new(node), gid);
@@ -287,16 +345,6 @@ impl Model {
                 }
             }
         }
-    }
-}
-
-impl Member {
-    /// Publishers that stand for those of others.
-    fn relays(&self, id: u64) -> impl Iterator<Item = Gid> + '_ {
-        let of_others = self.ports.iter().filter(|(_, port)| self.is_relay && !is_of_service(&port.topic));
-        let publishers =
-            of_others.filter(|(_, port)| EndpointKind::from(port.kind) == EndpointKind::Publisher);
-        publishers.map(move |(number, _)| Gid::of(id, *number))
     }
 }
 

@@ -3,8 +3,8 @@
 
 use super::domain::Domain;
 use super::log::{self, Kind, Log, hash_of};
-use super::record::{PortRecord, RemotePortRecord, RemoteServiceRecord, to_body};
-use super::{NodeName, RemoteGraph, ServiceEndpoint, TopicEndpoint};
+use super::record::{NodeRecord, PortRecord, RemotePortRecord, RemoteServiceRecord, to_body};
+use super::{NodeName, Origin, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint};
 use crate::error::TransportError;
 use crate::participant::file::OwnMemory;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -30,9 +30,12 @@ struct State {
 #[derive(Default)]
 struct Remote {
     marker: Option<u64>,
-    nodes: BTreeMap<NodeName, u64>,
+    nodes: RemoteNodes,
     entries: RemoteEntries,
 }
+
+/// The entries of nodes: two may have one name.
+type RemoteNodes = BTreeMap<RemoteNode, Vec<u64>>;
 
 type RemoteEntries = HashMap<(Kind, u64, Vec<u8>), Vec<u64>>;
 
@@ -123,7 +126,8 @@ impl OwnRecord {
             let mut state = self.state();
             let number = state.log.number();
             let hash = hash_of(&node.full_name());
-            let entry = log::Entry { kind: Kind::Node, number, hash, body: to_body(&node) };
+            let body = to_body(&NodeRecord { name: node.clone(), origin: None });
+            let entry = log::Entry { kind: Kind::Node, number, hash, body };
             state.log.add(&entry).map_err(self.failed())?;
             number
         };
@@ -177,7 +181,9 @@ impl State {
         let mut former = (std::mem::take(&mut self.remote.nodes), std::mem::take(&mut self.remote.entries));
         let said = self.say_remote(remote, topics, &mut former);
         // What is still in the record though it was to go: the next call takes it back.
-        self.remote.nodes.extend(former.0);
+        for (node, numbers) in former.0 {
+            self.remote.nodes.entry(node).or_default().extend(numbers);
+        }
         for (key, numbers) in former.1 {
             self.remote.entries.entry(key).or_default().extend(numbers);
         }
@@ -189,25 +195,31 @@ impl State {
         &mut self,
         remote: &RemoteGraph,
         topics: &mut BTreeSet<u64>,
-        (nodes, entries): &mut (BTreeMap<NodeName, u64>, RemoteEntries),
+        (nodes, entries): &mut (RemoteNodes, RemoteEntries),
     ) -> io::Result<bool> {
         let mut changed = false;
         let of_ports = remote.endpoints.iter().filter_map(|end| end.node.as_ref());
         let of_services = remote.services.iter().filter_map(|end| end.node.as_ref());
-        for node in remote.nodes.iter().chain(of_ports).chain(of_services) {
-            if self.remote.nodes.contains_key(node) {
-                continue;
-            }
-            let number = match nodes.remove(node) {
+        let listed: BTreeSet<&NodeName> = remote.nodes.iter().map(|node| &node.name).collect();
+        let unlisted: BTreeSet<&NodeName> = of_ports.chain(of_services).filter(|node| !listed.contains(node)).collect();
+        let unlisted = unlisted.into_iter().map(|name| RemoteNode { name: name.clone(), origin: Origin::default() });
+        // By name: the first of several has the ends.
+        let mut numbers = HashMap::new();
+        for node in remote.nodes.iter().cloned().chain(unlisted) {
+            let number = match nodes.get_mut(&node).and_then(Vec::pop) {
                 Some(number) => number,
                 None => {
                     changed = true;
-                    self.add(Kind::Node, hash_of(&node.full_name()), to_body(node))?
+                    let RemoteNode { name, origin } = node.clone();
+                    let hash = hash_of(&name.full_name());
+                    self.add(Kind::Node, hash, to_body(&NodeRecord { name, origin: Some(origin) }))?
                 }
             };
-            self.remote.nodes.insert(node.clone(), number);
+            numbers.entry(node.name.clone()).or_insert(number);
+            self.remote.nodes.entry(node).or_default().push(number);
         }
-        for (kind, hash, body) in self.wanted(remote) {
+        nodes.retain(|_, numbers| !numbers.is_empty());
+        for (kind, hash, body) in wanted(remote, &numbers) {
             let key = (kind, hash, body);
             let number = match entries.get_mut(&key).and_then(Vec::pop) {
                 Some(number) => number,
@@ -229,26 +241,29 @@ impl State {
                 numbers.pop();
             }
         }
-        while let Some(node) = nodes.first_entry() {
-            changed = true;
-            self.log.remove(*node.get())?;
-            node.remove();
+        for numbers in nodes.values_mut() {
+            while let Some(number) = numbers.last() {
+                changed = true;
+                self.log.remove(*number)?;
+                numbers.pop();
+            }
         }
         Ok(changed)
     }
+}
 
-    fn wanted(&self, remote: &RemoteGraph) -> Vec<(Kind, u64, Vec<u8>)> {
-        let node_of = |node: &Option<NodeName>| self.remote.nodes.get(node.as_ref()?).copied();
-        let port = |end: &TopicEndpoint| {
-            let record = RemotePortRecord::new(node_of(&end.node)?, end);
-            Some((Kind::RemotePort, hash_of(&end.topic), to_body(&record)))
-        };
-        let service = |end: &ServiceEndpoint| {
-            let record = RemoteServiceRecord::new(node_of(&end.node)?, end);
-            Some((Kind::RemoteService, hash_of(&end.name), to_body(&record)))
-        };
-        remote.endpoints.iter().filter_map(port).chain(remote.services.iter().filter_map(service)).collect()
-    }
+/// What is to be said of ends, with the hashes of their names; `nodes` are the entries of theirs.
+fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(Kind, u64, Vec<u8>)> {
+    let node_of = |node: &Option<NodeName>| nodes.get(node.as_ref()?).copied();
+    let port = |end: &TopicEndpoint| {
+        let record = RemotePortRecord::new(node_of(&end.node)?, end);
+        Some((Kind::RemotePort, hash_of(&end.topic), to_body(&record)))
+    };
+    let service = |end: &ServiceEndpoint| {
+        let record = RemoteServiceRecord::new(node_of(&end.node)?, end);
+        Some((Kind::RemoteService, hash_of(&end.name), to_body(&record)))
+    };
+    remote.endpoints.iter().filter_map(port).chain(remote.services.iter().filter_map(service)).collect()
 }
 
 /// A node that is there until this is dropped.

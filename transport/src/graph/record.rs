@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the entries of a record say, as JSON. Read from another participant's record: claims, each checked before it is used.
 
-use super::{EndpointKind, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint};
+use super::{EndpointKind, NodeName, Origin, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use crate::qos::{Durability, History, Limits, Liveliness, Qos, Reliability};
 use crate::topic::header::Gid;
 use crate::topic::topic_type::{TopicType, is_hash};
@@ -145,6 +145,8 @@ pub(crate) struct RemotePortRecord {
     hash: Option<String>,
     gid: Gid,
     qos: QosRecord,
+    #[serde(default)]
+    origin: Origin,
 }
 
 /// A service or client of another host.
@@ -157,6 +159,23 @@ pub(crate) struct RemoteServiceRecord {
     type_name: String,
     hash: Option<String>,
     gid: Gid,
+    #[serde(default)]
+    origin: Origin,
+}
+
+/// A node; of another host with where it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct NodeRecord {
+    #[serde(flatten)]
+    pub(crate) name: NodeName,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub(crate) origin: Option<Origin>,
+}
+
+/// What a tag is not told of is one of its own.
+fn known(origin: &Origin, gid: Gid) -> Origin {
+    let tag = if origin.tag == 0 { gid.tag() } else { origin.tag };
+    Origin { tag, ..origin.clone() }
 }
 
 impl RemotePortRecord {
@@ -169,19 +188,22 @@ impl RemotePortRecord {
             hash: end.topic_type.hash.as_ref().map(ToString::to_string),
             gid: end.gid,
             qos: QosRecord::from(&end.qos),
+            origin: known(&end.origin, end.gid),
         }
     }
 
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
         let record: RemotePortRecord = parse(body)?;
-        (is_absolute(&record.topic) && is_type(&record.type_name, record.hash.as_deref())).then_some(record)
+        let is_end = is_absolute(&record.topic) && is_type(&record.type_name, record.hash.as_deref());
+        (is_end && record.origin.is_valid()).then_some(record)
     }
 
     pub(crate) fn node(&self) -> u64 {
         self.node
     }
 
-    pub(crate) fn endpoint(&self, node: &NodeName) -> TopicEndpoint {
+    /// As `teller` tells of it.
+    pub(crate) fn endpoint(&self, node: &NodeName, teller: u64) -> TopicEndpoint {
         let mut topic_type = TopicType::new(self.type_name.clone());
         topic_type.hash = self.hash.clone().map(Into::into);
         TopicEndpoint {
@@ -194,6 +216,8 @@ impl RemotePortRecord {
             pid: None,
             is_remote: true,
             is_own: false,
+            origin: self.origin.clone(),
+            teller: Some(teller),
         }
     }
 }
@@ -207,19 +231,22 @@ impl RemoteServiceRecord {
             type_name: end.type_name.clone(),
             hash: end.type_hash.clone(),
             gid: end.gid,
+            origin: known(&end.origin, end.gid),
         }
     }
 
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
         let record: RemoteServiceRecord = parse(body)?;
-        (is_absolute(&record.name) && is_type(&record.type_name, record.hash.as_deref())).then_some(record)
+        let is_end = is_absolute(&record.name) && is_type(&record.type_name, record.hash.as_deref());
+        (is_end && record.origin.is_valid()).then_some(record)
     }
 
     pub(crate) fn node(&self) -> u64 {
         self.node
     }
 
-    pub(crate) fn endpoint(&self, node: &NodeName) -> ServiceEndpoint {
+    /// As `teller` tells of it.
+    pub(crate) fn endpoint(&self, node: &NodeName, teller: u64) -> ServiceEndpoint {
         ServiceEndpoint {
             kind: if self.is_server { ServiceKind::Server } else { ServiceKind::Client },
             name: self.name.clone(),
@@ -229,6 +256,8 @@ impl RemoteServiceRecord {
             node: Some(node.clone()),
             pid: None,
             is_remote: true,
+            origin: self.origin.clone(),
+            teller: Some(teller),
         }
     }
 }
@@ -251,10 +280,14 @@ impl From<PortKind> for EndpointKind {
     }
 }
 
-impl NodeName {
+impl NodeRecord {
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
-        parse::<NodeName>(body).filter(NodeName::is_valid)
+        let record: NodeRecord = parse(body)?;
+        (record.name.is_valid() && record.origin.as_ref().is_none_or(Origin::is_valid)).then_some(record)
     }
+}
+
+impl NodeName {
 
     pub(crate) fn is_valid(&self) -> bool {
         self.name.len() <= MAX_NAME_BYTES
@@ -269,7 +302,11 @@ pub(crate) fn is_absolute(name: &str) -> bool {
 }
 
 fn is_token(token: &str) -> bool {
-    !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+    !token.is_empty() && token.chars().all(is_token_char)
+}
+
+pub(crate) fn is_token_char(c: char) -> bool {
+    c.is_ascii_alphanumeric() || c == '_'
 }
 
 /// Whether a topic can have this name. More than ROS 2 allows, but nothing that a terminal would obey.
@@ -335,6 +372,10 @@ mod tests {
         NodeName { namespace: "/robot".into(), name: "n".into() }
     }
 
+    fn origin() -> Origin {
+        Origin { tag: 5, path: vec![u64::MAX, 2], ros: 1, place: "there".into() }
+    }
+
     #[test]
     fn round_trips() {
         let body = to_body(&port());
@@ -342,7 +383,10 @@ mod tests {
         assert_eq!(PortRecord::parse(&padded), Some(port()));
         assert_eq!(PortRecord::parse(&body).unwrap().qos.qos(), qos());
         assert_eq!(QosRecord::from(&Qos::default()).qos(), Qos::default());
-        assert_eq!(NodeName::parse(&to_body(&node())), Some(node()));
+        let record = NodeRecord { name: node(), origin: None };
+        assert_eq!(NodeRecord::parse(&to_body(&record)), Some(record));
+        let told = NodeRecord { name: node(), origin: Some(origin()) };
+        assert_eq!(NodeRecord::parse(&to_body(&told)), Some(told));
         let end = TopicEndpoint {
             kind: EndpointKind::Publisher,
             topic: "/x".into(),
@@ -353,10 +397,12 @@ mod tests {
             pid: None,
             is_remote: true,
             is_own: false,
+            origin: origin(),
+            teller: Some(4),
         };
         let record = RemotePortRecord::new(1, &end);
         let parsed = RemotePortRecord::parse(&to_body(&record)).unwrap();
-        assert_eq!((parsed.node(), parsed.endpoint(&node())), (1, end));
+        assert_eq!((parsed.node(), parsed.endpoint(&node(), 4)), (1, end));
         let service = ServiceEndpoint {
             kind: ServiceKind::Server,
             name: "/robot/add".into(),
@@ -366,10 +412,12 @@ mod tests {
             node: Some(node()),
             pid: None,
             is_remote: true,
+            origin: origin(),
+            teller: Some(4),
         };
         let record = RemoteServiceRecord::new(1, &service);
         let parsed = RemoteServiceRecord::parse(&to_body(&record)).unwrap();
-        assert_eq!(parsed.endpoint(&node()), service);
+        assert_eq!(parsed.endpoint(&node(), 4), service);
     }
 
     #[test]
@@ -398,7 +446,7 @@ mod tests {
         }
         for (namespace, name) in [("", "n"), ("/robot", "a b"), ("/robot/", "n"), ("robot", "n"), ("/", "")] {
             let node = NodeName { namespace: namespace.into(), name: name.into() };
-            assert_eq!(NodeName::parse(&to_body(&node)), None, "{node}");
+            assert_eq!(NodeRecord::parse(&to_body(&node)), None, "{node}");
         }
     }
 

@@ -25,7 +25,8 @@ impl Gid {
         Gid((u128::from(low) | u128::from(high) << 64).to_le_bytes())
     }
 
-    pub(crate) fn participant(self) -> u64 {
+    /// Of a port on this host: its participant's [`id`](crate::Participant::id).
+    pub fn participant(self) -> u64 {
         self.words()[0]
     }
 

@@ -18,6 +18,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
+use tautline_relay::Transit;
 use tautline_schema::{Packages, TypeHash, TypeName};
 use tautline_transport::{Gid, Limits, Participant, Qos, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
@@ -88,8 +89,8 @@ pub(crate) struct Control {
     /// Own gids by the local publisher's, with its topic.
     gids: HashMap<Gid, (TopicKey, Gid)>,
     tokens: HashMap<String, LivelinessToken>,
-    /// Each with the gid of its port.
-    incoming: BTreeMap<TopicKey, (Incoming, Gid)>,
+    /// Each with the publishers whose samples come into the domain another way.
+    incoming: BTreeMap<TopicKey, (Incoming, OwnGids)>,
     counters: BTreeMap<(TopicKey, Direction), Arc<Counters>>,
     active: BTreeSet<(TopicKey, Direction)>,
     /// Topics that could not be started, with what is to be done and why it failed.
@@ -101,8 +102,8 @@ pub(crate) struct Control {
     descriptions: Descriptions,
     /// Topics that come in and whose type is not known here.
     undescribed: BTreeSet<TopicKey>,
-    /// Servers and clients of services on this host.
-    local_services: Vec<(EndpointKind, TopicKey)>,
+    /// Servers and clients of services in the domain, but for those that this gateway tells it of.
+    local_services: Vec<(EndpointKind, TopicKey, Gid)>,
     services: Option<Services>,
     /// Whether what this host has could not be read when it changed.
     is_unlisted: bool,
@@ -124,7 +125,9 @@ impl Control {
     ) -> Self {
         let domain = options.network_domain.unwrap_or(options.domain);
         let filter: Filter = options.filter.clone();
-        let mirror = Mirror::new(domain, zid, Graph::new(domain, zid, options.limits), filter);
+        let transit = Transit::to_network(participant.domain_id(), participant.id(), zid);
+        let graph = Graph::new(domain, zid, options.limits, transit);
+        let mirror = Mirror::new(domain, zid, graph, filter, &tautline_rt::host::name());
         Control {
             options,
             participant,
@@ -180,6 +183,9 @@ impl Control {
                     self.list_locals();
                 }
                 self.try_again();
+                if let Some(services) = &self.services {
+                    services.look();
+                }
                 self.ask_for_types();
                 self.read_numbers(PERIOD);
             }
@@ -213,27 +219,30 @@ impl Control {
         let types = &mut self.types;
         let hash_of =
             |topic: &str, name: &TypeName| types.hash_of(name).or_else(|| adopted_hash(graph, topic, name));
-        let locals = locals::list(&here, hash_of);
+        let locals = locals::list(&here, self.participant.id(), hash_of);
         self.refused = locals.refused;
         let mut endpoints = locals.endpoints;
         let domain = self.network_domain();
+        // What the gateway itself answers for nodes of this host.
+        let nodes = locals.nodes.iter().filter(|node| node.origin.is_here()).map(|node| &node.name);
+        let ends = endpoints.iter().filter(|end| end.origin.is_here()).map(|end| &end.node);
+        let mut offered = self.descriptions.offered(nodes.chain(ends), &endpoints);
+        offered.retain(|end| self.options.filter.allows(&end.topic));
+        let services = offered.iter().map(|end| end.topic.clone()).collect();
+        self.descriptions.answer_at(&self.session, domain, services);
         let is_service = |kind| matches!(kind, EndpointKind::Service | EndpointKind::Client);
         self.local_services = (endpoints.iter())
             .filter(|end| is_service(end.kind) && self.options.filter.allows(&end.topic))
             .map(|end| {
                 let (topic, type_id) = (end.topic.clone(), end.type_id.clone());
-                (end.kind, TopicKey { domain, topic, type_id })
+                (end.kind, TopicKey { domain, topic, type_id }, end.gid)
             })
             .collect();
-        // What the gateway itself answers for local nodes.
-        let mut offered = self.descriptions.offered(&locals.nodes, &endpoints);
-        offered.retain(|end| self.options.filter.allows(&end.topic));
-        let services = offered.iter().map(|end| end.topic.clone()).collect();
-        self.descriptions.answer_at(&self.session, domain, services);
         endpoints.append(&mut offered);
+        let mut actions = self.mirror.set_rivals(&here.rivals);
+        actions.append(&mut self.mirror.set_locals(locals.nodes, endpoints));
         // Before they are announced: who hears of a service may ask at once.
         self.route_services();
-        let actions = self.mirror.set_locals(&locals.nodes, endpoints);
         self.act(actions);
     }
 
@@ -251,6 +260,12 @@ impl Control {
     }
 
     fn act(&mut self, actions: Vec<Action>) {
+        if actions.is_empty() {
+            return;
+        }
+        let mut passed_over = self.outgoing.passed_over().lock().unwrap_or_else(PoisonError::into_inner);
+        *passed_over = self.mirror.passed_over().collect();
+        drop(passed_over);
         for action in actions {
             self.act_once(action);
         }
@@ -299,6 +314,11 @@ impl Control {
             Action::StopIn(key) => {
                 self.failed.remove(&(key.clone(), Direction::In));
                 self.stop_in(&key);
+            }
+            Action::PassOver(key, gids) => {
+                if let Some((_, passed_over)) = self.incoming.get(&key) {
+                    *passed_over.write().unwrap_or_else(PoisonError::into_inner) = gids.into_iter().collect();
+                }
             }
             Action::Resync => self.resync(),
         }
@@ -350,8 +370,6 @@ impl Control {
             .participant
             .create_relay_publisher(&key.topic, &topic_type, offered, limits)
             .map_err(|error| error.to_string())?;
-        let gid = publisher.gid();
-        self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).insert(gid);
         let counters = self.counters(key, Direction::In);
         let schema = self.types.schema(&key.type_id);
         if schema.is_none() {
@@ -360,15 +378,11 @@ impl Control {
         }
         let lifespans = self.mirror.graph().lifespans().clone();
         let max_bytes = self.options.max_message_bytes;
-        let checks = Checks { own: self.own.clone(), lifespans, max_bytes, schema };
+        let (own, passed_over) = (self.own.clone(), OwnGids::default());
+        let checks = Checks { own, passed_over: passed_over.clone(), lifespans, max_bytes, schema };
         let inlet = Inlet::new(publisher, counters, checks);
-        match Incoming::start(&self.session, key, qos, inlet) {
-            Ok(incoming) => drop(self.incoming.insert(key.clone(), (incoming, gid))),
-            Err(error) => {
-                self.close_port(gid);
-                return Err(error.to_string());
-            }
-        }
+        let incoming = Incoming::start(&self.session, key, qos, inlet).map_err(|error| error.to_string())?;
+        self.incoming.insert(key.clone(), (incoming, passed_over));
         self.active.insert((key.clone(), Direction::In));
         Ok(())
     }
@@ -378,14 +392,7 @@ impl Control {
         if self.undescribed.remove(key) {
             self.descriptions.forget(&key.type_id);
         }
-        if let Some((incoming, port)) = self.incoming.remove(key) {
-            drop(incoming);
-            self.close_port(port);
-        }
-    }
-
-    fn close_port(&self, gid: Gid) {
-        self.outgoing.ports().lock().unwrap_or_else(PoisonError::into_inner).remove(&gid);
+        self.incoming.remove(key);
     }
 
     fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
@@ -504,7 +511,8 @@ impl Control {
     fn settle(&mut self) {
         (self.is_unseen, self.shown) = (false, Instant::now());
         let remote: Vec<Token> = self.mirror.graph().tokens().cloned().collect();
-        if let Err(error) = self.participant.set_remote(&remote_graph(&remote)) {
+        let graph = self.mirror.graph();
+        if let Err(error) = self.participant.set_remote(&remote_graph(&remote, |token| graph.told(token))) {
             tracing::warn!("nodes and tools of this host do not see what others have: {error}");
         }
         *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
@@ -516,12 +524,15 @@ impl Control {
     }
 
     fn route_services(&mut self) {
+        let graph = self.mirror.graph();
         let server = |token: &Token| {
             let end = token.endpoint.as_ref().filter(|end| end.kind == EndpointKind::Service)?;
+            graph.told(token)?;
             Some(TopicKey { domain: token.domain, topic: end.name.clone(), type_id: end.type_id.clone() })
         };
-        let elsewhere = self.mirror.graph().tokens().filter_map(server).collect();
-        let here = self.local_services.iter().map(|(kind, key)| (*kind, key));
+        let elsewhere = graph.tokens().filter_map(server).collect();
+        let mirror = &self.mirror;
+        let here = self.local_services.iter().map(|(kind, key, gid)| (*kind, key, mirror.is_announced(gid)));
         if let Some(services) = &mut self.services {
             services.set_routes(Routes::of(here, &elsewhere));
         }

@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_schema::{DynamicMessage, Packages, Schema, SchemaError, TypeDescription, TypeName};
-use tautline_transport::{Gid, MAX_SCHEMA_BYTES, SchemaStore};
+use tautline_transport::{Gid, MAX_SCHEMA_BYTES, Origin, SchemaStore};
 use zenoh::bytes::ZBytes;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
 use zenoh::sample::Locality;
@@ -222,8 +222,12 @@ impl Descriptions {
     }
 
     /// The service of each node here that has none of its own, to be announced.
-    pub(crate) fn offered(&self, nodes: &[NodeName], endpoints: &[LocalEndpoint]) -> Vec<LocalEndpoint> {
-        let nodes: BTreeSet<&NodeName> = nodes.iter().chain(endpoints.iter().map(|end| &end.node)).collect();
+    pub(crate) fn offered<'n>(
+        &self,
+        nodes: impl Iterator<Item = &'n NodeName>,
+        endpoints: &[LocalEndpoint],
+    ) -> Vec<LocalEndpoint> {
+        let nodes: BTreeSet<&NodeName> = nodes.collect();
         let is_own =
             |name: &str| endpoints.iter().any(|end| end.kind == EndpointKind::Service && end.topic == name);
         let offer = |node: &NodeName| {
@@ -233,7 +237,8 @@ impl Descriptions {
             // A number that no other has: the hash of what is said of it.
             let said = Endpoint { id: 0, kind, name: topic.clone(), type_id: type_id.clone(), qos };
             let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint: Some(said) };
-            LocalEndpoint { gid: endpoint_gid(&said), kind, topic, type_id, qos, node }
+            let gid = endpoint_gid(&said);
+            LocalEndpoint { gid, kind, topic, type_id, qos, node, origin: Origin::here(gid, "") }
         };
         nodes.into_iter().map(offer).filter(|end| !is_own(&end.topic)).collect()
     }
@@ -437,10 +442,10 @@ mod tests {
         let nodes = [NodeName::new("/", "a"), NodeName::new("/robot", "b")];
         let names =
             |offered: &[LocalEndpoint]| offered.iter().map(|end| end.topic.clone()).collect::<Vec<_>>();
-        let offered = descriptions.offered(&nodes, &[]);
+        let offered = descriptions.offered(nodes.iter(), &[]);
         assert_eq!(names(&offered), ["/a/get_type_description", "/robot/b/get_type_description"]);
         assert_ne!(offered[0].gid, offered[1].gid);
         let own = LocalEndpoint { gid: Gid([1; 16]), ..offered[0].clone() };
-        assert_eq!(names(&descriptions.offered(&nodes, &[own])), ["/robot/b/get_type_description"]);
+        assert_eq!(names(&descriptions.offered(nodes.iter(), &[own])), ["/robot/b/get_type_description"]);
     }
 }

@@ -3,11 +3,13 @@
 //! a hostile peer declares.
 
 use crate::lifespans::Lifespans;
+use crate::origin::origin;
 use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
+use tautline_relay::Transit;
 use tautline_rt::clock::nanoseconds;
-use tautline_transport::Gid;
+use tautline_transport::{Gid, Origin, Rank};
 
 /// Limits of what is kept of other hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,6 +57,8 @@ pub struct RemoteEndpoint {
     pub node: NodeName,
     /// What it is.
     pub endpoint: Endpoint,
+    /// Where it was first.
+    pub origin: Origin,
 }
 
 /// The endpoints of one topic on other hosts.
@@ -74,14 +78,17 @@ pub struct Graph {
     per_session: HashMap<u128, usize>,
     topics: BTreeMap<TopicKey, Topic>,
     lifespans: Arc<Lifespans>,
+    transit: Transit,
+    /// Tags of what came or went since they were taken last.
+    touched: Vec<u64>,
     refused: Refused,
     /// Whether a token was refused for lack of room since the last look.
     is_incomplete: bool,
 }
 
 impl Graph {
-    /// An empty graph of `domain`, seen from the session `own_zid`.
-    pub fn new(domain: u32, own_zid: u128, limits: GraphLimits) -> Self {
+    /// An empty graph of `domain`, seen from the session `own_zid`; `transit` is of the same session.
+    pub fn new(domain: u32, own_zid: u128, limits: GraphLimits, transit: Transit) -> Self {
         Graph {
             domain,
             own_zid,
@@ -90,6 +97,8 @@ impl Graph {
             per_session: HashMap::new(),
             topics: BTreeMap::new(),
             lifespans: Arc::default(),
+            transit,
+            touched: Vec::new(),
             refused: Refused::default(),
             is_incomplete: false,
         }
@@ -123,6 +132,9 @@ impl Graph {
             }
             None => Change::None,
         };
+        let origin = origin(&token);
+        self.transit.insert(&origin, token.zid);
+        self.touched.push(origin.tag);
         self.tokens.insert(key.into(), token);
         change
     }
@@ -136,6 +148,9 @@ impl Graph {
                 self.per_session.remove(&token.zid);
             }
         }
+        let origin = origin(&token);
+        self.transit.remove(&origin, token.zid);
+        self.touched.push(origin.tag);
         let Some((key, gone)) = remote_endpoint(&token) else { return Change::None };
         self.note_lifespan(&gone, false);
         if let Some(topic) = self.topics.get_mut(&key) {
@@ -178,9 +193,35 @@ impl Graph {
         self.topics.get(key).map_or(&[], |topic| &topic.publishers)
     }
 
-    /// Subscriptions of a topic on other hosts.
-    pub fn subscriptions(&self, key: &TopicKey) -> &[RemoteEndpoint] {
-        self.topics.get(key).map_or(&[], |topic| &topic.subscriptions)
+    /// Whether what a publisher sends comes into the domain through this gateway.
+    pub fn is_carried(&self, publisher: &RemoteEndpoint) -> bool {
+        self.transit.carries(&publisher.origin, publisher.zid)
+    }
+
+    /// Subscriptions of a topic on other hosts, that are not the domain's own seen through others.
+    pub fn subscriptions(&self, key: &TopicKey) -> impl Iterator<Item = &RemoteEndpoint> {
+        let all = self.topics.get(key).into_iter().flat_map(|topic| &topic.subscriptions);
+        all.filter(|end| self.transit.told(&end.origin, end.zid).is_some())
+    }
+
+    /// How the domain is told of what a token stands for; `None`: not at all.
+    pub(crate) fn told(&self, token: &Token) -> Option<Origin> {
+        self.transit.told(&origin(token), token.zid)
+    }
+
+    /// How the network is told of what the domain has; `None`: not at all.
+    pub(crate) fn announced(&self, origin: &Origin) -> Option<Origin> {
+        self.transit.announced(origin)
+    }
+
+    /// What others tell of in the domain. Whether that is otherwise than before.
+    pub(crate) fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> bool {
+        self.transit.set_rivals(rivals)
+    }
+
+    /// The tags of what came or went since the last call.
+    pub(crate) fn take_touched(&mut self) -> Vec<u64> {
+        std::mem::take(&mut self.touched)
     }
 
     /// All topics with an endpoint on another host.
@@ -228,7 +269,13 @@ fn remote_endpoint(token: &Token) -> Option<(TopicKey, RemoteEndpoint)> {
         TopicKey { domain: token.domain, topic: endpoint.name.clone(), type_id: endpoint.type_id.clone() };
     Some((
         key,
-        RemoteEndpoint { zid: token.zid, gid: endpoint_gid(token), node: token.node.clone(), endpoint },
+        RemoteEndpoint {
+            zid: token.zid,
+            gid: endpoint_gid(token),
+            node: token.node.clone(),
+            endpoint,
+            origin: origin(token),
+        },
     ))
 }
 
@@ -237,6 +284,10 @@ mod tests {
     use super::*;
 
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+
+    fn graph(limits: GraphLimits) -> Graph {
+        Graph::new(5, 0xAA, limits, Transit::to_network(1, 2, 0xAA))
+    }
 
     fn token(zid: u128, id: u64, kind: &str, topic: &str) -> String {
         format!(
@@ -250,7 +301,7 @@ mod tests {
 
     #[test]
     fn endpoints_come_and_go() {
-        let mut graph = Graph::new(5, 0xAA, GraphLimits::default());
+        let mut graph = graph(GraphLimits::default());
         assert_eq!(graph.insert("@ros2_lv/5/1/0/0/NN/%/%/n"), Change::None);
         assert_eq!(graph.insert(&token(1, 1, "MP", "x")), Change::Topic(key("x")));
         assert_eq!(graph.insert(&token(1, 1, "MP", "x")), Change::None, "known");
@@ -262,7 +313,7 @@ mod tests {
             Change::None,
             "another domain"
         );
-        assert_eq!((graph.publishers(&key("x")).len(), graph.subscriptions(&key("x")).len()), (1, 1));
+        assert_eq!((graph.publishers(&key("x")).len(), graph.subscriptions(&key("x")).count()), (1, 1));
         assert_eq!((graph.topics().count(), graph.tokens().count()), (1, 4));
 
         assert_eq!(graph.remove(&token(9, 9, "MP", "x")), Change::None, "never seen");
@@ -273,7 +324,7 @@ mod tests {
 
     #[test]
     fn spellings_of_one_endpoint_go_one_by_one() {
-        let mut graph = Graph::new(5, 0xAA, GraphLimits::default());
+        let mut graph = graph(GraphLimits::default());
         let (short, long) = (token(1, 1, "MP", "x"), token(1, 1, "MP", "x").replace("/::,10", "/1:2:1,10"));
         graph.insert(&short);
         graph.insert(&long);
@@ -286,7 +337,7 @@ mod tests {
     #[test]
     fn memory_is_bounded_and_refusals_are_counted() {
         let limits = GraphLimits { tokens: 100, tokens_per_session: 60 };
-        let mut graph = Graph::new(5, 0xAA, limits);
+        let mut graph = graph(limits);
         for n in 0..10_000 {
             graph.insert(&token(1, n, "MP", &format!("t{n}")));
         }

@@ -28,7 +28,7 @@ const TRAILING_BYTES: usize = 8;
 /// How long a publisher is waited for that was asked for what it keeps.
 const HISTORY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Gids of this host's publishers, as the network knows them: what carries one of these comes from here.
+/// Gids of publishers as the network knows them: of this host's, what carries one of these comes from here.
 pub(crate) type OwnGids = Arc<RwLock<HashSet<Gid>>>;
 
 /// Why a sample from the network was dropped.
@@ -40,6 +40,9 @@ pub(crate) enum Dropped {
     Deletion,
     #[error("published by this host")]
     Own,
+    /// Not counted: it comes into the domain another way.
+    #[error("carried by somebody else")]
+    Elsewhere,
     #[error("negative sequence number")]
     Sequence,
     #[error("time stamp before 1970 or far in the future")]
@@ -88,6 +91,8 @@ impl Incoming {
 /// What a sample has to pass.
 pub(crate) struct Checks {
     pub(crate) own: OwnGids,
+    /// Publishers of the topic whose samples come into the domain another way.
+    pub(crate) passed_over: OwnGids,
     pub(crate) lifespans: Arc<Lifespans>,
     pub(crate) max_bytes: usize,
     /// Of a type that this host has a definition of.
@@ -114,8 +119,9 @@ impl Inlet {
         if sample.kind() != SampleKind::Put {
             return self.counters.dropped(Dropped::Deletion);
         }
-        if let Err(reason) = self.take(sample.payload(), sample.attachment()) {
-            self.counters.dropped(reason);
+        match self.take(sample.payload(), sample.attachment()) {
+            Ok(()) | Err(Dropped::Elsewhere) => {}
+            Err(reason) => self.counters.dropped(reason),
         }
     }
 
@@ -123,6 +129,9 @@ impl Inlet {
         let attachment = parse_attachment(attachment)?;
         if self.checks.own.read().unwrap_or_else(PoisonError::into_inner).contains(&attachment.gid) {
             return Err(Dropped::Own);
+        }
+        if self.checks.passed_over.read().unwrap_or_else(PoisonError::into_inner).contains(&attachment.gid) {
+            return Err(Dropped::Elsewhere);
         }
         let sequence_number = u64::try_from(attachment.sequence_number).map_err(|_| Dropped::Sequence)?;
         let source_timestamp_ns = attachment.source_timestamp_ns;
@@ -244,7 +253,8 @@ mod tests {
         let port = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
         let schema = Some(Arc::new(schema));
         let lifespans = Arc::<Lifespans>::default();
-        let checks = Checks { own: OwnGids::default(), lifespans: lifespans.clone(), max_bytes: 100, schema };
+        let (own, passed_over) = Default::default();
+        let checks = Checks { own, passed_over, lifespans: lifespans.clone(), max_bytes: 100, schema };
         let inlet = Inlet::new(port, Arc::new(Counters::new()), checks);
         let attachment = Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
         let attachment = ZBytes::from(attachment.encode());

@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What exists on this host, in the network's terms.
+//! What exists in the domain, in the network's terms: on this host, and what bridges and other gateways tell of here.
 
-use crate::mirror::LocalEndpoint;
+use crate::mirror::{LocalEndpoint, LocalNode};
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{Gid, GraphSnapshot, Liveliness, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint};
+use tautline_transport::{
+    Gid, GraphSnapshot, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint,
+};
 
 /// The nodes; the endpoints that can be mirrored, and the topics and services that cannot, with the reason.
 #[derive(Default)]
 pub(crate) struct Locals {
-    pub(crate) nodes: Vec<NodeName>,
+    pub(crate) nodes: Vec<LocalNode>,
     pub(crate) endpoints: Vec<LocalEndpoint>,
     pub(crate) refused: BTreeMap<String, String>,
 }
@@ -25,6 +27,7 @@ struct End<'a> {
     qos: WireQos,
     node: Option<&'a tautline_transport::NodeName>,
     pid: Option<u32>,
+    origin: &'a Origin,
 }
 
 impl<'a> End<'a> {
@@ -41,6 +44,7 @@ impl<'a> End<'a> {
             qos: wire_qos(&end.qos),
             node: end.node.as_ref(),
             pid: end.pid,
+            origin: &end.origin,
         }
     }
 
@@ -58,19 +62,25 @@ impl<'a> End<'a> {
             qos: wire_qos(&Qos::keep_last(10)),
             node: end.node.as_ref(),
             pid: end.pid,
+            origin: &end.origin,
         }
     }
 }
 
-/// Lists them. `hash_of` finds the hash of a type that no end of its topic here states, from its topic's and type's name.
+/// Lists them, but for what `own`, the gateway's participant, tells of itself. `hash_of` finds the hash of a type that no end of its topic here states, from its topic's and type's name.
 pub(crate) fn list(
     graph: &GraphSnapshot,
+    own: u64,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Locals {
     let mut locals = Locals::default();
-    locals.nodes.extend(graph.nodes.iter().filter(|node| !node.is_remote).map(|node| wire_node(&node.name)));
-    let topics = graph.endpoints.iter().filter(|end| !end.is_remote).map(|end| End::of_topic(end));
-    let services = graph.services.iter().filter(|end| !end.is_remote).map(|end| End::of_service(end));
+    let nodes = graph.nodes.iter().filter(|node| node.teller != Some(own));
+    locals.nodes.extend(
+        nodes.map(|node| LocalNode { name: wire_node(&node.name), origin: node.origin.clone() }),
+    );
+    let topics = graph.endpoints.iter().filter(|end| end.teller != Some(own)).map(|end| End::of_topic(end));
+    let services =
+        graph.services.iter().filter(|end| end.teller != Some(own)).map(|end| End::of_service(end));
     let ends: Vec<End> = topics.chain(services).collect();
     let mut stated = HashMap::new();
     for end in &ends {
@@ -95,6 +105,7 @@ pub(crate) fn list(
                     Some(node) => wire_node(node),
                     None => processes.entry(end.pid).or_insert_with(|| node_of(end.pid)).clone(),
                 },
+                origin: end.origin.clone(),
             }),
         }
     }
@@ -187,7 +198,7 @@ mod tests {
         let _ports = ends.map(|(topic, topic_type)| {
             participant.create_raw_publisher(topic, &topic_type, Qos::default(), Limits::default()).unwrap()
         });
-        let locals = list(&participant.graph().unwrap(), |_, _| None);
+        let locals = list(&participant.graph().unwrap(), 0, |_, _| None);
         let mut listed: Vec<_> =
             locals.endpoints.iter().map(|end| (&*end.topic, end.type_id.hash.to_string())).collect();
         listed.sort();

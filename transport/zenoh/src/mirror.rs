@@ -8,16 +8,27 @@
 //!   publisher samples are also taken, and kept for late joiners, while nobody elsewhere listens; they cost no packet.
 //! - *in* (network to shared memory) while a subscription is here and a publisher elsewhere.
 //!
-//! Nothing goes in circles: the gateway's own ports are no local endpoints (whoever calls [`Mirror::set_locals`] leaves
-//! them out), the session's own tokens are no remote ones.
+//! What a bridge or another gateway tells of here is announced as this host's own is: with where it was first. By that nothing goes
+//! in circles, or twice: see [`Transit`](tautline_relay::Transit). The gateway's own ports are no local endpoints (whoever calls
+//! [`Mirror::set_locals`] leaves them out), the session's own tokens are no remote ones.
 
 use crate::filter::Filter;
-use crate::graph::{Change, Graph};
+use crate::graph::{Change, Graph, RemoteEndpoint};
+use crate::origin::named;
 use crate::wire::{Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos, endpoint_gid};
-use std::collections::{BTreeMap, BTreeSet};
-use tautline_transport::{Durability, Gid, History, Reliability};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use tautline_transport::{Durability, Gid, History, Origin, Rank, Reliability};
 
-/// A publisher, subscription, service or client on this host.
+/// A node on this host, or one that others tell of here.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct LocalNode {
+    /// Its names.
+    pub name: NodeName,
+    /// Where it was first.
+    pub origin: Origin,
+}
+
+/// A publisher, subscription, service or client on this host, or one that others tell of here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LocalEndpoint {
     /// Identifies it on this host; of a publisher, the gid in its samples.
@@ -32,6 +43,8 @@ pub struct LocalEndpoint {
     pub qos: WireQos,
     /// The node it belongs to.
     pub node: NodeName,
+    /// Where it was first.
+    pub origin: Origin,
 }
 
 /// A publisher whose samples go out.
@@ -114,6 +127,8 @@ pub enum Action {
     StartIn(TopicKey, InQos),
     /// Stop.
     StopIn(TopicKey),
+    /// These publishers' samples do not come in here: of a topic that is being taken, all of them.
+    PassOver(TopicKey, BTreeSet<Gid>),
     /// Ask for all tokens again: some were refused and there is room now.
     Resync,
 }
@@ -125,15 +140,27 @@ pub struct Mirror {
     zid: u128,
     domain: u32,
     next_id: u64,
+    /// What this host is called where people read it.
+    place: String,
     nodes: BTreeMap<NodeName, Token>,
     locals: BTreeMap<Gid, Local>,
+    /// As it was said last: announced or not may change with what others announce.
+    said: (Vec<LocalNode>, Vec<LocalEndpoint>),
+    /// Of what others tell of here.
+    tags: HashSet<u64>,
     out: BTreeMap<TopicKey, (OutQos, BTreeSet<Gid>)>,
-    inward: BTreeMap<TopicKey, InQos>,
+    inward: BTreeMap<TopicKey, (InQos, BTreeSet<Gid>)>,
 }
 
 struct Local {
     endpoint: LocalEndpoint,
     key: TopicKey,
+    announced: Option<Announced>,
+}
+
+/// How the network is told of an end.
+struct Announced {
+    origin: Origin,
     token: Token,
     wire_gid: Gid,
 }
@@ -145,14 +172,17 @@ impl Local {
 }
 
 impl Mirror {
-    /// Nothing exists yet. `graph` is of the same domain and session.
-    pub fn new(domain: u32, zid: u128, graph: Graph, filter: Filter) -> Self {
+    /// Nothing exists yet. `graph` is of the same domain and session; `place` is what this host is called where people read it.
+    pub fn new(domain: u32, zid: u128, graph: Graph, filter: Filter, place: &str) -> Self {
         Mirror {
             graph,
             filter,
             zid,
             domain,
             next_id: 0,
+            place: Origin::here(Gid::default(), place).place,
+            said: Default::default(),
+            tags: HashSet::new(),
             nodes: BTreeMap::new(),
             locals: BTreeMap::new(),
             out: BTreeMap::new(),
@@ -208,33 +238,67 @@ impl Mirror {
         if let Change::Topic(key) = change {
             self.reconcile(&key, &mut actions);
         }
+        // Of what the domain has from elsewhere, others announce it too, or do so no longer.
+        let touched = self.graph.take_touched();
+        if touched.iter().any(|tag| self.tags.contains(tag)) {
+            let (nodes, endpoints) = std::mem::take(&mut self.said);
+            actions.append(&mut self.set_locals(nodes, endpoints));
+        }
         actions
     }
 
-    /// What nodes and endpoints exist on this host now, without the gateway's own.
-    pub fn set_locals(&mut self, nodes: &[NodeName], endpoints: Vec<LocalEndpoint>) -> Vec<Action> {
+    /// What others tell of here. To be followed by [`set_locals`](Self::set_locals).
+    pub fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> Vec<Action> {
+        let mut actions = Vec::new();
+        if !self.graph.set_rivals(rivals) {
+            return actions;
+        }
+        let keys: Vec<TopicKey> = self.graph.topics().cloned().collect();
+        for key in keys {
+            self.reconcile_in(&key, &mut actions);
+        }
+        actions
+    }
+
+    /// What nodes and endpoints the domain has now, but for those that this gateway tells it of.
+    pub fn set_locals(&mut self, nodes: Vec<LocalNode>, endpoints: Vec<LocalEndpoint>) -> Vec<Action> {
         let mut actions = Vec::new();
         let mut touched = BTreeSet::new();
-        let mut now: BTreeMap<Gid, LocalEndpoint> = endpoints.into_iter().map(|e| (e.gid, e)).collect();
-        now.retain(|_, endpoint| self.filter.allows(&endpoint.topic));
-        let used: BTreeSet<&NodeName> = nodes.iter().chain(now.values().map(|e| &e.node)).collect();
-
-        for node in &used {
-            if !self.nodes.contains_key(*node) {
-                let token = self.node_token(node);
-                actions.push(Action::Declare(token.clone()));
-                self.nodes.insert((*node).clone(), token);
+        let now: BTreeMap<Gid, (&LocalEndpoint, Option<Origin>)> = (endpoints.iter())
+            .filter(|end| self.filter.allows(&end.topic))
+            .map(|end| (end.gid, (end, self.announced(&end.origin))))
+            .collect();
+        let mut used: BTreeSet<NodeName> = (nodes.iter())
+            .filter_map(|node| Some(named(&node.name, &self.announced(&node.origin)?)))
+            .collect();
+        let mut known: BTreeSet<String> = used.iter().map(NodeName::full_name).collect();
+        for (end, announced) in now.values() {
+            if let Some(origin) = announced
+                && known.insert(end.node.full_name())
+            {
+                used.insert(named(&end.node, &Origin { tag: 0, ..origin.clone() }));
             }
         }
-        let gone: Vec<Gid> = (self.locals.iter())
-            .filter(|(gid, local)| now.get(*gid) != Some(&local.endpoint))
-            .map(|(gid, _)| *gid)
-            .collect();
+
+        for node in &used {
+            if !self.nodes.contains_key(node) {
+                let token = self.node_token(node);
+                actions.push(Action::Declare(token.clone()));
+                self.nodes.insert(node.clone(), token);
+            }
+        }
+        let is_same = |gid: &Gid, local: &Local| {
+            now.get(gid).is_some_and(|(end, origin)| {
+                **end == local.endpoint && *origin == local.announced.as_ref().map(|said| said.origin.clone())
+            })
+        };
+        let gone: Vec<Gid> =
+            self.locals.iter().filter(|(gid, local)| !is_same(gid, local)).map(|(gid, _)| *gid).collect();
         // Ends before beginnings: an endpoint that changed is one that ended and one that began.
         let mut withdrawn = Vec::new();
         for gid in gone {
             if let Some(local) = self.locals.remove(&gid) {
-                withdrawn.push(Action::Undeclare(local.token));
+                withdrawn.extend(local.announced.map(|announced| Action::Undeclare(announced.token)));
                 touched.insert(local.key);
             }
         }
@@ -242,12 +306,14 @@ impl Mirror {
             self.reconcile(key, &mut actions);
         }
         actions.append(&mut withdrawn);
-        for (gid, endpoint) in &now {
-            if !self.locals.contains_key(gid) {
-                let local = self.local(endpoint.clone());
-                actions.push(Action::Declare(local.token.clone()));
+        let node_ids: HashMap<String, u64> =
+            self.nodes.iter().map(|(name, token)| (name.full_name(), token.node_id)).collect();
+        for (gid, (endpoint, origin)) in now {
+            if !self.locals.contains_key(&gid) {
+                let local = self.local(endpoint.clone(), origin, &node_ids);
+                actions.extend(local.announced.iter().map(|said| Action::Declare(said.token.clone())));
                 touched.insert(local.key.clone());
-                self.locals.insert(*gid, local);
+                self.locals.insert(gid, local);
             }
         }
         for key in &touched {
@@ -255,12 +321,36 @@ impl Mirror {
         }
         let unused: Vec<NodeName> = self.nodes.keys().filter(|node| !used.contains(node)).cloned().collect();
         actions.extend(unused.into_iter().filter_map(|node| self.nodes.remove(&node).map(Action::Undeclare)));
+        let origins = nodes.iter().map(|node| &node.origin).chain(endpoints.iter().map(|end| &end.origin));
+        // What is here first comes back by no other way than through here, which is known by its path.
+        self.tags = origins.filter(|origin| !origin.is_here()).map(|origin| origin.tag).collect();
+        self.said = (nodes, endpoints);
         actions
+    }
+
+    /// Publishers of the domain that others announce better: their samples are left to those.
+    pub fn passed_over(&self) -> impl Iterator<Item = Gid> + '_ {
+        let publishers = self.locals.values().filter(|local| local.endpoint.kind == EndpointKind::Publisher);
+        publishers.filter(|local| local.announced.is_none()).map(|local| local.endpoint.gid)
+    }
+
+    /// Whether the network is told of this end of the domain.
+    pub fn is_announced(&self, gid: &Gid) -> bool {
+        self.locals.get(gid).is_some_and(|local| local.announced.is_some())
+    }
+
+    /// With the name of this host, if it is from here.
+    fn announced(&self, origin: &Origin) -> Option<Origin> {
+        let mut origin = self.graph.announced(origin)?;
+        if origin.place.is_empty() {
+            origin.place.clone_from(&self.place);
+        }
+        Some(origin)
     }
 
     /// Stops everything and withdraws every token.
     pub fn close(&mut self) -> Vec<Action> {
-        self.set_locals(&[], Vec::new())
+        self.set_locals(Vec::new(), Vec::new())
     }
 
     fn id(&mut self) -> u64 {
@@ -272,13 +362,22 @@ impl Mirror {
         Token { domain: self.domain, zid: self.zid, node_id: self.id(), node: node.clone(), endpoint: None }
     }
 
-    fn local(&mut self, endpoint: LocalEndpoint) -> Local {
+    fn local(
+        &mut self,
+        endpoint: LocalEndpoint,
+        origin: Option<Origin>,
+        node_ids: &HashMap<String, u64>,
+    ) -> Local {
         let LocalEndpoint { kind, topic, type_id, qos, node, .. } = endpoint.clone();
-        let node_id = self.nodes.get(&node).map_or(0, |token| token.node_id);
         let key = TopicKey { domain: self.domain, topic: topic.clone(), type_id: type_id.clone() };
-        let described = Endpoint { id: self.id(), kind, name: topic, type_id, qos };
-        let token = Token { domain: self.domain, zid: self.zid, node_id, node, endpoint: Some(described) };
-        Local { endpoint, key, wire_gid: endpoint_gid(&token), token }
+        let announced = origin.map(|origin| {
+            let node_id = node_ids.get(&node.full_name()).copied().unwrap_or_default();
+            let described = Endpoint { id: self.id(), kind, name: topic, type_id, qos };
+            let (node, endpoint) = (named(&node, &origin), Some(described));
+            let token = Token { domain: self.domain, zid: self.zid, node_id, node, endpoint };
+            Announced { origin, wire_gid: endpoint_gid(&token), token }
+        });
+        Local { endpoint, key, announced }
     }
 
     fn local_ends<'a>(&'a self, key: &'a TopicKey, kind: EndpointKind) -> impl Iterator<Item = &'a Local> {
@@ -293,14 +392,15 @@ impl Mirror {
 
     fn reconcile_out(&mut self, key: &TopicKey, actions: &mut Vec<Action>) {
         let writers: BTreeMap<Gid, Writer> = (self.local_ends(key, EndpointKind::Publisher))
-            .map(|local| {
+            .filter_map(|local| {
                 let (local_gid, qos) = (local.endpoint.gid, local.endpoint.qos);
-                (local_gid, Writer { local_gid, wire_gid: local.wire_gid, qos })
+                let wire_gid = local.announced.as_ref()?.wire_gid;
+                Some((local_gid, Writer { local_gid, wire_gid, qos }))
             })
             .collect();
-        let readers = self.graph.subscriptions(key);
+        let is_read = self.graph.subscriptions(key).next().is_some();
         let is_kept = writers.values().any(|writer| writer.qos.durability == Durability::TransientLocal);
-        let wanted = (!writers.is_empty() && (is_kept || !readers.is_empty())).then(|| OutQos {
+        let wanted = (!writers.is_empty() && (is_kept || is_read)).then(|| OutQos {
             depth: writers.values().map(|writer| writer.qos.depth).max().unwrap_or(1),
             durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
         });
@@ -332,7 +432,9 @@ impl Mirror {
     }
 
     fn reconcile_in(&mut self, key: &TopicKey, actions: &mut Vec<Action>) {
-        let publishers = self.graph.publishers(key);
+        let (publishers, passed_over): (Vec<&RemoteEndpoint>, Vec<&RemoteEndpoint>) =
+            self.graph.publishers(key).iter().partition(|publisher| self.graph.is_carried(publisher));
+        let passed_over: BTreeSet<Gid> = passed_over.into_iter().map(|publisher| publisher.gid).collect();
         let has_readers = self.local_ends(key, EndpointKind::Subscription).next().is_some();
         let is_kept = |qos: &&WireQos| qos.durability == Durability::TransientLocal;
         let subscriptions = self.local_ends(key, EndpointKind::Subscription).map(|local| &local.endpoint.qos);
@@ -347,18 +449,24 @@ impl Mirror {
             durability: if kept.is_some() { Durability::TransientLocal } else { Durability::Volatile },
             reliability: if is_reliable { Reliability::Reliable } else { Reliability::BestEffort },
         });
-        let running = self.inward.get(key).copied();
+        let running = self.inward.get(key);
         let Some(wanted) = wanted else {
             if self.inward.remove(key).is_some() {
                 actions.push(Action::StopIn(key.clone()));
             }
             return;
         };
-        let qos = running.map_or(wanted, |running| running.grown(wanted));
-        if running != Some(qos) {
-            self.inward.insert(key.clone(), qos);
+        let qos = running.map_or(wanted, |(running, _)| running.grown(wanted));
+        let is_same = running.is_some_and(|(running, _)| *running == qos);
+        if !is_same {
             actions.push(Action::StartIn(key.clone(), qos));
         }
+        let none = BTreeSet::new();
+        let before = running.filter(|_| is_same).map_or(&none, |(_, passed_over)| passed_over);
+        if passed_over != *before {
+            actions.push(Action::PassOver(key.clone(), passed_over.clone()));
+        }
+        self.inward.insert(key.clone(), (qos, passed_over));
     }
 }
 

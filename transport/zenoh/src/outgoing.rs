@@ -13,7 +13,7 @@ use crate::wire::{Attachment, ENCAPSULATION, TopicKey};
 use std::any::Any;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Outlet, Relay, RelayError, Taken};
+use tautline_relay::{EarlyLimits, Last, Outlet, Relay, RelayError, Taken};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
 use tautline_transport::{Durability, History, MessageInfo, Participant, RawSample, Reliability};
 use zenoh::bytes::ZBytes;
@@ -68,11 +68,10 @@ impl Outlet for Network {
     const EARLY: EarlyLimits = EarlyLimits { samples: 64, bytes: 4 << 20, time: Duration::from_secs(2) };
 
     fn pass(&mut self, counters: &mut Arc<Counters>, sender: &mut Sender, sample: Taken) {
-        let (number, info, len_bytes) = (sample.number(), sample.info(), sample.body().len());
-        if number <= sender.last {
+        let (info, len_bytes) = (sample.info(), sample.body().len());
+        if !sender.last.admits(&sample) {
             return;
         }
-        sender.last = number;
         sender.settle(len_bytes);
         let payload = match sample {
             // What may outlive the put is copied: a subscription can lend few samples.
@@ -125,8 +124,7 @@ pub(crate) struct Sender {
     is_guess: bool,
     /// Whether a large sample has come: all later ones follow it, to keep their order.
     is_bulk: bool,
-    /// The last sample's number at its port: a subscription that takes over sees some again.
-    last: u64,
+    last: Last,
 }
 
 enum AnyPublisher {
@@ -151,7 +149,7 @@ impl Sender {
         let publisher = Arc::new(declare(session, key, writer, urgency, is_bulk)?);
         let is_guess = rule.is_none() && body_bytes.is_none();
         let (session, key, writer) = (session.clone(), key.clone(), writer.clone());
-        Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last: 0 })
+        Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last: Last::default() })
     }
 
     /// Samples tell how large they are.

@@ -3,26 +3,28 @@
 
 use crate::wire::{Endpoint, EndpointKind, NodeName, Token, WireQos, endpoint_gid};
 use tautline_transport::{
-    Liveliness, Qos, RemoteGraph, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
+    EndpointKind::{Publisher, Subscription},
+    Liveliness, Origin, Qos, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
 };
 
-/// The same tokens are the same graph, in whatever order they come.
-pub(crate) fn remote_graph(tokens: &[Token]) -> RemoteGraph {
+/// The same tokens are the same graph, in whatever order they come. `told` is how the domain is told of each, if it is.
+pub(crate) fn remote_graph(tokens: &[Token], told: impl Fn(&Token) -> Option<Origin>) -> RemoteGraph {
     let mut tokens: Vec<&Token> = tokens.iter().collect();
     tokens.sort_by_cached_key(|token| token.to_string());
     let mut graph = RemoteGraph::default();
     for token in tokens {
+        let Some(origin) = told(token) else { continue };
         match &token.endpoint {
-            None => graph.nodes.push(node(&token.node)),
+            None => graph.nodes.push(RemoteNode { name: node(&token.node), origin }),
             Some(end) => match end.kind {
-                EndpointKind::Publisher => {
-                    graph.endpoints.push(topic(tautline_transport::EndpointKind::Publisher, token, end));
+                EndpointKind::Publisher => graph.endpoints.push(topic(Publisher, token, end, origin)),
+                EndpointKind::Subscription => graph.endpoints.push(topic(Subscription, token, end, origin)),
+                EndpointKind::Service => {
+                    graph.services.push(service(ServiceKind::Server, token, end, origin));
                 }
-                EndpointKind::Subscription => {
-                    graph.endpoints.push(topic(tautline_transport::EndpointKind::Subscription, token, end));
+                EndpointKind::Client => {
+                    graph.services.push(service(ServiceKind::Client, token, end, origin));
                 }
-                EndpointKind::Service => graph.services.push(service(ServiceKind::Server, token, end)),
-                EndpointKind::Client => graph.services.push(service(ServiceKind::Client, token, end)),
             },
         }
     }
@@ -33,7 +35,12 @@ fn node(name: &NodeName) -> tautline_transport::NodeName {
     tautline_transport::NodeName { namespace: name.namespace.clone(), name: name.name.clone() }
 }
 
-fn topic(kind: tautline_transport::EndpointKind, token: &Token, end: &Endpoint) -> TopicEndpoint {
+fn topic(
+    kind: tautline_transport::EndpointKind,
+    token: &Token,
+    end: &Endpoint,
+    origin: Origin,
+) -> TopicEndpoint {
     let topic_type = TopicType::new(end.type_id.name.to_string()).with_hash(end.type_id.hash.to_string());
     TopicEndpoint {
         kind,
@@ -45,10 +52,12 @@ fn topic(kind: tautline_transport::EndpointKind, token: &Token, end: &Endpoint) 
         pid: None,
         is_remote: true,
         is_own: false,
+        origin,
+        teller: None,
     }
 }
 
-fn service(kind: ServiceKind, token: &Token, end: &Endpoint) -> ServiceEndpoint {
+fn service(kind: ServiceKind, token: &Token, end: &Endpoint, origin: Origin) -> ServiceEndpoint {
     ServiceEndpoint {
         kind,
         name: end.name.clone(),
@@ -58,6 +67,8 @@ fn service(kind: ServiceKind, token: &Token, end: &Endpoint) -> ServiceEndpoint 
         node: Some(node(&token.node)),
         pid: None,
         is_remote: true,
+        origin,
+        teller: None,
     }
 }
 
@@ -77,6 +88,7 @@ fn qos(wire: &WireQos) -> Qos {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::origin::origin;
 
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
@@ -92,8 +104,8 @@ mod tests {
             format!("@ros2_lv/5/1/0/4/SC/%/%theirs/talker/%add/a::srv::dds_::Add_/{HASH}/::,10:,:,:,,"),
         ];
         let mut tokens: Vec<Token> = texts.iter().map(|text| Token::parse(text).unwrap()).collect();
-        let graph = remote_graph(&tokens);
-        let names: Vec<String> = graph.nodes.iter().map(ToString::to_string).collect();
+        let graph = remote_graph(&tokens, |token| Some(origin(token)));
+        let names: Vec<String> = graph.nodes.iter().map(|node| node.name.to_string()).collect();
         assert_eq!(names, ["/theirs/talker", "/silent"]);
         let [publisher, subscription] = &*graph.endpoints else { panic!("{graph:?}") };
         assert_eq!((publisher.kind, subscription.kind), {
@@ -117,7 +129,7 @@ mod tests {
             [(ServiceKind::Server, "/add", "a/srv/Add"), (ServiceKind::Client, "/add", "a/srv/Add")]
         );
         tokens.reverse();
-        let reversed = remote_graph(&tokens);
+        let reversed = remote_graph(&tokens, |token| Some(origin(token)));
         assert_eq!((reversed.endpoints, reversed.services), (graph.endpoints, graph.services));
     }
 }

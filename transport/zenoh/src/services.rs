@@ -15,11 +15,11 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc as mpsc_std;
 use std::sync::{Arc, Weak};
 use std::task::{Context, Poll};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tautline_rt::clock::wall_ns;
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder};
 use tautline_transport::{
-    Claim, Limits, MAX_PENDING_REQUESTS, Participant, RawClient, RawPending, RawSample, RawServer, RequestId,
+    Availability, Claim, Limits, MAX_PENDING_REQUESTS, Participant, RawClient, RawPending, RawSample, RawServer, RequestId,
     ServiceError, ServiceType, TransportError,
 };
 use zenoh::bytes::ZBytes;
@@ -39,6 +39,11 @@ const MAX_WAITING: usize = 4096;
 /// When Zenoh gives up: a client's own limit comes before. An action's result may take as long as it likes.
 const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
 
+/// How long a request waits for a server.
+const HELD_TIME: Duration = Duration::from_secs(10);
+/// So many requests of a service.
+const MAX_HELD: usize = 1024;
+
 /// How long the gateway waits for the thread to offer services.
 const PATIENCE: Duration = Duration::from_secs(1);
 
@@ -52,22 +57,19 @@ pub(crate) struct Routes {
 }
 
 impl Routes {
-    /// What follows from the servers and clients here, and the servers elsewhere.
+    /// What follows from the servers and clients of the domain, each with whether the network is told of it, and the servers
+    /// elsewhere.
     pub(crate) fn of<'a>(
-        here: impl Iterator<Item = (EndpointKind, &'a TopicKey)> + Clone,
+        here: impl Iterator<Item = (EndpointKind, &'a TopicKey, bool)> + Clone,
         elsewhere: &BTreeSet<TopicKey>,
     ) -> Self {
-        let of_kind = |kind| {
-            here.clone()
-                .filter(move |(of, _)| *of == kind)
-                .map(|(_, key)| key.clone())
-                .collect::<BTreeSet<_>>()
-        };
-        let offered = of_kind(EndpointKind::Service);
-        let clients = of_kind(EndpointKind::Client);
-        let is_sought = |key: &TopicKey| elsewhere.contains(key) && !offered.contains(key);
-        let sought = clients.into_iter().filter(is_sought).collect();
-        Routes { offered, sought }
+        let of_kind = |kind| here.clone().filter(move |(of, ..)| *of == kind);
+        let has_server = |key: &TopicKey| of_kind(EndpointKind::Service).any(|(_, of, _)| of == key);
+        let offered = of_kind(EndpointKind::Service).filter(|(.., is_announced)| *is_announced);
+        let clients: BTreeSet<&TopicKey> = of_kind(EndpointKind::Client).map(|(_, key, _)| key).collect();
+        let is_sought = |key: &&TopicKey| elsewhere.contains(*key) && !has_server(key);
+        let sought = clients.into_iter().filter(is_sought).cloned().collect();
+        Routes { offered: offered.map(|(_, key, _)| key.clone()).collect(), sought }
     }
 }
 
@@ -80,6 +82,8 @@ enum Command {
     Reply(TopicKey, RequestId, ZBytes),
     /// No more answers come to a request of a client on this host, and none has come.
     Unanswered(TopicKey, RequestId),
+    /// Time went by.
+    Look,
 }
 
 /// How Zenoh's threads reach this one: what it has no time for is not kept.
@@ -171,6 +175,11 @@ impl Services {
         Ok(Services { commands, routes: Routes::default(), thread: Some(thread) })
     }
 
+    /// Lets the thread look whether something has waited long enough. To be called now and then.
+    pub(crate) fn look(&self) {
+        self.commands.tell(Command::Look);
+    }
+
     /// Waits until services that are now offered can be asked, so that they can be announced.
     pub(crate) fn set_routes(&mut self, routes: Routes) {
         if routes != self.routes {
@@ -213,6 +222,9 @@ struct Offer {
     clients: Vec<RawClient>,
     /// Requests, the oldest first, with what lives as long as they are pending.
     asked: VecDeque<(AbortHandle, Weak<()>)>,
+    /// Requests that wait for a server: whoever tells of one here, a bridge, makes it when somebody asks.
+    held: VecDeque<(Query, Instant)>,
+    availability: Option<Availability>,
     _queryable: Queryable<()>,
 }
 
@@ -233,6 +245,7 @@ impl Bridge {
             }
         }
         while let Poll::Ready(Some(())) = self.pending.poll_next_unpin(context) {}
+        self.ask_held(context);
         for (key, server) in &self.sought {
             let mut passed = 0;
             while let Poll::Ready(request) = server.poll_take(context) {
@@ -257,10 +270,7 @@ impl Bridge {
                 // Ignored: nobody waits any more.
                 let _ = done.send(());
             }
-            Command::Query(key, query) => match self.ask(&key, &query, context) {
-                Ok(answer) => self.pending.push(answer),
-                Err(reason) => refuse(&query, reason),
-            },
+            Command::Query(key, query) => self.take(&key, query, context),
             Command::Reply(key, id, payload) => {
                 if let Some(server) = self.sought.get(&key)
                     && let Err(reason) = answer(server, id, &payload, self.max_bytes)
@@ -273,7 +283,45 @@ impl Bridge {
                 }
             }
             Command::Unanswered(key, id) => self.give_up(key, id),
+            Command::Look => {
+                for offer in self.offered.values_mut() {
+                    while offer.held.front().is_some_and(|(_, since)| since.elapsed() >= HELD_TIME) {
+                        if let Some((query, _)) = offer.held.pop_front() {
+                            refuse(&query, format!("no server was there for {} s", HELD_TIME.as_secs()));
+                        }
+                    }
+                }
+            }
         }
+    }
+
+    /// Another host asks a service of the domain.
+    fn take(&mut self, key: &TopicKey, query: Query, context: &mut Context<'_>) {
+        let Err(reason) = self.ask(key, &query, context).map(|answer| self.pending.push(answer)) else { return };
+        match self.offered.get_mut(key) {
+            Some(offer) if reason.is_passing && offer.held.len() < MAX_HELD => {
+                offer.held.push_back((query, Instant::now()));
+                // Polled before the thread sleeps.
+                context.waker().wake_by_ref();
+            }
+            _ => refuse(&query, reason.text),
+        }
+    }
+
+    /// Asks what waited for a server that is there now.
+    fn ask_held(&mut self, context: &mut Context<'_>) {
+        let mut found = Vec::new();
+        for (key, offer) in self.offered.iter_mut().filter(|(_, offer)| !offer.held.is_empty()) {
+            if offer.availability.is_none() {
+                offer.availability = offer.clients.first().and_then(|client| client.availability().ok());
+            }
+            let is_there = offer.availability.as_mut().is_some_and(|wait| wait.poll_unpin(context).is_ready());
+            if is_there {
+                offer.availability = None;
+                found.extend(offer.held.drain(..).map(|(query, _)| (key.clone(), query)));
+            }
+        }
+        found.into_iter().for_each(|(key, query)| self.take(&key, query, context));
     }
 
     fn set_routes(&mut self, routes: &Routes) {
@@ -313,7 +361,8 @@ impl Bridge {
             })
             .wait()
             .map_err(|error| error.to_string())?;
-        Ok(Offer { clients: vec![client], asked: VecDeque::new(), _queryable: queryable })
+        let (asked, held, availability) = Default::default();
+        Ok(Offer { clients: vec![client], asked, held, availability, _queryable: queryable })
     }
 
     fn client(&self, key: &TopicKey) -> Result<RawClient, String> {
@@ -331,9 +380,9 @@ impl Bridge {
         key: &TopicKey,
         query: &Query,
         context: &mut Context<'_>,
-    ) -> Result<BoxFuture<'static, ()>, String> {
+    ) -> Result<BoxFuture<'static, ()>, NotAsked> {
         let attachment = query.attachment().ok_or("a request without an attachment")?;
-        let attachment = Attachment::parse(&attachment.to_bytes()).map_err(|error| error.to_string())?;
+        let attachment = Attachment::parse(&attachment.to_bytes())?;
         let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
         let body = body(&payload, self.max_bytes)?;
         let offer = self.offered.get(key).ok_or("the service has gone")?;
@@ -343,7 +392,7 @@ impl Bridge {
             let offer = self.offered.get(key).ok_or("the service has gone")?;
             response = send(&offer.clients, body);
         }
-        let (response, handle) = abortable(response.map_err(|error| error.to_string())?);
+        let (response, handle) = abortable(response.map_err(not_asked)?);
         let life = Arc::new(());
         if let Some(offer) = self.offered.get_mut(key) {
             if offer.asked.len() >= 2 * MAX_PENDING_REQUESTS * offer.clients.len() {
@@ -399,6 +448,23 @@ impl Bridge {
             Err(error) => tracing::warn!("{error}"),
         }
     }
+}
+
+/// Why a service was not asked.
+struct NotAsked {
+    text: String,
+    /// Whether there is no server yet.
+    is_passing: bool,
+}
+
+impl<T: ToString> From<T> for NotAsked {
+    fn from(reason: T) -> Self {
+        NotAsked { text: reason.to_string(), is_passing: false }
+    }
+}
+
+fn not_asked(error: ServiceError) -> NotAsked {
+    NotAsked { text: error.to_string(), is_passing: matches!(error, ServiceError::NoServer { .. }) }
 }
 
 /// Sends a request through the first client that has room for one more.
@@ -494,15 +560,18 @@ mod tests {
     #[test]
     fn what_is_here_is_offered_and_what_is_only_elsewhere_is_sought() {
         let (one, two, three) = (key("one", '1'), key("two", '1'), key("three", '1'));
-        let other_type = key("three", '2');
+        let (other_type, four) = (key("three", '2'), key("four", '1'));
         let here = [
-            (EndpointKind::Service, &one),
-            (EndpointKind::Client, &one),
-            (EndpointKind::Client, &two),
-            (EndpointKind::Service, &other_type),
-            (EndpointKind::Client, &three),
+            (EndpointKind::Service, &one, true),
+            (EndpointKind::Client, &one, true),
+            (EndpointKind::Client, &two, true),
+            (EndpointKind::Service, &other_type, true),
+            (EndpointKind::Client, &three, true),
+            // Somebody else announces what this domain has too.
+            (EndpointKind::Service, &four, false),
+            (EndpointKind::Client, &four, true),
         ];
-        let elsewhere = BTreeSet::from([one.clone(), two.clone(), three.clone()]);
+        let elsewhere = BTreeSet::from([one.clone(), two.clone(), three.clone(), four.clone()]);
         let routes = Routes::of(here.into_iter(), &elsewhere);
         assert_eq!(routes.offered, BTreeSet::from([one, other_type]));
         assert_eq!(routes.sought, BTreeSet::from([two, three]), "a service of another type is another one");

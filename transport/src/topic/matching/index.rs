@@ -6,7 +6,7 @@ use crate::error::TransportError;
 use crate::graph::domain::{Domain, Seen};
 use crate::graph::log::{Kind, Reader};
 use crate::graph::record::{PortKind, PortRecord, RemotePortRecord};
-use crate::graph::{EndpointKind, NodeName};
+use crate::graph::{EndpointKind, NodeName, Rank};
 use crate::participant::file::{Peer, Peers};
 use crate::topic::Topic;
 use crate::topic::header::Gid;
@@ -342,13 +342,18 @@ impl Index {
                 changes.insert(hash);
                 return None;
             };
-            let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody);
+            let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody, gid.participant());
             let fits = end.kind == EndpointKind::from(kind)
                 && end.topic == topic.name
                 && topic.topic_type.agrees_with(&end.topic_type);
-            fits.then_some(end.gid)
+            // Each once, as the best of those that tell of it does.
+            let rank = end.origin.rank(gid.participant().into());
+            fits.then_some((end.origin.tag, rank, end.gid))
         };
-        let mut gids: Vec<Gid> = ends.filter_map(end).collect();
+        let mut told: Vec<(u64, Rank, Gid)> = ends.filter_map(end).collect();
+        told.sort_unstable();
+        told.dedup_by_key(|(tag, ..)| *tag);
+        let mut gids: Vec<Gid> = told.into_iter().map(|(.., gid)| gid).collect();
         gids.sort_unstable();
         gids.dedup();
         gids.truncate(MOST_REMOTE);

@@ -5,12 +5,15 @@ use super::*;
 use crate::graph::GraphLimits;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
+use tautline_relay::Transit;
 
 const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 const ZID: u128 = 0xAA;
 
 fn mirror(zid: u128, filter: Filter) -> Mirror {
-    Mirror::new(5, zid, Graph::new(5, zid, GraphLimits::default()), filter)
+    // Each host's domain has the number of its gateway.
+    let transit = Transit::to_network(zid as u64, zid as u64, zid);
+    Mirror::new(5, zid, Graph::new(5, zid, GraphLimits::default(), transit), filter, "host")
 }
 
 fn key(topic: &str) -> TopicKey {
@@ -25,7 +28,12 @@ fn local(gid: u8, kind: EndpointKind, topic: &str) -> LocalEndpoint {
         type_id: key(topic).type_id,
         qos: WireQos { depth: 10, ..WireQos::default() },
         node: NodeName::new("/", "n"),
+        origin: Origin { tag: gid.into(), ..Origin::default() },
     }
+}
+
+fn node(name: NodeName) -> LocalNode {
+    LocalNode { name, origin: Origin { tag: 99, ..Origin::default() } }
 }
 
 fn publisher(gid: u8, topic: &str) -> LocalEndpoint {
@@ -61,6 +69,7 @@ fn said(actions: &[Action]) -> Vec<String> {
         Action::StopOut(key) => format!("stop out {}", name(key)),
         Action::StartIn(key, qos) => format!("start in {} {:?} {}", name(key), qos.durability, qos.depth),
         Action::StopIn(key) => format!("stop in {}", name(key)),
+        Action::PassOver(key, gids) => format!("pass over {} {}", name(key), gids.len()),
         Action::Resync => "resync".into(),
     };
     actions.iter().map(one).collect()
@@ -75,29 +84,29 @@ fn services_and_clients_are_announced() {
     let mut m = mirror(ZID, Filter::default());
     let (service, client) = (local(1, EndpointKind::Service, "add"), local(2, EndpointKind::Client, "add"));
     let began = ["declare node /n", "declare Service /add", "declare Client /add"];
-    assert_eq!(said(&m.set_locals(&[], vec![service.clone(), client.clone()])), began);
+    assert_eq!(said(&m.set_locals(vec![], vec![service.clone(), client.clone()])), began);
     assert_eq!(said(&m.token_up(&remote(1, 1, "SC", "add", "::,10:,:,:,,"))), NOTHING);
     assert_eq!(said(&m.token_up(&remote(1, 2, "SS", "add", "::,10:,:,:,,"))), NOTHING);
-    assert_eq!(said(&m.set_locals(&[], vec![client])), ["undeclare Service /add"]);
+    assert_eq!(said(&m.set_locals(vec![], vec![client])), ["undeclare Service /add"]);
     let denied = Filter::new(&[], &["/add".into()]).unwrap();
-    assert_eq!(said(&mirror(ZID, denied).set_locals(&[], vec![service])), NOTHING);
+    assert_eq!(said(&mirror(ZID, denied).set_locals(vec![], vec![service])), NOTHING);
 }
 
 #[test]
 fn samples_go_out_while_both_ends_exist() {
     let mut m = mirror(ZID, Filter::default());
     assert_eq!(
-        said(&m.set_locals(&[], vec![publisher(1, "x")])),
+        said(&m.set_locals(vec![], vec![publisher(1, "x")])),
         ["declare node /n", "declare Publisher /x"]
     );
-    assert_eq!(said(&m.set_locals(&[], vec![publisher(1, "x")])), NOTHING);
+    assert_eq!(said(&m.set_locals(vec![], vec![publisher(1, "x")])), NOTHING);
     let reader = remote(1, 7, "MS", "x", QOS);
     assert_eq!(said(&m.token_up(&reader)), ["start out /x Volatile 10", "open /x 1"]);
     assert_eq!(said(&m.token_up(&remote(2, 7, "MS", "x", QOS))), NOTHING, "one put serves both");
     assert_eq!(said(&m.token_up(&remote(2, 8, "MP", "x", QOS))), NOTHING, "nobody here listens");
     let two = vec![publisher(1, "x"), publisher(2, "x")];
-    assert_eq!(said(&m.set_locals(&[], two)), ["declare Publisher /x", "open /x 2"]);
-    assert_eq!(said(&m.set_locals(&[], vec![publisher(2, "x")])), ["close /x 1", "undeclare Publisher /x"]);
+    assert_eq!(said(&m.set_locals(vec![], two)), ["declare Publisher /x", "open /x 2"]);
+    assert_eq!(said(&m.set_locals(vec![], vec![publisher(2, "x")])), ["close /x 1", "undeclare Publisher /x"]);
     assert_eq!(said(&m.token_down(&reader)), NOTHING);
     assert_eq!(said(&m.token_down(&remote(2, 7, "MS", "x", QOS))), ["stop out /x"]);
     assert_eq!(said(&m.close()), ["undeclare Publisher /x", "undeclare node /n"]);
@@ -111,17 +120,17 @@ fn samples_come_in_while_both_ends_exist() {
     let locals = vec![subscription(1, "x"), subscription(2, "x")];
     let began =
         ["declare node /n", "declare Subscription /x", "declare Subscription /x", "start in /x Volatile 1"];
-    assert_eq!(said(&m.set_locals(&[], locals)), began, "once for all subscriptions of the host");
+    assert_eq!(said(&m.set_locals(vec![], locals)), began, "once for all subscriptions of the host");
     assert_eq!(said(&m.token_up(&remote(2, 7, "MP", "x", QOS))), NOTHING);
     assert_eq!(said(&m.token_down(&writer)), NOTHING);
     let ended = ["stop in /x", "undeclare Subscription /x", "undeclare Subscription /x", "undeclare node /n"];
-    assert_eq!(said(&m.set_locals(&[], vec![])), ended);
+    assert_eq!(said(&m.set_locals(vec![], vec![])), ended);
 }
 
 #[test]
 fn another_type_or_hash_is_another_topic() {
     let mut m = mirror(ZID, Filter::default());
-    m.set_locals(&[], vec![publisher(1, "x"), subscription(2, "x")]);
+    m.set_locals(vec![], vec![publisher(1, "x"), subscription(2, "x")]);
     let other_hash = remote(1, 7, "MS", "x", QOS).replace("RIHS01_df", "RIHS01_00");
     assert_eq!(said(&m.token_up(&other_hash)), NOTHING);
     assert!(m.mismatches()["/x"].contains("RIHS01_00"));
@@ -131,7 +140,7 @@ fn another_type_or_hash_is_another_topic() {
     // Unless there is an end of that type here, too.
     let mut bool = publisher(3, "x");
     bool.type_id.name = "std_msgs/msg/Bool".parse().unwrap();
-    m.set_locals(&[], vec![publisher(1, "x"), bool]);
+    m.set_locals(vec![], vec![publisher(1, "x"), bool]);
     m.token_down(&other_hash);
     assert_eq!(m.mismatches(), BTreeMap::new());
 }
@@ -141,33 +150,33 @@ fn transient_local_samples_are_kept_before_anybody_listens() {
     let mut m = mirror(ZID, Filter::default());
     let began =
         ["declare node /n", "declare Publisher /map", "start out /map TransientLocal 10", "open /map 1"];
-    assert_eq!(said(&m.set_locals(&[], vec![late_joining(publisher(1, "map"))])), began);
+    assert_eq!(said(&m.set_locals(vec![], vec![late_joining(publisher(1, "map"))])), began);
     assert_eq!(said(&m.token_up(&remote(1, 7, "MS", "map", ":1:,1:,:,:,,"))), NOTHING);
     // A volatile one that also publishes changes nothing, nor that it alone is left.
     let both = vec![late_joining(publisher(1, "map")), publisher(2, "map")];
-    assert_eq!(said(&m.set_locals(&[], both)), ["declare Publisher /map", "open /map 2"]);
+    assert_eq!(said(&m.set_locals(vec![], both)), ["declare Publisher /map", "open /map 2"]);
     let fewer = ["close /map 1", "undeclare Publisher /map"];
-    assert_eq!(said(&m.set_locals(&[], vec![publisher(2, "map")])), fewer);
+    assert_eq!(said(&m.set_locals(vec![], vec![publisher(2, "map")])), fewer);
     assert_eq!(said(&m.token_down(&remote(1, 7, "MS", "map", ":1:,1:,:,:,,"))), ["stop out /map"]);
 }
 
 #[test]
 fn what_runs_grows_without_a_stop() {
     let mut m = mirror(ZID, Filter::default());
-    m.set_locals(&[], vec![publisher(1, "x")]);
+    m.set_locals(vec![], vec![publisher(1, "x")]);
     m.token_up(&remote(1, 7, "MS", "x", QOS));
     let mut deeper = publisher(2, "x");
     deeper.qos.depth = 50;
     let grown = ["declare Publisher /x", "start out /x Volatile 50", "open /x 2"];
-    assert_eq!(said(&m.set_locals(&[], vec![publisher(1, "x"), deeper.clone()])), grown);
+    assert_eq!(said(&m.set_locals(vec![], vec![publisher(1, "x"), deeper.clone()])), grown);
     let fewer = ["close /x 2", "undeclare Publisher /x"];
-    assert_eq!(said(&m.set_locals(&[], vec![publisher(1, "x")])), fewer);
+    assert_eq!(said(&m.set_locals(vec![], vec![publisher(1, "x")])), fewer);
     assert_eq!(
-        said(&m.set_locals(&[], vec![publisher(1, "x"), deeper])),
+        said(&m.set_locals(vec![], vec![publisher(1, "x"), deeper])),
         ["declare Publisher /x", "open /x 2"]
     );
     let keeping = vec![publisher(1, "x"), late_joining(publisher(3, "x"))];
-    let kept = &said(&m.set_locals(&[], keeping))[..];
+    let kept = &said(&m.set_locals(vec![], keeping))[..];
     assert!(kept.contains(&"start out /x TransientLocal 50".into()), "{kept:?}");
     assert!(!kept.iter().any(|action| action.starts_with("stop")), "{kept:?}");
 }
@@ -175,7 +184,7 @@ fn what_runs_grows_without_a_stop() {
 #[test]
 fn history_is_asked_for_if_both_ends_are_transient_local() {
     let mut m = mirror(ZID, Filter::default());
-    m.set_locals(&[], vec![late_joining(subscription(1, "map"))]);
+    m.set_locals(vec![], vec![late_joining(subscription(1, "map"))]);
     let keeper = remote(1, 7, "MP", "map", ":1:,3:,:,:,,");
     assert_eq!(said(&m.token_up(&keeper)), ["start in /map TransientLocal 3"]);
     let more = remote(1, 8, "MP", "map", ":1:,5:,:,:,,");
@@ -194,7 +203,7 @@ fn history_is_asked_for_if_both_ends_are_transient_local() {
         "declare Subscription /map",
         "start in /map Volatile 1",
     ];
-    assert_eq!(said(&m.set_locals(&[], volatile)), changed);
+    assert_eq!(said(&m.set_locals(vec![], volatile)), changed);
 }
 
 #[test]
@@ -202,12 +211,12 @@ fn keep_all_and_odd_depths() {
     let mut m = mirror(ZID, Filter::default());
     let mut deep = late_joining(subscription(1, "map"));
     deep.qos.depth = 2000;
-    m.set_locals(&[], vec![deep]);
+    m.set_locals(vec![], vec![deep]);
     assert_eq!(
         said(&m.token_up(&remote(1, 7, "MP", "map", ":1:2,0:,:,:,,"))),
         ["start in /map TransientLocal 1000"]
     );
-    m.set_locals(&[], vec![late_joining(subscription(3, "few"))]);
+    m.set_locals(vec![], vec![late_joining(subscription(3, "few"))]);
     assert_eq!(
         said(&m.token_up(&remote(1, 8, "MP", "few", ":1:,4294967295:,:,:,,"))),
         ["start in /few TransientLocal 10"],
@@ -215,7 +224,7 @@ fn keep_all_and_odd_depths() {
     );
     let mut endless = publisher(2, "log");
     endless.qos = WireQos { history: History::KeepAll, depth: 5000, ..endless.qos };
-    m.set_locals(&[], vec![endless]);
+    m.set_locals(vec![], vec![endless]);
     assert_eq!(
         said(&m.token_up(&remote(1, 9, "MS", "log", "::,0:,:,:,,")))[0],
         "start out /log Volatile 5000"
@@ -227,18 +236,18 @@ fn denied_topics_are_neither_mirrored_nor_announced() {
     let mut m = mirror(ZID, Filter::new(&[], &["/secret/**".into()]).unwrap());
     m.token_up(&remote(1, 7, "MS", "secret%x", QOS));
     let locals = vec![publisher(1, "secret/x")];
-    assert_eq!(said(&m.set_locals(&[NodeName::new("/a", "node")], locals)), ["declare node /a/node"]);
+    assert_eq!(said(&m.set_locals(vec![node(NodeName::new("/a", "node"))], locals)), ["declare node /a/node"]);
 }
 
 #[test]
 fn nodes_without_endpoints_are_announced() {
     let mut m = mirror(ZID, Filter::default());
-    assert_eq!(said(&m.set_locals(&[NodeName::new("/", "n")], vec![])), ["declare node /n"]);
+    assert_eq!(said(&m.set_locals(vec![node(NodeName::new("/", "n"))], vec![])), ["declare node /n"]);
     assert_eq!(
-        said(&m.set_locals(&[NodeName::new("/", "n")], vec![publisher(1, "x")])),
+        said(&m.set_locals(vec![node(NodeName::new("/", "n"))], vec![publisher(1, "x")])),
         ["declare Publisher /x"]
     );
-    assert_eq!(said(&m.set_locals(&[NodeName::new("/", "n")], vec![])), ["undeclare Publisher /x"]);
+    assert_eq!(said(&m.set_locals(vec![node(NodeName::new("/", "n"))], vec![])), ["undeclare Publisher /x"]);
     assert_eq!(said(&m.close()), ["undeclare node /n"]);
 }
 
@@ -247,7 +256,7 @@ fn ids_are_never_used_twice() {
     let mut m = mirror(ZID, Filter::default());
     let mut ids = BTreeSet::new();
     for n in 0..100 {
-        for action in m.set_locals(&[], vec![publisher(n, "x")]) {
+        for action in m.set_locals(vec![], vec![publisher(n, "x")]) {
             if let Action::Declare(token) = action {
                 assert!(ids.insert(token.endpoint.map_or(token.node_id, |endpoint| endpoint.id)));
             }
@@ -278,7 +287,7 @@ fn a_network_of_hosts_neither_loops_nor_duplicates() {
             let mut locals: Vec<_> = (0..publishers).map(|n| publisher(gid(n), "x")).collect();
             locals.extend((0..subscriptions).map(|n| subscription(gid(8 + n), "x")));
             let mut pending: Vec<(usize, Action)> =
-                mirrors[host].set_locals(&[], locals).into_iter().map(|action| (host, action)).collect();
+                mirrors[host].set_locals(vec![], locals).into_iter().map(|action| (host, action)).collect();
             while !pending.is_empty() {
                 let (at, action) = pending.remove(0);
                 let (out, inward) = &mut flows[at];

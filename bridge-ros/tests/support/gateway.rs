@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Hosts: each a domain of its own on this machine, with a gateway in a process of its own.
+
+use super::{Program, built, reserve, scope, wait_until};
+use std::ops::Deref;
+use std::path::Path;
+use std::process::Command;
+
+/// `taut-gateway`.
+pub struct GatewayProcess(Program);
+
+impl Deref for GatewayProcess {
+    type Target = Program;
+
+    fn deref(&self) -> &Program {
+        &self.0
+    }
+}
+
+impl GatewayProcess {
+    /// Without real-time priorities.
+    fn start(program: &Path, domain: u32, network_domain: u32, arguments: &[&str]) -> Self {
+        reserve(domain);
+        let mut command = Command::new(program);
+        let (domain, network_domain) = (domain.to_string(), network_domain.to_string());
+        command.args(["--domain", &domain, "--network-domain", &network_domain, "--no-rt"]);
+        command.args(["--json", "--interval", "0.1"]).args(arguments).env("TAUT_SCOPE", scope());
+        // What may be said on the terminal that runs the tests is no concern of theirs.
+        let variables =
+            ["RUST_LOG", "ROS_DOMAIN_ID", "TAUT_DOMAIN", "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"];
+        for variable in variables {
+            command.env_remove(variable);
+        }
+        GatewayProcess(Program::start("gateway", command))
+    }
+
+    /// Where it listens on loopback.
+    fn endpoint(&self) -> String {
+        let mut found = None;
+        wait_until("where the gateway listens", || {
+            found = endpoint_in(&self.said());
+            found.is_some()
+        });
+        found.unwrap()
+    }
+}
+
+/// As a gateway says it when it starts.
+fn endpoint_in(said: &str) -> Option<String> {
+    const HERE: &str = "tcp/127.0.0.1:";
+    let lines = said.lines().filter_map(|line| line.strip_prefix("listening on "));
+    let port = lines.flat_map(str::split_whitespace).find_map(|word| word.strip_prefix(HERE))?;
+    let digits = port.find(|character: char| !character.is_ascii_digit()).unwrap_or(port.len());
+    Some(format!("{HERE}{}", &port[..digits]))
+}
+
+/// The gateways of two domains, which are linked, and one domain on the network; prints why a test is skipped without the program.
+pub fn link(first: u32, second: u32) -> Option<[GatewayProcess; 2]> {
+    let program = built("taut-gateway", "tautline-gateway")?;
+    // It looks for no router.
+    let alone = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:1"];
+    let listening = GatewayProcess::start(&program, first, first, &alone);
+    let connecting = GatewayProcess::start(&program, second, first, &["--connect", &listening.endpoint()]);
+    for gateway in [&listening, &connecting] {
+        gateway.wait_for("a link", |stats| stats["links"].as_u64().is_some_and(|links| links > 0));
+    }
+    Some([listening, connecting])
+}

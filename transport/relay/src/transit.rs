@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which of what is on either side of a gateway or a bridge it tells of on the other one, and carries: by where things were first, so
+//! that a message comes into each domain, each network and each ROS 2 graph once, however these are connected.
+//!
+//! On each side the least [`Rank`] of those that tell of something counts: of it the others let nothing through. It is what routers
+//! between networks do by path: word that came through a domain is not believed there again, so nothing keeps itself alive in a circle;
+//! and when the best way ends, the next one is known already.
+
+use std::collections::{BTreeMap, HashMap};
+use tautline_transport::{Origin, Rank};
+
+/// What one gateway or bridge knows: pure, and told of everything.
+pub struct Transit {
+    domain: u64,
+    participant: u64,
+    own: u128,
+    crossed_ros: u8,
+    rivals: HashMap<u64, Rank>,
+    far: HashMap<u64, BTreeMap<Rank, usize>>,
+}
+
+impl Transit {
+    /// Between a domain, there as `participant`, and a network, there as `own`.
+    pub fn to_network(domain: u64, participant: u64, own: u128) -> Self {
+        let (rivals, far) = Default::default();
+        Transit { domain, participant, own, crossed_ros: 0, rivals, far }
+    }
+
+    /// Between a domain and a ROS 2 graph.
+    pub fn to_ros(domain: u64, participant: u64, own: u128) -> Self {
+        Transit { crossed_ros: 1, ..Self::to_network(domain, participant, own) }
+    }
+
+    /// What others tell of in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals).
+    /// Whether that is otherwise than before.
+    pub fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> bool {
+        let changed = self.rivals != *rivals;
+        if changed {
+            self.rivals.clone_from(rivals);
+        }
+        changed
+    }
+
+    /// Something is on the far side, as `teller` tells of it there; not what this one itself tells.
+    pub fn insert(&mut self, origin: &Origin, teller: u128) {
+        if origin.tag != 0 {
+            *self.far.entry(origin.tag).or_default().entry(origin.rank(teller)).or_default() += 1;
+        }
+    }
+
+    /// It is gone.
+    pub fn remove(&mut self, origin: &Origin, teller: u128) {
+        let rank = origin.rank(teller);
+        let Some(tellers) = self.far.get_mut(&origin.tag) else { return };
+        if let Some(count) = tellers.get_mut(&rank) {
+            *count -= 1;
+            if *count == 0 {
+                tellers.remove(&rank);
+            }
+        }
+        if tellers.is_empty() {
+            self.far.remove(&origin.tag);
+        }
+    }
+
+    /// Nothing is on the far side.
+    pub fn clear(&mut self) {
+        self.far.clear();
+    }
+
+    fn best(&self, tag: u64) -> Option<Rank> {
+        self.far.get(&tag).and_then(|tellers| tellers.keys().next()).copied()
+    }
+
+    /// How the domain is to be told of what `teller` tells on the far side; `None`: not at all, for it has been here before, or
+    /// somebody else tells better of the same.
+    pub fn told(&self, origin: &Origin, teller: u128) -> Option<Origin> {
+        let is_best = self.best(origin.tag).is_none_or(|best| best == origin.rank(teller));
+        let ros = origin.ros.saturating_add(self.crossed_ros);
+        (is_best && origin.is_new_to(self.domain)).then(|| Origin { ros, ..origin.clone() })
+    }
+
+    /// Whether what it sends comes into the domain here.
+    pub fn carries(&self, origin: &Origin, teller: u128) -> bool {
+        let Some(told) = self.told(origin, teller) else { return false };
+        let own = told.rank(self.participant.into());
+        self.rivals.get(&origin.tag).is_none_or(|rival| own < *rival)
+    }
+
+    /// How the far side is to be told of what the domain has, be it there or told by another gateway or bridge; `None`: not at all.
+    pub fn announced(&self, origin: &Origin) -> Option<Origin> {
+        let announced = origin.clone().told_by(self.domain);
+        let is_best = self.best(origin.tag).is_none_or(|best| announced.rank(self.own) < best);
+        (is_best && origin.may_go_on()).then_some(announced)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,259 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Gateways and bridges in any arrangement, which look in any order.
+
+use super::*;
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
+use std::collections::BTreeSet;
+
+/// A domain, a network or a ROS 2 graph: what is there, and what is told there by whom.
+#[derive(Default)]
+struct Space {
+    natives: BTreeMap<u64, Origin>,
+    told: BTreeMap<(usize, u64), Origin>,
+}
+
+/// Between the domain and the other space. What it does as of its last look.
+struct Mirror {
+    domain: usize,
+    far: usize,
+    is_bridge: bool,
+    lives: bool,
+    carries: BTreeSet<u64>,
+    announces: BTreeSet<u64>,
+}
+
+struct World {
+    spaces: Vec<Space>,
+    mirrors: Vec<Mirror>,
+    next_tag: u64,
+}
+
+impl World {
+    fn new(spaces: usize, links: &[(usize, usize, bool)]) -> Self {
+        let mirror = |&(domain, far, is_bridge): &(usize, usize, bool)| Mirror {
+            domain,
+            far,
+            is_bridge,
+            lives: true,
+            carries: BTreeSet::new(),
+            announces: BTreeSet::new(),
+        };
+        let spaces = (0..spaces).map(|_| Space::default()).collect();
+        World { spaces, mirrors: links.iter().map(mirror).collect(), next_tag: 1 }
+    }
+
+    fn add(&mut self, space: usize) -> u64 {
+        let tag = self.next_tag;
+        self.next_tag += 1;
+        self.spaces[space].natives.insert(tag, Origin { tag, ..Origin::default() });
+        tag
+    }
+
+    /// A mirror looks at both sides, and says what follows. Whether anything is otherwise than before.
+    fn look(&mut self, at: usize) -> bool {
+        let Mirror { domain, far, is_bridge, .. } = self.mirrors[at];
+        let id = at as u128 + 1;
+        let mut transit = match is_bridge {
+            true => Transit::to_ros(domain as u64, id as u64, id),
+            false => Transit::to_network(domain as u64, id as u64, id),
+        };
+        // Everything on a side, but for what this one says there.
+        let seen = |space: &Space| -> Vec<(Origin, u128)> {
+            let natives = space.natives.values().map(|origin| (origin.clone(), 0));
+            let told = space.told.iter().filter(|((by, _), _)| *by != at);
+            natives.chain(told.map(|((by, _), origin)| (origin.clone(), *by as u128 + 1))).collect()
+        };
+        let (here, there) = (seen(&self.spaces[domain]), seen(&self.spaces[far]));
+        let mut rivals = HashMap::new();
+        for (origin, teller) in here.iter().filter(|(_, teller)| *teller != 0) {
+            let rank = origin.rank(*teller);
+            let best = rivals.entry(origin.tag).or_insert(rank);
+            *best = rank.min(*best);
+        }
+        transit.set_rivals(&rivals);
+        there.iter().for_each(|(origin, teller)| transit.insert(origin, *teller));
+        let told: BTreeMap<u64, Origin> = (there.iter())
+            .filter_map(|(origin, teller)| Some((origin.tag, transit.told(origin, *teller)?)))
+            .collect();
+        let carries: BTreeSet<u64> = (there.iter())
+            .filter(|(origin, teller)| transit.carries(origin, *teller))
+            .map(|(origin, _)| origin.tag)
+            .collect();
+        // What counts in the domain, if it is not this one that tells it.
+        let mut best = BTreeMap::<u64, (Rank, Origin)>::new();
+        for (origin, teller) in &here {
+            let rank = origin.rank(*teller);
+            if best.get(&origin.tag).is_none_or(|(best, _)| rank < *best) {
+                best.insert(origin.tag, (rank, origin.clone()));
+            }
+        }
+        best.retain(|tag, (rank, _)| {
+            rank.teller == 0 || told.get(tag).is_none_or(|own| own.rank(id) > *rank)
+        });
+        let announced: BTreeMap<u64, Origin> = (best.into_iter())
+            .filter_map(|(tag, (_, origin))| Some((tag, transit.announced(&origin)?)))
+            .collect();
+        let mirror = &mut self.mirrors[at];
+        let announces = announced.keys().copied().collect();
+        let mut changed = mirror.carries != carries || mirror.announces != announces;
+        (mirror.carries, mirror.announces) = (carries, announces);
+        changed |= self.spaces[domain].say(at, told);
+        changed | self.spaces[far].say(at, announced)
+    }
+
+    /// Everybody looks, in any order, until nothing changes any more.
+    fn settle(&mut self, random: &mut SmallRng) {
+        for _ in 0..10_000 {
+            for _ in 0..self.mirrors.len() {
+                let at = random.random_range(0..self.mirrors.len());
+                if self.mirrors[at].lives {
+                    self.look(at);
+                }
+            }
+            let living: Vec<usize> = (0..self.mirrors.len()).filter(|at| self.mirrors[*at].lives).collect();
+            if !living.into_iter().fold(false, |changed, at| changed | self.look(at)) {
+                return;
+            }
+        }
+        panic!("it does not come to rest");
+    }
+
+    fn kill(&mut self, at: usize) {
+        self.mirrors[at].lives = false;
+        self.spaces.iter_mut().for_each(|space| space.told.retain(|(by, _), _| *by != at));
+    }
+
+    /// How often a message comes into each space, by mirrors as they are.
+    fn arrivals(&self, tag: u64) -> Vec<usize> {
+        let home = self.spaces.iter().position(|space| space.natives.contains_key(&tag));
+        let mut arrived = vec![0; self.spaces.len()];
+        let mut waiting: Vec<usize> = home.into_iter().collect();
+        while let Some(space) = waiting.pop() {
+            arrived[space] += 1;
+            assert!(arrived[space] < 10, "a message goes in circles");
+            for mirror in self.mirrors.iter().filter(|mirror| mirror.lives) {
+                // What came in through it does not go out through it: see `Route::pass`.
+                if mirror.domain == space && mirror.announces.contains(&tag) {
+                    waiting.push(mirror.far);
+                }
+                if mirror.far == space && mirror.carries.contains(&tag) && !mirror.announces.contains(&tag) {
+                    waiting.push(mirror.domain);
+                }
+            }
+        }
+        arrived
+    }
+
+    /// The spaces that word and messages can come to.
+    fn reached(&self, from: usize) -> BTreeSet<usize> {
+        let mut reached = BTreeSet::from([from]);
+        loop {
+            let links = self.mirrors.iter().filter(|mirror| mirror.lives);
+            let ends = links.flat_map(|mirror| [(mirror.domain, mirror.far), (mirror.far, mirror.domain)]);
+            let more: Vec<usize> =
+                ends.filter(|(one, other)| reached.contains(one) && !reached.contains(other)).map(|(_, to)| to).collect();
+            if more.is_empty() {
+                return reached;
+            }
+            reached.extend(more);
+        }
+    }
+
+    fn check(&self) {
+        for (home, space) in self.spaces.iter().enumerate() {
+            for tag in space.natives.keys() {
+                let reached = self.reached(home);
+                let expected: Vec<usize> = (0..self.spaces.len()).map(|at| usize::from(reached.contains(&at))).collect();
+                assert_eq!(self.arrivals(*tag), expected, "of {tag} in {home}");
+            }
+        }
+        let natives: BTreeSet<u64> =
+            self.spaces.iter().flat_map(|space| space.natives.keys()).copied().collect();
+        for told in self.spaces.iter().flat_map(|space| space.told.keys()) {
+            assert!(natives.contains(&told.1), "a ghost");
+        }
+    }
+}
+
+impl Space {
+    /// `by` tells this now. Whether that is otherwise than before.
+    fn say(&mut self, by: usize, told: BTreeMap<u64, Origin>) -> bool {
+        let before = self.told.len();
+        let mut changed = false;
+        self.told.retain(|(teller, tag), _| *teller != by || told.contains_key(tag));
+        changed |= self.told.len() != before;
+        for (tag, origin) in told {
+            changed |= self.told.insert((by, tag), origin.clone()).as_ref() != Some(&origin);
+        }
+        changed
+    }
+}
+
+/// Domains first, then networks and ROS 2 graphs. `links`: domain, the other one, whether that is ROS.
+fn run(spaces: usize, links: &[(usize, usize, bool)], seed: u64) {
+    let mut random = SmallRng::seed_from_u64(seed);
+    let mut world = World::new(spaces, links);
+    for step in 0..12 {
+        match random.random_range(0..4) {
+            0 if step > 3 => {
+                let at = random.random_range(0..links.len());
+                match world.mirrors[at].lives {
+                    true => world.kill(at),
+                    false => world.mirrors[at].lives = true,
+                }
+            }
+            1 => {
+                let space = random.random_range(0..spaces);
+                world.spaces[space].natives.pop_first();
+            }
+            _ => drop(world.add(random.random_range(0..spaces))),
+        }
+        world.settle(&mut random);
+        world.check();
+    }
+}
+
+#[test]
+fn a_message_comes_into_every_space_once() {
+    let seed: u64 = rand::random();
+    println!("seed {seed}");
+    let arrangements: [(usize, &[(usize, usize, bool)]); 7] = [
+        // ROS - A - network - B - ROS.
+        (5, &[(0, 2, true), (0, 3, false), (1, 3, false), (1, 4, true)]),
+        // Two bridges to one ROS, and a network between the same domains.
+        (4, &[(0, 2, true), (1, 2, true), (0, 3, false), (1, 3, false)]),
+        // Three hosts, one network, all with the same ROS.
+        (5, &[(0, 3, false), (1, 3, false), (2, 3, false), (0, 4, true), (1, 4, true), (2, 4, true)]),
+        // A host in two networks, which meet in a third one.
+        (6, &[(0, 3, false), (0, 4, false), (1, 3, false), (2, 4, false), (1, 5, false), (2, 5, false)]),
+        // A domain with two ROS graphs.
+        (3, &[(0, 1, true), (0, 2, true)]),
+        // A ring of ROS graphs alone.
+        (6, &[(0, 3, true), (1, 3, true), (1, 4, true), (2, 4, true), (2, 5, true), (0, 5, true)]),
+        // A chain of four domains.
+        (7, &[(0, 4, false), (1, 4, false), (1, 5, true), (2, 5, true), (2, 6, false), (3, 6, false)]),
+    ];
+    for (at, (spaces, links)) in arrangements.into_iter().enumerate() {
+        for round in 0..40 {
+            run(spaces, links, seed ^ (at as u64) << 32 ^ round);
+        }
+    }
+}
+
+#[test]
+fn any_arrangement_comes_to_rest() {
+    let seed: u64 = rand::random();
+    println!("seed {seed}");
+    for round in 0..150 {
+        let mut random = SmallRng::seed_from_u64(seed ^ round);
+        let (domains, others) = (random.random_range(1..5), random.random_range(1..4));
+        let mut links = BTreeSet::new();
+        for _ in 0..random.random_range(1..10) {
+            let other = random.random_range(0..others);
+            links.insert((random.random_range(0..domains), domains + other, other % 2 == 1));
+        }
+        let links: Vec<_> = links.into_iter().collect();
+        run(domains + others, &links, seed ^ round);
+    }
+}
