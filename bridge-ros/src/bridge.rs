@@ -198,7 +198,8 @@ impl Bridge {
             Bridge { events, shared, wake, threads, info, _seat: seat, _participant: participant.clone() };
         let control = {
             let shared = bridge.shared.clone();
-            let (participant, node, tables) = (participant.clone(), node.clone(), (tables.clone(), own_table));
+            let (participant, node, tables) =
+                (participant.clone(), node.clone(), (tables.clone(), own_table));
             let control =
                 Control::new(&options, participant, node, outgoing, incoming, services, tables, shared);
             priorities.other("ros-control").spawn(move || move || control.run(&received))?
@@ -214,14 +215,12 @@ impl Bridge {
         let there = {
             let (graph, wait_set) = (GraphGuard::of(&node), WaitSet::new(&context)?);
             let (wake, events, shared) = (bridge.wake.clone(), bridge.events.clone(), bridge.shared.clone());
-            priorities
-                .other("ros-there")
-                .spawn(move || {
-                    move || {
-                        let there = There { graph, heard, tables, buffer };
-                        watch_ros(there, wait_set, &wake, &events, &shared);
-                    }
-                })?
+            priorities.other("ros-there").spawn(move || {
+                move || {
+                    let there = There { graph, heard, tables, buffer };
+                    watch_ros(there, wait_set, &wake, &events, &shared);
+                }
+            })?
         };
         bridge.hold(there);
         Ok(bridge)

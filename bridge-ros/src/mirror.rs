@@ -18,6 +18,7 @@
 use crate::rules::{Choice, Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
+use tautline_relay::RELAYED_DEPTH;
 use tautline_transport::{Durability, EndpointKind, Gid, History, Limits, Qos, Reliability, TopicEndpoint};
 
 /// A topic on both sides.
@@ -378,7 +379,9 @@ impl Wanted {
             self.writers.insert((key.clone(), end.gid), (qos, hash.clone()));
         }
         let is_read = key.is_of_action() || there.iter().any(|end| end.kind == EndpointKind::Subscription);
-        if let (true, Some(depth)) = (is_read, writers().map(|end| end.qos.depth).max()) {
+        let depth =
+            |end: &&&TopicEndpoint| end.qos.depth.max(if end.origin.is_here() { 1 } else { RELAYED_DEPTH });
+        if let (true, Some(depth)) = (is_read, writers().map(|end| depth(&end)).max()) {
             let is_kept = writers().any(|end| end.qos.durability == Durability::TransientLocal);
             let outward = Outward { depth, is_kept, min_period: choice.min_period, type_hash: hash };
             self.out.insert(key.clone(), outward);

@@ -120,7 +120,10 @@ impl RosGraph {
             // Without an end it is not known which process has it: other bridges' word of it is another node then.
             let of = process.map_or_else(|| format!("{domain:x}"), |process| format!("{process:02x?}"));
             let tag = Origin::tag_of(&format!("{of} {name} {count}"));
-            nodes.push((RemoteNode { name, origin: Origin { tag, ..Origin::here(Gid::default(), place) } }, 0));
+            nodes.push((
+                RemoteNode { name, origin: Origin { tag, ..Origin::here(Gid::default(), place) } },
+                0,
+            ));
         }
         nodes
     }
@@ -191,7 +194,8 @@ pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64) {
             let text = format!("{domain:x} {:?} {} {} {node}", end.kind, end.name, end.type_name);
             let count = count.entry(text.clone()).or_default();
             *count += 1;
-            let halves = ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {count} {text}")).to_le_bytes());
+            let halves =
+                ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {count} {text}")).to_le_bytes());
             end.gid = Gid(std::array::from_fn(|at| halves[at / 8][at % 8]));
         }
         end.origin.tag = end.gid.tag();

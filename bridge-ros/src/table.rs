@@ -182,7 +182,11 @@ impl Tables {
     }
 
     /// Takes what came. Whether it changed anything.
-    pub(crate) fn take(&self, from: &mut RosSubscription, buffer: &mut SerializedMessage) -> Result<bool, RclError> {
+    pub(crate) fn take(
+        &self,
+        from: &mut RosSubscription,
+        buffer: &mut SerializedMessage,
+    ) -> Result<bool, RclError> {
         let mut changed = false;
         while let Some(info) = from.take(buffer)? {
             if info.is_own {
@@ -244,7 +248,8 @@ fn qos() -> Qos {
 impl OwnTable {
     pub(crate) fn new(node: &Arc<Node>) -> Result<Self, String> {
         let support = Types::new().find(TYPE, None).map_err(|error| error.to_string())?.support;
-        let publisher = RosPublisher::new(node, TOPIC, &support, &qos()).map_err(|error| error.to_string())?;
+        let publisher =
+            RosPublisher::new(node, TOPIC, &support, &qos()).map_err(|error| error.to_string())?;
         let buffer = SerializedMessage::new().map_err(|error| error.to_string())?;
         Ok(OwnTable { publisher, buffer, said: None })
     }
@@ -257,7 +262,8 @@ impl OwnTable {
         let text = serde_json::to_vec(&table).map_err(|error| error.to_string())?;
         let len = u32::try_from(text.len() + 1).map_err(|error| error.to_string())?;
         let body = [&len.to_le_bytes()[..], &text, &[0]].concat();
-        let sent = self.buffer.assign(&ENCAPSULATION, &body).and_then(|()| self.publisher.publish(&self.buffer));
+        let sent =
+            self.buffer.assign(&ENCAPSULATION, &body).and_then(|()| self.publisher.publish(&self.buffer));
         sent.map_err(|error| error.reason)?;
         self.said = Some(table);
         Ok(())
@@ -268,7 +274,8 @@ impl OwnTable {
 pub(crate) fn subscription(node: &Arc<Node>) -> Result<RosSubscription, String> {
     let support = Types::new().find(TYPE, None).map_err(|error| error.to_string())?.support;
     // Of each of them the last.
-    RosSubscription::new(node, TOPIC, &support, &Qos { depth: 100, ..qos() }).map_err(|error| error.to_string())
+    RosSubscription::new(node, TOPIC, &support, &Qos { depth: 100, ..qos() })
+        .map_err(|error| error.to_string())
 }
 
 #[cfg(test)]

@@ -9,9 +9,9 @@ use std::sync::Arc;
 use std::time::Duration;
 use support::{Count, Part, clean, domain, participants, say, wait_for, wait_for_the_end};
 use tautline_transport::{
-    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Origin, Participant, Qos, Rank,
-    RawClient, RawServer, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint, TopicType, TransportError,
-    graph_of,
+    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Origin, Participant, Qos, Rank, RawClient,
+    RawServer, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint, TopicType,
+    TransportError, graph_of,
 };
 
 /// The child's part; without its variable it is no test.
@@ -265,7 +265,10 @@ fn what_two_tell_of_is_listed_once() {
         teller: None,
     };
     let told = |gid, path: &[u64]| RemoteGraph {
-        nodes: vec![RemoteNode { origin: Origin { path: path.to_vec(), ..origin(8) }, ..remote_node("talker", 8) }],
+        nodes: vec![RemoteNode {
+            origin: Origin { path: path.to_vec(), ..origin(8) },
+            ..remote_node("talker", 8)
+        }],
         endpoints: vec![end(gid, path)],
         services: vec![],
     };

@@ -14,4 +14,4 @@ mod waker;
 pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
 pub use relay::{PassedOver, Relay, RelayError};
 pub use route::{EarlyLimits, Last, Outlet, Taken};
-pub use transit::Transit;
+pub use transit::{RELAYED_DEPTH, Transit};

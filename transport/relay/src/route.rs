@@ -287,7 +287,10 @@ mod tests {
         assert!(![2, 5].into_iter().any(|number| admits(one, number, number)), "another subscription");
         // Another port, which begins with what it keeps, in its own numbers.
         assert!(![(1, 4), (2, 5)].into_iter().any(|(number, source)| admits(other, number, source)));
-        assert!(admits(other, 3, 6) && admits(other, 4, 8) && admits(other, 5, 7), "in whatever order they came");
+        assert!(
+            admits(other, 3, 6) && admits(other, 4, 8) && admits(other, 5, 7),
+            "in whatever order they came"
+        );
         // Where nobody counts for the publisher, its port does.
         assert!(admits(one, 1, 0) && admits(one, 2, 0) && !admits(one, 2, 0));
     }

@@ -9,6 +9,10 @@
 use std::collections::{BTreeMap, HashMap};
 use tautline_transport::{Origin, Rank};
 
+/// How deep the queue is at least by which samples of a publisher are taken that is elsewhere: its own depth is how much it keeps there,
+/// as far as that is known at all, and on the way here samples gather.
+pub const RELAYED_DEPTH: usize = 100;
+
 /// What one gateway or bridge knows: pure, and told of everything.
 pub struct Transit {
     domain: u64,

@@ -47,11 +47,11 @@ fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
     }
     let [participant, relaying] = [(); 2].map(|()| Participant::new(93).unwrap());
     let (topic_type, qos) = (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(10));
-    let publisher = |of: &Participant| of.create_raw_publisher("/x", &topic_type, qos, Limits::default()).unwrap();
+    let publisher =
+        |of: &Participant| of.create_raw_publisher("/x", &topic_type, qos, Limits::default()).unwrap();
     let [known, early, other, unknown] = std::array::from_fn(|_| publisher(&participant));
     let own = publisher(&relaying);
-    let subscription =
-        relaying.create_relay_subscription("/x", &topic_type, qos, Limits::default()).unwrap();
+    let subscription = relaying.create_relay_subscription("/x", &topic_type, qos, Limits::default()).unwrap();
 
     let relay = Relay::start(&relaying, ThreadBuilder::new("relay"), Log).unwrap();
     let (log, told) = mpsc::channel();

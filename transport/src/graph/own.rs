@@ -201,8 +201,10 @@ impl State {
         let of_ports = remote.endpoints.iter().filter_map(|end| end.node.as_ref());
         let of_services = remote.services.iter().filter_map(|end| end.node.as_ref());
         let listed: BTreeSet<&NodeName> = remote.nodes.iter().map(|node| &node.name).collect();
-        let unlisted: BTreeSet<&NodeName> = of_ports.chain(of_services).filter(|node| !listed.contains(node)).collect();
-        let unlisted = unlisted.into_iter().map(|name| RemoteNode { name: name.clone(), origin: Origin::default() });
+        let unlisted: BTreeSet<&NodeName> =
+            of_ports.chain(of_services).filter(|node| !listed.contains(node)).collect();
+        let unlisted =
+            unlisted.into_iter().map(|name| RemoteNode { name: name.clone(), origin: Origin::default() });
         // By name: the first of several has the ends.
         let mut numbers = HashMap::new();
         for node in remote.nodes.iter().cloned().chain(unlisted) {

@@ -288,7 +288,6 @@ impl NodeRecord {
 }
 
 impl NodeName {
-
     pub(crate) fn is_valid(&self) -> bool {
         self.name.len() <= MAX_NAME_BYTES
             && is_token(&self.name)

@@ -75,9 +75,9 @@ pub(crate) fn list(
 ) -> Locals {
     let mut locals = Locals::default();
     let nodes = graph.nodes.iter().filter(|node| node.teller != Some(own));
-    locals.nodes.extend(
-        nodes.map(|node| LocalNode { name: wire_node(&node.name), origin: node.origin.clone() }),
-    );
+    locals
+        .nodes
+        .extend(nodes.map(|node| LocalNode { name: wire_node(&node.name), origin: node.origin.clone() }));
     let topics = graph.endpoints.iter().filter(|end| end.teller != Some(own)).map(|end| End::of_topic(end));
     let services =
         graph.services.iter().filter(|end| end.teller != Some(own)).map(|end| End::of_service(end));

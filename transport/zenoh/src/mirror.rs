@@ -17,6 +17,7 @@ use crate::graph::{Change, Graph, RemoteEndpoint};
 use crate::origin::named;
 use crate::wire::{Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos, endpoint_gid};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use tautline_relay::RELAYED_DEPTH;
 use tautline_transport::{Durability, Gid, History, Origin, Rank, Reliability};
 
 /// A node on this host, or one that others tell of here.
@@ -398,10 +399,13 @@ impl Mirror {
                 Some((local_gid, Writer { local_gid, wire_gid, qos }))
             })
             .collect();
+        let are_here =
+            writers.keys().all(|gid| self.locals.get(gid).is_some_and(|l| l.endpoint.origin.is_here()));
+        let relayed = if are_here { 1 } else { RELAYED_DEPTH as u64 };
         let is_read = self.graph.subscriptions(key).next().is_some();
         let is_kept = writers.values().any(|writer| writer.qos.durability == Durability::TransientLocal);
         let wanted = (!writers.is_empty() && (is_kept || is_read)).then(|| OutQos {
-            depth: writers.values().map(|writer| writer.qos.depth).max().unwrap_or(1),
+            depth: writers.values().map(|writer| writer.qos.depth).max().unwrap_or(1).max(relayed),
             durability: if is_kept { Durability::TransientLocal } else { Durability::Volatile },
         });
         let running = self.out.get(key).map(|(qos, _)| *qos);

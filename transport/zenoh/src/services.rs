@@ -19,8 +19,8 @@ use std::time::{Duration, Instant};
 use tautline_rt::clock::wall_ns;
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder};
 use tautline_transport::{
-    Availability, Claim, Limits, MAX_PENDING_REQUESTS, Participant, RawClient, RawPending, RawSample, RawServer, RequestId,
-    ServiceError, ServiceType, TransportError,
+    Availability, Claim, Limits, MAX_PENDING_REQUESTS, Participant, RawClient, RawPending, RawSample,
+    RawServer, RequestId, ServiceError, ServiceType, TransportError,
 };
 use zenoh::bytes::ZBytes;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
@@ -297,7 +297,9 @@ impl Bridge {
 
     /// Another host asks a service of the domain.
     fn take(&mut self, key: &TopicKey, query: Query, context: &mut Context<'_>) {
-        let Err(reason) = self.ask(key, &query, context).map(|answer| self.pending.push(answer)) else { return };
+        let Err(reason) = self.ask(key, &query, context).map(|answer| self.pending.push(answer)) else {
+            return;
+        };
         match self.offered.get_mut(key) {
             Some(offer) if reason.is_passing && offer.held.len() < MAX_HELD => {
                 offer.held.push_back((query, Instant::now()));
@@ -315,7 +317,8 @@ impl Bridge {
             if offer.availability.is_none() {
                 offer.availability = offer.clients.first().and_then(|client| client.availability().ok());
             }
-            let is_there = offer.availability.as_mut().is_some_and(|wait| wait.poll_unpin(context).is_ready());
+            let is_there =
+                offer.availability.as_mut().is_some_and(|wait| wait.poll_unpin(context).is_ready());
             if is_there {
                 offer.availability = None;
                 found.extend(offer.held.drain(..).map(|(query, _)| (key.clone(), query)));

@@ -69,8 +69,9 @@ fn pass(port: &RawPublisher, number: u64) {
 fn listed(host: &Host, kind: EndpointKind, topic: &str) -> TopicEndpoint {
     wait("an end of another host", || {
         let graph = host.participant.graph().unwrap();
-        let is_it =
-            |end: &TopicEndpoint| end.kind == kind && end.topic == topic && end.is_remote && end.gid != TALKER;
+        let is_it = |end: &TopicEndpoint| {
+            end.kind == kind && end.topic == topic && end.is_remote && end.gid != TALKER
+        };
         graph.endpoints.iter().find(|end| is_it(end)).map(|end| (**end).clone())
     })
 }

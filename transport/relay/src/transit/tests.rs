@@ -151,8 +151,10 @@ impl World {
         loop {
             let links = self.mirrors.iter().filter(|mirror| mirror.lives);
             let ends = links.flat_map(|mirror| [(mirror.domain, mirror.far), (mirror.far, mirror.domain)]);
-            let more: Vec<usize> =
-                ends.filter(|(one, other)| reached.contains(one) && !reached.contains(other)).map(|(_, to)| to).collect();
+            let more: Vec<usize> = ends
+                .filter(|(one, other)| reached.contains(one) && !reached.contains(other))
+                .map(|(_, to)| to)
+                .collect();
             if more.is_empty() {
                 return reached;
             }
@@ -164,7 +166,8 @@ impl World {
         for (home, space) in self.spaces.iter().enumerate() {
             for tag in space.natives.keys() {
                 let reached = self.reached(home);
-                let expected: Vec<usize> = (0..self.spaces.len()).map(|at| usize::from(reached.contains(&at))).collect();
+                let expected: Vec<usize> =
+                    (0..self.spaces.len()).map(|at| usize::from(reached.contains(&at))).collect();
                 assert_eq!(self.arrivals(*tag), expected, "of {tag} in {home}");
             }
         }

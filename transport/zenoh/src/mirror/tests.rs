@@ -106,7 +106,10 @@ fn samples_go_out_while_both_ends_exist() {
     assert_eq!(said(&m.token_up(&remote(2, 8, "MP", "x", QOS))), NOTHING, "nobody here listens");
     let two = vec![publisher(1, "x"), publisher(2, "x")];
     assert_eq!(said(&m.set_locals(vec![], two)), ["declare Publisher /x", "open /x 2"]);
-    assert_eq!(said(&m.set_locals(vec![], vec![publisher(2, "x")])), ["close /x 1", "undeclare Publisher /x"]);
+    assert_eq!(
+        said(&m.set_locals(vec![], vec![publisher(2, "x")])),
+        ["close /x 1", "undeclare Publisher /x"]
+    );
     assert_eq!(said(&m.token_down(&reader)), NOTHING);
     assert_eq!(said(&m.token_down(&remote(2, 7, "MS", "x", QOS))), ["stop out /x"]);
     assert_eq!(said(&m.close()), ["undeclare Publisher /x", "undeclare node /n"]);
@@ -236,7 +239,10 @@ fn denied_topics_are_neither_mirrored_nor_announced() {
     let mut m = mirror(ZID, Filter::new(&[], &["/secret/**".into()]).unwrap());
     m.token_up(&remote(1, 7, "MS", "secret%x", QOS));
     let locals = vec![publisher(1, "secret/x")];
-    assert_eq!(said(&m.set_locals(vec![node(NodeName::new("/a", "node"))], locals)), ["declare node /a/node"]);
+    assert_eq!(
+        said(&m.set_locals(vec![node(NodeName::new("/a", "node"))], locals)),
+        ["declare node /a/node"]
+    );
 }
 
 #[test]
