@@ -62,6 +62,9 @@ pub struct Args {
     /// SCHED_FIFO priority of the threads that carry messages; the RMW's have the one below it
     #[arg(long, value_name = "N", default_value_t = Options::PRIORITY, value_parser = clap::value_parser!(u8).range(3..=98))]
     priority: u8,
+    /// Put into ROS what is of this host alone, not what gateways and other bridges tell of here
+    #[arg(long)]
+    no_transit: bool,
     /// Run without real-time priorities
     #[arg(long)]
     no_rt: bool,
@@ -102,7 +105,8 @@ impl Args {
             None => variable("ROS_DOMAIN_ID")?,
         };
         let realtime = if self.no_rt { Realtime::Off } else { Realtime::Required };
-        Ok(Options { domain, ros_domain, rules, services, priority: self.priority, realtime })
+        let transit = config.transit.unwrap_or(true) && !self.no_transit;
+        Ok(Options { domain, ros_domain, rules, services, transit, priority: self.priority, realtime })
     }
 }
 
@@ -168,6 +172,9 @@ mod tests {
         let options = args(&["--config", path, "--auto"]).options().unwrap();
         assert!(options.rules.choice("/b").is_some());
         assert!(args(&[]).options().unwrap().rules.choice("/b").is_some());
+        assert!(args(&[]).options().unwrap().transit && !args(&["--no-transit"]).options().unwrap().transit);
+        std::fs::write(file.path(), "transit = false\n").unwrap();
+        assert!(!args(&["--config", path]).options().unwrap().transit);
     }
 
     #[test]

@@ -32,6 +32,8 @@ pub struct Options {
     pub rules: Rules,
     /// Which services.
     pub services: Rules,
+    /// Whether what gateways and other bridges tell of here is put into ROS too.
+    pub transit: bool,
     /// `SCHED_FIFO` priority of the threads that carry messages, at least 3: the RMW's threads have the one below it, the
     /// bridge's other threads the one below that. Below the sampler's (90), above the callbacks'.
     pub priority: u8,
@@ -52,6 +54,7 @@ impl Default for Options {
             ros_domain: None,
             services: rules.clone(),
             rules,
+            transit: true,
             priority: Self::PRIORITY,
             realtime: Realtime::Required,
         }

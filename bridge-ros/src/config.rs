@@ -23,6 +23,8 @@ pub struct Config {
     pub rules: Rules,
     /// Which services.
     pub services: Rules,
+    /// Whether what others tell of in Tautline's domain is put into ROS too: it is, unless it says otherwise.
+    pub transit: Option<bool>,
 }
 
 /// Something that is wrong with a file.
@@ -138,6 +140,7 @@ impl<'t> Reader<'t> {
         let domain = self.domain(&mut root, "domain");
         let ros_domain = self.domain(&mut root, "ros_domain");
         let auto = self.flag(&mut root, "auto").unwrap_or(false);
+        let transit = self.flag(&mut root, "transit");
         let (allow, deny) = (self.patterns(&mut root, "allow"), self.patterns(&mut root, "deny"));
         let mut rules = self.rules(&mut root, "topic", Self::rule);
         let mut services = self.rules(&mut root, "service", Self::service);
@@ -147,7 +150,7 @@ impl<'t> Reader<'t> {
         }
         self.unknown(&root);
         let services = Rules { rules: services, auto, allow: allow.clone(), deny: deny.clone() };
-        Config { domain, ros_domain, rules: Rules { rules, auto, allow, deny }, services }
+        Config { domain, ros_domain, rules: Rules { rules, auto, allow, deny }, services, transit }
     }
 
     /// The tables `[[name]]`.
@@ -553,7 +556,7 @@ direction = 7
             "`domain` is 233: write a whole number from 0 to 232",
             "`auto` must be true or false, not a text",
             "'camera' is no pattern",
-            "the file has no `colour`: it can have action, allow, auto, deny, domain, ros_domain, service, topic",
+            "the file has no `colour`: it can have action, allow, auto, deny, domain, ros_domain, service, topic, transit",
             "[[topic]] has no `topic`",
             "`ros_topic` \"/b\" does not rename \"/*/a\"",
             "`direction` is \"out\": write \"to_ros\", \"from_ros\" or \"both\"",

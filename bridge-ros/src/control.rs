@@ -103,7 +103,7 @@ impl Control {
         Control {
             tables,
             own_table,
-            transit: Transit::to_ros(domain, own, own.into()),
+            transit: Transit::to_ros(domain, own, own.into()).going_on(options.transit),
             places: (host, place),
             participant,
             node,

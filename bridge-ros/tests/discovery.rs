@@ -327,8 +327,9 @@ fn two_bridges_neither_loop_nor_double() {
     peer.publish_text(out, &["from ros"]);
     let all = |texts: Vec<String>| texts.into_iter().collect::<BTreeSet<_>>();
     assert_eq!(all(peer.take_texts(into, 3)), ["from 0", "from 1", "from ros"].map(String::from).into());
-    for (number, one) in subscriptions.iter().enumerate() {
-        assert_eq!(all(take_texts(one, 2)), [format!("from {number}"), "from ros".into()].into());
+    // The domains hear each other through ROS.
+    for one in &subscriptions {
+        assert_eq!(all(take_texts(one, 3)), ["from 0", "from 1", "from ros"].map(String::from).into());
     }
     // Had one of them come twice, it would be there before what is sent now.
     for one in &publishers {
@@ -336,6 +337,32 @@ fn two_bridges_neither_loop_nor_double() {
     }
     assert_eq!(peer.take_texts(into, 2), ["last", "last"]);
     for one in &subscriptions {
-        assert_eq!(take_texts(one, 1), ["last"]);
+        assert_eq!(take_texts(one, 2), ["last", "last"]);
     }
+}
+
+/// What one domain has reaches the other one through ROS, unless a bridge is told not to pass it on; what is each one's own goes to ROS
+/// all the same.
+#[test]
+fn a_bridge_without_transit_passes_on_what_is_of_its_domain() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 71;
+    const ROS: [u32; 2] = [71, 73];
+    let _bridges = ROS.map(|of| BridgeProcess::start(DOMAIN, of, &["--no-transit"]));
+    let participant = Participant::new(DOMAIN).unwrap();
+    let [mut one, mut other] = ROS.map(|of| Peer::start(&venv, of, "peer"));
+    let publisher = publisher(&participant, "/x", STRING, Qos::default());
+    let (out, from_one) = (one.publisher("/x", STRING, json!({})), one.subscription("/x", STRING, json!({})));
+    let from_other = other.subscription("/x", STRING, json!({}));
+    let here = subscription(&participant, "/x", STRING, Qos::default());
+    one.matched(from_one, 2);
+    other.matched(from_other, 1);
+    one.matched(out, 2);
+    matched(&publisher, 3);
+    one.publish_text(out, &["from one"]);
+    assert_eq!(take_texts(&here, 1), ["from one"]);
+    publisher.publish(&text_body("from here")).unwrap();
+    assert_eq!(one.take_texts(from_one, 2), ["from one", "from here"]);
+    assert_eq!(other.take_texts(from_other, 1), ["from here"], "nothing of the other ROS graph");
+    assert_eq!(take_texts(&here, 1), ["from here"]);
 }

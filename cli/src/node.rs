@@ -28,7 +28,7 @@ pub struct NodeArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the nodes, and the process of each or that it is on another host
+    /// Prints the nodes, and the process of each or where else it is
     List,
     /// Prints the topics, services and actions of a node
     Info {
@@ -80,10 +80,14 @@ pub fn run(args: &NodeArgs) -> Result<ExitCode, NodeError> {
 
 fn list(nodes: &[Arc<NodeInfo>], out: &mut impl Write) -> io::Result<()> {
     let row = |node: &Arc<NodeInfo>| {
-        let process = node.pid.map_or("on another host".into(), |pid| pid.to_string());
+        let process = node.pid.map_or_else(|| on(node), |pid| pid.to_string());
         (true, vec![node.name.full_name(), process])
     };
     crate::table::write_table(&["node", "process"], 2, nodes.iter().map(row).collect(), out)
+}
+
+fn on(node: &NodeInfo) -> String {
+    format!("on {}", crate::table::place(&node.origin).unwrap_or("this host"))
 }
 
 fn facts(node: &NodeInfo) -> Value {
@@ -92,6 +96,7 @@ fn facts(node: &NodeInfo) -> Value {
         "namespace": node.name.namespace,
         "pid": node.pid,
         "remote": node.is_remote,
+        "place": crate::table::place(&node.origin),
     })
 }
 
@@ -140,7 +145,7 @@ impl Parts {
     }
 
     fn print(&self, node: &NodeInfo, out: &mut impl Write) -> io::Result<()> {
-        let place = node.pid.map_or("on another host".into(), |pid| format!("process {pid}"));
+        let place = node.pid.map_or_else(|| on(node), |pid| format!("process {pid}"));
         writeln!(out, "{} ({place})", node.name)?;
         for (part, entries) in &self.0 {
             writeln!(out, "  {}:", part.replace('_', " "))?;

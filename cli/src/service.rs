@@ -50,7 +50,7 @@ pub fn run(args: &ServiceArgs) -> Result<ExitCode, ServiceError> {
     let printed = if args.json {
         writeln!(out, "{}", Value::from_iter(services.iter().map(Service::to_json)))
     } else {
-        let head = ["service", "type", "host", "servers", "clients"];
+        let head = ["service", "type", "where", "servers", "clients"];
         crate::table::write_table(&head, 3, services.iter().map(Service::row).collect(), &mut out)
     };
     match printed {
@@ -81,14 +81,17 @@ impl Service<'_> {
     }
 
     fn row(&self) -> (bool, Vec<String>) {
-        let host = crate::table::host(self.ends.iter().map(|end| end.is_remote));
+        let places = crate::table::places(self.ends.iter().map(|end| &end.origin));
         let counts = [ServiceKind::Server, ServiceKind::Client].map(|kind| self.of(kind).count().to_string());
-        (true, [vec![self.name.into(), self.type_name.into(), host.into()], counts.to_vec()].concat())
+        (true, [vec![self.name.into(), self.type_name.into(), places], counts.to_vec()].concat())
     }
 
     fn to_json(&self) -> Value {
         let nodes = |kind| {
-            let end = |end: &tautline::ServiceEndpoint| json!({ "node": end.node.as_ref().map(NodeName::full_name), "remote": end.is_remote });
+            let end = |end: &tautline::ServiceEndpoint| {
+                let node = end.node.as_ref().map(NodeName::full_name);
+                json!({ "node": node, "remote": end.is_remote, "place": crate::table::place(&end.origin) })
+            };
             self.of(kind).map(end).collect::<Value>()
         };
         json!({

@@ -2,8 +2,11 @@
 //! Tables and colours of what people read.
 use std::io::{self, Write};
 
+use std::collections::BTreeSet;
+
 use anstyle::{AnsiColor, Style};
 use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
+use tautline_transport::Origin;
 
 pub const GOOD: Style = AnsiColor::Green.on_default();
 pub const BAD: Style = AnsiColor::Red.on_default();
@@ -44,12 +47,19 @@ pub fn write_table(
     Ok(())
 }
 
-/// Where the ends of something are, of which it is told whether they are remote.
-pub fn host(are_remote: impl Iterator<Item = bool>) -> &'static str {
-    match are_remote.fold((false, false), |(here, there), remote| (here | !remote, there | remote)) {
-        (true, true) => "both",
-        (false, true) => "remote",
-        _ => "here",
+/// Where the ends of something are: first those on this host.
+pub fn places<'o>(origins: impl Iterator<Item = &'o Origin>) -> String {
+    let places: BTreeSet<(bool, &str)> =
+        origins.map(|origin| (!origin.is_here(), place(origin).unwrap_or("here"))).collect();
+    places.into_iter().map(|(_, place)| place).collect::<Vec<_>>().join(",")
+}
+
+/// Where something is that is elsewhere, as far as that is told.
+pub fn place(origin: &Origin) -> Option<&str> {
+    match &*origin.place {
+        _ if origin.is_here() => None,
+        "" => Some("elsewhere"),
+        place => Some(place),
     }
 }
 

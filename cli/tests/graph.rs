@@ -4,8 +4,8 @@
 use serde_json::{Value, json};
 use std::process::{Command, Output};
 use tautline_transport::{
-    EndpointKind, Gid, Limits, NodeName, Participant, Qos, RemoteGraph, ServiceEndpoint, ServiceKind,
-    ServiceType, TopicEndpoint, TopicType,
+    EndpointKind, Gid, Limits, NodeName, Origin, Participant, Qos, RemoteGraph, RemoteNode, ServiceEndpoint,
+    ServiceKind, ServiceType, TopicEndpoint, TopicType,
 };
 
 const DOMAIN: u32 = 112;
@@ -47,6 +47,7 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     let _client = of_node.create_raw_client("/theirs/stop", &stop, Limits::default()).unwrap();
 
     // What a gateway would say.
+    let there = |gid| Origin::here(Gid([gid; 16]), "robot2");
     let gateway = Participant::new(DOMAIN).unwrap();
     let theirs = NodeName { namespace: "/".into(), name: "viewer".into() };
     let subscription = TopicEndpoint {
@@ -59,7 +60,7 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         pid: None,
         is_remote: true,
         is_own: false,
-        origin: Default::default(),
+        origin: there(1),
         teller: None,
     };
     let service = ServiceEndpoint {
@@ -68,25 +69,26 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         type_name: "a_msgs/srv/Stop".into(),
         type_hash: None,
         gid: Gid([0xcd; 16]),
-        node: Some(theirs),
+        node: Some(theirs.clone()),
         pid: None,
         is_remote: true,
-        origin: Default::default(),
+        origin: there(2),
         teller: None,
     };
-    let remote = RemoteGraph { nodes: vec![], endpoints: vec![subscription], services: vec![service] };
+    let viewer = RemoteNode { name: theirs, origin: there(3) };
+    let remote = RemoteGraph { nodes: vec![viewer], endpoints: vec![subscription], services: vec![service] };
     gateway.set_remote(&remote).unwrap();
 
     let pid = std::process::id();
     let nodes = parsed(&["node", "list", "--json"]);
     let expected = json!([
-        { "name": "viewer", "namespace": "/", "pid": null, "remote": true },
-        { "name": "camera", "namespace": "/robot", "pid": pid, "remote": false },
+        { "name": "viewer", "namespace": "/", "pid": null, "remote": true, "place": "robot2" },
+        { "name": "camera", "namespace": "/robot", "pid": pid, "remote": false, "place": null },
     ]);
     assert_eq!(nodes, expected);
     let table = text(&["node", "list"]);
     let rows: Vec<Vec<&str>> = table.lines().skip(2).map(|line| line.split_whitespace().collect()).collect();
-    assert_eq!(rows, [vec!["/viewer", "on", "another", "host"], vec!["/robot/camera", &*pid.to_string()]]);
+    assert_eq!(rows, [vec!["/viewer", "on", "robot2"], vec!["/robot/camera", &*pid.to_string()]]);
 
     let expected = format!(
         "/robot/camera (process {pid})\n  subscribers:\n  publishers:\n    /image: a_msgs/msg/Image\n  service servers:\n    \
@@ -104,7 +106,8 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     let services = parsed(&["service", "list", "--json"]);
     let expected = json!({
         "service": "/theirs/stop", "type": "a_msgs/srv/Stop", "hash": null,
-        "servers": [{ "node": "/viewer", "remote": true }], "clients": [{ "node": "/robot/camera", "remote": false }],
+        "servers": [{ "node": "/viewer", "remote": true, "place": "robot2" }],
+        "clients": [{ "node": "/robot/camera", "remote": false, "place": null }],
     });
     assert_eq!((services.as_array().unwrap().len(), &services[2]), (3, &expected));
     assert_eq!(services[0]["hash"], json!(hash));
@@ -112,13 +115,16 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     let line = table.lines().find(|line| line.starts_with("/theirs/stop")).unwrap();
     assert_eq!(
         line.split_whitespace().collect::<Vec<_>>(),
-        ["/theirs/stop", "a_msgs/srv/Stop", "both", "1", "1"]
+        ["/theirs/stop", "a_msgs/srv/Stop", "here,robot2", "1", "1"]
     );
 
     let list = text(&["topic", "list"]);
     let line = list.lines().find(|line| line.starts_with("/image")).unwrap();
-    assert_eq!(line.split_whitespace().collect::<Vec<_>>(), ["/image", "a_msgs/msg/Image", "both", "1", "1"]);
-    let short = "Type: a_msgs/msg/Image\nPublisher count: 1\nSubscription count: 1, 1 on other hosts\n";
+    assert_eq!(
+        line.split_whitespace().collect::<Vec<_>>(),
+        ["/image", "a_msgs/msg/Image", "here,robot2", "1", "1"]
+    );
+    let short = "Type: a_msgs/msg/Image\nPublisher count: 1\nSubscription count: 1, 1 elsewhere\n";
     assert_eq!(text(&["topic", "info", "image"]), short);
     let long = text(&["topic", "info", "/image", "-v"]);
     for part in

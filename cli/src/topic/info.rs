@@ -2,7 +2,7 @@
 //! `taut topic list` and `taut topic info`: who publishes and who subscribes, here and on other hosts.
 
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::time::Duration;
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
@@ -29,7 +29,7 @@ pub fn list(topics: &[Topic<'_>], json: bool, out: &mut impl Write) -> io::Resul
     if json {
         return writeln!(out, "{}", Value::from_iter(topics.iter().map(Topic::to_json)));
     }
-    let head = ["topic", "type", "host", "publishers", "subscriptions"];
+    let head = ["topic", "type", "where", "publishers", "subscriptions"];
     crate::table::write_table(&head, 3, topics.iter().map(Topic::row).collect(), out)
 }
 
@@ -47,14 +47,16 @@ impl<'g> Topic<'g> {
     }
 
     fn row(&self) -> (bool, Vec<String>) {
-        let host = crate::table::host(self.ends.iter().map(|end| end.is_remote));
+        let places = crate::table::places(self.ends.iter().map(|end| &end.origin));
         let counts = [EndpointKind::Publisher, EndpointKind::Subscription]
             .map(|kind| self.of(kind).count().to_string());
-        (true, [vec![self.name.into(), self.type_name.into(), host.into()], counts.to_vec()].concat())
+        (true, [vec![self.name.into(), self.type_name.into(), places], counts.to_vec()].concat())
     }
 
     fn to_json(&self) -> Value {
         let remote = |kind| self.of(kind).filter(|end| end.is_remote).count();
+        let places: BTreeSet<_> =
+            self.ends.iter().filter_map(|end| crate::table::place(&end.origin)).collect();
         json!({
             "topic": self.name,
             "type": self.type_name,
@@ -63,6 +65,7 @@ impl<'g> Topic<'g> {
             "subscriptions": self.of(EndpointKind::Subscription).count(),
             "remote_publishers": remote(EndpointKind::Publisher),
             "remote_subscriptions": remote(EndpointKind::Subscription),
+            "places": places,
         })
     }
 
@@ -85,7 +88,7 @@ impl<'g> Topic<'g> {
         for (what, kind) in kinds {
             let count = self.of(kind).count();
             let remote = self.of(kind).filter(|end| end.is_remote).count();
-            let there = if remote > 0 { format!(", {remote} on other hosts") } else { String::new() };
+            let there = if remote > 0 { format!(", {remote} elsewhere") } else { String::new() };
             if verbose {
                 writeln!(out)?;
             }
@@ -106,8 +109,9 @@ fn print_end(end: &TopicEndpoint, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "Node namespace: {}", node.map_or("(none)", |node| &node.namespace))?;
     match end.pid {
         Some(pid) => writeln!(out, "Process: {pid}")?,
-        None if end.is_remote => writeln!(out, "Process: on another host")?,
-        None => {}
+        None => {
+            crate::table::place(&end.origin).map_or(Ok(()), |place| writeln!(out, "Process: on {place}"))?;
+        }
     }
     writeln!(out, "Topic type: {}", end.topic_type.name)?;
     writeln!(out, "Topic type hash: {}", end.topic_type.hash.as_deref().unwrap_or("unknown"))?;
@@ -127,6 +131,7 @@ fn end_json(end: &TopicEndpoint) -> Value {
         "node": end.node.as_ref().map(|node| node.full_name()),
         "pid": end.pid,
         "remote": end.is_remote,
+        "place": crate::table::place(&end.origin),
         "gid": format!("{:?}", end.gid),
         "hash": end.topic_type.hash,
         "qos": {

@@ -19,6 +19,7 @@ pub struct Transit {
     participant: u64,
     own: u128,
     crossed_ros: u8,
+    goes_on: bool,
     rivals: HashMap<u64, Rank>,
     far: HashMap<u64, BTreeMap<Rank, usize>>,
 }
@@ -27,12 +28,18 @@ impl Transit {
     /// Between a domain, there as `participant`, and a network, there as `own`.
     pub fn to_network(domain: u64, participant: u64, own: u128) -> Self {
         let (rivals, far) = Default::default();
-        Transit { domain, participant, own, crossed_ros: 0, rivals, far }
+        Transit { domain, participant, own, crossed_ros: 0, goes_on: true, rivals, far }
     }
 
     /// Between a domain and a ROS 2 graph.
     pub fn to_ros(domain: u64, participant: u64, own: u128) -> Self {
         Transit { crossed_ros: 1, ..Self::to_network(domain, participant, own) }
+    }
+
+    /// Whether what others tell of in the domain is announced too: it is, unless this says otherwise.
+    #[must_use]
+    pub fn going_on(self, goes_on: bool) -> Self {
+        Transit { goes_on, ..self }
     }
 
     /// What others tell of in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals).
@@ -93,6 +100,9 @@ impl Transit {
 
     /// How the far side is to be told of what the domain has, be it there or told by another gateway or bridge; `None`: not at all.
     pub fn announced(&self, origin: &Origin) -> Option<Origin> {
+        if !self.goes_on && !origin.is_here() {
+            return None;
+        }
         let announced = origin.clone().told_by(self.domain);
         let is_best = self.best(origin.tag).is_none_or(|best| announced.rank(self.own) < best);
         (is_best && origin.may_go_on()).then_some(announced)

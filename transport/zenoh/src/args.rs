@@ -69,6 +69,9 @@ pub struct Args {
     /// SCHED_FIFO priority of the network's threads: below the sampler's (90), above the callbacks'
     #[arg(long, value_name = "N", default_value_t = Options::PRIORITY, value_parser = clap::value_parser!(u8).range(1..=98))]
     priority: u8,
+    /// Announce what is of this host alone, not what bridges tell of here
+    #[arg(long)]
+    no_transit: bool,
     /// Run without real-time priorities
     #[arg(long)]
     no_rt: bool,
@@ -130,6 +133,7 @@ impl Args {
             network: Network { mode, listen, connect, file: self.config.clone() },
             filter: Filter::new(&self.allow, &self.deny)?,
             rules: self.rules()?,
+            transit: !self.no_transit,
             priority: self.priority,
             realtime: if self.no_rt { Realtime::Off } else { Realtime::Required },
             cores: cores(&self.cores)?,
@@ -212,6 +216,7 @@ mod tests {
             "/x/**",
             "--urgency",
             "/y=data_high",
+            "--no-transit",
             "--no-rt",
             "--cores",
             "0",

@@ -126,6 +126,7 @@ impl Control {
         let domain = options.network_domain.unwrap_or(options.domain);
         let filter: Filter = options.filter.clone();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid);
+        let transit = transit.going_on(options.transit);
         let graph = Graph::new(domain, zid, options.limits, transit);
         let mirror = Mirror::new(domain, zid, graph, filter, &tautline_rt::host::name());
         Control {

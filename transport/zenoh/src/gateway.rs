@@ -36,6 +36,8 @@ pub struct Options {
     pub filter: Filter,
     /// Order on a busy link; what no rule speaks of goes by size.
     pub rules: Vec<Rule>,
+    /// Whether what bridges tell of here is announced too.
+    pub transit: bool,
     /// `SCHED_FIFO` priority of the network's threads: below the sampler's (90), above the callbacks'.
     pub priority: u8,
     /// Whether that is required.
@@ -63,6 +65,7 @@ impl Default for Options {
             network: Network::default(),
             filter: Filter::default(),
             rules: Vec::new(),
+            transit: true,
             priority: Self::PRIORITY,
             realtime: Realtime::Required,
             cores: None,

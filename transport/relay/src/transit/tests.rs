@@ -260,3 +260,13 @@ fn any_arrangement_comes_to_rest() {
         run(domains + others, &links, seed ^ round);
     }
 }
+
+#[test]
+fn what_does_not_go_on_stops_at_its_domain() {
+    let transit = Transit::to_network(1, 2, 3).going_on(false);
+    let here = Origin { tag: 7, ..Origin::default() };
+    let elsewhere = Origin { ros: 1, ..here.clone() };
+    assert_eq!(transit.announced(&here), Some(here.clone().told_by(1)));
+    assert_eq!(transit.announced(&elsewhere), None);
+    assert!(transit.told(&elsewhere, 9).is_some() && transit.carries(&elsewhere, 9));
+}
