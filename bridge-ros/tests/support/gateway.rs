@@ -3,23 +3,29 @@
 
 use super::{Program, built, reserve, scope, wait_until};
 use std::ops::Deref;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// `taut-gateway`.
-pub struct GatewayProcess(Program);
+pub struct GatewayProcess {
+    running: Program,
+    program: PathBuf,
+    domains: [u32; 2],
+    arguments: Vec<String>,
+}
 
 impl Deref for GatewayProcess {
     type Target = Program;
 
     fn deref(&self) -> &Program {
-        &self.0
+        &self.running
     }
 }
 
 impl GatewayProcess {
     /// Without real-time priorities.
-    fn start(program: &Path, domain: u32, network_domain: u32, arguments: &[&str]) -> Self {
+    fn start(program: &Path, domains: [u32; 2], arguments: &[&str]) -> Self {
+        let [domain, network_domain] = domains;
         reserve(domain);
         let mut command = Command::new(program);
         let (domain, network_domain) = (domain.to_string(), network_domain.to_string());
@@ -31,7 +37,27 @@ impl GatewayProcess {
         for variable in variables {
             command.env_remove(variable);
         }
-        GatewayProcess(Program::start("gateway", command))
+        let arguments = arguments.iter().map(|&argument| argument.to_owned()).collect();
+        let running = Program::start("gateway", command);
+        GatewayProcess { running, program: program.to_owned(), domains, arguments }
+    }
+
+    /// Ends it, without a word or as a user does, and starts it again where it was.
+    pub fn again(self, is_killed: bool) -> Self {
+        let endpoint = endpoint_in(&self.said());
+        let GatewayProcess { running, program, domains, arguments } = self;
+        if is_killed {
+            running.kill();
+        } else {
+            drop(running);
+        }
+        let same = |argument: &String| match &**argument {
+            "tcp/127.0.0.1:0" => endpoint.clone().unwrap(),
+            argument => argument.to_owned(),
+        };
+        let arguments: Vec<String> = arguments.iter().map(same).collect();
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        GatewayProcess::start(&program, domains, &arguments)
     }
 
     /// Where it listens on loopback.
@@ -59,8 +85,8 @@ pub fn link(first: u32, second: u32) -> Option<[GatewayProcess; 2]> {
     let program = built("taut-gateway", "tautline-gateway")?;
     // It looks for no router.
     let alone = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:1"];
-    let listening = GatewayProcess::start(&program, first, first, &alone);
-    let connecting = GatewayProcess::start(&program, second, first, &["--connect", &listening.endpoint()]);
+    let listening = GatewayProcess::start(&program, [first, first], &alone);
+    let connecting = GatewayProcess::start(&program, [second, first], &["--connect", &listening.endpoint()]);
     for gateway in [&listening, &connecting] {
         gateway.wait_for("a link", |stats| stats["links"].as_u64().is_some_and(|links| links > 0));
     }

@@ -1,0 +1,237 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! ROS graph, bridge, gateway, gateway, bridge, ROS graph: values of many types, and what happens when one of the four ends.
+
+mod support;
+
+use serde_json::{Value, json};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use support::gateway::{GatewayProcess, link};
+use support::{BridgeProcess, Peer, STRING, ros, wait_until};
+use tautline_schema::{DynamicMessage, Packages};
+
+/// Messages per type.
+const COUNT: usize = 1000;
+/// Published at once: what is on its way fits into every queue.
+const AT_ONCE: usize = 50;
+/// The same of images and point clouds.
+const AT_ONCE_OF_LARGE: usize = 8;
+/// How much data they have at most.
+const DATA_BYTES: usize = 10 << 10;
+const DEPTH: usize = 1000;
+
+/// Two hosts, each with a ROS graph of its own.
+struct Chain {
+    gateways: [Option<GatewayProcess>; 2],
+    bridges: [Option<BridgeProcess>; 2],
+    domains: [u32; 2],
+}
+
+impl Chain {
+    fn new(domains: [u32; 2]) -> Option<Self> {
+        let gateways = link(domains[0], domains[1])?.map(Some);
+        let bridges = domains.map(|domain| Some(BridgeProcess::start(domain, domain, &[])));
+        Some(Chain { gateways, bridges, domains })
+    }
+
+    /// One of the four ends, and comes back.
+    fn restart(&mut self, link: usize, is_killed: bool) {
+        match link {
+            0 | 3 => {
+                let at = usize::from(link == 3);
+                let bridge = self.bridges[at].take().unwrap();
+                if is_killed {
+                    bridge.kill();
+                } else {
+                    drop(bridge);
+                }
+                self.bridges[at] = Some(BridgeProcess::start(self.domains[at], self.domains[at], &[]));
+            }
+            _ => {
+                let gateway = self.gateways[link - 1].take().unwrap();
+                self.gateways[link - 1] = Some(gateway.again(is_killed));
+            }
+        }
+    }
+}
+
+/// Publishes one at a time until what is published arrives, and nothing is left on the way.
+fn connect(from: &mut Peer, to: &mut Peer, publisher: u64, subscription: u64) {
+    let mut in_step = 0;
+    wait_until("the way from end to end", || {
+        from.tell(json!({ "do": "publish_prepared", "end": publisher, "count": 1 }));
+        let end = Instant::now() + Duration::from_millis(500);
+        let mut heard = 0;
+        while heard == 0 && Instant::now() < end {
+            heard = to.take(subscription, 0).len();
+        }
+        in_step = if heard == 1 { in_step + 1 } else { 0 };
+        in_step == 3
+    });
+    assert!(to.take(subscription, 0).is_empty());
+}
+
+fn values_cross(domains: [u32; 2], types: &[&str]) {
+    let Some(venv) = ros() else { return };
+    let seed = std::env::var("TAUT_SEED")
+        .map_or_else(|_| rand::random::<u32>().into(), |seed| seed.parse::<u64>().unwrap());
+    println!("TAUT_SEED={seed}");
+    let mut packages = Packages::new();
+    packages.add_folder(&venv);
+    let Some(_chain) = Chain::new(domains) else { return };
+    let mut left = Peer::start(&venv, domains[0], "left");
+    let mut right = Peer::start(&venv, domains[1], "right");
+    for name in types {
+        let schema = Arc::new(packages.schema(&name.parse().unwrap()).unwrap());
+        let text = |value: &Value| DynamicMessage::from_json(&schema, &value.to_string()).unwrap().to_json();
+        let topic = format!("/{}", name.replace('/', "_").to_lowercase());
+        let is_large = ["Image", "PointCloud2"].iter().any(|large| name.ends_with(large));
+        let (at_once, data_bytes) = if is_large { (AT_ONCE_OF_LARGE, DATA_BYTES) } else { (AT_ONCE, 0) };
+        let prepare = |count: usize| json!({ "do": "prepare_random", "type": name, "count": count, "seed": seed, "data_bytes": data_bytes });
+        let qos = json!({ "depth": DEPTH });
+        let subscription = right.subscription(&topic, name, qos.clone());
+        let publisher = left.publisher(&topic, name, qos);
+        left.tell(prepare(300));
+        connect(&mut left, &mut right, publisher, subscription);
+        let said = left.tell(prepare(COUNT));
+        let said = said.as_array().unwrap();
+        let mut received = Vec::new();
+        while received.len() < COUNT {
+            let count = at_once.min(COUNT - received.len());
+            left.tell(json!({ "do": "publish_prepared", "end": publisher, "count": count }));
+            received.extend(right.take(subscription, count));
+        }
+        assert_eq!((received.len(), said.len()), (COUNT, COUNT), "{name}");
+        for (received, said) in received.iter().zip(said) {
+            assert_eq!(text(received), text(said), "{name}");
+        }
+        assert!(right.take(subscription, 0).is_empty(), "{name}");
+    }
+}
+
+#[test]
+fn of_test_messages() {
+    let names = [
+        "Arrays",
+        "BasicTypes",
+        "BoundedPlainSequences",
+        "BoundedSequences",
+        "Builtins",
+        "Constants",
+        "Defaults",
+        "Empty",
+        "MultiNested",
+    ];
+    let names = names.map(|name| format!("test_msgs/msg/{name}"));
+    values_cross([24, 25], &names.each_ref().map(String::as_str));
+}
+
+#[test]
+fn of_texts_and_plain_values() {
+    values_cross(
+        [26, 27],
+        &[
+            "test_msgs/msg/Nested",
+            "test_msgs/msg/Strings",
+            "test_msgs/msg/UnboundedSequences",
+            "test_msgs/msg/WStrings",
+            "std_msgs/msg/String",
+            "std_msgs/msg/Bool",
+            "std_msgs/msg/Header",
+            "std_msgs/msg/ColorRGBA",
+            "std_msgs/msg/Float64",
+        ],
+    );
+}
+
+#[test]
+fn of_geometry_and_navigation() {
+    values_cross(
+        [28, 29],
+        &[
+            "std_msgs/msg/Int64",
+            "std_msgs/msg/UInt8MultiArray",
+            "geometry_msgs/msg/Twist",
+            "geometry_msgs/msg/Pose",
+            "geometry_msgs/msg/PoseWithCovarianceStamped",
+            "geometry_msgs/msg/TransformStamped",
+            "geometry_msgs/msg/Polygon",
+            "nav_msgs/msg/Odometry",
+            "nav_msgs/msg/Path",
+        ],
+    );
+}
+
+#[test]
+fn of_sensors_and_joints() {
+    values_cross(
+        [30, 31],
+        &[
+            "sensor_msgs/msg/Image",
+            "sensor_msgs/msg/PointCloud2",
+            "sensor_msgs/msg/LaserScan",
+            "sensor_msgs/msg/Imu",
+            "sensor_msgs/msg/JointState",
+            "sensor_msgs/msg/CompressedImage",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            "trajectory_msgs/msg/JointTrajectory",
+        ],
+    );
+}
+
+/// Whichever of the four ends, by `kill -9` or in order: what is published then is lost or arrives, once and in order, and what is
+/// published once it is back arrives.
+#[test]
+fn whoever_ends_on_the_way_comes_back_and_nothing_comes_twice() {
+    let Some(venv) = ros() else { return };
+    let domains = [32, 33];
+    let Some(mut chain) = Chain::new(domains) else { return };
+    let mut left = Peer::start(&venv, domains[0], "left");
+    let mut right = Peer::start(&venv, domains[1], "right");
+    let qos = json!({ "depth": DEPTH });
+    let subscription = right.subscription("/numbers", STRING, qos.clone());
+    let publisher = left.publisher("/numbers", STRING, qos);
+    let (mut next, mut heard) = (0_u64, Vec::<u64>::new());
+    let mut step = |heard: &mut Vec<u64>| {
+        left.publish_text(publisher, &[next.to_string()]);
+        next += 1;
+        heard.extend(right.take_texts(subscription, 0).iter().map(|text| text.parse::<u64>().unwrap()));
+        next
+    };
+    wait_until("the way from end to end", || {
+        step(&mut heard);
+        !heard.is_empty()
+    });
+    for link in 0..4 {
+        for is_killed in [true, false] {
+            let first = step(&mut heard);
+            chain.restart(link, is_killed);
+            let back = step(&mut heard);
+            let start = Instant::now();
+            wait_until("the way after one was back", || {
+                step(&mut heard);
+                heard.last().is_some_and(|last| *last >= back)
+            });
+            // Without a pause from here on: this many in a row.
+            let sound = step(&mut heard);
+            wait_until("all that is published since", || {
+                step(&mut heard);
+                heard.iter().filter(|number| **number >= sound).count() >= 100
+            });
+            let of = ["left bridge", "left gateway", "right gateway", "right bridge"][link];
+            let lost = (first..sound).filter(|number| !heard.contains(number)).count();
+            println!(
+                "{of} {}: heard again {:.2} s after its start, {lost} of {} lost",
+                if is_killed { "killed" } else { "ended" },
+                start.elapsed().as_secs_f64(),
+                sound - first
+            );
+            assert!(heard.windows(2).all(|pair| pair[0] < pair[1]), "twice, or out of order: {heard:?}");
+            let since: Vec<u64> = heard.iter().copied().filter(|number| *number >= sound).collect();
+            assert!(
+                since.windows(2).all(|pair| pair[1] == pair[0] + 1),
+                "lost after {of} was back: {since:?}"
+            );
+        }
+    }
+}
