@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use std::path::PathBuf;
-use tautline_bridge_ros::{Config, ConfigError, Options, Pattern, PatternError};
+use tautline_bridge_ros::{Budget, Config, ConfigError, Options, Pattern, PatternError};
 use tautline_rt::Realtime;
 use tautline_transport::MAX_DOMAIN;
 
@@ -68,6 +68,12 @@ pub struct Args {
     /// Run without real-time priorities
     #[arg(long)]
     no_rt: bool,
+    /// Processor time that the bridge may use at its priority, in percent of one core
+    #[arg(long, value_name = "PERCENT", default_value_t = Options::BUDGET.percent, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    budget: u32,
+    /// No such limit: a flood can starve callbacks
+    #[arg(long, conflicts_with = "budget")]
+    no_budget: bool,
     /// Print the numbers as JSON, one object a line
     #[arg(long)]
     pub json: bool,
@@ -106,7 +112,9 @@ impl Args {
         };
         let realtime = if self.no_rt { Realtime::Off } else { Realtime::Required };
         let transit = config.transit.unwrap_or(true) && !self.no_transit;
-        Ok(Options { domain, ros_domain, rules, services, transit, priority: self.priority, realtime })
+        let budget = (!self.no_budget).then_some(Budget { percent: self.budget });
+        let priority = self.priority;
+        Ok(Options { domain, ros_domain, rules, services, transit, priority, realtime, budget })
     }
 }
 

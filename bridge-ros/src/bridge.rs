@@ -17,7 +17,7 @@ use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_relay::RelayError;
+use tautline_relay::{Budget, Guard, RelayError};
 use tautline_rt::{JoinHandle, Realtime, RtError, Seat, SeatError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
 
@@ -39,11 +39,15 @@ pub struct Options {
     pub priority: u8,
     /// Whether that is required.
     pub realtime: Realtime,
+    /// Processor time at these priorities; `None` is without a limit.
+    pub budget: Option<Budget>,
 }
 
 impl Options {
     /// Default of [`Options::priority`].
     pub const PRIORITY: u8 = 80;
+    /// Default of [`Options::budget`]: half a core.
+    pub const BUDGET: Budget = Budget { percent: 50 };
 }
 
 impl Default for Options {
@@ -57,6 +61,7 @@ impl Default for Options {
             transit: true,
             priority: Self::PRIORITY,
             realtime: Realtime::Required,
+            budget: Some(Self::BUDGET),
         }
     }
 }
@@ -65,7 +70,7 @@ impl Default for Options {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BridgeError {
-    /// There is one: two would pass on everything twice.
+    /// There is one, which carries what this one would.
     #[error(
         "domain {domain} of this host and ROS domain {ros_domain} have a bridge already{}: stop that one, or give it these topics \
          too", holder(*.pid)
@@ -142,6 +147,7 @@ pub struct Bridge {
     wake: Arc<GuardCondition>,
     threads: Vec<JoinHandle<()>>,
     info: Vec<ThreadInfo>,
+    guard: Option<Guard>,
     // Before the participant, whose end removes the folder that the seat's file is in.
     _seat: Seat,
     _participant: Participant,
@@ -197,8 +203,20 @@ impl Bridge {
         let buffer = SerializedMessage::new()?;
         let threads = Vec::new();
         // From here on what was started ends if something fails.
-        let mut bridge =
-            Bridge { events, shared, wake, threads, info, _seat: seat, _participant: participant.clone() };
+        let guard = match (options.realtime, options.budget) {
+            (Realtime::Required, Some(budget)) => Some(priorities.watch(budget)?),
+            _ => None,
+        };
+        let mut bridge = Bridge {
+            events,
+            shared,
+            wake,
+            threads,
+            info,
+            guard,
+            _seat: seat,
+            _participant: participant.clone(),
+        };
         let control = {
             let shared = bridge.shared.clone();
             let (participant, node, tables) =
@@ -236,7 +254,8 @@ impl Bridge {
 
     /// What went through and what did not. Rates are those of the second before.
     pub fn stats(&self) -> Stats {
-        self.shared.stats().clone()
+        let throttled = self.guard.as_ref().map_or(0, Guard::demotions);
+        Stats { throttled, ..self.shared.stats().clone() }
     }
 
     /// The bridge's own threads, as they were read back when they started.
@@ -247,6 +266,7 @@ impl Bridge {
 
 impl Drop for Bridge {
     fn drop(&mut self) {
+        self.guard = None;
         self.shared.stop.store(true, Ordering::Release);
         // If it does not fit, the control thread has something to look at and will see the flag.
         let _ = self.events.try_send(Event::Stop);
@@ -313,7 +333,7 @@ fn watch_ros(
             [Waitable::Subscription(&there.heard), Waitable::Graph(&there.graph), Waitable::Guard(wake)];
         let woken = wait_set.wait(&all, None).map(drop);
         match woken.and_then(|()| there.tables.take(&mut there.heard, &mut there.buffer)) {
-            Ok(_) => drop(events.try_send(Event::There)),
+            Ok(()) => drop(events.try_send(Event::There)),
             Err(error) => {
                 tracing::error!("changes in ROS are not seen: {error}");
                 std::thread::sleep(Duration::from_secs(1));

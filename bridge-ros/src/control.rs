@@ -15,12 +15,12 @@ use crate::ros_graph::{self, RosGraph};
 use crate::rules::{Direction, Rules};
 use crate::services::{Routes, Services};
 use crate::stats::Book;
-use crate::table::{OwnTable, Table, TableEnd, TableNode, Tables};
+use crate::table::{self, OwnTable, Table, TableEnd, TableNode, Tables};
 use crate::types::{BridgedType, Types};
 use counterparts::{Counterparts, MATCH_TIME};
 use failed::Failed;
 use shown::ShownNodes;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
@@ -44,6 +44,8 @@ pub(crate) enum Event {
 const TICK: Duration = Duration::from_secs(1);
 /// Between two looks at what exists, for each millisecond that the first one took.
 const PAUSE: Duration = Duration::from_millis(4);
+/// Nodes of elsewhere that are shown in ROS: a network can claim to have many.
+const MOST_SHOWN: usize = 1024;
 /// Between two looks whether a publisher in ROS has found its subscriptions.
 const MATCH_LOOK: Duration = Duration::from_millis(2);
 
@@ -61,8 +63,8 @@ pub(crate) struct Control {
     tables: Tables,
     own_table: OwnTable,
     transit: Transit,
-    /// What this host and the ROS domain are called where people read it.
-    places: (String, String),
+    /// What the ROS domain is called where people read it.
+    place: String,
     /// Whether the last look at what exists failed.
     is_stale: bool,
     book: Book,
@@ -103,8 +105,8 @@ impl Control {
         Control {
             tables,
             own_table,
-            transit: Transit::to_ros(domain, own, own.into()).going_on(options.transit),
-            places: (host, place),
+            transit: Transit::to_ros(domain, own, own.into(), &host).going_on(options.transit),
+            place,
             participant,
             node,
             mirror: Mirror::new(options.rules.clone()),
@@ -173,7 +175,7 @@ impl Control {
     /// Brings everything in line with what exists.
     fn update(&mut self) {
         let here = self.participant.graph().map_err(|error| error.to_string());
-        let read = here.and_then(|here| match self.graph.read(&self.node, &self.places.1, &self.tables) {
+        let read = here.and_then(|here| match self.graph.read(&self.node, &self.place, &self.tables) {
             Ok(()) => Ok(here),
             Err(error) => Err(error.to_string()),
         });
@@ -183,8 +185,8 @@ impl Control {
             Ok(here) => here,
             Err(error) => return tracing::warn!("what exists is not known: {error}"),
         };
-        let nodes = self.graph.others(&self.shown.in_ros(), self.participant.domain_id(), &self.places.1);
-        let mut services = self.read_services(&here);
+        let nodes = self.graph.others(&self.shown.in_ros(), self.participant.domain_id(), &self.place);
+        let services = self.read_services(&here);
         self.weigh(&here, &nodes, &services);
         let own = Some(self.participant.id());
         let ends = here.endpoints.iter().map(AsRef::as_ref).filter(|end: &&TopicEndpoint| end.teller != own);
@@ -192,8 +194,11 @@ impl Control {
         let is_announced = |end: &TopicEndpoint| self.transit.announced(&end.origin).is_some();
         // Left to somebody else who tells ROS of the same.
         let passed_over = ends.clone().filter(|end| is_publisher(end) && !is_announced(end));
-        *self.outgoing.passed_over().lock().unwrap_or_else(PoisonError::into_inner) =
-            passed_over.map(|end| end.gid).collect();
+        let mut passed_over: HashSet<Gid> = passed_over.map(|end| end.gid).collect();
+        let mut before = self.outgoing.passed_over().lock().unwrap_or_else(PoisonError::into_inner);
+        // What was there before is dropped after the lock: the thread that sends may wait for it.
+        std::mem::swap(&mut *before, &mut passed_over);
+        drop(before);
         let told = ends.clone().filter(|end| !is_publisher(end) || is_announced(end));
         let there = self.graph.endpoints.iter().filter(|(end, teller)| match end.kind {
             EndpointKind::Publisher => self.transit.carries(&end.origin, *teller),
@@ -208,9 +213,10 @@ impl Control {
         let transit = &self.transit;
         let is_announced = |node: &NodeInfo| transit.announced(&node.origin).is_some();
         let shown = here.nodes.iter().filter(|node| node.teller != own && is_announced(node));
+        let (own_nodes, others): (Vec<_>, Vec<_>) = shown.partition(|node| node.origin.is_here());
+        let shown = own_nodes.into_iter().chain(others.into_iter().take(MOST_SHOWN));
         self.shown.update(&self.node, shown.map(|node| &node.name));
         // After the topics: an action's feedback has its way before goals have.
-        services.retain(|(end, teller)| self.transit.told(&end.origin, *teller).is_some());
         self.route_services(&here, &services);
         self.tell_bridges(&here);
         self.show_ros(&nodes, services);
@@ -234,11 +240,12 @@ impl Control {
     /// Those of ROS, but for this bridge's, with who tells of them.
     fn read_services(&mut self, here: &GraphSnapshot) -> Vec<(ServiceEndpoint, u128)> {
         let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
-        let mut ends = ros_graph::services(&self.node, others, &self.places.1);
+        let mut ends = ros_graph::services(&self.node, others, &self.place);
         let tables = &self.graph.tables;
         let told = || tables.iter().flat_map(|table| table.ends.iter().map(|end| (end, table.bridge)));
         // Servers of other bridges bear the names of the nodes that they stand for.
-        let servers: BTreeSet<_> = told().map(|(end, _)| (&*end.name, end.node.as_ref())).collect();
+        let servers = told().filter(|(end, _)| end.kind == table::Kind::Server);
+        let servers: BTreeSet<_> = servers.map(|(end, _)| (&*end.name, end.node.as_ref())).collect();
         ends.retain(|end| !servers.contains(&(&*end.name, end.node.as_ref())));
         let names: BTreeSet<String> = match tables.is_empty() {
             // Other bridges know a server by where it takes requests.
@@ -257,7 +264,7 @@ impl Control {
         for end in &mut ends {
             end.type_hash = self.types.service_hash(&end.type_name);
         }
-        ros_graph::mark(&mut ends, self.participant.domain_id());
+        ros_graph::mark(&mut ends, self.participant.domain_id(), self.graph.tables.is_empty());
         let told = told().filter_map(|(end, bridge)| Some((end.service()?, u128::from(bridge))));
         ends.into_iter().map(|end| (end, 0)).chain(told).collect()
     }
@@ -265,7 +272,8 @@ impl Control {
     fn route_services(&mut self, here: &GraphSnapshot, there: &[(ServiceEndpoint, u128)]) {
         let own = Some(self.participant.id());
         let ends = here.services.iter().map(AsRef::as_ref).filter(|end: &&ServiceEndpoint| end.teller != own);
-        let there: Vec<ServiceEndpoint> = there.iter().map(|(end, _)| end.clone()).collect();
+        let there = there.iter().filter(|(end, teller)| self.transit.carries(&end.origin, *teller));
+        let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
         let announced = |end: &ServiceEndpoint| self.transit.announced(&end.origin).is_some();
         let routes = Routes::of(&self.service_rules, ends, &there, self.services.routes(), announced);
         self.services.set_routes(routes, self.shown.by_name());
@@ -274,14 +282,7 @@ impl Control {
     /// Other bridges of the ROS domain are told what this one's ends stand for.
     fn tell_bridges(&mut self, here: &GraphSnapshot) {
         let own = Some(self.participant.id());
-        let host = &self.places.0;
-        let announced = |origin| {
-            let mut origin = self.transit.announced(origin)?;
-            if origin.place.is_empty() {
-                origin.place = tautline_transport::Origin::here(Gid::default(), host).place;
-            }
-            Some(origin)
-        };
+        let announced = |origin| self.transit.announced(origin);
         let mut table = Table { bridge: self.participant.id(), ..Table::default() };
         for node in here.nodes.iter().filter(|node| node.teller != own) {
             let node = announced(&node.origin).map(|origin| TableNode { name: node.name.clone(), origin });
@@ -508,7 +509,7 @@ impl Control {
         let told = |(end, teller): (ServiceEndpoint, u128)| {
             let name = self.service_rules.tautline_name(&end.name)?;
             let origin = self.transit.told(&end.origin, teller)?;
-            Some(ServiceEndpoint { name, origin, ..end })
+            Some(ServiceEndpoint { name, gid: ros_graph::told_gid(origin.tag), origin, ..end })
         };
         remote.services = services.into_iter().filter_map(told).collect();
         if let Err(error) = self.participant.set_remote(&remote) {

@@ -36,3 +36,4 @@ pub use ros_graph::BRIDGE_PREFIX;
 pub use rules::{Choice, Direction, QosOverride, Rule, Rules};
 pub use services::ServiceStats;
 pub use stats::{IncompatibleQos, Stats, TopicNumbers, TopicStats};
+pub use tautline_relay::Budget;

@@ -74,6 +74,12 @@ fn introduce(bridge: &Bridge, options: &Options) {
             for thread in bridge.threads() {
                 eprintln!("thread {}: {}", thread.name, thread.policy);
             }
+            match options.budget {
+                Some(budget) => {
+                    eprintln!("at most {} % of a core, beyond that as ordinary threads", budget.percent);
+                }
+                None => eprintln!("without a budget: a flood can starve callbacks"),
+            }
         }
     }
 }

@@ -409,7 +409,9 @@ impl Wanted {
             classes.insert(Class::of(&choice.qos.applied_to(default.qos(1))), Vec::new());
         }
         for (class, publishers) in classes {
-            let late = readers().filter(|end| end.qos.durability == Durability::TransientLocal);
+            // What others elsewhere ask for is a claim.
+            let late = readers().filter(|end| end.origin.is_here());
+            let late = late.filter(|end| end.qos.durability == Durability::TransientLocal);
             let kept = publishers.iter().map(|end| depth_in_ros(&end.qos)).fold(0, usize::saturating_add);
             let deepest_late = late.map(|end| end.qos.depth).max().unwrap_or(1);
             let qos = choice.qos.applied_to(class.qos(deepest.max(MIN_DEPTH_IN)));

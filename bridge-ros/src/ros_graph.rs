@@ -2,7 +2,7 @@
 //! What exists in ROS, without what this bridge made; and the same in Tautline's terms, for its nodes and tools.
 
 use crate::rcl::{Node, RclError, RosEndpoint, RosNode};
-use crate::rules::Rules;
+use crate::rules::{Direction, Rules};
 use crate::table::{self, Kind, Table, TableNode, Tables};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -172,9 +172,14 @@ pub(crate) fn as_remote(
     };
     remote.nodes.extend(nodes.iter().filter_map(told));
     for (end, teller) in &graph.endpoints {
-        if let (Some(topic), Some(origin)) =
-            (rules.tautline_name(&end.topic), transit.told(&end.origin, *teller))
-        {
+        let Some(topic) = rules.tautline_name(&end.topic) else { continue };
+        // What is not let through is not told: somebody else may have a way.
+        let way = match end.kind {
+            EndpointKind::Publisher => Direction::FromRos,
+            EndpointKind::Subscription => Direction::ToRos,
+        };
+        let goes = rules.choice(&topic).is_some_and(|choice| choice.goes(way));
+        if let Some(origin) = transit.told(&end.origin, *teller).filter(|_| goes) {
             remote.endpoints.push(TopicEndpoint { topic, origin, ..end.clone() });
         }
     }
@@ -184,22 +189,26 @@ pub(crate) fn as_remote(
     remote
 }
 
-/// Gives each of ROS's own services and clients what it is known by everywhere: where it takes requests, if that is known, or else
-/// something of this `domain`.
-pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64) {
+/// Gives each of ROS's own services and clients what it is known by everywhere: if other bridges have it too, where it takes requests,
+/// as far as that is told; or else something of this `domain`, which is the same whether or not somebody asks.
+pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64, is_alone: bool) {
     let mut count = HashMap::<String, usize>::new();
     for end in ends {
-        if end.gid == Gid::default() {
+        end.origin.tag = end.gid.tag();
+        if is_alone || end.gid == Gid::default() {
             let node = end.node.as_ref().map(NodeName::full_name).unwrap_or_default();
             let text = format!("{domain:x} {:?} {} {} {node}", end.kind, end.name, end.type_name);
             let count = count.entry(text.clone()).or_default();
             *count += 1;
-            let halves =
-                ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {count} {text}")).to_le_bytes());
-            end.gid = Gid(std::array::from_fn(|at| halves[at / 8][at % 8]));
+            end.origin.tag = Origin::tag_of(&format!("{count} {text}"));
         }
-        end.origin.tag = end.gid.tag();
     }
+}
+
+/// The gid by which the domain is told of a service's end that has this tag.
+pub(crate) fn told_gid(tag: u64) -> Gid {
+    let halves = ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {tag:x}")).to_le_bytes());
+    Gid(std::array::from_fn(|at| halves[at / 8][at % 8]))
 }
 
 /// Says in `ends` which servers of `service` there are, as far as `found` tells: a node that was started anew has the name of the

@@ -138,6 +138,8 @@ pub struct Stats {
     pub rmw: String,
     /// Since it started.
     pub uptime_s: f64,
+    /// How often the processor budget of the bridge's threads was used up.
+    pub throttled: u64,
     /// Nodes in ROS.
     pub ros_nodes: usize,
     /// Publishers and subscriptions in ROS, but for bridges'.

@@ -4,13 +4,15 @@
 
 use crate::outgoing::ENCAPSULATION;
 use crate::rcl::{Node, RclError, RosPublisher, RosSubscription, SerializedMessage};
+use crate::ros_graph::NAME_TIME;
 use crate::types::Types;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 use tautline_transport::{
-    Durability, EndpointKind, Gid, History, NodeName, Origin, Qos, Reliability, ServiceEndpoint, ServiceKind,
-    TopicEndpoint, TopicType,
+    Durability, EndpointKind, Gid, History, Limits, NodeName, Origin, Qos, Reliability, ServiceEndpoint,
+    ServiceKind, TopicEndpoint, TopicType,
 };
 
 /// Hidden from ROS's tools by its underscore.
@@ -20,6 +22,10 @@ const TYPE: &str = "std_msgs/msg/String";
 const MAX_BYTES: usize = 4 << 20;
 /// Ends and nodes of one table that are looked at.
 const MAX_ENDS: usize = 8192;
+/// Bridges of one ROS domain that are listened to.
+const MAX_TABLES: usize = 64;
+/// Tables taken before the next look at the graph.
+const TURN: usize = 16;
 
 /// One bridge's table. Names are ROS's.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -120,7 +126,7 @@ impl TableEnd {
             Kind::Server | Kind::Client => return None,
         };
         let topic_type = TopicType::new(self.type_name.clone());
-        let depth = usize::try_from(self.depth).unwrap_or(usize::MAX).max(1);
+        let depth = usize::try_from(self.depth).unwrap_or(usize::MAX).clamp(1, Limits::MAX_DEPTH);
         Some(TopicEndpoint {
             kind,
             topic: self.name.clone(),
@@ -172,8 +178,9 @@ pub(crate) struct Tables(Arc<Mutex<BTreeMap<Gid, Heard>>>);
 
 struct Heard {
     table: Arc<Table>,
-    /// Whether its publisher was seen in ROS's graph: it may be heard before.
+    /// Whether its publisher was seen in ROS's graph: it may be heard before, or last after it has gone.
     is_seen: bool,
+    since: Instant,
 }
 
 impl Tables {
@@ -181,22 +188,25 @@ impl Tables {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes what came. Whether it changed anything.
+    /// Takes what came, at most a turn of it: what is left wakes the wait again.
     pub(crate) fn take(
         &self,
         from: &mut RosSubscription,
         buffer: &mut SerializedMessage,
-    ) -> Result<bool, RclError> {
-        let mut changed = false;
-        while let Some(info) = from.take(buffer)? {
+    ) -> Result<(), RclError> {
+        for _ in 0..TURN {
+            let Some(info) = from.take(buffer)? else { break };
             if info.is_own {
                 continue;
             }
             match parse(buffer.bytes()) {
                 Some(table) => {
-                    let is_seen = self.all().get(&info.gid).is_some_and(|heard| heard.is_seen);
-                    self.all().insert(info.gid, Heard { table: Arc::new(table), is_seen });
-                    changed = true;
+                    let mut all = self.all();
+                    let known = all.get(&info.gid).map(|heard| heard.is_seen);
+                    if known.is_some() || all.len() < MAX_TABLES {
+                        let (table, is_seen) = (Arc::new(table), known.unwrap_or(false));
+                        all.insert(info.gid, Heard { table, is_seen, since: Instant::now() });
+                    }
                 }
                 None => tracing::warn!(
                     "what another bridge tells on {TOPIC} is not understood: run the same version of Tautline for all bridges of a ROS \
@@ -204,7 +214,7 @@ impl Tables {
                 ),
             }
         }
-        Ok(changed)
+        Ok(())
     }
 
     /// Those whose publishers are there, of all that are on the topic now.
@@ -212,7 +222,7 @@ impl Tables {
         let mut all = self.all();
         all.retain(|gid, heard| {
             let is_there = publishers.contains(gid);
-            let stays = is_there || !heard.is_seen;
+            let stays = is_there || (!heard.is_seen && heard.since.elapsed() < NAME_TIME);
             heard.is_seen |= is_there;
             stays
         });
@@ -230,7 +240,11 @@ fn parse(bytes: &[u8]) -> Option<Table> {
     }
     let mut table: Table = serde_json::from_slice(text.get(..len.checked_sub(1)?)?).ok()?;
     table.nodes.truncate(MAX_ENDS);
+    table.nodes.retain(|node| node.name.is_valid() && node.origin.is_valid());
     table.ends.truncate(MAX_ENDS);
+    table.ends.retain(|end| {
+        end.topic().is_none_or(|end| end.is_valid()) && end.service().is_none_or(|end| end.is_valid())
+    });
     Some(table)
 }
 
@@ -260,7 +274,13 @@ impl OwnTable {
             return Ok(());
         }
         let text = serde_json::to_vec(&table).map_err(|error| error.to_string())?;
-        let len = u32::try_from(text.len() + 1).map_err(|error| error.to_string())?;
+        let (ends, bytes) = (table.ends.len().max(table.nodes.len()), text.len());
+        if bytes >= MAX_BYTES || ends > MAX_ENDS {
+            return Err(format!(
+                "{ends} ends in {bytes} bytes are more than the {MAX_ENDS} and {MAX_BYTES} that a table can have: leave some out (--deny)"
+            ));
+        }
+        let len = bytes as u32 + 1;
         let body = [&len.to_le_bytes()[..], &text, &[0]].concat();
         let sent =
             self.buffer.assign(&ENCAPSULATION, &body).and_then(|()| self.publisher.publish(&self.buffer));
@@ -315,6 +335,11 @@ mod tests {
         for end in 0..text.len() + 8 {
             assert_eq!(parse(&message(&text)[..end]), None, "{end}");
         }
+        let mut hostile = table();
+        hostile.ends[0].name = "/x\u{1b}[2J".into();
+        hostile.nodes[0].origin.path = vec![1; 100];
+        let text = serde_json::to_vec(&hostile).unwrap();
+        assert_eq!(parse(&message(&text)), Some(Table { bridge: 3, ..Table::default() }));
         assert_eq!(parse(&message(b"[]")), None);
         assert_eq!(parse(&[&[0, 0, 0, 0, 255, 255, 255, 255][..], &text].concat()), None);
     }
@@ -323,10 +348,15 @@ mod tests {
     fn a_table_goes_with_its_publisher() {
         let tables = Tables::default();
         let gid = Gid([9; 16]);
-        tables.all().insert(gid, Heard { table: Arc::new(table()), is_seen: false });
+        let hear =
+            |since| tables.all().insert(gid, Heard { table: Arc::new(table()), is_seen: false, since });
         let none = BTreeSet::new();
+        hear(Instant::now());
         assert_eq!(tables.of(&none).len(), 1, "heard before it is seen");
         assert_eq!(tables.of(&BTreeSet::from([gid])).len(), 1);
+        assert_eq!(tables.of(&none).len(), 0);
+        // Its last word may come after it has gone.
+        hear(Instant::now().checked_sub(NAME_TIME).unwrap());
         assert_eq!(tables.of(&none).len(), 0);
     }
 }

@@ -2,6 +2,7 @@
 //! Priorities: the threads that carry, below them the RMW's, below these the bridge's others.
 
 use std::collections::HashSet;
+use tautline_relay::{Budget, Guard};
 use tautline_rt::{Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 
 /// The bridge's priorities.
@@ -51,6 +52,31 @@ impl Priorities {
             }
         }
         Ok(())
+    }
+}
+
+/// The bridge's own, and how much below the highest each is.
+const OWN: [(&str, u8); 6] = [
+    ("ros-in", 0),
+    ("ros-out", 0),
+    ("ros-services", 0),
+    ("ros-control", 2),
+    ("ros-here", 2),
+    ("ros-there", 2),
+];
+
+impl Priorities {
+    /// Watches the bridge's threads and Fast DDS's, all of which a flood keeps busy.
+    pub(crate) fn watch(self, budget: Budget) -> Result<Guard, RtError> {
+        let list = move || {
+            let below = |name: &str| match name.starts_with("dds.") {
+                true => Some(1),
+                false => OWN.iter().find(|(own, _)| *own == name).map(|(_, below)| *below),
+            };
+            let watched = |thread: ThreadInfo| Some((thread.tid, self.policy(below(&thread.name)?).ok()?));
+            Ok(tautline_rt::threads()?.into_iter().filter_map(watched).collect())
+        };
+        Guard::start("ros-budget", budget, self.policy(0)?, Box::new(list))
     }
 }
 

@@ -3,9 +3,11 @@
 
 mod support;
 
-use support::{BridgeProcess, reserve, ros, wait_until};
+use serde_json::json;
+use support::{BridgeProcess, Peer, STRING, reserve, ros, subscription, wait_until};
 use tautline_bridge_ros::{Bridge, Options};
 use tautline_rt::{Policy, Realtime};
+use tautline_transport::{Participant, Qos};
 
 /// Name and policy of each thread of a process: field 41 of its stat is the policy (1: SCHED_FIFO), 40 the priority.
 fn threads(pid: u32) -> Vec<(String, Option<u8>)> {
@@ -46,6 +48,47 @@ fn the_rmws_threads_are_below_those_that_carry_and_above_the_others() {
     assert!(rmw.len() >= 4, "{:?}", threads(bridge.pid()));
     assert!(rmw.iter().all(|priority| *priority == Some(41)), "{:?}", threads(bridge.pid()));
     assert_eq!(of("janitor"), [None]);
+}
+
+/// And its end gives their priority back.
+#[test]
+fn a_flood_from_ros_runs_without_priority() {
+    let Some(venv) = ros() else { return };
+    if let Err(error) = tautline_rt::permission::realtime_permitted(43) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        println!("skipped: {error}");
+        return;
+    }
+    let bridge = BridgeProcess::start_with(19, 19, &["--priority", "42", "--budget", "2"], |_| {});
+    let participant = Participant::new(19).unwrap();
+    let subscription = subscription(&participant, "/flood", STRING, Qos::keep_last(10));
+    let mut peer = Peer::start(&venv, 19, "flood");
+    let publisher = peer.publisher("/flood", STRING, json!({ "depth": 10 }));
+    peer.matched(publisher, 1);
+    let text = "x".repeat(100_000);
+    let of_all = |is_wanted: &dyn Fn(&str, Option<u8>) -> bool| {
+        let all = threads(bridge.pid());
+        let mut watched = all.iter().filter(|(name, _)| {
+            (name.starts_with("ros-") && name != "ros-budget") || name.starts_with("dds.")
+        });
+        watched.all(|(name, priority)| is_wanted(name, *priority))
+    };
+    wait_until("ordinary threads", || {
+        peer.publish_text(publisher, &vec![&text; 50]);
+        while subscription.try_take().unwrap().is_some() {}
+        of_all(&|_, priority| priority.is_none())
+    });
+    bridge.wait_for("it to be told", |stats| stats["throttled"].as_u64() > Some(0));
+    wait_until("their priority", || {
+        of_all(&|name, priority| {
+            let below = if name.starts_with("dds.") {
+                1
+            } else {
+                2 * u8::from(["ros-control", "ros-here", "ros-there"].contains(&name))
+            };
+            priority == Some(42 - below)
+        })
+    });
 }
 
 #[test]

@@ -32,7 +32,7 @@ fn topics_are_listed_and_echoed() {
     let list: serde_json::Value = serde_json::from_str(&taut(&["topic", "list", "--json"])).unwrap();
     let expected = serde_json::json!([{
         "topic": "/echo", "type": "demo_msgs/msg/Echo", "hash": hash, "publishers": 1, "subscriptions": 0,
-        "remote_publishers": 0, "remote_subscriptions": 0,
+        "remote_publishers": 0, "remote_subscriptions": 0, "places": [],
     }]);
     assert_eq!(list, expected);
     let table = taut(&["topic", "list"]);

@@ -419,8 +419,8 @@ impl Drop for Mapping {
     }
 }
 
-/// Random enough for a name: the seeds of the standard library's hash maps.
-/// A number that nobody has chosen, never 0: for names, not for secrets.
+/// A number that nobody has chosen, never 0: random enough for a name (the seeds of the standard library's hash maps), not for a
+/// secret.
 pub fn random() -> u64 {
     use std::hash::{BuildHasher, Hasher};
     std::collections::hash_map::RandomState::new().build_hasher().finish() | 1

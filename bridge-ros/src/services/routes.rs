@@ -95,7 +95,9 @@ impl Routes {
         let Some(choice) = rules.choice(service) else { return };
         let servers =
             there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.ros_topic);
-        let server = here.iter().find(|end| end.kind == ServiceKind::Server);
+        let all = here.iter().filter(|end| end.kind == ServiceKind::Server);
+        let server = all.min_by_key(|end| (!announced(end), !end.origin.is_here()));
+        let is_asked = here.iter().any(|end| end.kind == ServiceKind::Client);
         // Of clients that ask for different types, those go on that ROS can answer.
         let is_there =
             |end: &&&ServiceEndpoint| servers.clone().any(|server| server.type_name == end.type_name);
@@ -118,6 +120,12 @@ impl Routes {
             servers.partition(|server| server.type_name == end.type_name);
         match (server, other.first()) {
             (Some(server), _) if !announced(server) => {}
+            // Of servers of one name ROS's own is nearer than one of another host.
+            (Some(server), _) if !server.origin.is_here() && !same.is_empty() => {
+                if is_asked && choice.goes(Direction::FromRos) {
+                    self.seek(key, end, &same);
+                }
+            }
             (Some(server), _) if choice.goes(Direction::ToRos) => {
                 let is_alone = same.is_empty() && other.is_empty();
                 if !is_alone {
@@ -131,10 +139,7 @@ impl Routes {
                 }
             }
             (None, _) if choice.goes(Direction::FromRos) && !same.is_empty() => {
-                let id = |server: &&ServiceEndpoint| ServerId { node: server.node.clone(), gid: server.gid };
-                let servers = same.iter().map(id).collect();
-                let sought = SoughtService { type_hash: end.type_hash.clone(), servers };
-                self.sought.insert(key, sought);
+                self.seek(key, end, &same);
             }
             (None, Some(other)) => {
                 let reason = format!(
@@ -148,10 +153,20 @@ impl Routes {
     }
 }
 
+impl Routes {
+    /// For who asks as `end` does.
+    fn seek(&mut self, key: ServiceKey, end: &ServiceEndpoint, servers: &[&ServiceEndpoint]) {
+        let id = |server: &&ServiceEndpoint| ServerId { node: server.node.clone(), gid: server.gid };
+        let servers = servers.iter().map(id).collect();
+        self.sought.insert(key, SoughtService { type_hash: end.type_hash.clone(), servers });
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::rules::Rule;
+    use tautline_transport::Origin;
 
     const SET_BOOL: &str = "std_srvs/srv/SetBool";
 
@@ -199,6 +214,19 @@ mod tests {
         assert!(routes.sought.keys().all(|key| key.service != "/both"));
         assert!(routes.problems["/both"].contains("both Tautline and ROS"), "{:?}", routes.problems);
         assert_eq!(of(&Rules::default(), &here, &there), Routes::default());
+    }
+
+    /// Two servers have one name, in ROS and on another host: clients here have ROS's, and neither goes on to the other.
+    #[test]
+    fn of_two_servers_of_one_name_none_is_nobodys() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let elsewhere = Origin { tag: 7, path: vec![1], ..Origin::default() };
+        let far = ServiceEndpoint { origin: elsewhere, teller: Some(3), ..server("/both") };
+        let routes = of(&rules, &[far.clone(), client("/both")], &[server("/both")]);
+        assert_eq!((names(&routes.sought), routes.offered.len()), (vec![("/both", "/both")], 0));
+        let unasked = of(&rules, std::slice::from_ref(&far), &[server("/both")]);
+        assert_eq!(unasked, Routes::default());
+        assert_eq!(names(&of(&rules, &[far], &[]).offered), [("/both", "/both")]);
     }
 
     #[test]

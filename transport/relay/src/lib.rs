@@ -5,12 +5,14 @@
 //! an [`Outlet`]. What a publisher sent before its counterpart elsewhere was known waits for it. A local publisher notices
 //! nothing of it. [`show_until`] is what such a program does meanwhile.
 
+mod budget;
 mod program;
 mod relay;
 mod route;
 mod transit;
 mod waker;
 
+pub use budget::{Budget, Guard, List};
 pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
 pub use relay::{PassedOver, Relay, RelayError};
 pub use route::{EarlyLimits, Last, Outlet, Taken};

@@ -6,8 +6,8 @@
 //! between networks do by path: word that came through a domain is not believed there again, so nothing keeps itself alive in a circle;
 //! and when the best way ends, the next one is known already.
 
-use std::collections::{BTreeMap, HashMap};
-use tautline_transport::{Origin, Rank};
+use std::collections::{BTreeMap, HashMap, HashSet};
+use tautline_transport::{Gid, Origin, Rank};
 
 /// How deep the queue is at least by which samples of a publisher are taken that is elsewhere: its own depth is how much it keeps there,
 /// as far as that is known at all, and on the way here samples gather.
@@ -20,20 +20,23 @@ pub struct Transit {
     own: u128,
     crossed_ros: u8,
     goes_on: bool,
+    place: String,
     rivals: HashMap<u64, Rank>,
     far: HashMap<u64, BTreeMap<Rank, usize>>,
 }
 
 impl Transit {
-    /// Between a domain, there as `participant`, and a network, there as `own`.
-    pub fn to_network(domain: u64, participant: u64, own: u128) -> Self {
+    /// Between a domain, there as `participant`, and a network, there as `own`. `place` is what this host is called where people read
+    /// it.
+    pub fn to_network(domain: u64, participant: u64, own: u128, place: &str) -> Self {
         let (rivals, far) = Default::default();
-        Transit { domain, participant, own, crossed_ros: 0, goes_on: true, rivals, far }
+        let place = Origin::here(Gid::default(), place).place;
+        Transit { domain, participant, own, crossed_ros: 0, goes_on: true, place, rivals, far }
     }
 
-    /// Between a domain and a ROS 2 graph.
-    pub fn to_ros(domain: u64, participant: u64, own: u128) -> Self {
-        Transit { crossed_ros: 1, ..Self::to_network(domain, participant, own) }
+    /// Between a domain and a ROS 2 graph; as [`to_network`](Self::to_network).
+    pub fn to_ros(domain: u64, participant: u64, own: u128, place: &str) -> Self {
+        Transit { crossed_ros: 1, ..Self::to_network(domain, participant, own, place) }
     }
 
     /// Whether what others tell of in the domain is announced too: it is, unless this says otherwise.
@@ -43,12 +46,11 @@ impl Transit {
     }
 
     /// What others tell of in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals).
-    /// Whether that is otherwise than before.
-    pub fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> bool {
-        let changed = self.rivals != *rivals;
-        if changed {
-            self.rivals.clone_from(rivals);
-        }
+    /// Returns the tags of which that is otherwise than before.
+    pub fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> HashSet<u64> {
+        let differs = |tag: &&u64| self.rivals.get(tag) != rivals.get(tag);
+        let changed = self.rivals.keys().chain(rivals.keys()).filter(differs).copied().collect();
+        self.rivals.clone_from(rivals);
         changed
     }
 
@@ -87,8 +89,15 @@ impl Transit {
     /// somebody else tells better of the same.
     pub fn told(&self, origin: &Origin, teller: u128) -> Option<Origin> {
         let is_best = self.best(origin.tag).is_none_or(|best| best == origin.rank(teller));
-        let ros = origin.ros.saturating_add(self.crossed_ros);
-        (is_best && origin.is_new_to(self.domain)).then(|| Origin { ros, ..origin.clone() })
+        if !is_best || !origin.is_new_to(self.domain) {
+            return None;
+        }
+        let mut told = Origin { ros: origin.ros.saturating_add(self.crossed_ros), ..origin.clone() };
+        if told.place.is_empty() {
+            // It is not here, whatever others leave out.
+            told.place.push_str("elsewhere");
+        }
+        Some(told)
     }
 
     /// Whether what it sends comes into the domain here.
@@ -103,7 +112,12 @@ impl Transit {
         if !self.goes_on && !origin.is_here() {
             return None;
         }
-        let announced = origin.clone().told_by(self.domain);
+        let mut announced = origin.clone().told_by(self.domain);
+        if origin.is_here() {
+            // Whatever others claim: nobody tells better of it.
+            announced.place.clone_from(&self.place);
+            return Some(announced);
+        }
         let is_best = self.best(origin.tag).is_none_or(|best| announced.rank(self.own) < best);
         (is_best && origin.may_go_on()).then_some(announced)
     }

@@ -45,6 +45,13 @@ pub struct NodeName {
     pub name: String,
 }
 
+impl RemoteNode {
+    /// Whether a node elsewhere can be such. What is not cannot be told of.
+    pub fn is_valid(&self) -> bool {
+        self.name.is_valid() && self.origin.is_valid()
+    }
+}
+
 impl NodeName {
     /// `/namespace/name`.
     pub fn full_name(&self) -> String {
@@ -107,6 +114,23 @@ pub struct TopicEndpoint {
     pub origin: Origin,
     /// The participant that tells of it, if it is elsewhere.
     pub teller: Option<u64>,
+}
+
+impl TopicEndpoint {
+    /// Whether an end elsewhere can be such: its names, its type, its origin. What is not cannot be told of.
+    pub fn is_valid(&self) -> bool {
+        let (name, hash) = (&self.topic_type.name, self.topic_type.hash.as_deref());
+        let is_node = self.node.as_ref().is_none_or(NodeName::is_valid);
+        is_node && record::is_remote_end(&self.topic, name, hash, &self.origin)
+    }
+}
+
+impl ServiceEndpoint {
+    /// Whether an end elsewhere can be such: its names, its type, its origin. What is not cannot be told of.
+    pub fn is_valid(&self) -> bool {
+        let is_node = self.node.as_ref().is_none_or(NodeName::is_valid);
+        is_node && record::is_remote_end(&self.name, &self.type_name, self.type_hash.as_deref(), &self.origin)
+    }
 }
 
 /// Which end of a service.
@@ -177,7 +201,7 @@ pub struct RemoteNode {
     pub origin: Origin,
 }
 
-/// What other hosts have: see [`Participant::set_remote`]. `pid`, `is_remote`, `is_own` and `teller` are not looked at, nor are ends
+/// What other hosts have: see [`Participant::set_remote`]. What is not [valid](TopicEndpoint::is_valid) is left out; `pid`, `is_remote`, `is_own` and `teller` are not looked at, nor are ends
 /// without a node.
 #[derive(Clone, Debug, Default)]
 pub struct RemoteGraph {

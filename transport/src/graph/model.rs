@@ -215,9 +215,11 @@ impl Model {
                 }
             }
         }
-        let nodes = self.nodes.iter().filter(|(node, gid)| self.counts(&node.origin, *gid));
-        let endpoints = self.endpoints.iter().filter(|((.., gid), end)| self.counts(&end.origin, *gid));
-        let services = self.services.iter().filter(|((.., gid), end)| self.counts(&end.origin, *gid));
+        let nodes = self.nodes.iter().filter(|(node, gid)| self.counts(node.teller, &node.origin, *gid));
+        let endpoints = self.endpoints.iter();
+        let endpoints = endpoints.filter(|((.., gid), end)| self.counts(end.teller, &end.origin, *gid));
+        let services = self.services.iter();
+        let services = services.filter(|((.., gid), end)| self.counts(end.teller, &end.origin, *gid));
         self.snapshot = Arc::new(GraphSnapshot {
             nodes: nodes.map(|(node, _)| node.clone()).collect(),
             endpoints: endpoints.map(|(_, end)| end.clone()).collect(),
@@ -229,9 +231,9 @@ impl Model {
     }
 
     /// Whether it is here, or of those that tell of it this is the best.
-    fn counts(&self, origin: &Origin, gid: Gid) -> bool {
+    fn counts(&self, teller: Option<u64>, origin: &Origin, gid: Gid) -> bool {
         let best = self.told.get(&origin.tag).and_then(BTreeSet::first);
-        best.is_none_or(|(_, best)| *best == gid)
+        teller.is_none() || best.is_none_or(|(_, best)| *best == gid)
     }
 
     /// What others tell of, if this one does so too.

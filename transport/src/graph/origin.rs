@@ -92,8 +92,8 @@ impl Origin {
         Rank { hops: self.path.len(), ros: self.ros, teller }
     }
 
-    /// A claim of another process or host.
-    pub(crate) fn is_valid(&self) -> bool {
+    /// Whether it is one that an honest process or host writes.
+    pub fn is_valid(&self) -> bool {
         self.path.len() <= Self::MOST_HOPS
             && self.place.len() <= Self::MOST_PLACE_BYTES
             && self.place.chars().all(is_token_char)

@@ -198,16 +198,19 @@ impl State {
         (nodes, entries): &mut (RemoteNodes, RemoteEntries),
     ) -> io::Result<bool> {
         let mut changed = false;
-        let of_ports = remote.endpoints.iter().filter_map(|end| end.node.as_ref());
-        let of_services = remote.services.iter().filter_map(|end| end.node.as_ref());
-        let listed: BTreeSet<&NodeName> = remote.nodes.iter().map(|node| &node.name).collect();
+        let of_ports =
+            remote.endpoints.iter().filter(|end| end.is_valid()).filter_map(|end| end.node.as_ref());
+        let of_services =
+            remote.services.iter().filter(|end| end.is_valid()).filter_map(|end| end.node.as_ref());
+        let nodes_there: BTreeSet<&RemoteNode> = remote.nodes.iter().filter(|node| node.is_valid()).collect();
+        let listed: BTreeSet<&NodeName> = nodes_there.iter().map(|node| &node.name).collect();
         let unlisted: BTreeSet<&NodeName> =
             of_ports.chain(of_services).filter(|node| !listed.contains(node)).collect();
         let unlisted =
             unlisted.into_iter().map(|name| RemoteNode { name: name.clone(), origin: Origin::default() });
         // By name: the first of several has the ends.
         let mut numbers = HashMap::new();
-        for node in remote.nodes.iter().cloned().chain(unlisted) {
+        for node in nodes_there.into_iter().cloned().chain(unlisted) {
             let number = match nodes.get_mut(&node).and_then(Vec::pop) {
                 Some(number) => number,
                 None => {
@@ -265,7 +268,9 @@ fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(Kind, u6
         let record = RemoteServiceRecord::new(node_of(&end.node)?, end);
         Some((Kind::RemoteService, hash_of(&end.name), to_body(&record)))
     };
-    remote.endpoints.iter().filter_map(port).chain(remote.services.iter().filter_map(service)).collect()
+    let ports = remote.endpoints.iter().filter(|end| end.is_valid()).filter_map(port);
+    let services = remote.services.iter().filter(|end| end.is_valid()).filter_map(service);
+    ports.chain(services).collect()
 }
 
 /// A node that is there until this is dropped.

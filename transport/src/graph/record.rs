@@ -194,8 +194,8 @@ impl RemotePortRecord {
 
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
         let record: RemotePortRecord = parse(body)?;
-        let is_end = is_absolute(&record.topic) && is_type(&record.type_name, record.hash.as_deref());
-        (is_end && record.origin.is_valid()).then_some(record)
+        is_remote_end(&record.topic, &record.type_name, record.hash.as_deref(), &record.origin)
+            .then_some(record)
     }
 
     pub(crate) fn node(&self) -> u64 {
@@ -237,8 +237,8 @@ impl RemoteServiceRecord {
 
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
         let record: RemoteServiceRecord = parse(body)?;
-        let is_end = is_absolute(&record.name) && is_type(&record.type_name, record.hash.as_deref());
-        (is_end && record.origin.is_valid()).then_some(record)
+        is_remote_end(&record.name, &record.type_name, record.hash.as_deref(), &record.origin)
+            .then_some(record)
     }
 
     pub(crate) fn node(&self) -> u64 {
@@ -288,7 +288,8 @@ impl NodeRecord {
 }
 
 impl NodeName {
-    pub(crate) fn is_valid(&self) -> bool {
+    /// Whether a node can have this name.
+    pub fn is_valid(&self) -> bool {
         self.name.len() <= MAX_NAME_BYTES
             && is_token(&self.name)
             && (self.namespace == "/" || is_absolute(&self.namespace))
@@ -312,6 +313,11 @@ pub(crate) fn is_token_char(c: char) -> bool {
 pub(crate) fn is_topic(name: &str) -> bool {
     let bare = name.strip_prefix(REQUESTS).or_else(|| name.strip_prefix(RESPONSES)).unwrap_or(name);
     (1..=MAX_NAME_BYTES).contains(&bare.len()) && bare.chars().all(|c| !c.is_control() && c != ':')
+}
+
+/// Whether an end elsewhere can be described so.
+pub(crate) fn is_remote_end(name: &str, type_name: &str, hash: Option<&str>, origin: &Origin) -> bool {
+    is_absolute(name) && is_type(type_name, hash) && origin.is_valid()
 }
 
 /// Names of types are not ROS 2's alone.

@@ -83,7 +83,8 @@ fn refusal(event: &str) -> Option<String> {
     if key.contains("@ros2_lv/") {
         return None;
     }
-    let topic = TopicKey::parse(key).map_or_else(|_| key.to_owned(), |key| key.topic);
+    let base = key.strip_suffix("/_buf_cpu").unwrap_or(key);
+    let topic = TopicKey::parse(base).map_or_else(|_| key.to_owned(), |key| key.topic);
     Some(format!("{action} on {topic}"))
 }
 

@@ -14,9 +14,9 @@ use crate::services::{Routes, Services};
 use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
 use crate::types::Types;
 use crate::wire::{EndpointKind, MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, PoisonError, mpsc};
+use std::sync::{Arc, PoisonError, RwLock, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::Transit;
 use tautline_schema::{Packages, TypeHash, TypeName};
@@ -125,10 +125,11 @@ impl Control {
     ) -> Self {
         let domain = options.network_domain.unwrap_or(options.domain);
         let filter: Filter = options.filter.clone();
-        let transit = Transit::to_network(participant.domain_id(), participant.id(), zid);
+        let host = tautline_rt::host::name();
+        let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
         let graph = Graph::new(domain, zid, options.limits, transit);
-        let mirror = Mirror::new(domain, zid, graph, filter, &tautline_rt::host::name());
+        let mirror = Mirror::new(domain, zid, graph, filter);
         Control {
             options,
             participant,
@@ -224,9 +225,11 @@ impl Control {
         self.refused = locals.refused;
         let mut endpoints = locals.endpoints;
         let domain = self.network_domain();
-        // What the gateway itself answers for nodes of this host.
-        let nodes = locals.nodes.iter().filter(|node| node.origin.is_here()).map(|node| &node.name);
-        let ends = endpoints.iter().filter(|end| end.origin.is_here()).map(|end| &end.node);
+        // What the gateway itself answers: for nodes of this host that do not, and for those elsewhere, who would be asked in vain, for
+        // nobody here does.
+        endpoints.retain(|end| end.origin.is_here() || !self.descriptions.is_theirs(end));
+        let nodes = locals.nodes.iter().map(|node| &node.name);
+        let ends = endpoints.iter().map(|end| &end.node);
         let mut offered = self.descriptions.offered(nodes.chain(ends), &endpoints);
         offered.retain(|end| self.options.filter.allows(&end.topic));
         let services = offered.iter().map(|end| end.topic.clone()).collect();
@@ -261,12 +264,12 @@ impl Control {
     }
 
     fn act(&mut self, actions: Vec<Action>) {
-        if actions.is_empty() {
-            return;
+        if let Some(mut passed_over) = self.mirror.take_passed_over() {
+            let mut before = self.outgoing.passed_over().lock().unwrap_or_else(PoisonError::into_inner);
+            // What was there before is dropped after the lock: the thread that sends may wait for it.
+            std::mem::swap(&mut *before, &mut passed_over);
+            drop(before);
         }
-        let mut passed_over = self.outgoing.passed_over().lock().unwrap_or_else(PoisonError::into_inner);
-        *passed_over = self.mirror.passed_over().collect();
-        drop(passed_over);
         for action in actions {
             self.act_once(action);
         }
@@ -316,13 +319,18 @@ impl Control {
                 self.failed.remove(&(key.clone(), Direction::In));
                 self.stop_in(&key);
             }
-            Action::PassOver(key, gids) => {
+            Action::PassOver(key) => {
+                let gids = self.passed_over_of(&key);
                 if let Some((_, passed_over)) = self.incoming.get(&key) {
-                    *passed_over.write().unwrap_or_else(PoisonError::into_inner) = gids.into_iter().collect();
+                    *passed_over.write().unwrap_or_else(PoisonError::into_inner) = gids;
                 }
             }
             Action::Resync => self.resync(),
         }
+    }
+
+    fn passed_over_of(&self, key: &TopicKey) -> HashSet<Gid> {
+        self.mirror.passed_over_of(key).into_iter().flatten().copied().collect()
     }
 
     fn declare(&mut self, token: &Token) {
@@ -379,7 +387,8 @@ impl Control {
         }
         let lifespans = self.mirror.graph().lifespans().clone();
         let max_bytes = self.options.max_message_bytes;
-        let (own, passed_over) = (self.own.clone(), OwnGids::default());
+        let own = self.own.clone();
+        let passed_over: OwnGids = Arc::new(RwLock::new(self.passed_over_of(key)));
         let checks = Checks { own, passed_over: passed_over.clone(), lifespans, max_bytes, schema };
         let inlet = Inlet::new(publisher, counters, checks);
         let incoming = Incoming::start(&self.session, key, qos, inlet).map_err(|error| error.to_string())?;
@@ -511,9 +520,16 @@ impl Control {
     /// The graph of other hosts changed a while ago: shows it, and looks for the hashes of types that only others know.
     fn settle(&mut self) {
         (self.is_unseen, self.shown) = (false, Instant::now());
+        let actions = self.mirror.settle();
+        self.act(actions);
         let remote: Vec<Token> = self.mirror.graph().tokens().cloned().collect();
-        let graph = self.mirror.graph();
-        if let Err(error) = self.participant.set_remote(&remote_graph(&remote, |token| graph.told(token))) {
+        let (graph, filter) = (self.mirror.graph(), &self.options.filter);
+        // What is not let through is not told: somebody else may have a way.
+        let told = |token: &Token| {
+            let is_allowed = token.endpoint.as_ref().is_none_or(|end| filter.allows(&end.name));
+            graph.told(token).filter(|_| is_allowed)
+        };
+        if let Err(error) = self.participant.set_remote(&remote_graph(&remote, told)) {
             tracing::warn!("nodes and tools of this host do not see what others have: {error}");
         }
         *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
@@ -528,7 +544,7 @@ impl Control {
         let graph = self.mirror.graph();
         let server = |token: &Token| {
             let end = token.endpoint.as_ref().filter(|end| end.kind == EndpointKind::Service)?;
-            graph.told(token)?;
+            graph.carries(token).then_some(())?;
             Some(TopicKey { domain: token.domain, topic: end.name.clone(), type_id: end.type_id.clone() })
         };
         let elsewhere = graph.tokens().filter_map(server).collect();

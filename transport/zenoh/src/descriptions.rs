@@ -235,12 +235,18 @@ impl Descriptions {
             let (kind, qos) = (EndpointKind::Service, WireQos { depth: 10, ..WireQos::default() });
             let (node, type_id) = (node.clone(), self.id.clone());
             // A number that no other has: the hash of what is said of it.
-            let said = Endpoint { id: 0, kind, name: topic.clone(), type_id: type_id.clone(), qos };
+            let (name, suffix) = (topic.clone(), String::new());
+            let said = Endpoint { id: 0, kind, name, type_id: type_id.clone(), qos, suffix };
             let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint: Some(said) };
             let gid = endpoint_gid(&said);
             LocalEndpoint { gid, kind, topic, type_id, qos, node, origin: Origin::here(gid, "") }
         };
         nodes.into_iter().map(offer).filter(|end| !is_own(&end.topic)).collect()
+    }
+
+    /// Whether it is a node's own server of types.
+    pub(crate) fn is_theirs(&self, end: &LocalEndpoint) -> bool {
+        end.kind == EndpointKind::Service && end.type_id == self.id && end.topic == service_of(&end.node)
     }
 
     /// Answers at these services from now on, and at no others.

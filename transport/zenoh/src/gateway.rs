@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway itself: joins the domain and the network, and does what the mirror decides.
 
-use crate::budget::{Budget, Guard};
 use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
 use crate::control::{Control, Event, tokens_to};
 use crate::descriptions::Descriptions;
@@ -17,7 +16,7 @@ use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_relay::RelayError;
+use tautline_relay::{Budget, Guard, RelayError};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
 use tautline_transport::{Participant, RemoteGraph, SchemaStore, TransportError};
@@ -219,7 +218,8 @@ impl Gateway {
             })?)
         };
         if let (Realtime::Required, Some(budget)) = (options.realtime, options.budget) {
-            gateway.guard = Some(Guard::start(budget, policy, &THREADS)?);
+            let list = move || Ok(watched_threads()?.into_iter().map(|tid| (tid, policy)).collect());
+            gateway.guard = Some(Guard::start("gw-budget", budget, policy, Box::new(list))?);
         }
         if options.realtime == Realtime::Required {
             gateway.check_threads(policy)?;
@@ -281,6 +281,12 @@ impl Drop for Gateway {
         }
         let _ = self.session.close().wait();
     }
+}
+
+/// The threads of Zenoh and the gateway's own.
+fn watched_threads() -> Result<Vec<u32>, RtError> {
+    let own = tautline_rt::threads()?.into_iter().filter(|thread| THREADS.contains(&thread.name.as_str()));
+    Ok(network_threads()?.into_iter().chain(own).map(|thread| thread.tid).collect())
 }
 
 /// Says when the topics of the domain changed.

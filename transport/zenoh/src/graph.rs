@@ -5,7 +5,7 @@
 use crate::lifespans::Lifespans;
 use crate::origin::origin;
 use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 use tautline_relay::Transit;
 use tautline_rt::clock::nanoseconds;
@@ -204,6 +204,11 @@ impl Graph {
         all.filter(|end| self.transit.told(&end.origin, end.zid).is_some())
     }
 
+    /// Whether what a token stands for comes into the domain through this gateway.
+    pub(crate) fn carries(&self, token: &Token) -> bool {
+        self.transit.carries(&origin(token), token.zid)
+    }
+
     /// How the domain is told of what a token stands for; `None`: not at all.
     pub(crate) fn told(&self, token: &Token) -> Option<Origin> {
         self.transit.told(&origin(token), token.zid)
@@ -214,14 +219,20 @@ impl Graph {
         self.transit.announced(origin)
     }
 
-    /// What others tell of in the domain. Whether that is otherwise than before.
-    pub(crate) fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> bool {
+    /// What others tell of in the domain. The tags of which that is otherwise than before.
+    pub(crate) fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> HashSet<u64> {
         self.transit.set_rivals(rivals)
     }
 
     /// The tags of what came or went since the last call.
     pub(crate) fn take_touched(&mut self) -> Vec<u64> {
         std::mem::take(&mut self.touched)
+    }
+
+    /// Topics with a publisher of one of these tags.
+    pub(crate) fn topics_of(&self, tags: &HashSet<u64>) -> Vec<TopicKey> {
+        let has = |topic: &Topic| topic.publishers.iter().any(|end| tags.contains(&end.origin.tag));
+        self.topics.iter().filter(|(_, topic)| has(topic)).map(|(key, _)| key.clone()).collect()
     }
 
     /// All topics with an endpoint on another host.
@@ -286,7 +297,7 @@ mod tests {
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
     fn graph(limits: GraphLimits) -> Graph {
-        Graph::new(5, 0xAA, limits, Transit::to_network(1, 2, 0xAA))
+        Graph::new(5, 0xAA, limits, Transit::to_network(1, 2, 0xAA, "host"))
     }
 
     fn token(zid: u128, id: u64, kind: &str, topic: &str) -> String {

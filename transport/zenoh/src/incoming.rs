@@ -62,6 +62,8 @@ pub(crate) enum Dropped {
 /// A topic that comes in. Dropping it ends the subscription on the network.
 pub(crate) struct Incoming {
     _subscriber: Subscriber,
+    /// Where newer publishers of images and the like put them.
+    _cpu_group: zenoh::pubsub::Subscriber<()>,
 }
 
 enum Subscriber {
@@ -71,10 +73,16 @@ enum Subscriber {
 
 impl Incoming {
     pub(crate) fn start(session: &Session, key: &TopicKey, qos: InQos, inlet: Inlet) -> zenoh::Result<Self> {
+        let inlet = Arc::new(inlet);
+        let of_group = inlet.clone();
+        let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
+        // Their numbers count what goes to others, too: gaps in them are no losses.
+        let cpu_group = cpu_group.callback(move |sample| of_group.receive(&sample, false)).wait()?;
+        let incoming = |subscriber| Incoming { _subscriber: subscriber, _cpu_group: cpu_group };
         let subscriber = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
-        let subscriber = subscriber.callback(move |sample| inlet.receive(&sample));
+        let subscriber = subscriber.callback(move |sample| inlet.receive(&sample, true));
         if qos.durability == Durability::Volatile {
-            return Ok(Incoming { _subscriber: Subscriber::Plain { _subscriber: subscriber.wait()? } });
+            return Ok(incoming(Subscriber::Plain { _subscriber: subscriber.wait()? }));
         }
         let depth = usize::try_from(qos.depth).unwrap_or(usize::MAX);
         let mut late = subscriber
@@ -84,7 +92,7 @@ impl Incoming {
         if qos.reliability == Reliability::Reliable {
             late = late.recovery(RecoveryConfig::default().heartbeat());
         }
-        Ok(Incoming { _subscriber: Subscriber::Late { _subscriber: late.wait()? } })
+        Ok(incoming(Subscriber::Late { _subscriber: late.wait()? }))
     }
 }
 
@@ -115,17 +123,18 @@ impl Inlet {
         Inlet { port: Mutex::new(port), counters, checks, body_bytes }
     }
 
-    fn receive(&self, sample: &Sample) {
+    fn receive(&self, sample: &Sample, are_numbers_whole: bool) {
         if sample.kind() != SampleKind::Put {
             return self.counters.dropped(Dropped::Deletion);
         }
         match self.take(sample.payload(), sample.attachment()) {
-            Ok(()) | Err(Dropped::Elsewhere) => {}
+            Ok(taken) if are_numbers_whole => self.counters.follow(taken.gid, taken.sequence_number),
+            Ok(_) | Err(Dropped::Elsewhere) => {}
             Err(reason) => self.counters.dropped(reason),
         }
     }
 
-    fn take(&self, payload: &ZBytes, attachment: Option<&ZBytes>) -> Result<(), Dropped> {
+    fn take(&self, payload: &ZBytes, attachment: Option<&ZBytes>) -> Result<Attachment, Dropped> {
         let attachment = parse_attachment(attachment)?;
         if self.checks.own.read().unwrap_or_else(PoisonError::into_inner).contains(&attachment.gid) {
             return Err(Dropped::Own);
@@ -159,9 +168,8 @@ impl Inlet {
             };
             published.map_err(|unpublished| Dropped::Publish(unpublished.into()))?;
         }
-        self.counters.follow(attachment.gid, attachment.sequence_number);
         self.counters.passed(len_bytes, source_timestamp_ns);
-        Ok(())
+        Ok(attachment)
     }
 
     /// How long a sample is still to be delivered, if its publisher has a lifespan: by the clocks of both hosts. One that is ahead
@@ -258,8 +266,9 @@ mod tests {
         let inlet = Inlet::new(port, Arc::new(Counters::new()), checks);
         let attachment = Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
         let attachment = ZBytes::from(attachment.encode());
-        let take =
-            |body: &[u8]| inlet.take(&ZBytes::from([&ENCAPSULATION[..], body].concat()), Some(&attachment));
+        let take = |body: &[u8]| {
+            inlet.take(&ZBytes::from([&ENCAPSULATION[..], body].concat()), Some(&attachment)).map(drop)
+        };
         let claimed = [0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
         for body in [&claimed[..], &[], &[3, 0, 0, 0, b'a', b'b'], &[2, 0, 0, 0, 0xFF, 0], &[0; 40]] {
             assert_eq!(take(body), Err(Dropped::Invalid), "{body:?}");
@@ -278,7 +287,8 @@ mod tests {
             let attachment =
                 Attachment { sequence_number: 2, source_timestamp_ns: unix_ns() - age_ns, gid: Gid([3; 16]) };
             let payload = ZBytes::from([&ENCAPSULATION[..], &body].concat());
-            assert_eq!(inlet.take(&payload, Some(&ZBytes::from(attachment.encode()))), expected, "{age_ns}");
+            let taken = inlet.take(&payload, Some(&ZBytes::from(attachment.encode())));
+            assert_eq!(taken.map(drop), expected, "{age_ns}");
         }
         assert_eq!(std::iter::from_fn(|| subscription.try_take().unwrap()).count(), 2);
         // One that is queued longer than it has left is passed over when it is to be taken.
@@ -292,7 +302,7 @@ mod tests {
             let over_ns = tautline_rt::clock::monotonic_ns() + 3_000_000;
             while tautline_rt::clock::monotonic_ns() < over_ns {}
             // On a busy machine it may have been too late before it was queued.
-            assert!(matches!(taken, Ok(()) | Err(Dropped::Expired)), "{taken:?}");
+            assert!(matches!(taken, Ok(_) | Err(Dropped::Expired)), "{taken:?}");
             assert!(subscription.try_take().unwrap().is_none());
         }
     }

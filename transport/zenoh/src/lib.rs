@@ -7,11 +7,10 @@
 //!
 //! `gw-out` takes the host's samples and gives them to Zenoh, `gw-wait` and `gw-bulk` those that may wait for a link; `gw-services`
 //! carries requests and responses; `gw-control` and `gw-watch` follow what comes and goes. They and Zenoh's own threads start at
-//! `SCHED_FIFO` 80 unless [`Options`] say otherwise; a [`Budget`] bounds the processor time of those that carry topics. No default
+//! `SCHED_FIFO` 80 unless [`Options`] say otherwise; a [`Budget`] bounds the processor time of all of them. No default
 //! build touches Zenoh. The program around it is `taut-gateway`; `docs/deployment.md` says how it is used.
 
 mod access;
-mod budget;
 mod config;
 mod control;
 mod descriptions;
@@ -35,7 +34,6 @@ mod tests;
 mod types;
 
 pub use access::access_layer;
-pub use budget::Budget;
 pub use config::{ConfigError, MAX_MESSAGE_BYTES, Mode, Network, SessionConfig};
 pub use filter::{Filter, PatternError};
 pub use gateway::{Gateway, GatewayError, Options};
@@ -45,4 +43,5 @@ pub use rules::{Rule, RuleError, Urgency};
 pub use seat::{Seat, SeatError};
 pub use session::{SessionError, network_threads};
 pub use stats::{Direction, Latency, Reading, Stats, TopicStats};
+pub use tautline_relay::Budget;
 pub use tautline_wire as wire;

@@ -15,7 +15,9 @@
 use crate::filter::Filter;
 use crate::graph::{Change, Graph, RemoteEndpoint};
 use crate::origin::named;
-use crate::wire::{Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos, endpoint_gid};
+use crate::wire::{
+    CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos, endpoint_gid,
+};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use tautline_relay::RELAYED_DEPTH;
 use tautline_transport::{Durability, Gid, History, Origin, Rank, Reliability};
@@ -128,8 +130,8 @@ pub enum Action {
     StartIn(TopicKey, InQos),
     /// Stop.
     StopIn(TopicKey),
-    /// These publishers' samples do not come in here: of a topic that is being taken, all of them.
-    PassOver(TopicKey, BTreeSet<Gid>),
+    /// Others of a topic's publishers do not come in here than before: [`Mirror::passed_over_of`].
+    PassOver(TopicKey),
     /// Ask for all tokens again: some were refused and there is room now.
     Resync,
 }
@@ -141,14 +143,16 @@ pub struct Mirror {
     zid: u128,
     domain: u32,
     next_id: u64,
-    /// What this host is called where people read it.
-    place: String,
     nodes: BTreeMap<NodeName, Token>,
     locals: BTreeMap<Gid, Local>,
     /// As it was said last: announced or not may change with what others announce.
     said: (Vec<LocalNode>, Vec<LocalEndpoint>),
     /// Of what others tell of here.
     tags: HashSet<u64>,
+    /// Whether one of these is announced otherwise than before.
+    is_stale: bool,
+    /// Publishers of the domain that others announce better, and whether they are others than were asked for last.
+    passed_over: (HashSet<Gid>, bool),
     out: BTreeMap<TopicKey, (OutQos, BTreeSet<Gid>)>,
     inward: BTreeMap<TopicKey, (InQos, BTreeSet<Gid>)>,
 }
@@ -173,17 +177,18 @@ impl Local {
 }
 
 impl Mirror {
-    /// Nothing exists yet. `graph` is of the same domain and session; `place` is what this host is called where people read it.
-    pub fn new(domain: u32, zid: u128, graph: Graph, filter: Filter, place: &str) -> Self {
+    /// Nothing exists yet. `graph` is of the same domain and session.
+    pub fn new(domain: u32, zid: u128, graph: Graph, filter: Filter) -> Self {
         Mirror {
             graph,
             filter,
             zid,
             domain,
             next_id: 0,
-            place: Origin::here(Gid::default(), place).place,
             said: Default::default(),
             tags: HashSet::new(),
+            is_stale: false,
+            passed_over: Default::default(),
             nodes: BTreeMap::new(),
             locals: BTreeMap::new(),
             out: BTreeMap::new(),
@@ -241,21 +246,28 @@ impl Mirror {
         }
         // Of what the domain has from elsewhere, others announce it too, or do so no longer.
         let touched = self.graph.take_touched();
-        if touched.iter().any(|tag| self.tags.contains(tag)) {
-            let (nodes, endpoints) = std::mem::take(&mut self.said);
-            actions.append(&mut self.set_locals(nodes, endpoints));
-        }
+        self.is_stale |= touched.iter().any(|tag| self.tags.contains(tag));
         actions
+    }
+
+    /// What follows from what others announce of what the domain has from elsewhere. To be called after changes of the network, once for
+    /// several.
+    pub fn settle(&mut self) -> Vec<Action> {
+        if !self.is_stale {
+            return Vec::new();
+        }
+        let (nodes, endpoints) = std::mem::take(&mut self.said);
+        self.set_locals(nodes, endpoints)
     }
 
     /// What others tell of here. To be followed by [`set_locals`](Self::set_locals).
     pub fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> Vec<Action> {
         let mut actions = Vec::new();
-        if !self.graph.set_rivals(rivals) {
+        let tags = self.graph.set_rivals(rivals);
+        if tags.is_empty() {
             return actions;
         }
-        let keys: Vec<TopicKey> = self.graph.topics().cloned().collect();
-        for key in keys {
+        for key in self.graph.topics_of(&tags) {
             self.reconcile_in(&key, &mut actions);
         }
         actions
@@ -267,17 +279,19 @@ impl Mirror {
         let mut touched = BTreeSet::new();
         let now: BTreeMap<Gid, (&LocalEndpoint, Option<Origin>)> = (endpoints.iter())
             .filter(|end| self.filter.allows(&end.topic))
-            .map(|end| (end.gid, (end, self.announced(&end.origin))))
+            .map(|end| (end.gid, (end, self.graph.announced(&end.origin))))
             .collect();
         let mut used: BTreeSet<NodeName> = (nodes.iter())
-            .filter_map(|node| Some(named(&node.name, &self.announced(&node.origin)?)))
+            .filter_map(|node| Some(named(&node.name, &self.graph.announced(&node.origin)?)))
             .collect();
         let mut known: BTreeSet<String> = used.iter().map(NodeName::full_name).collect();
         for (end, announced) in now.values() {
             if let Some(origin) = announced
                 && known.insert(end.node.full_name())
             {
-                used.insert(named(&end.node, &Origin { tag: 0, ..origin.clone() }));
+                let first = origin.path.first().copied().unwrap_or_default();
+                let tag = Origin::tag_of(&format!("{first:x} {}", end.node.full_name()));
+                used.insert(named(&end.node, &Origin { tag, ..origin.clone() }));
             }
         }
 
@@ -288,18 +302,31 @@ impl Mirror {
                 self.nodes.insert(node.clone(), token);
             }
         }
+        // Ends say of their nodes only the name: of several it is the oldest that has them.
+        let mut node_ids = HashMap::<String, u64>::new();
+        for token in used.iter().filter_map(|node| self.nodes.get(node)) {
+            let id = node_ids.entry(token.node.full_name()).or_insert(token.node_id);
+            *id = token.node_id.min(*id);
+        }
         let is_same = |gid: &Gid, local: &Local| {
-            now.get(gid).is_some_and(|(end, origin)| {
-                **end == local.endpoint && *origin == local.announced.as_ref().map(|said| said.origin.clone())
+            now.get(gid).is_some_and(|(end, origin)| match &local.announced {
+                _ if **end != local.endpoint => false,
+                None => origin.is_none(),
+                Some(said) => {
+                    let node_id = node_ids.get(&end.node.full_name()).copied().unwrap_or_default();
+                    origin.as_ref() == Some(&said.origin) && said.token.node_id == node_id
+                }
             })
         };
         let gone: Vec<Gid> =
             self.locals.iter().filter(|(gid, local)| !is_same(gid, local)).map(|(gid, _)| *gid).collect();
-        // Ends before beginnings: an endpoint that changed is one that ended and one that began.
-        let mut withdrawn = Vec::new();
+        // Ends before beginnings: an endpoint that changed is one that ended and one that began. But its former token goes last, so that
+        // others have it all the time.
+        let (mut withdrawn, mut replaced) = (Vec::new(), Vec::new());
         for gid in gone {
             if let Some(local) = self.locals.remove(&gid) {
-                withdrawn.extend(local.announced.map(|announced| Action::Undeclare(announced.token)));
+                let tokens = if now.contains_key(&gid) { &mut replaced } else { &mut withdrawn };
+                tokens.extend(local.announced.map(|announced| Action::Undeclare(announced.token)));
                 touched.insert(local.key);
             }
         }
@@ -307,8 +334,6 @@ impl Mirror {
             self.reconcile(key, &mut actions);
         }
         actions.append(&mut withdrawn);
-        let node_ids: HashMap<String, u64> =
-            self.nodes.iter().map(|(name, token)| (name.full_name(), token.node_id)).collect();
         for (gid, (endpoint, origin)) in now {
             if !self.locals.contains_key(&gid) {
                 let local = self.local(endpoint.clone(), origin, &node_ids);
@@ -320,33 +345,36 @@ impl Mirror {
         for key in &touched {
             self.reconcile(key, &mut actions);
         }
+        actions.append(&mut replaced);
         let unused: Vec<NodeName> = self.nodes.keys().filter(|node| !used.contains(node)).cloned().collect();
         actions.extend(unused.into_iter().filter_map(|node| self.nodes.remove(&node).map(Action::Undeclare)));
         let origins = nodes.iter().map(|node| &node.origin).chain(endpoints.iter().map(|end| &end.origin));
         // What is here first comes back by no other way than through here, which is known by its path.
         self.tags = origins.filter(|origin| !origin.is_here()).map(|origin| origin.tag).collect();
         self.said = (nodes, endpoints);
+        self.is_stale = false;
+        let publishers = self.locals.values().filter(|local| local.endpoint.kind == EndpointKind::Publisher);
+        let passed_over: HashSet<Gid> =
+            publishers.filter(|local| local.announced.is_none()).map(|local| local.endpoint.gid).collect();
+        if passed_over != self.passed_over.0 {
+            self.passed_over = (passed_over, true);
+        }
         actions
     }
 
-    /// Publishers of the domain that others announce better: their samples are left to those.
-    pub fn passed_over(&self) -> impl Iterator<Item = Gid> + '_ {
-        let publishers = self.locals.values().filter(|local| local.endpoint.kind == EndpointKind::Publisher);
-        publishers.filter(|local| local.announced.is_none()).map(|local| local.endpoint.gid)
+    /// Publishers of the domain that others announce better: their samples are left to those. `None`: as before.
+    pub fn take_passed_over(&mut self) -> Option<HashSet<Gid>> {
+        std::mem::take(&mut self.passed_over.1).then(|| self.passed_over.0.clone())
+    }
+
+    /// Publishers of a topic elsewhere whose samples come into the domain another way.
+    pub fn passed_over_of(&self, key: &TopicKey) -> Option<&BTreeSet<Gid>> {
+        self.inward.get(key).map(|(_, passed_over)| passed_over)
     }
 
     /// Whether the network is told of this end of the domain.
     pub fn is_announced(&self, gid: &Gid) -> bool {
         self.locals.get(gid).is_some_and(|local| local.announced.is_some())
-    }
-
-    /// With the name of this host, if it is from here.
-    fn announced(&self, origin: &Origin) -> Option<Origin> {
-        let mut origin = self.graph.announced(origin)?;
-        if origin.place.is_empty() {
-            origin.place.clone_from(&self.place);
-        }
-        Some(origin)
     }
 
     /// Stops everything and withdraws every token.
@@ -373,7 +401,10 @@ impl Mirror {
         let key = TopicKey { domain: self.domain, topic: topic.clone(), type_id: type_id.clone() };
         let announced = origin.map(|origin| {
             let node_id = node_ids.get(&node.full_name()).copied().unwrap_or_default();
-            let described = Endpoint { id: self.id(), kind, name: topic, type_id, qos };
+            // So newer nodes know on which key to send: see `TopicKey::cpu_group`.
+            let is_volatile = kind == EndpointKind::Subscription && qos.durability == Durability::Volatile;
+            let suffix = if is_volatile { CPU_BACKEND.to_owned() } else { String::new() };
+            let described = Endpoint { id: self.id(), kind, name: topic, type_id, qos, suffix };
             let (node, endpoint) = (named(&node, &origin), Some(described));
             let token = Token { domain: self.domain, zid: self.zid, node_id, node, endpoint };
             Announced { origin, wire_gid: endpoint_gid(&token), token }
@@ -428,6 +459,14 @@ impl Mirror {
             }
             stays
         });
+        // One that is announced anew has what is kept taken again.
+        let is_elsewhere = |gid: &Gid| self.locals.get(gid).is_some_and(|l| !l.endpoint.origin.is_here());
+        let is_anew = |(gid, writer): (&Gid, &Writer)| {
+            writer.qos.durability == Durability::TransientLocal && !open.contains(gid) && is_elsewhere(gid)
+        };
+        if running == Some(qos) && writers.iter().any(is_anew) {
+            actions.push(Action::StartOut(key.clone(), qos));
+        }
         for (gid, writer) in writers {
             if open.insert(gid) {
                 actions.push(Action::OpenWriter(key.clone(), writer));
@@ -461,14 +500,18 @@ impl Mirror {
             return;
         };
         let qos = running.map_or(wanted, |(running, _)| running.grown(wanted));
-        let is_same = running.is_some_and(|(running, _)| *running == qos);
-        if !is_same {
-            actions.push(Action::StartIn(key.clone(), qos));
-        }
-        let none = BTreeSet::new();
-        let before = running.filter(|_| is_same).map_or(&none, |(_, passed_over)| passed_over);
-        if passed_over != *before {
-            actions.push(Action::PassOver(key.clone(), passed_over.clone()));
+        let is_regained = |before: &BTreeSet<Gid>| {
+            let keeps = |end: &&RemoteEndpoint| is_kept(&&end.endpoint.qos) && before.contains(&end.gid);
+            publishers.iter().copied().any(|end| keeps(&end))
+        };
+        match running {
+            // What is kept by a publisher that comes in here from now on is asked for.
+            Some((running, before)) if *running == qos && !is_regained(before) => {
+                if passed_over != *before {
+                    actions.push(Action::PassOver(key.clone()));
+                }
+            }
+            _ => actions.push(Action::StartIn(key.clone(), qos)),
         }
         self.inward.insert(key.clone(), (qos, passed_over));
     }

@@ -4,7 +4,8 @@
 use crate::wire::{Endpoint, EndpointKind, NodeName, Token, WireQos, endpoint_gid};
 use tautline_transport::{
     EndpointKind::{Publisher, Subscription},
-    Liveliness, Origin, Qos, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
+    Limits, Liveliness, Origin, Qos, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint,
+    TopicType,
 };
 
 /// The same tokens are the same graph, in whatever order they come. `told` is how the domain is told of each, if it is.
@@ -81,7 +82,7 @@ fn qos(wire: &WireQos) -> Qos {
         lifespan: wire.lifespan.to_duration(),
         liveliness: if wire.manual_liveliness { Liveliness::ManualByTopic } else { Liveliness::Automatic },
         liveliness_lease_duration: wire.lease.to_duration(),
-        ..Qos::keep_last(usize::try_from(wire.depth).unwrap_or(usize::MAX))
+        ..Qos::keep_last(usize::try_from(wire.depth).unwrap_or(usize::MAX).clamp(1, Limits::MAX_DEPTH))
     }
 }
 

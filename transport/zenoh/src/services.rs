@@ -41,8 +41,9 @@ const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
 
 /// How long a request waits for a server.
 const HELD_TIME: Duration = Duration::from_secs(10);
-/// So many requests of a service.
+/// So many requests of a service, and so much in all of them.
 const MAX_HELD: usize = 1024;
+const MAX_HELD_BYTES: usize = 16 << 20;
 
 /// How long the gateway waits for the thread to offer services.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -228,6 +229,18 @@ struct Offer {
     _queryable: Queryable<()>,
 }
 
+impl Offer {
+    /// Keeps a request until there is a server.
+    fn hold(&mut self, query: Query, since: Instant) {
+        let bytes = |query: &Query| query.payload().map_or(0, ZBytes::len);
+        let held: usize = self.held.iter().map(|(query, _)| bytes(query)).sum();
+        if self.held.len() >= MAX_HELD || held + bytes(&query) > MAX_HELD_BYTES {
+            return refuse(&query, "too many requests wait for a server".to_owned());
+        }
+        self.held.push_back((query, since));
+    }
+}
+
 impl Bridge {
     fn poll(&mut self, context: &mut Context<'_>) -> Poll<()> {
         for (key, id) in std::mem::take(&mut self.unanswered) {
@@ -270,7 +283,11 @@ impl Bridge {
                 // Ignored: nobody waits any more.
                 let _ = done.send(());
             }
-            Command::Query(key, query) => self.take(&key, query, context),
+            Command::Query(key, query) => match self.offered.get_mut(&key) {
+                // After those that came before.
+                Some(offer) if !offer.held.is_empty() => offer.hold(query, Instant::now()),
+                _ => self.take(&key, query, Instant::now(), context),
+            },
             Command::Reply(key, id, payload) => {
                 if let Some(server) = self.sought.get(&key)
                     && let Err(reason) = answer(server, id, &payload, self.max_bytes)
@@ -296,13 +313,13 @@ impl Bridge {
     }
 
     /// Another host asks a service of the domain.
-    fn take(&mut self, key: &TopicKey, query: Query, context: &mut Context<'_>) {
+    fn take(&mut self, key: &TopicKey, query: Query, since: Instant, context: &mut Context<'_>) {
         let Err(reason) = self.ask(key, &query, context).map(|answer| self.pending.push(answer)) else {
             return;
         };
         match self.offered.get_mut(key) {
-            Some(offer) if reason.is_passing && offer.held.len() < MAX_HELD => {
-                offer.held.push_back((query, Instant::now()));
+            Some(offer) if reason.is_passing => {
+                offer.hold(query, since);
                 // Polled before the thread sleeps.
                 context.waker().wake_by_ref();
             }
@@ -321,10 +338,10 @@ impl Bridge {
                 offer.availability.as_mut().is_some_and(|wait| wait.poll_unpin(context).is_ready());
             if is_there {
                 offer.availability = None;
-                found.extend(offer.held.drain(..).map(|(query, _)| (key.clone(), query)));
+                found.extend(offer.held.drain(..).map(|(query, since)| (key.clone(), query, since)));
             }
         }
-        found.into_iter().for_each(|(key, query)| self.take(&key, query, context));
+        found.into_iter().for_each(|(key, query, since)| self.take(&key, query, since, context));
     }
 
     fn set_routes(&mut self, routes: &Routes) {

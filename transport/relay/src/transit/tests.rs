@@ -55,8 +55,8 @@ impl World {
         let Mirror { domain, far, is_bridge, .. } = self.mirrors[at];
         let id = at as u128 + 1;
         let mut transit = match is_bridge {
-            true => Transit::to_ros(domain as u64, id as u64, id),
-            false => Transit::to_network(domain as u64, id as u64, id),
+            true => Transit::to_ros(domain as u64, id as u64, id, ""),
+            false => Transit::to_network(domain as u64, id as u64, id, ""),
         };
         // Everything on a side, but for what this one says there.
         let seen = |space: &Space| -> Vec<(Origin, u128)> {
@@ -263,10 +263,20 @@ fn any_arrangement_comes_to_rest() {
 
 #[test]
 fn what_does_not_go_on_stops_at_its_domain() {
-    let transit = Transit::to_network(1, 2, 3).going_on(false);
+    let transit = Transit::to_network(1, 2, 3, "host").going_on(false);
     let here = Origin { tag: 7, ..Origin::default() };
     let elsewhere = Origin { ros: 1, ..here.clone() };
-    assert_eq!(transit.announced(&here), Some(here.clone().told_by(1)));
+    let announced = Origin { place: "host".into(), ..here.clone().told_by(1) };
+    assert_eq!(transit.announced(&here), Some(announced));
     assert_eq!(transit.announced(&elsewhere), None);
     assert!(transit.told(&elsewhere, 9).is_some() && transit.carries(&elsewhere, 9));
+}
+
+/// A claim with another's tag and no way behind it.
+#[test]
+fn nobody_tells_better_of_what_is_here() {
+    let mut transit = Transit::to_network(1, 2, 3, "host");
+    let here = Origin { tag: 7, ..Origin::default() };
+    transit.insert(&Origin { place: "elsewhere".into(), ..here.clone() }, 0);
+    assert!(transit.announced(&here).is_some());
 }

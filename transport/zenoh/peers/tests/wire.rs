@@ -57,6 +57,7 @@ fn token(random: &mut SmallRng) -> Token {
                 deadline: if random.random() { deadline } else { WireDuration::INFINITE },
                 ..WireQos::default()
             },
+            suffix: String::new(),
         }),
     }
 }

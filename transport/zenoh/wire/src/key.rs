@@ -35,6 +35,12 @@ impl TopicKey {
         }
         Ok(TopicKey { domain: parse_domain(domain)?, topic, type_id: TypeId::parse(name, hash)? })
     }
+
+    /// Where publishers of rmw_zenoh 0.10.5 or newer put samples instead, in the same encoding, for subscriptions whose
+    /// tokens end in [`CPU_BACKEND`](super::CPU_BACKEND).
+    pub fn cpu_group(&self) -> String {
+        format!("{self}/_buf_cpu")
+    }
 }
 
 impl fmt::Display for TopicKey {

@@ -8,7 +8,7 @@
 //! |---|---|
 //! | `key` | [`TopicKey`]: the key expression of a topic's data |
 //! | `token` | [`Token`]: the liveliness token of a node or an endpoint |
-//! | `qos` | [`WireQos`]: the last part of an endpoint's token |
+//! | `qos` | [`WireQos`]: the thirteenth part of an endpoint's token |
 //! | `attachment` | [`Attachment`]: the 33 bytes beside each sample |
 //! | `payload` | the 4 bytes before each body |
 //! | `gid` | [`endpoint_gid`]: an endpoint's identifier, from its token |
@@ -27,9 +27,10 @@ pub use key::{TopicKey, topic_wildcard};
 pub use names::TypeId;
 pub use payload::{ENCAPSULATION, check_encapsulation};
 pub use qos::{WireDuration, WireQos};
-pub use token::{Endpoint, EndpointKind, NodeName, Token, token_wildcard};
+pub use token::{CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, token_wildcard};
 
-/// Longest key expression that is looked at, in bytes. The longest that ROS 2's limits for names allow is shorter.
+/// Longest key expression that is looked at, in bytes. The longest that ROS 2's limits for names allow is shorter; what
+/// is left is for a token's suffix.
 pub const MAX_KEY_BYTES: usize = 2048;
 /// Longest name of a topic, a service, a namespace or a node, in bytes: ROS 2's limit.
 pub const MAX_NAME_BYTES: usize = 255;
@@ -76,6 +77,9 @@ pub enum Malformed {
     /// The QoS of a token.
     #[error("malformed QoS")]
     Qos,
+    /// What follows an endpoint's QoS, or a node's name: a wildcard or an empty part.
+    #[error("malformed suffix of a token")]
+    Suffix,
     /// No attachment: not from rmw_zenoh.
     #[error("no attachment")]
     NoAttachment,
@@ -95,7 +99,7 @@ pub enum Malformed {
 
 impl Malformed {
     /// All reasons, for counters.
-    pub const ALL: [Malformed; 17] = [
+    pub const ALL: [Malformed; 18] = [
         Malformed::KeyTooLong,
         Malformed::Parts,
         Malformed::Admin,
@@ -108,6 +112,7 @@ impl Malformed {
         Malformed::TypeName,
         Malformed::TypeHash,
         Malformed::Qos,
+        Malformed::Suffix,
         Malformed::NoAttachment,
         Malformed::Attachment,
         Malformed::PayloadTooShort,

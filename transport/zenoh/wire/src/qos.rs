@@ -73,7 +73,7 @@ pub struct WireQos {
 const DEFAULT_DEPTH: u64 = 42;
 
 impl WireQos {
-    /// Reads the last part of a token.
+    /// Reads the part of a token that follows the type's hash.
     ///
     /// # Errors
     /// [`Malformed::Qos`].

@@ -34,6 +34,16 @@ fn data_keys() {
     assert_eq!(TopicKey::parse(&text).unwrap().type_id.name.as_str(), "std_msgs/srv/String");
 }
 
+/// rmw_zenoh_cpp 0.10.5, src/detail/buffer_endpoint_helpers.hpp:62-65 (ros2-gbp/rmw_zenoh-release, commit ce85fe8b).
+#[test]
+fn keys_of_cpu_groups() {
+    let key = TopicKey { domain: 0, topic: "/chatter".into(), type_id: string_type() };
+    let group = format!("0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}/_buf_cpu");
+    assert_eq!(key.cpu_group(), group);
+    // Not itself the key of a topic.
+    assert!(TopicKey::parse(&group).is_err());
+}
+
 #[test]
 fn malformed_keys() {
     let refused = |text: &str| TopicKey::parse(text).unwrap_err();
@@ -79,8 +89,6 @@ fn tokens() {
     );
     assert_eq!(endpoint.qos, WireQos { reliability: Reliability::BestEffort, ..qos(5) });
     assert_eq!(token.to_string(), text);
-    // What newer peers append is let through, and is no part of what the gid is computed from.
-    assert_eq!(Token::parse(&format!("{text}/backends:zenoh")), Ok(token));
 
     for (text, kind) in
         [("MS", EndpointKind::Subscription), ("SS", EndpointKind::Service), ("SC", EndpointKind::Client)]
@@ -88,6 +96,70 @@ fn tokens() {
         let token =
             format!("@ros2_lv/0/1/0/1/{text}/%/%/n/%x/std_msgs::msg::dds_::String_/{STRING_HASH}/::,:,:,:,,");
         assert_eq!(Token::parse(&token).unwrap().endpoint.unwrap().kind, kind);
+    }
+}
+
+/// rmw_zenoh_cpp 0.10.5, src/detail/liveliness_utils.cpp:538-576 (ros2-gbp/rmw_zenoh-release, commit ce85fe8b): after
+/// the QoS one more part, `backends:`, then `name:metadata` of each backend, sorted by name, with `;` between them; in
+/// both `%`, `;`, `:` and `/` are `%25`, `%3B`, `%3A` and `%2F`. Without backends, no further part and no slash. The
+/// last one here is what a still later version might append.
+const SUFFIXES: [&str; 5] = [
+    "backends:cpu:",
+    "backends:cpu:;cuda:",
+    "backends:cpu:;demo:v%3A1%2F2%3Bfull%25",
+    "backends:cpu:;cuda:device 0, \u{e9}@1.2",
+    "backends:cpu:/what:a/later/version%2Fappends",
+];
+
+#[test]
+fn tokens_of_both_generations() {
+    let older = format!(
+        "@ros2_lv/0/a1/3/12/MS/%/%/viewer/%image/std_msgs::msg::dds_::String_/{STRING_HASH}/::,5:,:,:,,"
+    );
+    let plain = Token::parse(&older).unwrap();
+    assert_eq!(plain.endpoint.as_ref().unwrap().suffix, "");
+    assert_eq!(plain.to_string(), older);
+
+    for suffix in SUFFIXES {
+        let text = format!("{older}/{suffix}");
+        let token = Token::parse(&text).unwrap();
+        assert_eq!(token.to_string(), text);
+        let endpoint = plain.endpoint.clone().unwrap();
+        let expected = Endpoint { suffix: suffix.into(), ..endpoint };
+        assert_eq!(token, Token { endpoint: Some(expected), ..plain.clone() });
+        assert_ne!(endpoint_gid(&token), endpoint_gid(&plain), "{suffix}");
+    }
+    assert_eq!(CPU_BACKEND, SUFFIXES[0]);
+
+    // The same file, lines 642-680: of a node's token further parts are not read, and the gid is computed without them.
+    let node = "@ros2_lv/0/a1/3/3/NN/%/%/viewer";
+    let token = Token::parse(node).unwrap();
+    for suffix in SUFFIXES {
+        assert_eq!(Token::parse(&format!("{node}/{suffix}")), Ok(token.clone()));
+    }
+    assert_eq!(token.to_string(), node);
+}
+
+#[test]
+fn hostile_suffixes() {
+    let node = "@ros2_lv/0/a1/3/3/NN/%/%/viewer";
+    let endpoint = format!(
+        "@ros2_lv/0/a1/3/12/SC/%/%/viewer/%add/std_msgs::srv::dds_::String_/{STRING_HASH}/::,5:,:,:,,"
+    );
+    for text in [node, &endpoint] {
+        let refused = |suffix: &str| Token::parse(&format!("{text}/{suffix}")).unwrap_err();
+        for suffix in ["", "/", "//", "a/", "/a", "a//b", "backends:cpu:/", "a/b/c/d/e/f/g//h"] {
+            assert_eq!(refused(suffix), Malformed::Suffix, "{suffix}");
+        }
+        for suffix in ["*", "**", "backends:*", "a/**", "$*", "a$*b", "a$b", "a?b=c", "a#b", "a/b/c/d/e/f?"] {
+            assert_eq!(refused(suffix), Malformed::Suffix, "{suffix}");
+        }
+        let longest = "x".repeat(MAX_KEY_BYTES - text.len() - 1);
+        assert!(Token::parse(&format!("{text}/{longest}")).is_ok());
+        assert_eq!(refused(&format!("{longest}x")), Malformed::KeyTooLong);
+        assert_eq!(refused(&"/".repeat(MAX_KEY_BYTES)), Malformed::KeyTooLong);
+        let parts = "x/".repeat(500);
+        assert!(Token::parse(&format!("{text}/{parts}x")).is_ok());
     }
 }
 
@@ -226,8 +298,27 @@ fn gids() {
     assert_eq!(endpoint_gid(&Token::parse(&spelt).unwrap()), endpoint_gid(&token));
 }
 
+/// rmw_zenoh_cpp 0.10.5, src/detail/liveliness_utils.cpp:578-585 (ros2-gbp/rmw_zenoh-release, commit ce85fe8b): the
+/// hash is over the whole key, backends included.
+#[test]
+fn gids_of_both_generations() {
+    let hash = format!("RIHS01_{}", "0123456789abcdef".repeat(4));
+    let older = format!(
+        "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/11/MS/%/%/viewer/%image/sensor_msgs::msg::dds_::Image_/{hash}/::,5:,:,:,,"
+    );
+    let newer = format!("{older}/backends:cpu:");
+    // As above, from python-xxhash.
+    assert_eq!(endpoint_gid(&Token::parse(&older).unwrap()), Gid(OLDER_GID));
+    assert_eq!(endpoint_gid(&Token::parse(&newer).unwrap()), Gid(NEWER_GID));
+}
+
 const GOLDEN_GID: [u8; 16] =
     [0xc1, 0x28, 0xaa, 0x55, 0x67, 0xaf, 0x01, 0xb7, 0x16, 0x3e, 0xae, 0x5e, 0x2a, 0x83, 0x62, 0xd7];
+
+const OLDER_GID: [u8; 16] =
+    [0xd7, 0xe8, 0x86, 0x45, 0x52, 0x70, 0x5f, 0x34, 0x95, 0xd4, 0x19, 0x4e, 0x7b, 0x18, 0xef, 0x02];
+const NEWER_GID: [u8; 16] =
+    [0x71, 0x09, 0xa9, 0x67, 0x4c, 0x13, 0xf3, 0x53, 0x12, 0xc5, 0xb6, 0x14, 0xbc, 0x82, 0x1c, 0x3b];
 
 /// Prints its seed, for a failure to be repeated.
 fn generator() -> SmallRng {
@@ -282,6 +373,7 @@ fn random_token(random: &mut SmallRng) -> Token {
             manual_liveliness: random.random(),
             lease: random_duration(random),
         },
+        suffix: if random.random() { String::new() } else { (*SUFFIXES.choose(random).unwrap()).into() },
     });
     Token { domain, zid: random.random::<u128>().max(1), node_id, node, endpoint }
 }

@@ -8,6 +8,14 @@ use std::fmt;
 
 const ADMIN: &str = "@ros2_lv";
 
+/// Parts of a node's token, and of an endpoint's without its suffix.
+const NODE_PARTS: usize = 9;
+const ENDPOINT_PARTS: usize = 13;
+
+/// The suffix of a volatile subscription that takes plain samples only. From rmw_zenoh 0.10.5 on, volatile publishers
+/// whose type has an unbounded `uint8[]` serve it on [`TopicKey::cpu_group`](super::TopicKey::cpu_group).
+pub const CPU_BACKEND: &str = "backends:cpu:";
+
 /// A node's names.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct NodeName {
@@ -68,6 +76,9 @@ pub struct Endpoint {
     pub type_id: TypeId,
     /// Quality of service.
     pub qos: WireQos,
+    /// What follows: nothing up to rmw_zenoh 0.10.4, then an endpoint's buffer backends, such as [`CPU_BACKEND`]. Kept
+    /// as it came, since the gid is computed from it too. Parts that are valid in a key, with `/` between them only.
+    pub suffix: String,
 }
 
 /// A node, or an endpoint and the node it belongs to. Its `Display` is the token's key expression, in the canonical
@@ -87,7 +98,8 @@ pub struct Token {
 }
 
 impl Token {
-    /// Reads a token's key expression. A suffix that newer versions of rmw_zenoh append is let through and forgotten.
+    /// Reads a token's key expression. What follows the known parts is kept of an endpoint's token; of a node's it is
+    /// forgotten, as rmw_zenoh forgets it.
     ///
     /// # Errors
     /// [`Malformed`].
@@ -119,11 +131,15 @@ impl Token {
         let node = NodeName { enclave, namespace: space, name: name.into() };
         let endpoint = match kind {
             None if id != node_id => return Err(Malformed::Id),
-            None => None,
+            None => {
+                suffix(key, NODE_PARTS)?;
+                None
+            }
             Some(kind) => {
                 let name = topic(next()?)?;
                 let type_id = TypeId::parse(next()?, next()?)?;
-                Some(Endpoint { id, kind, name, type_id, qos: WireQos::parse(next()?)? })
+                let qos = WireQos::parse(next()?)?;
+                Some(Endpoint { id, kind, name, type_id, qos, suffix: suffix(key, ENDPOINT_PARTS)?.into() })
             }
         };
         Ok(Token { domain, zid, node_id, node, endpoint })
@@ -137,8 +153,11 @@ impl fmt::Display for Token {
         let kind = self.endpoint.as_ref().map_or("NN", |endpoint| endpoint.kind.as_str());
         write!(f, "{ADMIN}/{}/{:x}/{}/{id}/{kind}", self.domain, self.zid, self.node_id)?;
         write!(f, "/{}/{}/{name}", mangled_namespace(enclave), mangled_namespace(namespace))?;
-        if let Some(Endpoint { name, type_id, qos, .. }) = &self.endpoint {
+        if let Some(Endpoint { name, type_id, qos, suffix, .. }) = &self.endpoint {
             write!(f, "/{}/{}/{}/{qos}", Mangled(name), type_id.dds_name(), type_id.hash)?;
+            if !suffix.is_empty() {
+                write!(f, "/{suffix}")?;
+            }
         }
         Ok(())
     }
@@ -147,6 +166,15 @@ impl fmt::Display for Token {
 /// Matches every token of `domain`.
 pub fn token_wildcard(domain: u32) -> String {
     format!("{ADMIN}/{domain}/**")
+}
+
+/// What follows the first `known` parts of a key: nothing, or parts that a key without wildcards may have.
+fn suffix(key: &str, known: usize) -> Result<&str, Malformed> {
+    let Some(text) = key.splitn(known + 1, '/').nth(known) else { return Ok("") };
+    if text.contains(['*', '$', '?', '#']) || text.split('/').any(str::is_empty) {
+        return Err(Malformed::Suffix);
+    }
+    Ok(text)
 }
 
 /// As Zenoh writes it: lower case, no leading zero.

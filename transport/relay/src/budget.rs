@@ -1,21 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A processor budget for the network: its threads have real-time priority only while they use little.
+//! A processor budget for what carries messages from elsewhere: its threads have real-time priority only while they use little.
 //!
 //! They run above the callbacks, for what arrives is to be there when a callback starts. A flood, wanted or hostile,
 //! would then starve the callbacks. So their time is summed up: once they have used more than the budget in a window,
 //! they are ordinary threads until several windows in a row show that less is wanted. What is wanted counts the time that
 //! they wait for a processor, too: an ordinary thread that uses little may only get little. What a callback can lose to the
-//! network is thus the budget of one window and what is used until the next look, once for each time that a flood begins;
+//! others is thus the budget of one window and what is used until the next look, once for each time that a flood begins;
 //! of a flood that comes and goes, ever more rarely.
 
-use crate::session::network_threads;
 use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
-use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
 
-/// How much processor time the network's threads may use at real-time priority.
+/// How much processor time the threads of a gateway or a bridge may use at real-time priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
     /// Of one core, in percent; may be above 100 on several.
@@ -54,7 +53,7 @@ struct Spent {
 }
 
 impl Spent {
-    /// Sums may go below zero meanwhile: see [`Watched::list`].
+    /// Sums may go below zero meanwhile: see [`Watched::renew`].
     fn plus(self, other: Spent) -> Spent {
         Spent {
             used_ns: self.used_ns.wrapping_add(other.used_ns),
@@ -139,35 +138,35 @@ impl Meter {
 }
 
 /// The thread that looks; dropping it ends it.
-pub(crate) struct Guard {
+pub struct Guard {
     stop: Arc<AtomicBool>,
     demotions: Arc<AtomicU64>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Guard {
-    /// Watches the threads of Zenoh and those whose names are in `also`, which all have `policy`.
-    pub(crate) fn start(
-        budget: Budget,
-        policy: Policy,
-        also: &'static [&'static str],
-    ) -> Result<Self, RtError> {
+    /// Watches the threads that `list` finds, each with the policy that it has within the budget, of which `highest` is the highest, from
+    /// a thread called `name`.
+    ///
+    /// # Errors
+    /// [`RtError`]: a missing privilege.
+    pub fn start(name: &str, budget: Budget, highest: Policy, list: List) -> Result<Self, RtError> {
         let (stop, demotions) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
         // Above what it watches, or it would not come to look.
-        let above = match policy {
+        let above = match highest {
             Policy::Fifo(priority) | Policy::RoundRobin(priority) => Policy::Fifo((priority + 1).min(99)),
             other => other,
         };
-        let builder = ThreadBuilder::new("gw-budget").policy(above).realtime(Realtime::Required);
+        let builder = ThreadBuilder::new(name).policy(above).realtime(Realtime::Required);
         let thread = {
             let (stop, demotions) = (stop.clone(), demotions.clone());
-            builder.spawn(move || move || watch(budget, policy, also, &stop, &demotions))?
+            builder.spawn(move || move || watch(budget, list, &stop, &demotions))?
         };
         Ok(Guard { stop, demotions, thread: Some(thread) })
     }
 
     /// How often the budget was used up.
-    pub(crate) fn demotions(&self) -> u64 {
+    pub fn demotions(&self) -> u64 {
         self.demotions.load(Ordering::Relaxed)
     }
 }
@@ -181,81 +180,78 @@ impl Drop for Guard {
     }
 }
 
-fn watch(budget: Budget, policy: Policy, also: &[&str], stop: &AtomicBool, demotions: &AtomicU64) {
-    let mut watched = Watched::default();
-    watched.list(also);
+/// Finds the threads that are watched: which they are, and the policy of each within the budget.
+pub type List = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
+
+fn watch(budget: Budget, list: List, stop: &AtomicBool, demotions: &AtomicU64) {
+    let mut watched = Watched { list, threads: Vec::new(), ended: Spent::default() };
+    watched.renew();
     let mut meter = Meter::new(budget, watched.spent());
     let mut looks = 0u32;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(WINDOW / LOOKS_PER_WINDOW);
         looks = looks.wrapping_add(1);
         if looks.is_multiple_of(LOOKS_PER_WINDOW * 10) {
-            watched.list(also);
+            watched.renew();
         }
         match meter.look(watched.spent()) {
             Verdict::Keep => {}
             Verdict::Demote => {
                 demotions.fetch_add(1, Ordering::Relaxed);
-                watched.set(also, Policy::Other { nice: 0 });
+                watched.set(|_| Policy::Other { nice: 0 });
             }
-            Verdict::Promote => watched.set(also, policy),
+            Verdict::Promote => watched.set(|policy| policy),
         }
     }
-    watched.set(also, policy);
+    watched.set(|policy| policy);
 }
 
 /// Threads and the time that those which ended had spent.
-#[derive(Default)]
 struct Watched {
-    threads: Vec<(u32, Spent)>,
+    list: List,
+    threads: Vec<(u32, Policy, Spent)>,
     ended: Spent,
 }
 
 impl Watched {
-    fn list(&mut self, also: &[&str]) {
-        let Ok(now) = all(also) else { return };
-        for (tid, spent) in &self.threads {
-            if !now.iter().any(|thread| thread.tid == *tid) {
+    fn renew(&mut self) {
+        let Ok(now) = (self.list)() else { return };
+        for (tid, _, spent) in &self.threads {
+            if !now.iter().any(|(there, _)| there == tid) {
                 self.ended = self.ended.plus(*spent);
             }
         }
         let mut threads = Vec::new();
-        for thread in now {
-            let spent = spent_by(thread.tid);
-            let known = self.threads.iter().find(|(tid, _)| *tid == thread.tid).map(|(_, spent)| *spent);
+        for (tid, policy) in now {
+            let spent = spent_by(tid);
+            let known = self.threads.iter().find(|(known, ..)| *known == tid).map(|(.., spent)| *spent);
             if known.is_none() {
                 // Keeps the sum where it was: what it spent before is taken off what the ended ones had.
                 self.ended = self.ended.minus(spent.unwrap_or_default());
             }
-            threads.push((thread.tid, spent.or(known).unwrap_or_default()));
+            threads.push((tid, policy, spent.or(known).unwrap_or_default()));
         }
         self.threads = threads;
     }
 
     fn spent(&mut self) -> Spent {
-        for (tid, spent) in &mut self.threads {
+        for (tid, _, spent) in &mut self.threads {
             *spent = spent_by(*tid).unwrap_or(*spent);
         }
-        self.threads.iter().fold(self.ended, |sum, (_, spent)| sum.plus(*spent))
+        self.threads.iter().fold(self.ended, |sum, (.., spent)| sum.plus(*spent))
     }
 
-    fn set(&mut self, also: &[&str], policy: Policy) {
-        self.list(also);
-        for (tid, _) in &self.threads {
-            if let Err(error) = tautline_rt::set_policy_of(*tid, policy)
+    /// Each the policy that follows from the one that it has within the budget.
+    fn set(&mut self, policy_of: impl Fn(Policy) -> Policy) {
+        self.renew();
+        for (tid, policy, _) in &self.threads {
+            if let Err(error) = tautline_rt::set_policy_of(*tid, policy_of(*policy))
                 && !matches!(error, RtError::NoSuchThread { .. })
             {
-                tracing::warn!("a network thread keeps its priority: {error}");
+                tracing::warn!("a thread keeps its priority: {error}");
             }
         }
     }
-}
-
-fn all(also: &[&str]) -> Result<Vec<ThreadInfo>, RtError> {
-    let mut threads = network_threads()?;
-    let others = tautline_rt::threads()?;
-    threads.extend(others.into_iter().filter(|thread| also.contains(&thread.name.as_str())));
-    Ok(threads)
 }
 
 /// Of a thread of this process.
