@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge itself: joins both domains, and starts the threads that carry.
 
-use crate::control::{Control, Event};
+use crate::control::{Carriers, Control, Event};
 use crate::incoming::{Incoming, IncomingError};
 use crate::outgoing::{Outgoing, Ros};
 use crate::rcl::{
@@ -221,8 +221,8 @@ impl Bridge {
             let shared = bridge.shared.clone();
             let (participant, node, tables) =
                 (participant.clone(), node.clone(), (tables.clone(), own_table));
-            let control =
-                Control::new(&options, participant, node, outgoing, incoming, services, tables, shared);
+            let carriers = Carriers { outgoing, incoming, services };
+            let control = Control::new(&options, participant, node, carriers, tables, shared);
             priorities.other("ros-control").spawn(move || move || control.run(&received))?
         };
         bridge.hold(control);

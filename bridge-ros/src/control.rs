@@ -78,6 +78,13 @@ pub(crate) struct Control {
     started: Instant,
 }
 
+/// The threads that carry messages, requests and responses.
+pub(crate) struct Carriers {
+    pub(crate) outgoing: Outgoing,
+    pub(crate) incoming: Incoming,
+    pub(crate) services: Services,
+}
+
 /// A class that is being taken from ROS.
 struct Taken {
     inward: Inward,
@@ -92,12 +99,11 @@ impl Control {
         options: &Options,
         participant: Participant,
         node: Arc<Node>,
-        outgoing: Outgoing,
-        incoming: Incoming,
-        services: Services,
+        carriers: Carriers,
         tables: (Tables, OwnTable),
         shared: Arc<Shared>,
     ) -> Self {
+        let Carriers { outgoing, incoming, services } = carriers;
         let (domain, own) = (participant.domain_id(), participant.id());
         let host = tautline_rt::host::name();
         let place = format!("ros{}_{host}", node.context().domain());

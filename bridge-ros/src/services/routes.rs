@@ -118,14 +118,14 @@ impl Routes {
         };
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
             servers.partition(|server| server.type_name == end.type_name);
+        // Of servers of one name ROS's own is nearer than one of another host.
+        let is_nearer = !same.is_empty() && server.is_some_and(|server| !server.origin.is_here());
         match (server, other.first()) {
             (Some(server), _) if !announced(server) => {}
-            // Of servers of one name ROS's own is nearer than one of another host.
-            (Some(server), _) if !server.origin.is_here() && !same.is_empty() => {
-                if is_asked && choice.goes(Direction::FromRos) {
-                    self.seek(key, end, &same);
-                }
+            (Some(_), _) if is_nearer && is_asked && choice.goes(Direction::FromRos) => {
+                self.seek(key, end, &same);
             }
+            (Some(_), _) if is_nearer => {}
             (Some(server), _) if choice.goes(Direction::ToRos) => {
                 let is_alone = same.is_empty() && other.is_empty();
                 if !is_alone {

@@ -233,7 +233,8 @@ impl RawServer {
 
     /// The client's subscription to responses.
     pub(super) fn subscription_of(&self, client: Gid) -> Result<Gid, ServiceError> {
-        self.responses.subscription_of(client).ok_or_else(|| match self.requests.has_publisher(client) {
+        let is_there = || self.requests.has_publisher(client) && self.requests.has_participant_of(client);
+        self.responses.subscription_of(client).ok_or_else(|| match is_there() {
             true => ServiceError::ClientUnreachable { service: self.service.clone() },
             false => ServiceError::ClientGone { service: self.service.clone() },
         })

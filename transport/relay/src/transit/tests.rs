@@ -6,6 +6,9 @@ use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use std::collections::BTreeSet;
 
+/// Of a domain and another space, and whether that is ROS.
+type Link = (usize, usize, bool);
+
 /// A domain, a network or a ROS 2 graph: what is there, and what is told there by whom.
 #[derive(Default)]
 struct Space {
@@ -30,8 +33,8 @@ struct World {
 }
 
 impl World {
-    fn new(spaces: usize, links: &[(usize, usize, bool)]) -> Self {
-        let mirror = |&(domain, far, is_bridge): &(usize, usize, bool)| Mirror {
+    fn new(spaces: usize, links: &[Link]) -> Self {
+        let mirror = |&(domain, far, is_bridge): &Link| Mirror {
             domain,
             far,
             is_bridge,
@@ -194,7 +197,7 @@ impl Space {
 }
 
 /// Domains first, then networks and ROS 2 graphs. `links`: domain, the other one, whether that is ROS.
-fn run(spaces: usize, links: &[(usize, usize, bool)], seed: u64) {
+fn run(spaces: usize, links: &[Link], seed: u64) {
     let mut random = SmallRng::seed_from_u64(seed);
     let mut world = World::new(spaces, links);
     for step in 0..12 {
@@ -221,7 +224,7 @@ fn run(spaces: usize, links: &[(usize, usize, bool)], seed: u64) {
 fn a_message_comes_into_every_space_once() {
     let seed: u64 = rand::random();
     println!("seed {seed}");
-    let arrangements: [(usize, &[(usize, usize, bool)]); 7] = [
+    let arrangements: [(usize, &[Link]); 7] = [
         // ROS - A - network - B - ROS.
         (5, &[(0, 2, true), (0, 3, false), (1, 3, false), (1, 4, true)]),
         // Two bridges to one ROS, and a network between the same domains.

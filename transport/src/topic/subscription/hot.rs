@@ -121,6 +121,11 @@ impl RawSubscription {
         live.has(publisher)
     }
 
+    /// Whether the participant that has this port is in the domain: who was buried may still be in one of its topics' tables.
+    pub(crate) fn has_participant_of(&self, port: Gid) -> bool {
+        self.departure.shared.domain.members().any(|member| member.id == port.participant())
+    }
+
     /// If there may be more behind what was passed over: whoever waits for the doorbell comes again.
     pub(crate) fn go_on_later(&self, patience: &Patience) {
         if patience.is_over() {
