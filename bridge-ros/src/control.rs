@@ -24,10 +24,11 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::Transit;
+use tautline_relay::{Transit, process_node};
 use tautline_transport::{
-    Claim, Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos, RawPublisher,
-    RawSubscription, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
+    Claim, Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Participant, Qos,
+    RawPublisher, RawSubscription, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
+    TransportError,
 };
 
 /// What the control thread is told.
@@ -289,6 +290,7 @@ impl Control {
     fn tell_bridges(&mut self, here: &GraphSnapshot) {
         let own = Some(self.participant.id());
         let announced = |origin| self.transit.announced(origin);
+        let of_node = |node: &Option<NodeName>, pid| Some(node.clone().unwrap_or_else(|| process_node(pid)));
         let mut table = Table { bridge: self.participant.id(), ..Table::default() };
         for node in here.nodes.iter().filter(|node| node.teller != own) {
             let node = announced(&node.origin).map(|origin| TableNode { name: node.name.clone(), origin });
@@ -298,6 +300,7 @@ impl Control {
             self.counterparts.gids().map(|(key, gid, in_ros)| (gid, (key, in_ros))).collect();
         for end in here.endpoints.iter().filter(|end| end.teller != own) {
             let Some(origin) = announced(&end.origin) else { continue };
+            let end = &TopicEndpoint { node: of_node(&end.node, end.pid), ..(**end).clone() };
             let told = match end.kind {
                 EndpointKind::Publisher => stand_ins
                     .get(&end.gid)
@@ -311,6 +314,7 @@ impl Control {
         for end in here.services.iter().filter(|end| end.teller != own) {
             let Some(origin) = announced(&end.origin) else { continue };
             let Some(choice) = self.service_rules.choice(&end.name) else { continue };
+            let end = &ServiceEndpoint { node: of_node(&end.node, end.pid), ..(**end).clone() };
             let goes = match end.kind {
                 ServiceKind::Server => Direction::ToRos,
                 ServiceKind::Client => Direction::FromRos,

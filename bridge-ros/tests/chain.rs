@@ -49,7 +49,7 @@ impl Chain {
             }
             _ => {
                 let gateway = self.gateways[link - 1].take().unwrap();
-                self.gateways[link - 1] = Some(gateway.again(is_killed));
+                self.gateways[link - 1] = Some(gateway.again(is_killed, || {}));
             }
         }
     }

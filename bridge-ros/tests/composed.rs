@@ -272,6 +272,65 @@ fn a_ring_of_bridges_and_gateways_neither_loops_nor_doubles() {
     });
     exchange(&talkers, &listeners, 1000);
     assert!(participants.iter().all(is_listed));
+
+    // One way ends without a word: the other one serves, until the first one is back.
+    let [first, second] = gateways;
+    let count = |gateway: &Program| gateway.topic("/ring", "in")["samples"].as_u64().unwrap_or(0);
+    let first = first.again(true, || {
+        connect(&talkers, &listeners, || second.stats()["links"] == 0 && participants.iter().all(is_listed));
+        let before = count(&second);
+        exchange(&talkers, &listeners, 500);
+        assert_eq!(count(&second), before);
+    });
+    let before = count(&second);
+    let is_back = || count(&first) > 0 && count(&second) > before && participants.iter().all(is_listed);
+    connect(&talkers, &listeners, is_back);
+    exchange(&talkers, &listeners, 500);
+}
+
+/// Anybody in ROS can write what bridges tell each other.
+#[test]
+fn what_is_no_table_of_a_bridge_harms_nobody() {
+    let Some(venv) = ros() else { return };
+    const DOMAIN: u32 = 73;
+    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
+    let participant = Participant::new(DOMAIN).unwrap();
+    let peer = RefCell::new(Peer::start(&venv, DOMAIN, "enemy"));
+    let qos = json!({ "depth": 1, "latched": true });
+    let table = peer.borrow_mut().publisher("/_tautline/ends", STRING, qos);
+    let end = |kind: &str, name: &str, origin: Value| {
+        json!({
+            "kind": kind, "name": name, "type": STRING, "hash": STRING_HASH, "gid": "07".repeat(16),
+            "node": { "namespace": "/", "name": "n" }, "depth": u64::MAX, "origin": origin,
+        })
+    };
+    let of = |ends: Vec<Value>| json!({ "bridge": 1, "nodes": [], "ends": ends }).to_string();
+    let far = json!({ "tag": 7, "path": vec![1; 9] });
+    for text in [
+        "no table".to_owned(),
+        "[".repeat(100_000),
+        of(vec![end("server", "no name", json!({})), end("publisher", "/x\u{7}", json!({}))]),
+        of(vec![end("subscription", "/told", far)]),
+        of(vec![end("subscription", "/told", json!({ "tag": 7 })); 20_000]),
+        of(vec![end("subscription", "/told", json!({ "tag": 7 }))]),
+    ] {
+        peer.borrow_mut().publish_text(table, &[text]);
+    }
+    // What can be is believed, and nothing else is told.
+    wait_until("the last table to be read", || {
+        ends(&participant, "/told", |end| end.is_remote && end.qos.depth == Limits::MAX_DEPTH) == 1
+    });
+    let graph = participant.graph().unwrap();
+    assert!(
+        graph.endpoints.iter().all(|end| ["/told", "/rosout", "/parameter_events"].contains(&&*end.topic))
+    );
+    let (talkers, listeners) = ([Talker::there(&peer, "/x")], [Listener::here(&participant, "/x")]);
+    connect(&talkers, &listeners, || true);
+    exchange(&talkers, &listeners, 100);
+    let (talkers, listeners) = ([Talker::here(&participant, "/y")], [Listener::there(&peer, "/y")]);
+    connect(&talkers, &listeners, || true);
+    exchange(&talkers, &listeners, 100);
+    assert!(bridge.said().contains("is not understood"), "{}", bridge.said());
 }
 
 fn request(number: i64) -> BasicTypes::Request {

@@ -88,10 +88,10 @@ pub fn test(steps: &mut Steps) {
     let mut doc = building(&format!("doc {WHOLE} --no-deps"));
     steps.command("bridge-ros: doc", doc.env("RUSTDOCFLAGS", "-Dwarnings"));
     steps.command("bridge-ros: build", &mut building(&format!("test {WHOLE} --no-run")));
-    // The program that starts it, which says what is wrong when ROS or the loader ends it.
-    steps.command("bridge-ros: taut", &mut cargo("build --locked -p taut"));
-    // What carries a domain's topics to another host.
-    steps.command("bridge-ros: gateway", &mut cargo("build --locked -p tautline-gateway"));
+    // The program that starts it, which says what is wrong when ROS or the loader ends it; and what carries a domain's topics to
+    // another host. With the features of the workspace's tests, by which nothing is built twice.
+    let programs = "build --locked --workspace --features tautline/ros_all --bin taut --bin taut-gateway";
+    steps.command("bridge-ros: taut and the gateway", &mut cargo(programs));
     // Of processes, several of which at once find each other late on a small machine: what fails once is tried again, and named.
     let tests = if machine::cargo_has("nextest --version").is_ok() {
         let profile = if machine::is_ci() { "ci" } else { "default" };

@@ -42,8 +42,8 @@ impl GatewayProcess {
         GatewayProcess { running, program: program.to_owned(), domains, arguments }
     }
 
-    /// Ends it, without a word or as a user does, and starts it again where it was.
-    pub fn again(self, is_killed: bool) -> Self {
+    /// Ends it, without a word or as a user does, and starts it again where it was, after what is to happen `meanwhile`.
+    pub fn again(self, is_killed: bool, meanwhile: impl FnOnce()) -> Self {
         let endpoint = endpoint_in(&self.said());
         let GatewayProcess { running, program, domains, arguments } = self;
         if is_killed {
@@ -51,6 +51,7 @@ impl GatewayProcess {
         } else {
             drop(running);
         }
+        meanwhile();
         let same = |argument: &String| match &**argument {
             "tcp/127.0.0.1:0" => endpoint.clone().unwrap(),
             argument => argument.to_owned(),

@@ -6,6 +6,7 @@
 //! nothing of it. [`show_until`] is what such a program does meanwhile.
 
 mod budget;
+mod process;
 mod program;
 mod relay;
 mod route;
@@ -13,6 +14,7 @@ mod transit;
 mod waker;
 
 pub use budget::{Budget, Guard, List};
+pub use process::process_node;
 pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
 pub use relay::{PassedOver, Relay, RelayError};
 pub use route::{EarlyLimits, Last, Outlet, Taken};

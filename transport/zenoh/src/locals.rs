@@ -4,6 +4,7 @@
 use crate::mirror::{LocalEndpoint, LocalNode};
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
+use tautline_relay::process_node;
 use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{
     Gid, GraphSnapshot, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint,
@@ -103,7 +104,9 @@ pub(crate) fn list(
                 qos: end.qos,
                 node: match end.node {
                     Some(node) => wire_node(node),
-                    None => processes.entry(end.pid).or_insert_with(|| node_of(end.pid)).clone(),
+                    None => {
+                        processes.entry(end.pid).or_insert_with(|| wire_node(&process_node(end.pid))).clone()
+                    }
                 },
                 origin: end.origin.clone(),
             }),
@@ -131,18 +134,6 @@ fn type_id(
 
 fn wire_node(node: &tautline_transport::NodeName) -> NodeName {
     NodeName::new(&node.namespace, &node.name)
-}
-
-/// What is nobody's node's is its process's, which is called by its own name.
-fn node_of(pid: Option<u32>) -> NodeName {
-    let name = pid.and_then(|pid| Some((pid, std::fs::read_to_string(format!("/proc/{pid}/comm")).ok()?)));
-    let Some((pid, name)) = name else { return NodeName::new("/", "unnamed") };
-    let mut name: String =
-        name.trim().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
-    if !name.starts_with(|first: char| first.is_ascii_alphabetic()) {
-        name.insert_str(0, "process_");
-    }
-    NodeName::new("/", &format!("{name}_{pid}"))
 }
 
 fn wire_qos(qos: &Qos) -> WireQos {
@@ -209,12 +200,5 @@ mod tests {
 
     fn empty() -> TopicType {
         TopicType::new("std_msgs/msg/Empty")
-    }
-
-    #[test]
-    fn processes_have_names_that_nodes_can_have() {
-        let me = node_of(Some(std::process::id()));
-        assert!(me.name.ends_with(&std::process::id().to_string()) && me.namespace == "/", "{me:?}");
-        assert_eq!(node_of(None), node_of(Some(u32::MAX)));
     }
 }

@@ -163,6 +163,13 @@ struct Local {
     announced: Option<Announced>,
 }
 
+/// By which an end finds its node's token: the full name, and where both were first and how word of them came, without a tag.
+type NodeKey = (String, Origin);
+
+fn node_key(name: &NodeName, origin: &Origin) -> NodeKey {
+    (name.full_name(), Origin { tag: 0, ..origin.clone() })
+}
+
 /// How the network is told of an end.
 struct Announced {
     origin: Origin,
@@ -281,19 +288,21 @@ impl Mirror {
             .filter(|end| self.filter.allows(&end.topic))
             .map(|end| (end.gid, (end, self.graph.announced(&end.origin))))
             .collect();
-        let mut used: BTreeSet<NodeName> = (nodes.iter())
-            .filter_map(|node| Some(named(&node.name, &self.graph.announced(&node.origin)?)))
-            .collect();
-        let mut known: BTreeSet<String> = used.iter().map(NodeName::full_name).collect();
-        for (end, announced) in now.values() {
-            if let Some(origin) = announced
-                && known.insert(end.node.full_name())
-            {
-                let first = origin.path.first().copied().unwrap_or_default();
-                let tag = Origin::tag_of(&format!("{first:x} {}", end.node.full_name()));
-                used.insert(named(&end.node, &Origin { tag, ..origin.clone() }));
+        // By name, and by how word of them came: ends say of their nodes no more.
+        let mut named_nodes = BTreeMap::<NodeKey, BTreeSet<NodeName>>::new();
+        for LocalNode { name, origin } in &nodes {
+            if let Some(origin) = self.graph.announced(origin) {
+                named_nodes.entry(node_key(name, &origin)).or_default().insert(named(name, &origin));
             }
         }
+        for (end, origin) in now.values() {
+            let Some(origin) = origin else { continue };
+            let key = node_key(&end.node, origin);
+            let tag = Origin::tag_of(&format!("{:x?} {}", key.1.path.first(), key.0));
+            let unlisted = || BTreeSet::from([named(&end.node, &Origin { tag, ..origin.clone() })]);
+            named_nodes.entry(key).or_insert_with(unlisted);
+        }
+        let used: BTreeSet<NodeName> = named_nodes.values().flatten().cloned().collect();
 
         for node in &used {
             if !self.nodes.contains_key(node) {
@@ -302,19 +311,19 @@ impl Mirror {
                 self.nodes.insert(node.clone(), token);
             }
         }
-        // Ends say of their nodes only the name: of several it is the oldest that has them.
-        let mut node_ids = HashMap::<String, u64>::new();
-        for token in used.iter().filter_map(|node| self.nodes.get(node)) {
-            let id = node_ids.entry(token.node.full_name()).or_insert(token.node_id);
-            *id = token.node_id.min(*id);
-        }
+        // Of several it is the oldest that has them.
+        let oldest = |names: &BTreeSet<NodeName>| {
+            names.iter().filter_map(|name| self.nodes.get(name)).map(|token| token.node_id).min()
+        };
+        let node_ids: BTreeMap<NodeKey, u64> =
+            named_nodes.iter().filter_map(|(key, names)| Some((key.clone(), oldest(names)?))).collect();
         let is_same = |gid: &Gid, local: &Local| {
             now.get(gid).is_some_and(|(end, origin)| match &local.announced {
                 _ if **end != local.endpoint => false,
                 None => origin.is_none(),
                 Some(said) => {
-                    let node_id = node_ids.get(&end.node.full_name()).copied().unwrap_or_default();
-                    origin.as_ref() == Some(&said.origin) && said.token.node_id == node_id
+                    let node_id = node_ids.get(&node_key(&end.node, &said.origin));
+                    origin.as_ref() == Some(&said.origin) && Some(&said.token.node_id) == node_id
                 }
             })
         };
@@ -395,12 +404,12 @@ impl Mirror {
         &mut self,
         endpoint: LocalEndpoint,
         origin: Option<Origin>,
-        node_ids: &HashMap<String, u64>,
+        node_ids: &BTreeMap<NodeKey, u64>,
     ) -> Local {
         let LocalEndpoint { kind, topic, type_id, qos, node, .. } = endpoint.clone();
         let key = TopicKey { domain: self.domain, topic: topic.clone(), type_id: type_id.clone() };
         let announced = origin.map(|origin| {
-            let node_id = node_ids.get(&node.full_name()).copied().unwrap_or_default();
+            let node_id = node_ids.get(&node_key(&node, &origin)).copied().unwrap_or_default();
             // So newer nodes know on which key to send: see `TopicKey::cpu_group`.
             let is_volatile = kind == EndpointKind::Subscription && qos.durability == Durability::Volatile;
             let suffix = if is_volatile { CPU_BACKEND.to_owned() } else { String::new() };

@@ -307,6 +307,9 @@ impl Bridge {
                             refuse(&query, format!("no server was there for {} s", HELD_TIME.as_secs()));
                         }
                     }
+                    if offer.held.is_empty() {
+                        offer.availability = None;
+                    }
                 }
             }
         }

@@ -329,3 +329,66 @@ fn a_network_of_hosts_neither_loops_nor_duplicates() {
         }
     }
 }
+
+/// As another gateway writes it: the tag, and the domains by which it came.
+fn relayed(zid: u128, id: u64, kind: &str, topic: &str, tag: u64, path: &[u64]) -> String {
+    let path: String = path.iter().map(|domain| format!("%{domain:016x}")).collect();
+    let enclave = format!("%tautline%{tag:016x}%1%there{path}");
+    remote(zid, id, kind, topic, QOS).replacen("/%/", &format!("/{enclave}/"), 1)
+}
+
+#[test]
+fn what_others_announce_better_is_left_to_them() {
+    let mut m = mirror(ZID, Filter::default());
+    m.token_up(&remote(3, 1, "MS", "x", QOS));
+    let told = Origin { tag: 7, ros: 1, place: "ros0".into(), ..Origin::default() };
+    let ends = vec![LocalEndpoint { origin: told, ..publisher(1, "x") }, publisher(2, "x")];
+    let began = m.set_locals(vec![], ends);
+    assert!(said(&began).contains(&"open /x 1".into()), "{:?}", said(&began));
+    assert_eq!(m.take_passed_over(), None);
+    // On the network itself: nobody is nearer.
+    let better = relayed(9, 1, "MP", "x", 7, &[]);
+    assert_eq!(said(&m.token_up(&better)), NOTHING, "together with what else changes");
+    assert_eq!(said(&m.settle()), ["close /x 1", "undeclare Publisher /x", "undeclare node /n"]);
+    assert_eq!(m.take_passed_over(), Some([Gid([1; 16])].into()));
+    assert!(!m.is_announced(&Gid([1; 16])) && m.is_announced(&Gid([2; 16])));
+    assert_eq!((said(&m.settle()), m.take_passed_over()), (vec![], None));
+    m.token_down(&better);
+    assert_eq!(said(&m.settle()), ["declare node /n", "declare Publisher /x", "open /x 1"]);
+    assert_eq!(m.take_passed_over(), Some(HashSet::new()));
+    // One that is further away is no reason.
+    m.token_up(&relayed(9, 1, "MP", "x", 7, &[21, 22, 23]));
+    assert_eq!(said(&m.settle()), NOTHING);
+}
+
+#[test]
+fn what_comes_another_way_is_passed_over() {
+    let mut m = mirror(ZID, Filter::default());
+    m.set_locals(vec![], vec![subscription(1, "x")]);
+    assert_eq!(said(&m.token_up(&relayed(9, 1, "MP", "x", 7, &[21]))), ["start in /x Volatile 1"]);
+    let rival = |hops| HashMap::from([(7, Rank { hops, ros: 1, teller: 5 })]);
+    assert_eq!(said(&m.set_rivals(&rival(0))), ["stop in /x"], "somebody else here is nearer");
+    assert_eq!(said(&m.token_up(&relayed(9, 2, "MP", "x", 8, &[21]))), ["start in /x Volatile 1"]);
+    assert_eq!(m.passed_over_of(&key("x")).map(BTreeSet::len), Some(1));
+    assert_eq!(said(&m.set_rivals(&rival(3))), ["pass over /x"]);
+    assert_eq!(m.passed_over_of(&key("x")).map(BTreeSet::len), Some(0));
+    // Of two that announce the same the nearer one counts; what has been here is nobody's.
+    assert_eq!(said(&m.token_up(&relayed(10, 1, "MP", "x", 7, &[31, 32]))), ["pass over /x"]);
+    let own = relayed(11, 1, "MP", "x", 9, &[ZID as u64, 21]);
+    assert_eq!(said(&m.token_up(&own)), ["pass over /x"]);
+    assert_eq!(m.passed_over_of(&key("x")).map(BTreeSet::len), Some(2));
+}
+
+/// Of what is kept, the samples that were left to somebody else have not been heard here.
+#[test]
+fn what_is_kept_is_asked_for_again_when_it_comes_this_way() {
+    let mut m = mirror(ZID, Filter::default());
+    m.set_locals(vec![], vec![late_joining(subscription(1, "map"))]);
+    let kept = |id, tag| relayed(9, id, "MP", "map", tag, &[21]).replace("/::,10:", "/:1:,1:");
+    m.token_up(&kept(1, 7));
+    m.token_up(&kept(2, 8));
+    let rivals = HashMap::from([(7, Rank { hops: 0, ros: 1, teller: 5 })]);
+    assert_eq!(said(&m.set_rivals(&rivals)), ["pass over /map"]);
+    let again = said(&m.set_rivals(&HashMap::new()));
+    assert!(matches!(&*again, [one] if one.starts_with("start in /map TransientLocal")), "{again:?}");
+}
