@@ -471,7 +471,7 @@ fn check_answers(asked: &Asked) -> Result<()> {
 }
 
 /// Waits until something is so, and looks meanwhile whether something is wrong.
-fn wait(
+pub fn wait(
     what: &str,
     mut is_so: impl FnMut() -> Result<bool>,
     mut check: impl FnMut() -> Result<()>,

@@ -7,6 +7,7 @@ use crate::folder::{listing, of_dead, stolen};
 use crate::inspector::Graph;
 use crate::place::Place;
 use crate::process::{Complaints, PATIENCE, Process, Said, Stage, kill, threads};
+use crate::random::wait;
 use crate::scenes::{Friend, Scene};
 use crate::tracer::{self, End, Point, When};
 use clap::Args;
@@ -374,12 +375,14 @@ impl Lane {
     }
 
     fn finish(mut self) -> Result<()> {
-        let holdings = self.friend.holdings();
-        if holdings.files != self.friends_files || holdings.removed.len() > HELD_BY_IDLE {
-            return Err(
-                format!("the friend had {} files open, and has {holdings:?}", self.friends_files).into()
-            );
-        }
+        let mut holdings = self.friend.holdings();
+        // It may be looking at somebody just now.
+        let is_as_before = || {
+            holdings = self.friend.holdings();
+            Ok(holdings.files == self.friends_files && holdings.removed.len() <= HELD_BY_IDLE)
+        };
+        let released = wait("the friend to have what it had", is_as_before, || Ok(()));
+        released.map_err(|error| format!("{error}: {} files, and {holdings:?}", self.friends_files))?;
         self.inspector.finish()?;
         self.friend.finish()
     }
