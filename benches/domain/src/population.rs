@@ -146,12 +146,8 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
             let mut index = None;
             // Who becomes it after one was killed does so when it is scheduled.
             wait_until("there is a warden", || {
-                for (at, process) in processes.iter().enumerate() {
-                    if process::is_warden(process.id(), &folder)? {
-                        index = Some(at);
-                    }
-                }
-                Ok(index.is_some() || process::is_warden(std::process::id(), &folder)?)
+                index = processes.iter().position(|process| process::is_warden(process.id(), &folder));
+                Ok(index.is_some() || process::is_warden(std::process::id(), &folder))
             })?;
             // It may be this one.
             let Some(index) = index else { break };
@@ -212,7 +208,7 @@ fn death(
     let mut death = [None; 3];
     let start_ns = monotonic_ns();
     victim.kill();
-    wait_until("a killed process is buried", || {
+    let buried = wait_until("a killed process is buried", || {
         let is_so = |part: usize| -> Result<bool> {
             Ok(match part {
                 0 => !participant.graph()?.nodes.iter().any(|node| node.pid == Some(pid)),
@@ -226,7 +222,13 @@ fn death(
             }
         }
         Ok(death.iter().all(Option::is_some))
-    })?;
+    });
+    if let Err(error) = buried {
+        let left =
+            std::iter::zip(["a node in the graph", "a subscription that a peer counts", "a file"], death);
+        let left: Vec<&str> = left.filter(|(_, at)| at.is_none()).map(|(what, _)| what).collect();
+        return Err(format!("{error}: what is left of it is {}", left.join(", ")).into());
+    }
     let [graph, peer, files] = death.map(Option::unwrap_or_default);
     Ok(Death { graph, peer, files })
 }

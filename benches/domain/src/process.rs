@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the kernel says of processes.
 
-use crate::Result;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tautline_rt::clock::monotonic_ns;
@@ -64,26 +63,29 @@ pub fn mappings(pid: u32) -> usize {
     fs::read_to_string(format!("/proc/{pid}/maps")).map_or(0, |maps| maps.lines().count())
 }
 
-/// The files of the participants of a process: a participant has its own open, and no peer's.
+/// The files of the participants of a process. A participant has its own locked, and others' only open, and only while it looks.
 pub fn records(pid: u32, folder: &Path) -> Vec<PathBuf> {
-    let is_record = |path: &PathBuf| {
+    let is_record = |(link, path): &(PathBuf, PathBuf)| {
         let name = path.file_name().and_then(|name| name.to_str());
-        path.parent() == Some(folder) && name.is_some_and(|name| name.len() == 17 && name.starts_with('p'))
+        path.parent() == Some(folder)
+            && name.is_some_and(|name| name.len() == 17 && name.starts_with('p'))
+            && about(pid, link).lines().any(|line| line.starts_with("lock:"))
     };
-    descriptors(pid).into_iter().map(|(_, file)| file).filter(is_record).collect()
+    descriptors(pid).into_iter().filter(is_record).map(|(_, file)| file).collect()
+}
+
+/// What the kernel says of a descriptor; nothing once it is closed.
+fn about(pid: u32, link: &Path) -> String {
+    let number = link.file_name().unwrap_or_default().to_string_lossy();
+    fs::read_to_string(format!("/proc/{pid}/fdinfo/{number}")).unwrap_or_default()
 }
 
 /// Whether a process is the domain's warden: it alone has the warden's pipe open for writing.
-pub fn is_warden(pid: u32, folder: &Path) -> Result<bool> {
-    for (link, file) in descriptors(pid) {
-        if file == folder.join("warden") {
-            let number = link.file_name().unwrap_or_default().to_string_lossy();
-            let about = fs::read_to_string(format!("/proc/{pid}/fdinfo/{number}"))?;
-            let flags = about.lines().find_map(|line| line.strip_prefix("flags:"));
-            if flags.is_some_and(|flags| flags.trim().ends_with('2')) {
-                return Ok(true);
-            }
-        }
-    }
-    Ok(false)
+pub fn is_warden(pid: u32, folder: &Path) -> bool {
+    let has_for_writing = |link: &Path| {
+        let about = about(pid, link);
+        let flags = about.lines().find_map(|line| line.strip_prefix("flags:"));
+        flags.is_some_and(|flags| flags.trim().ends_with('2'))
+    };
+    descriptors(pid).iter().any(|(link, file)| *file == folder.join("warden") && has_for_writing(link))
 }

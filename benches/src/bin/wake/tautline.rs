@@ -5,6 +5,7 @@
 //! pong's sampler, its callback, and the ping's own sampler.
 
 use std::sync::mpsc;
+use std::time::{Duration, Instant};
 
 use ::tautline::{
     CallbackOptions, Context, Message, Node, Plain, Publisher, QosProfile, Realtime, Subscription,
@@ -16,6 +17,8 @@ use crate::child::{Pinger, Received, WAIT, ready};
 use crate::payload::STOP;
 use crate::plan::{Job, Mode, PRIORITY, Payload, Role};
 
+/// How long who answers may take to connect.
+const PATIENCE: Duration = Duration::from_secs(10);
 /// The sampler's priority: above the callback's.
 const SAMPLER_PRIORITY: u8 = PRIORITY + 10;
 
@@ -83,6 +86,9 @@ fn play<T: Frame>(job: &Job, pinger: &mut Pinger) -> Result<()> {
     let qos = QosProfile::default().keep_last(2);
     let publisher = node.create_publisher::<T>(to, qos)?;
     let messages = node.subscribe_loaned::<T>(from, qos)?;
+    if job.role == Role::Ping {
+        wait_for_answering(&messages)?;
+    }
     let options = CallbackOptions::fifo(PRIORITY).core(job.core()).name(from);
     let options = if job.mode == Mode::TautlineBusyPoll { options.busy_poll() } else { options };
 
@@ -111,6 +117,19 @@ fn play<T: Frame>(job: &Job, pinger: &mut Pinger) -> Result<()> {
     callback.join()?;
     if let Some(own) = outcome.recv()?? {
         *pinger = own;
+    }
+    Ok(())
+}
+
+/// Who answers has connected the subscription, before the first question is asked: the thread that does it is an ordinary one, which a
+/// callback that polls on its core may keep waiting.
+fn wait_for_answering<T: Frame>(messages: &Subscription<T>) -> Result<()> {
+    let since = Instant::now();
+    while messages.publisher_count() == 0 {
+        if since.elapsed() > PATIENCE {
+            return Err(format!("the answering process has not connected in {} s", PATIENCE.as_secs()).into());
+        }
+        std::thread::sleep(Duration::from_millis(1));
     }
     Ok(())
 }
