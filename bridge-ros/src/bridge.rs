@@ -198,8 +198,9 @@ impl Bridge {
         let shared = Arc::new(Shared { stop: AtomicBool::new(false), stats: Mutex::new(stats) });
         let (events, received) = mpsc::sync_channel(EVENTS);
         let wake = GuardCondition::new(&context)?;
-        let own_table = OwnTable::new(&node).map_err(BridgeError::Table)?;
-        let (tables, heard) = (Tables::default(), table::subscription(&node).map_err(BridgeError::Table)?);
+        let support = table::support()?;
+        let own_table = OwnTable::new(&node, &support)?;
+        let (tables, heard) = (Tables::default(), table::subscription(&node, &support)?);
         let buffer = SerializedMessage::new()?;
         let threads = Vec::new();
         // From here on what was started ends if something fails.

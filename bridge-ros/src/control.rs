@@ -4,6 +4,7 @@
 mod counterparts;
 mod failed;
 mod shown;
+mod told;
 
 use crate::bridge::{Options, Shared};
 use crate::incoming::{Incoming, Inlet, Port, Senders};
@@ -11,11 +12,11 @@ use crate::mirror::{Action, InKey, Inward, Mirror, Outward, TopicKey};
 use crate::outgoing::{Outbound, Outgoing};
 use crate::rate::Limiter;
 use crate::rcl::{Node, RosPublisher, RosSubscription};
-use crate::ros_graph::{self, RosGraph};
+use crate::ros_graph::RosGraph;
 use crate::rules::{Direction, Rules};
 use crate::services::{Routes, Services};
 use crate::stats::Book;
-use crate::table::{self, OwnTable, Table, TableEnd, TableNode, Tables};
+use crate::table::{OwnTable, Tables};
 use crate::types::{BridgedType, Types};
 use counterparts::{Counterparts, MATCH_TIME};
 use failed::Failed;
@@ -24,10 +25,10 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::{Transit, process_node};
+use tautline_relay::Transit;
 use tautline_transport::{
-    Claim, Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Participant, Qos,
-    RawPublisher, RawSubscription, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
+    Claim, Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos,
+    RawPublisher, RawSubscription, ServiceEndpoint, TopicEndpoint, TopicType,
     TransportError,
 };
 
@@ -229,53 +230,6 @@ impl Control {
         self.show_ros(&nodes, services);
     }
 
-    /// Takes in what others tell of, on both sides.
-    fn weigh(
-        &mut self,
-        here: &GraphSnapshot,
-        nodes: &[(RemoteNode, u128)],
-        services: &[(ServiceEndpoint, u128)],
-    ) {
-        let transit = &mut self.transit;
-        transit.set_rivals(&here.rivals);
-        transit.clear();
-        nodes.iter().for_each(|(node, teller)| transit.insert(&node.origin, *teller));
-        self.graph.endpoints.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
-        services.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
-    }
-
-    /// Those of ROS, but for this bridge's, with who tells of them.
-    fn read_services(&mut self, here: &GraphSnapshot) -> Vec<(ServiceEndpoint, u128)> {
-        let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
-        let mut ends = ros_graph::services(&self.node, others, &self.place);
-        let tables = &self.graph.tables;
-        let told = || tables.iter().flat_map(|table| table.ends.iter().map(|end| (end, table.bridge)));
-        // Servers of other bridges bear the names of the nodes that they stand for.
-        let servers = told().filter(|(end, _)| end.kind == table::Kind::Server);
-        let servers: BTreeSet<_> = servers.map(|(end, _)| (&*end.name, end.node.as_ref())).collect();
-        ends.retain(|end| !servers.contains(&(&*end.name, end.node.as_ref())));
-        let names: BTreeSet<String> = match tables.is_empty() {
-            // Other bridges know a server by where it takes requests.
-            false => ends.iter().map(|end| end.name.clone()).collect(),
-            // And without it one is known by its node's name alone.
-            true => {
-                let asked = here.services.iter().filter(|end| end.kind == ServiceKind::Client);
-                let asked = asked.filter_map(|end| Some(self.service_rules.choice(&end.name)?.ros_topic));
-                asked.collect()
-            }
-        };
-        for name in names {
-            let found = self.node.servers(&name).unwrap_or_default();
-            ros_graph::identify(&mut ends, &name, &found);
-        }
-        for end in &mut ends {
-            end.type_hash = self.types.service_hash(&end.type_name);
-        }
-        ros_graph::mark(&mut ends, self.participant.domain_id(), self.graph.tables.is_empty());
-        let told = told().filter_map(|(end, bridge)| Some((end.service()?, u128::from(bridge))));
-        ends.into_iter().map(|end| (end, 0)).chain(told).collect()
-    }
-
     fn route_services(&mut self, here: &GraphSnapshot, there: &[(ServiceEndpoint, u128)]) {
         let own = Some(self.participant.id());
         let ends = here.services.iter().map(AsRef::as_ref).filter(|end: &&ServiceEndpoint| end.teller != own);
@@ -284,48 +238,6 @@ impl Control {
         let announced = |end: &ServiceEndpoint| self.transit.announced(&end.origin).is_some();
         let routes = Routes::of(&self.service_rules, ends, &there, self.services.routes(), announced);
         self.services.set_routes(routes, self.shown.by_name());
-    }
-
-    /// Other bridges of the ROS domain are told what this one's ends stand for.
-    fn tell_bridges(&mut self, here: &GraphSnapshot) {
-        let own = Some(self.participant.id());
-        let announced = |origin| self.transit.announced(origin);
-        let of_node = |node: &Option<NodeName>, pid| Some(node.clone().unwrap_or_else(|| process_node(pid)));
-        let mut table = Table { bridge: self.participant.id(), ..Table::default() };
-        for node in here.nodes.iter().filter(|node| node.teller != own) {
-            let node = announced(&node.origin).map(|origin| TableNode { name: node.name.clone(), origin });
-            table.nodes.extend(node);
-        }
-        let stand_ins: BTreeMap<Gid, (&TopicKey, Gid)> =
-            self.counterparts.gids().map(|(key, gid, in_ros)| (gid, (key, in_ros))).collect();
-        for end in here.endpoints.iter().filter(|end| end.teller != own) {
-            let Some(origin) = announced(&end.origin) else { continue };
-            let end = &TopicEndpoint { node: of_node(&end.node, end.pid), ..(**end).clone() };
-            let told = match end.kind {
-                EndpointKind::Publisher => stand_ins
-                    .get(&end.gid)
-                    .map(|(key, in_ros)| TableEnd::of_topic(end, &key.ros_topic, *in_ros, origin)),
-                EndpointKind::Subscription => (self.mirror.rules().choice(&end.topic))
-                    .filter(|choice| choice.goes(Direction::FromRos))
-                    .map(|choice| TableEnd::of_topic(end, &choice.ros_topic, end.gid, origin)),
-            };
-            table.ends.extend(told);
-        }
-        for end in here.services.iter().filter(|end| end.teller != own) {
-            let Some(origin) = announced(&end.origin) else { continue };
-            let Some(choice) = self.service_rules.choice(&end.name) else { continue };
-            let end = &ServiceEndpoint { node: of_node(&end.node, end.pid), ..(**end).clone() };
-            let goes = match end.kind {
-                ServiceKind::Server => Direction::ToRos,
-                ServiceKind::Client => Direction::FromRos,
-            };
-            if choice.goes(goes) {
-                table.ends.push(TableEnd::of_service(end, &choice.ros_topic, origin));
-            }
-        }
-        if let Err(reason) = self.own_table.say(table) {
-            tracing::warn!("other bridges of this ROS domain are not told what this one carries: {reason}");
-        }
     }
 
     /// Publishers in ROS come and go that a subscription matches though they are not of its class.
@@ -511,20 +423,6 @@ impl Control {
     fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<crate::stats::Counters> {
         let (out, inward) = (&self.out, &self.inward);
         self.book.counters(key, direction, |key, direction| is_active(out, inward, key, direction))
-    }
-
-    /// Tautline's tools list what is in ROS.
-    fn show_ros(&self, nodes: &[(RemoteNode, u128)], services: Vec<(ServiceEndpoint, u128)>) {
-        let mut remote = ros_graph::as_remote(&self.graph, nodes, self.mirror.rules(), &self.transit);
-        let told = |(end, teller): (ServiceEndpoint, u128)| {
-            let name = self.service_rules.tautline_name(&end.name)?;
-            let origin = self.transit.told(&end.origin, teller)?;
-            Some(ServiceEndpoint { name, gid: ros_graph::told_gid(origin.tag), origin, ..end })
-        };
-        remote.services = services.into_iter().filter_map(told).collect();
-        if let Err(error) = self.participant.set_remote(&remote) {
-            tracing::warn!("nodes and tools of this host do not see what ROS has: {error}");
-        }
     }
 
     fn read_numbers(&mut self, elapsed: Duration) {

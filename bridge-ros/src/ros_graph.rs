@@ -3,7 +3,7 @@
 
 use crate::rcl::{Node, RclError, RosEndpoint, RosNode};
 use crate::rules::{Direction, Rules};
-use crate::table::{self, Kind, Table, TableNode, Tables};
+use crate::table::{self, Table, Tables};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -44,11 +44,14 @@ impl RosGraph {
         let before = std::mem::take(&mut self.unknown);
         let tellers = node.endpoints(table::TOPIC, EndpointKind::Publisher)?;
         self.tables = tables.of(&tellers.iter().map(|end| end.gid).collect());
-        let stand_ins: HashMap<Gid, (TopicEndpoint, u128)> = (self.tables.iter())
-            .flat_map(|table| table.ends.iter().map(|end| (u128::from(table.bridge), end)))
-            .filter(|(_, end)| end.kind == Kind::Publisher)
-            .filter_map(|(bridge, end)| Some((end.gid, (end.topic()?, bridge))))
-            .collect();
+        let told = self
+            .tables
+            .iter()
+            .flat_map(|table| table.graph.endpoints.iter().map(|end| (end, u128::from(table.bridge))));
+        let (publishers_told, subscriptions_told): (Vec<_>, Vec<_>) =
+            told.partition(|(end, _)| end.kind == EndpointKind::Publisher);
+        let stand_ins: HashMap<Gid, (&TopicEndpoint, u128)> =
+            publishers_told.into_iter().map(|(end, bridge)| (end.gid, (end, bridge))).collect();
         self.processes.clear();
         for topic in node.topics()?.into_keys().filter(|topic| topic != table::TOPIC) {
             for kind in [EndpointKind::Publisher, EndpointKind::Subscription] {
@@ -79,7 +82,7 @@ impl RosGraph {
                         (true, Some((told, bridge))) => {
                             // ROS knows best how it is called, and whom it fits.
                             let qos = Qos { depth: told.qos.depth, history: told.qos.history, ..end.qos };
-                            let told = TopicEndpoint { topic: topic.clone(), qos, ..told.clone() };
+                            let told = TopicEndpoint { topic: topic.clone(), qos, ..(*told).clone() };
                             endpoints.push((told, *bridge));
                         }
                         (true, None) => {}
@@ -87,10 +90,7 @@ impl RosGraph {
                 }
             }
         }
-        for table in &self.tables {
-            let ends = table.ends.iter().filter(|end| end.kind == Kind::Subscription);
-            endpoints.extend(ends.filter_map(|end| Some((end.topic()?, u128::from(table.bridge)))));
-        }
+        endpoints.extend(subscriptions_told.into_iter().map(|(end, bridge)| (end.clone(), bridge)));
         (self.endpoints, self.publishers) = (endpoints, publishers);
         self.nodes = node.nodes()?;
         Ok(())
@@ -101,10 +101,9 @@ impl RosGraph {
         let mut shown = own.to_vec();
         let mut nodes = Vec::new();
         for table in &self.tables {
-            for node in &table.nodes {
-                let TableNode { name, origin } = node.clone();
-                shown.push(RosNode { name: name.name.clone(), namespace: name.namespace.clone() });
-                nodes.push((RemoteNode { name, origin }, u128::from(table.bridge)));
+            for node in &table.graph.nodes {
+                shown.push(ros_node(&node.name));
+                nodes.push((node.clone(), u128::from(table.bridge)));
             }
         }
         let mut count = BTreeMap::<&RosNode, usize>::new();
@@ -120,10 +119,8 @@ impl RosGraph {
             // Without an end it is not known which process has it: other bridges' word of it is another node then.
             let of = process.map_or_else(|| format!("{domain:x}"), |process| format!("{process:02x?}"));
             let tag = Origin::tag_of(&format!("{of} {name} {count}"));
-            nodes.push((
-                RemoteNode { name, origin: Origin { tag, ..Origin::here(Gid::default(), place) } },
-                0,
-            ));
+            let origin = Origin { tag, ..Origin::here(Gid::default(), place) };
+            nodes.push((RemoteNode { name, origin }, 0));
         }
         nodes
     }
@@ -152,6 +149,10 @@ fn endpoint(topic: &str, end: RosEndpoint, place: &str) -> TopicEndpoint {
         origin: Origin::here(end.gid, place),
         teller: None,
     }
+}
+
+pub(crate) fn ros_node(node: &NodeName) -> RosNode {
+    RosNode { name: node.name.clone(), namespace: node.namespace.clone() }
 }
 
 pub(crate) fn node_name(node: &RosNode) -> NodeName {

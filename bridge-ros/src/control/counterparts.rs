@@ -44,9 +44,9 @@ impl Counterparts {
         self.0.remove(&(key.clone(), gid));
     }
 
-    /// The publishers in ROS, with whom they stand for.
-    pub(super) fn gids(&self) -> impl Iterator<Item = (&TopicKey, Gid, Gid)> {
-        self.0.iter().map(|((key, gid), counterpart)| (key, *gid, counterpart.writer.publisher.gid()))
+    /// The publishers here, each with the one in ROS that stands for it.
+    pub(super) fn gids(&self) -> impl Iterator<Item = (Gid, Gid)> {
+        self.0.iter().map(|((_, gid), counterpart)| (*gid, counterpart.writer.publisher.gid()))
     }
 
     /// The topic's samples are not taken any more.

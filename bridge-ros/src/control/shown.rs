@@ -51,8 +51,7 @@ impl ShownNodes {
     /// What they are in ROS.
     pub(super) fn in_ros(&self) -> Vec<RosNode> {
         let made = self.nodes.iter().filter(|(_, node)| node.is_some()).map(|(name, _)| name);
-        let in_ros = |name: &NodeName| RosNode { name: name.name.clone(), namespace: name.namespace.clone() };
-        made.chain(self.held()).map(in_ros).collect()
+        made.chain(self.held()).map(ros_graph::ros_node).collect()
     }
 
     /// Nodes that have gone here and stand in ROS until their services have ended.

@@ -151,9 +151,7 @@ impl Routes {
             _ => {}
         }
     }
-}
 
-impl Routes {
     /// For who asks as `end` does.
     fn seek(&mut self, key: ServiceKey, end: &ServiceEndpoint, servers: &[&ServiceEndpoint]) {
         let id = |server: &&ServiceEndpoint| ServerId { node: server.node.clone(), gid: server.gid };

@@ -150,7 +150,7 @@ impl Guard {
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
-    pub fn start(name: &str, budget: Budget, highest: Policy, list: List) -> Result<Self, RtError> {
+    pub fn start(name: &str, budget: Budget, highest: Policy, list: WatchedThreads) -> Result<Self, RtError> {
         let (stop, demotions) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
         // Above what it watches, or it would not come to look.
         let above = match highest {
@@ -181,9 +181,9 @@ impl Drop for Guard {
 }
 
 /// Finds the threads that are watched: which they are, and the policy of each within the budget.
-pub type List = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
+pub type WatchedThreads = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
 
-fn watch(budget: Budget, list: List, stop: &AtomicBool, demotions: &AtomicU64) {
+fn watch(budget: Budget, list: WatchedThreads, stop: &AtomicBool, demotions: &AtomicU64) {
     let mut watched = Watched { list, threads: Vec::new(), ended: Spent::default() };
     watched.renew();
     let mut meter = Meter::new(budget, watched.spent());
@@ -208,7 +208,7 @@ fn watch(budget: Budget, list: List, stop: &AtomicBool, demotions: &AtomicU64) {
 
 /// Threads and the time that those which ended had spent.
 struct Watched {
-    list: List,
+    list: WatchedThreads,
     threads: Vec<(u32, Policy, Spent)>,
     ended: Spent,
 }

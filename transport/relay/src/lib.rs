@@ -13,7 +13,7 @@ mod route;
 mod transit;
 mod waker;
 
-pub use budget::{Budget, Guard, List};
+pub use budget::{Budget, Guard, WatchedThreads};
 pub use process::process_node;
 pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
 pub use relay::{PassedOver, Relay, RelayError};

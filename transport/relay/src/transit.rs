@@ -6,7 +6,7 @@
 //! between networks do by path: word that came through a domain is not believed there again, so nothing keeps itself alive in a circle;
 //! and when the best way ends, the next one is known already.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{HashMap, HashSet};
 use tautline_transport::{Gid, Origin, Rank};
 
 /// How deep the queue is at least by which samples of a publisher are taken that is elsewhere: its own depth is how much it keeps there,
@@ -22,7 +22,8 @@ pub struct Transit {
     goes_on: bool,
     place: String,
     rivals: HashMap<u64, Rank>,
-    far: HashMap<u64, BTreeMap<Rank, usize>>,
+    /// Of each tag all that tell of it there: one almost always.
+    far: HashMap<u64, Vec<Rank>>,
 }
 
 impl Transit {
@@ -57,7 +58,7 @@ impl Transit {
     /// Something is on the far side, as `teller` tells of it there; not what this one itself tells.
     pub fn insert(&mut self, origin: &Origin, teller: u128) {
         if origin.tag != 0 {
-            *self.far.entry(origin.tag).or_default().entry(origin.rank(teller)).or_default() += 1;
+            self.far.entry(origin.tag).or_insert_with(|| Vec::with_capacity(1)).push(origin.rank(teller));
         }
     }
 
@@ -65,11 +66,8 @@ impl Transit {
     pub fn remove(&mut self, origin: &Origin, teller: u128) {
         let rank = origin.rank(teller);
         let Some(tellers) = self.far.get_mut(&origin.tag) else { return };
-        if let Some(count) = tellers.get_mut(&rank) {
-            *count -= 1;
-            if *count == 0 {
-                tellers.remove(&rank);
-            }
+        if let Some(place) = tellers.iter().position(|teller| *teller == rank) {
+            tellers.swap_remove(place);
         }
         if tellers.is_empty() {
             self.far.remove(&origin.tag);
@@ -82,7 +80,7 @@ impl Transit {
     }
 
     fn best(&self, tag: u64) -> Option<Rank> {
-        self.far.get(&tag).and_then(|tellers| tellers.keys().next()).copied()
+        self.far.get(&tag)?.iter().min().copied()
     }
 
     /// How the domain is to be told of what `teller` tells on the far side; `None`: not at all, for it has been here before, or

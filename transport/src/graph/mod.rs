@@ -15,6 +15,7 @@ mod model;
 mod origin;
 pub(crate) mod own;
 pub(crate) mod record;
+mod remote;
 
 pub use events::GraphEvents;
 pub(crate) use events::Watchers;
@@ -22,6 +23,7 @@ pub(crate) use model::Model;
 pub use model::graph_of;
 pub use origin::{Origin, Rank};
 pub(crate) use own::{Entry, OwnRecord};
+pub use remote::{RemoteGraph, RemoteNode};
 
 use crate::error::TransportError;
 use crate::participant::Participant;
@@ -43,13 +45,6 @@ pub struct NodeName {
     pub namespace: String,
     /// Without the namespace.
     pub name: String,
-}
-
-impl RemoteNode {
-    /// Whether a node elsewhere can be such. What is not cannot be told of.
-    pub fn is_valid(&self) -> bool {
-        self.name.is_valid() && self.origin.is_valid()
-    }
 }
 
 impl NodeName {
@@ -116,23 +111,6 @@ pub struct TopicEndpoint {
     pub teller: Option<u64>,
 }
 
-impl TopicEndpoint {
-    /// Whether an end elsewhere can be such: its names, its type, its origin. What is not cannot be told of.
-    pub fn is_valid(&self) -> bool {
-        let (name, hash) = (&self.topic_type.name, self.topic_type.hash.as_deref());
-        let is_node = self.node.as_ref().is_none_or(NodeName::is_valid);
-        is_node && record::is_remote_end(&self.topic, name, hash, &self.origin)
-    }
-}
-
-impl ServiceEndpoint {
-    /// Whether an end elsewhere can be such: its names, its type, its origin. What is not cannot be told of.
-    pub fn is_valid(&self) -> bool {
-        let is_node = self.node.as_ref().is_none_or(NodeName::is_valid);
-        is_node && record::is_remote_end(&self.name, &self.type_name, self.type_hash.as_deref(), &self.origin)
-    }
-}
-
 /// Which end of a service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ServiceKind {
@@ -190,27 +168,6 @@ impl GraphSnapshot {
         let first = ends.next()?.topic_type.clone();
         ends.try_fold(first, |known, end| known.join(&end.topic_type))
     }
-}
-
-/// A node elsewhere.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct RemoteNode {
-    /// Its name. Two nodes may have the same.
-    pub name: NodeName,
-    /// Where it was first.
-    pub origin: Origin,
-}
-
-/// What other hosts have: see [`Participant::set_remote`]. What is not [valid](TopicEndpoint::is_valid) is left out; `pid`, `is_remote`, `is_own` and `teller` are not looked at, nor are ends
-/// without a node.
-#[derive(Clone, Debug, Default)]
-pub struct RemoteGraph {
-    /// Nodes. What an end's node is called need not be among them.
-    pub nodes: Vec<RemoteNode>,
-    /// Publishers and subscriptions.
-    pub endpoints: Vec<TopicEndpoint>,
-    /// Services and clients.
-    pub services: Vec<ServiceEndpoint>,
 }
 
 /// A topic of a domain.

@@ -31,7 +31,7 @@ pub(crate) struct Model {
     endpoints: BTreeMap<(String, EndpointKind, Gid, Gid), Arc<TopicEndpoint>>,
     services: BTreeMap<(String, ServiceKind, Gid, Gid), Arc<ServiceEndpoint>>,
     /// Who tells of what is elsewhere, by its tag, the best first.
-    told: HashMap<u64, BTreeSet<(Rank, Gid)>>,
+    told: HashMap<u64, Vec<(Rank, Gid)>>,
     snapshot: Arc<GraphSnapshot>,
 }
 
@@ -151,10 +151,10 @@ impl Member {
             });
         }
         if let Some(port) = self.remote_ports.get(&number) {
-            return Some(Listed::Topic(port.endpoint(self.node(port.node())?, id)));
+            return Some(Listed::Topic(port.endpoint(self.node(port.node())?, Some(id))));
         }
         let service = self.remote_services.get(&number)?;
-        Some(Listed::Service(service.endpoint(self.node(service.node())?, id)))
+        Some(Listed::Service(service.endpoint(self.node(service.node())?, Some(id))))
     }
 }
 
@@ -232,7 +232,7 @@ impl Model {
 
     /// Whether it is here, or of those that tell of it this is the best.
     fn counts(&self, teller: Option<u64>, origin: &Origin, gid: Gid) -> bool {
-        let best = self.told.get(&origin.tag).and_then(BTreeSet::first);
+        let best = self.told.get(&origin.tag).and_then(|tellers| tellers.first());
         teller.is_none() || best.is_none_or(|(_, best)| *best == gid)
     }
 
@@ -241,7 +241,7 @@ impl Model {
         if !self.members.get(&self.own).is_some_and(|own| own.is_relay) {
             return HashMap::new();
         }
-        let of_others = |(tag, tellers): (&u64, &BTreeSet<(Rank, Gid)>)| {
+        let of_others = |(tag, tellers): (&u64, &Vec<(Rank, Gid)>)| {
             let (rank, _) = tellers.iter().find(|(rank, _)| rank.teller != u128::from(self.own))?;
             Some((*tag, *rank))
         };
@@ -320,8 +320,13 @@ impl Model {
             && origin.tag != 0
         {
             let told = (origin.rank(teller.into()), gid);
-            let tellers = self.told.entry(origin.tag).or_default();
-            let _ = if is_listed { tellers.insert(told) } else { tellers.remove(&told) };
+            // One almost always: no room for more is kept.
+            let tellers = self.told.entry(origin.tag).or_insert_with(|| Vec::with_capacity(1));
+            match (tellers.binary_search(&told), is_listed) {
+                (Err(place), true) => tellers.insert(place, told),
+                (Ok(place), false) => drop(tellers.remove(place)),
+                _ => {}
+            }
             if tellers.is_empty() {
                 self.told.remove(&origin.tag);
             }

@@ -3,8 +3,8 @@
 
 use super::domain::Domain;
 use super::log::{self, Kind, Log, hash_of};
-use super::record::{NodeRecord, PortRecord, RemotePortRecord, RemoteServiceRecord, to_body};
-use super::{NodeName, Origin, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint};
+use super::record::{NodeRecord, PortRecord, to_body};
+use super::{NodeName, RemoteGraph, RemoteNode};
 use crate::error::TransportError;
 use crate::participant::file::OwnMemory;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -198,19 +198,9 @@ impl State {
         (nodes, entries): &mut (RemoteNodes, RemoteEntries),
     ) -> io::Result<bool> {
         let mut changed = false;
-        let of_ports =
-            remote.endpoints.iter().filter(|end| end.is_valid()).filter_map(|end| end.node.as_ref());
-        let of_services =
-            remote.services.iter().filter(|end| end.is_valid()).filter_map(|end| end.node.as_ref());
-        let nodes_there: BTreeSet<&RemoteNode> = remote.nodes.iter().filter(|node| node.is_valid()).collect();
-        let listed: BTreeSet<&NodeName> = nodes_there.iter().map(|node| &node.name).collect();
-        let unlisted: BTreeSet<&NodeName> =
-            of_ports.chain(of_services).filter(|node| !listed.contains(node)).collect();
-        let unlisted =
-            unlisted.into_iter().map(|name| RemoteNode { name: name.clone(), origin: Origin::default() });
         // By name: the first of several has the ends.
         let mut numbers = HashMap::new();
-        for node in nodes_there.into_iter().cloned().chain(unlisted) {
+        for node in remote.all_nodes() {
             let number = match nodes.get_mut(&node).and_then(Vec::pop) {
                 Some(number) => number,
                 None => {
@@ -259,17 +249,9 @@ impl State {
 
 /// What is to be said of ends, with the hashes of their names; `nodes` are the entries of theirs.
 fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(Kind, u64, Vec<u8>)> {
-    let node_of = |node: &Option<NodeName>| nodes.get(node.as_ref()?).copied();
-    let port = |end: &TopicEndpoint| {
-        let record = RemotePortRecord::new(node_of(&end.node)?, end);
-        Some((Kind::RemotePort, hash_of(&end.topic), to_body(&record)))
-    };
-    let service = |end: &ServiceEndpoint| {
-        let record = RemoteServiceRecord::new(node_of(&end.node)?, end);
-        Some((Kind::RemoteService, hash_of(&end.name), to_body(&record)))
-    };
-    let ports = remote.endpoints.iter().filter(|end| end.is_valid()).filter_map(port);
-    let services = remote.services.iter().filter(|end| end.is_valid()).filter_map(service);
+    let (ports, services) = remote.records(nodes);
+    let ports = ports.iter().map(|port| (Kind::RemotePort, hash_of(port.topic()), to_body(port)));
+    let services = services.iter().map(|end| (Kind::RemoteService, hash_of(end.name()), to_body(end)));
     ports.chain(services).collect()
 }
 

@@ -88,6 +88,10 @@ impl From<&Qos> for QosRecord {
 }
 
 impl QosRecord {
+    fn is_valid(&self) -> bool {
+        (1..=Limits::MAX_DEPTH as u64).contains(&self.depth)
+    }
+
     pub(crate) fn qos(&self) -> Qos {
         let depth = usize::try_from(self.depth).unwrap_or(usize::MAX);
         Qos {
@@ -119,7 +123,7 @@ impl PortRecord {
         let record: PortRecord = parse(body)?;
         let is_port = is_topic(&record.topic)
             && is_type(&record.type_name, record.hash.as_deref())
-            && (1..=Limits::MAX_DEPTH as u64).contains(&record.qos.depth)
+            && record.qos.is_valid()
             && (record.kind == PortKind::Publisher || (1..=Limits::MAX_HELD as u64).contains(&record.at));
         is_port.then_some(record)
     }
@@ -187,23 +191,34 @@ impl RemotePortRecord {
             type_name: end.topic_type.name.to_string(),
             hash: end.topic_type.hash.as_ref().map(ToString::to_string),
             gid: end.gid,
-            qos: QosRecord::from(&end.qos),
+            // ROS does not tell its publishers' depth: 0.
+            qos: QosRecord::from(&Qos { depth: end.qos.depth.clamp(1, Limits::MAX_DEPTH), ..end.qos }),
             origin: known(&end.origin, end.gid),
         }
     }
 
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
-        let record: RemotePortRecord = parse(body)?;
-        is_remote_end(&record.topic, &record.type_name, record.hash.as_deref(), &record.origin)
-            .then_some(record)
+        parse(body).filter(Self::is_valid)
+    }
+
+    /// Whether an honest participant says it.
+    pub(crate) fn is_valid(&self) -> bool {
+        is_absolute(&self.topic)
+            && is_type(&self.type_name, self.hash.as_deref())
+            && self.qos.is_valid()
+            && self.origin.is_valid()
+    }
+
+    pub(crate) fn topic(&self) -> &str {
+        &self.topic
     }
 
     pub(crate) fn node(&self) -> u64 {
         self.node
     }
 
-    /// As `teller` tells of it.
-    pub(crate) fn endpoint(&self, node: &NodeName, teller: u64) -> TopicEndpoint {
+    /// As `teller`, if it is one of this domain, tells of it.
+    pub(crate) fn endpoint(&self, node: &NodeName, teller: Option<u64>) -> TopicEndpoint {
         let mut topic_type = TopicType::new(self.type_name.clone());
         topic_type.hash = self.hash.clone().map(Into::into);
         TopicEndpoint {
@@ -217,7 +232,7 @@ impl RemotePortRecord {
             is_remote: true,
             is_own: false,
             origin: self.origin.clone(),
-            teller: Some(teller),
+            teller,
         }
     }
 }
@@ -236,17 +251,24 @@ impl RemoteServiceRecord {
     }
 
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
-        let record: RemoteServiceRecord = parse(body)?;
-        is_remote_end(&record.name, &record.type_name, record.hash.as_deref(), &record.origin)
-            .then_some(record)
+        parse(body).filter(Self::is_valid)
+    }
+
+    /// Whether an honest participant says it.
+    pub(crate) fn is_valid(&self) -> bool {
+        is_absolute(&self.name) && is_type(&self.type_name, self.hash.as_deref()) && self.origin.is_valid()
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        &self.name
     }
 
     pub(crate) fn node(&self) -> u64 {
         self.node
     }
 
-    /// As `teller` tells of it.
-    pub(crate) fn endpoint(&self, node: &NodeName, teller: u64) -> ServiceEndpoint {
+    /// As `teller`, if it is one of this domain, tells of it.
+    pub(crate) fn endpoint(&self, node: &NodeName, teller: Option<u64>) -> ServiceEndpoint {
         ServiceEndpoint {
             kind: if self.is_server { ServiceKind::Server } else { ServiceKind::Client },
             name: self.name.clone(),
@@ -257,7 +279,7 @@ impl RemoteServiceRecord {
             pid: None,
             is_remote: true,
             origin: self.origin.clone(),
-            teller: Some(teller),
+            teller,
         }
     }
 }
@@ -282,8 +304,12 @@ impl From<PortKind> for EndpointKind {
 
 impl NodeRecord {
     pub(crate) fn parse(body: &[u8]) -> Option<Self> {
-        let record: NodeRecord = parse(body)?;
-        (record.name.is_valid() && record.origin.as_ref().is_none_or(Origin::is_valid)).then_some(record)
+        parse(body).filter(Self::is_valid)
+    }
+
+    /// Whether an honest participant says it.
+    pub(crate) fn is_valid(&self) -> bool {
+        self.name.is_valid() && self.origin.as_ref().is_none_or(Origin::is_valid)
     }
 }
 
@@ -313,11 +339,6 @@ pub(crate) fn is_token_char(c: char) -> bool {
 pub(crate) fn is_topic(name: &str) -> bool {
     let bare = name.strip_prefix(REQUESTS).or_else(|| name.strip_prefix(RESPONSES)).unwrap_or(name);
     (1..=MAX_NAME_BYTES).contains(&bare.len()) && bare.chars().all(|c| !c.is_control() && c != ':')
-}
-
-/// Whether an end elsewhere can be described so.
-pub(crate) fn is_remote_end(name: &str, type_name: &str, hash: Option<&str>, origin: &Origin) -> bool {
-    is_absolute(name) && is_type(type_name, hash) && origin.is_valid()
 }
 
 /// Names of types are not ROS 2's alone.
@@ -407,7 +428,7 @@ mod tests {
         };
         let record = RemotePortRecord::new(1, &end);
         let parsed = RemotePortRecord::parse(&to_body(&record)).unwrap();
-        assert_eq!((parsed.node(), parsed.endpoint(&node(), 4)), (1, end));
+        assert_eq!((parsed.node(), parsed.endpoint(&node(), Some(4))), (1, end));
         let service = ServiceEndpoint {
             kind: ServiceKind::Server,
             name: "/robot/add".into(),
@@ -422,7 +443,7 @@ mod tests {
         };
         let record = RemoteServiceRecord::new(1, &service);
         let parsed = RemoteServiceRecord::parse(&to_body(&record)).unwrap();
-        assert_eq!(parsed.endpoint(&node(), 4), service);
+        assert_eq!(parsed.endpoint(&node(), Some(4)), service);
     }
 
     #[test]

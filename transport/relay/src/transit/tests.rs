@@ -4,7 +4,7 @@
 use super::*;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Of a domain and another space, and whether that is ROS.
 type Link = (usize, usize, bool);

@@ -342,7 +342,7 @@ impl Index {
                 changes.insert(hash);
                 return None;
             };
-            let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody, gid.participant());
+            let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody, Some(gid.participant()));
             let fits = end.kind == EndpointKind::from(kind)
                 && end.topic == topic.name
                 && topic.topic_type.agrees_with(&end.topic_type);
