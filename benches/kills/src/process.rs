@@ -271,3 +271,20 @@ pub fn say(said: &Said) {
 pub fn told() -> impl Iterator<Item = String> {
     std::io::stdin().lines().map_while(std::io::Result::ok)
 }
+
+/// Waits until something is so, and looks meanwhile whether something is wrong.
+pub fn wait(
+    what: &str,
+    mut is_so: impl FnMut() -> Result<bool>,
+    mut check: impl FnMut() -> Result<()>,
+) -> Result<()> {
+    let start = Instant::now();
+    while !is_so()? {
+        check()?;
+        if start.elapsed() > PATIENCE {
+            return Err(format!("waited {PATIENCE:?} for {what}").into());
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+    Ok(())
+}

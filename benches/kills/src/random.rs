@@ -7,7 +7,7 @@ use crate::actors::{self, Role};
 use crate::folder::{self, Watch};
 use crate::inspector::{Graph, Late, Met};
 use crate::place::Place;
-use crate::process::{Complaints, Holdings, PATIENCE, Process, Said, Stage, kill};
+use crate::process::{Complaints, Holdings, PATIENCE, Process, Said, Stage, kill, wait};
 use crate::survivors::{ACTORS_ADD, ACTORS_FIBONACCI, ADD, Asked, FULL, OF_SERVERS_THAT_GO, Received, Sent};
 use clap::Args;
 use rand::rngs::SmallRng;
@@ -466,23 +466,6 @@ fn check_answers(asked: &Asked) -> Result<()> {
         if let Some(error) = answers.errors.keys().find(|error| !may_end(error)) {
             return Err(format!("{name}: a request ended with {error}").into());
         }
-    }
-    Ok(())
-}
-
-/// Waits until something is so, and looks meanwhile whether something is wrong.
-pub fn wait(
-    what: &str,
-    mut is_so: impl FnMut() -> Result<bool>,
-    mut check: impl FnMut() -> Result<()>,
-) -> Result<()> {
-    let start = Instant::now();
-    while !is_so()? {
-        check()?;
-        if start.elapsed() > PATIENCE {
-            return Err(format!("waited {PATIENCE:?} for {what}").into());
-        }
-        thread::sleep(Duration::from_millis(2));
     }
     Ok(())
 }

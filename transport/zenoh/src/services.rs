@@ -65,12 +65,14 @@ impl Routes {
         elsewhere: &BTreeSet<TopicKey>,
     ) -> Self {
         let of_kind = |kind| here.clone().filter(move |(of, ..)| *of == kind);
-        let has_server = |key: &TopicKey| of_kind(EndpointKind::Service).any(|(_, of, _)| of == key);
         let offered = of_kind(EndpointKind::Service).filter(|(.., is_announced)| *is_announced);
+        let servers: BTreeSet<&TopicKey> = of_kind(EndpointKind::Service).map(|(_, key, _)| key).collect();
         let clients: BTreeSet<&TopicKey> = of_kind(EndpointKind::Client).map(|(_, key, _)| key).collect();
-        let is_sought = |key: &&TopicKey| elsewhere.contains(*key) && !has_server(key);
-        let sought = clients.into_iter().filter(is_sought).cloned().collect();
-        Routes { offered: offered.map(|(_, key, _)| key.clone()).collect(), sought }
+        let sought = clients.difference(&servers).filter(|key| elsewhere.contains(**key));
+        Routes {
+            offered: offered.map(|(_, key, _)| key.clone()).collect(),
+            sought: sought.map(|key| (*key).clone()).collect(),
+        }
     }
 }
 
@@ -146,6 +148,7 @@ impl Drop for Asked {
 pub(crate) struct Services {
     commands: Sender,
     routes: Routes,
+    held: Arc<AtomicUsize>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -159,6 +162,8 @@ impl Services {
         let (commands, received) = mpsc::unbounded();
         let commands = Sender { commands, waiting: Arc::default() };
         let sender = commands.clone();
+        let held = Arc::<AtomicUsize>::default();
+        let all_held = held.clone();
         let thread = thread.spawn(move || {
             let mut bridge = Bridge {
                 participant,
@@ -170,15 +175,18 @@ impl Services {
                 sought: BTreeMap::new(),
                 pending: FuturesUnordered::new(),
                 unanswered: Vec::new(),
+                held: all_held,
             };
             move || block_on(poll_fn(|context| bridge.poll(context)))
         })?;
-        Ok(Services { commands, routes: Routes::default(), thread: Some(thread) })
+        Ok(Services { commands, routes: Routes::default(), held, thread: Some(thread) })
     }
 
     /// Lets the thread look whether something has waited long enough. To be called now and then.
     pub(crate) fn look(&self) {
-        self.commands.tell(Command::Look);
+        if self.held.load(Ordering::Relaxed) != 0 {
+            self.commands.tell(Command::Look);
+        }
     }
 
     /// Waits until services that are now offered can be asked, so that they can be announced.
@@ -215,6 +223,8 @@ struct Bridge {
     pending: FuturesUnordered<BoxFuture<'static, ()>>,
     /// Clients that could not be told yet that there is no answer.
     unanswered: Vec<(TopicKey, RequestId)>,
+    /// How many requests wait for a server.
+    held: Arc<AtomicUsize>,
 }
 
 /// A service of this host that others may ask.
@@ -223,21 +233,50 @@ struct Offer {
     clients: Vec<RawClient>,
     /// Requests, the oldest first, with what lives as long as they are pending.
     asked: VecDeque<(AbortHandle, Weak<()>)>,
-    /// Requests that wait for a server: whoever tells of one here, a bridge, makes it when somebody asks.
-    held: VecDeque<(Query, Instant)>,
+    held: Held,
     availability: Option<Availability>,
     _queryable: Queryable<()>,
 }
 
-impl Offer {
-    /// Keeps a request until there is a server.
-    fn hold(&mut self, query: Query, since: Instant) {
-        let bytes = |query: &Query| query.payload().map_or(0, ZBytes::len);
-        let held: usize = self.held.iter().map(|(query, _)| bytes(query)).sum();
-        if self.held.len() >= MAX_HELD || held + bytes(&query) > MAX_HELD_BYTES {
+/// Requests of a service that wait for a server: whoever tells of one here, a bridge, makes it when somebody asks.
+struct Held {
+    requests: VecDeque<(Query, Instant)>,
+    bytes: usize,
+    /// How many wait for any service.
+    all: Arc<AtomicUsize>,
+}
+
+impl Held {
+    fn bytes_of(query: &Query) -> usize {
+        query.payload().map_or(0, ZBytes::len)
+    }
+
+    fn push(&mut self, query: Query, since: Instant) {
+        let bytes = self.bytes + Self::bytes_of(&query);
+        if self.requests.len() >= MAX_HELD || bytes > MAX_HELD_BYTES {
             return refuse(&query, "too many requests wait for a server".to_owned());
         }
-        self.held.push_back((query, since));
+        self.bytes = bytes;
+        self.requests.push_back((query, since));
+        self.all.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn pop(&mut self) -> Option<(Query, Instant)> {
+        let (query, since) = self.requests.pop_front()?;
+        self.bytes -= Self::bytes_of(&query);
+        self.all.fetch_sub(1, Ordering::Relaxed);
+        Some((query, since))
+    }
+
+    fn pop_late(&mut self) -> Option<Query> {
+        self.requests.front().filter(|(_, since)| since.elapsed() >= HELD_TIME)?;
+        self.pop().map(|(query, _)| query)
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.all.fetch_sub(self.requests.len(), Ordering::Relaxed);
     }
 }
 
@@ -285,7 +324,7 @@ impl Bridge {
             }
             Command::Query(key, query) => match self.offered.get_mut(&key) {
                 // After those that came before.
-                Some(offer) if !offer.held.is_empty() => offer.hold(query, Instant::now()),
+                Some(offer) if !offer.held.requests.is_empty() => offer.held.push(query, Instant::now()),
                 _ => self.take(&key, query, Instant::now(), context),
             },
             Command::Reply(key, id, payload) => {
@@ -302,12 +341,10 @@ impl Bridge {
             Command::Unanswered(key, id) => self.give_up(key, id),
             Command::Look => {
                 for offer in self.offered.values_mut() {
-                    while offer.held.front().is_some_and(|(_, since)| since.elapsed() >= HELD_TIME) {
-                        if let Some((query, _)) = offer.held.pop_front() {
-                            refuse(&query, format!("no server was there for {} s", HELD_TIME.as_secs()));
-                        }
+                    while let Some(query) = offer.held.pop_late() {
+                        refuse(&query, format!("no server was there for {} s", HELD_TIME.as_secs()));
                     }
-                    if offer.held.is_empty() {
+                    if offer.held.requests.is_empty() {
                         offer.availability = None;
                     }
                 }
@@ -322,7 +359,7 @@ impl Bridge {
         };
         match self.offered.get_mut(key) {
             Some(offer) if reason.is_passing => {
-                offer.hold(query, since);
+                offer.held.push(query, since);
                 // Polled before the thread sleeps.
                 context.waker().wake_by_ref();
             }
@@ -332,8 +369,11 @@ impl Bridge {
 
     /// Asks what waited for a server that is there now.
     fn ask_held(&mut self, context: &mut Context<'_>) {
+        if self.held.load(Ordering::Relaxed) == 0 {
+            return;
+        }
         let mut found = Vec::new();
-        for (key, offer) in self.offered.iter_mut().filter(|(_, offer)| !offer.held.is_empty()) {
+        for (key, offer) in self.offered.iter_mut().filter(|(_, offer)| !offer.held.requests.is_empty()) {
             if offer.availability.is_none() {
                 offer.availability = offer.clients.first().and_then(|client| client.availability().ok());
             }
@@ -341,7 +381,9 @@ impl Bridge {
                 offer.availability.as_mut().is_some_and(|wait| wait.poll_unpin(context).is_ready());
             if is_there {
                 offer.availability = None;
-                found.extend(offer.held.drain(..).map(|(query, since)| (key.clone(), query, since)));
+                found.extend(
+                    std::iter::from_fn(|| offer.held.pop()).map(|(query, since)| (key.clone(), query, since)),
+                );
             }
         }
         found.into_iter().for_each(|(key, query, since)| self.take(&key, query, since, context));
@@ -384,7 +426,8 @@ impl Bridge {
             })
             .wait()
             .map_err(|error| error.to_string())?;
-        let (asked, held, availability) = Default::default();
+        let held = Held { requests: VecDeque::new(), bytes: 0, all: self.held.clone() };
+        let (asked, availability) = Default::default();
         Ok(Offer { clients: vec![client], asked, held, availability, _queryable: queryable })
     }
 

@@ -15,14 +15,6 @@ use zenoh::{Session, Wait};
 const SERVICE: &str = "type_description_interfaces::srv::dds_::GetTypeDescription_";
 const SERVICE_HASH: &str = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5";
 
-fn client(of: &Host) -> Session {
-    let text = format!(
-        r#"{{ mode: "client", connect: {{ endpoints: ["{}"] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"#,
-        of.locator()
-    );
-    zenoh::open(zenoh::Config::from_json5(&text).unwrap()).wait().unwrap()
-}
-
 /// The definitions of ROS 2's service: its request or response.
 fn service_schema(part: &str) -> Arc<Schema> {
     let folder =
@@ -83,7 +75,7 @@ fn publisher_of(
 #[test]
 fn a_type_that_only_another_knows_is_learned() {
     let host = Host::first(115, 115);
-    let session = client(&host);
+    let session = host.session();
     let schema = new_schema();
     let hash = schema.hash().to_string();
     let _kept = Kept(hash.clone());
@@ -131,7 +123,7 @@ fn a_type_that_only_another_knows_is_learned() {
 #[test]
 fn nodes_here_are_asked_for_their_types() {
     let host = Host::first(116, 116);
-    let session = client(&host);
+    let session = host.session();
     let schema = new_schema();
     let hash = schema.hash().to_string();
     let _kept = Kept(hash.clone());

@@ -9,24 +9,16 @@ use support::{Host, UNKNOWN_HASH, connect, string_type, take, until, wait};
 use tautline_gateway::Direction;
 use tautline_gateway::wire::{Attachment, Token, TopicKey, endpoint_gid};
 use tautline_transport::Qos;
-use zenoh::{Session, Wait};
+use zenoh::Wait;
 
 const DOMAIN: u32 = 76;
 const TYPE: &str = "std_msgs::msg::dds_::String_";
-
-fn session(of: &Host) -> Session {
-    let text = format!(
-        r#"{{ mode: "client", connect: {{ endpoints: ["{}"] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"#,
-        of.locator()
-    );
-    zenoh::open(zenoh::Config::from_json5(&text).unwrap()).wait().unwrap()
-}
 
 #[test]
 fn nodes_of_both_generations_find_and_hear_ours() {
     let host = Host::first(DOMAIN, DOMAIN);
     let subscription = host.subscription("/x", &string_type(), Qos::keep_last(100));
-    let peer = session(&host);
+    let peer = host.session();
     let key = TopicKey::parse(&format!("{DOMAIN}/x/{TYPE}/{UNKNOWN_HASH}")).unwrap();
 
     // What a newer publisher looks for before it sends to the key below.

@@ -11,17 +11,9 @@ use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until}
 use tautline_gateway::wire::Attachment;
 use tautline_gateway::{Direction, GraphLimits};
 use tautline_transport::{Gid, Qos, TopicType};
-use zenoh::{Session, Wait};
+use zenoh::Wait;
 
 const KEY_TYPE: &str = "std_msgs::msg::dds_::String_";
-
-fn enemy(of: &Host) -> Session {
-    let text = format!(
-        r#"{{ mode: "client", connect: {{ endpoints: ["{}"] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"#,
-        of.locator()
-    );
-    zenoh::open(zenoh::Config::from_json5(&text).unwrap()).wait().unwrap()
-}
 
 fn attachment(sequence_number: i64, source_timestamp_ns: i64) -> [u8; 33] {
     Attachment { sequence_number, source_timestamp_ns, gid: Gid([0xEE; 16]) }.encode()
@@ -56,7 +48,7 @@ fn samples_that_are_none() {
         .with_hash(UNKNOWN_HASH.replace("_df", "_cc"))
         .with_body_bytes(24);
     let fixed = host.subscription("/fixed", &fixed_type, Qos::keep_last(1000));
-    let enemy = enemy(&host);
+    let enemy = host.session();
     let _token = enemy.liveliness().declare_token(token(196, 1, "MP", "x")).wait().unwrap();
     let of_fixed =
         token(196, 2, "MP", "fixed").replace("std_msgs", "geometry_msgs").replace("String_", "Vector3_");
@@ -160,7 +152,7 @@ fn samples_that_are_none() {
 fn a_claimed_length_allocates_nothing() {
     let a = Host::first(197, 197);
     let subscription = a.subscription("/x", &string_type(), Qos::keep_last(10));
-    let enemy = enemy(&a);
+    let enemy = a.session();
     let _token = enemy.liveliness().declare_token(token(197, 1, "MP", "x")).wait().unwrap();
     let payload = [0, 1, 0, 0, 0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
     let key = format!("197/x/{KEY_TYPE}/{UNKNOWN_HASH}");
@@ -182,7 +174,7 @@ fn floods_of_tokens_leave_memory_bounded_and_honest_peers_served() {
         options.limits = GraphLimits { tokens: 2000, tokens_per_session: 1000 };
     });
     let publisher = a.publisher("/x", &image_type(), Qos::keep_last(10));
-    let enemy = enemy(&a);
+    let enemy = a.session();
     let before = resident_bytes();
     let mut tokens = Vec::new();
     for n in 0..10_000 {

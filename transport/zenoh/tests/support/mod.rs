@@ -8,6 +8,7 @@ use tautline_rt::Realtime;
 use tautline_transport::{
     Limits, MessageInfo, Participant, Qos, RawPublisher, RawSample, RawSubscription, TopicType,
 };
+use zenoh::{Session, Wait};
 
 /// Nothing that a test waits for takes this long unless it is broken.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -72,6 +73,15 @@ impl Host {
     pub fn locator(&self) -> String {
         let locators = self.gateway().locators();
         locators.into_iter().find(|locator| locator.starts_with("tcp/127.0.0.1")).unwrap()
+    }
+
+    /// A plain session of Zenoh that is connected to it.
+    pub fn session(&self) -> Session {
+        let text = format!(
+            r#"{{ mode: "client", connect: {{ endpoints: ["{}"] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"#,
+            self.locator()
+        );
+        zenoh::open(zenoh::Config::from_json5(&text).unwrap()).wait().unwrap()
     }
 
     pub fn stats(&self) -> Stats {
