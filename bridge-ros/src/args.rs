@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use std::path::PathBuf;
-use tautline_bridge_ros::{Budget, Config, ConfigError, Options, Pattern, PatternError};
+use tautline_bridge_ros::{Budget, Config, ConfigError, Filter, Options, PatternError};
 use tautline_rt::Realtime;
 use tautline_transport::MAX_DOMAIN;
 
@@ -22,6 +22,7 @@ use tautline_transport::MAX_DOMAIN;
   taut bridge-ros --config bridge.toml              what the file says: names, directions, QoS, rates
   taut bridge-ros --config bridge.toml --auto       and every topic that it does not speak of
   taut bridge-ros --domain 5 --ros-domain 0         Tautline's domain 5 and ROS's domain 0
+  taut bridge-ros --standby                         takes over when the one that runs ends or dies
   taut bridge-ros --json | jq .topics
   taut bridge-ros --json | jq .services
 
@@ -74,6 +75,9 @@ pub struct Args {
     /// No such limit: a flood can starve callbacks
     #[arg(long, conflicts_with = "budget")]
     no_budget: bool,
+    /// If these domains have a bridge already, wait and take over when it ends or dies
+    #[arg(long)]
+    pub standby: bool,
     /// Print the numbers as JSON, one object a line
     #[arg(long)]
     pub json: bool,
@@ -99,8 +103,9 @@ impl Args {
         let (mut rules, mut services) = (config.rules, config.services);
         for rules in [&mut rules, &mut services] {
             rules.auto |= self.auto || self.config.is_none();
-            rules.allow.extend(patterns(&self.allow)?);
-            rules.deny.extend(patterns(&self.deny)?);
+            let also = Filter::new(&self.allow, &self.deny)?;
+            rules.filter.allow.extend(also.allow);
+            rules.filter.deny.extend(also.deny);
         }
         let domain = match self.domain.or(config.domain) {
             Some(domain) => domain,
@@ -116,10 +121,6 @@ impl Args {
         let priority = self.priority;
         Ok(Options { domain, ros_domain, rules, services, transit, priority, realtime, budget })
     }
-}
-
-fn patterns(texts: &[String]) -> Result<Vec<Pattern>, PatternError> {
-    texts.iter().map(|text| text.parse()).collect()
 }
 
 fn variable(variable: &'static str) -> Result<Option<u32>, ArgsError> {
@@ -162,7 +163,7 @@ mod tests {
                 Args::try_parse_from(["taut-bridge-ros"].into_iter().chain(command.split_whitespace()))
                     .unwrap();
             for pattern in [&args.allow, &args.deny].into_iter().flatten() {
-                pattern.parse::<Pattern>().unwrap();
+                pattern.parse::<tautline_bridge_ros::Pattern>().unwrap();
             }
             count += 1;
         }

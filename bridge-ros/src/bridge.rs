@@ -17,8 +17,8 @@ use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_relay::{Budget, Guard, RelayError};
-use tautline_rt::{JoinHandle, Realtime, RtError, Seat, SeatError, ThreadInfo};
+use tautline_relay::{Budget, Guard, Office, RelayError, Seat, SeatError};
+use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
 
 /// What a bridge is to do. Every field has a default.
@@ -70,22 +70,9 @@ impl Default for Options {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BridgeError {
-    /// There is one, which carries what this one would.
-    #[error(
-        "domain {domain} of this host and ROS domain {ros_domain} have a bridge already{}: stop that one, or give it these topics \
-         too", holder(*.pid)
-    )]
-    Taken {
-        /// Tautline's domain.
-        domain: u32,
-        /// ROS's domain.
-        ros_domain: u32,
-        /// Process id of the other, if it wrote it.
-        pid: Option<u32>,
-    },
-    /// The lock that says so.
+    /// There is one, which carries what this one would, or its lock cannot be had.
     #[error(transparent)]
-    Seat(SeatError),
+    Seat(#[from] SeatError),
     /// An RMW that does not tell whose a message is.
     #[error(
         "with {rmw} the bridge cannot know whose a message is: set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for it (nodes on other DDS \
@@ -107,10 +94,6 @@ pub enum BridgeError {
     /// A thread.
     #[error(transparent)]
     Threads(#[from] RtError),
-}
-
-fn holder(pid: Option<u32>) -> String {
-    pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
 }
 
 impl From<RelayError> for BridgeError {
@@ -178,13 +161,22 @@ impl Bridge {
     /// # Errors
     /// [`BridgeError`].
     pub fn spawn(options: Options) -> Result<Self, BridgeError> {
+        Self::spawn_in(options, None)
+    }
+
+    /// As [`spawn`](Self::spawn), in a seat that was waited for, if it was.
+    ///
+    /// # Errors
+    /// [`BridgeError`].
+    pub fn spawn_in(options: Options, seat: Option<Seat>) -> Result<Self, BridgeError> {
         let rmw = known_rmw(rmw_implementation())?;
         let participant = Participant::new(options.domain)?;
         // From the first port on it is known that they stand for others.
         participant.set_remote(&RemoteGraph::default())?;
         let before = tautline_rt::threads()?;
         let context = Context::new(options.ros_domain)?;
-        let seat = take_seat(options.domain, context.domain())?;
+        let office = Office::bridge(options.domain, context.domain());
+        let seat = seat.map_or_else(|| office.take(), Ok)?;
         let node = Node::new(&context, &node_name(options.domain), "/")?;
         let priorities = threads::Priorities::new(options.priority, options.realtime)?;
         priorities.set(&threads::started_since(&before)?)?;
@@ -282,15 +274,6 @@ impl Drop for Bridge {
 fn known_rmw(rmw: String) -> Result<String, BridgeError> {
     // Its messages carry an instance handle.
     if rmw == "rmw_cyclonedds_cpp" { Err(BridgeError::Rmw { rmw }) } else { Ok(rmw) }
-}
-
-/// One bridge per user and pair of domains on a host.
-fn take_seat(domain: u32, ros_domain: u32) -> Result<Seat, BridgeError> {
-    let name = format!("{}/bridge_ros_{ros_domain}", tautline_rt::domain::shared_folder(domain));
-    Seat::take(&name).map_err(|error| match error {
-        SeatError::Taken { pid, .. } => BridgeError::Taken { domain, ros_domain, pid },
-        error => BridgeError::Seat(error),
-    })
 }
 
 /// Begins as all bridges' do: what is left of one in ROS after it was killed is known by it.

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file that says which topics are bridged, and how. All that is wrong with it is said at once, with its line.
 
-use crate::pattern::Pattern;
 use crate::rcl::{is_message_type, is_service_type};
 use crate::rules::{Direction, QosOverride, Rule, Rules};
 use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use tautline_relay::{Filter, Pattern};
 use tautline_transport::{Durability, History, Limits, MAX_DOMAIN, Reliability};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -149,8 +149,9 @@ impl<'t> Reader<'t> {
             services.push(action);
         }
         self.unknown(&root);
-        let services = Rules { rules: services, auto, allow: allow.clone(), deny: deny.clone() };
-        Config { domain, ros_domain, rules: Rules { rules, auto, allow, deny }, services, transit }
+        let filter = Filter { allow, deny };
+        let services = Rules { rules: services, auto, filter: filter.clone() };
+        Config { domain, ros_domain, rules: Rules { rules, auto, filter }, services, transit }
     }
 
     /// The tables `[[name]]`.

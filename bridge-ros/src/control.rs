@@ -15,7 +15,6 @@ use crate::rcl::{Node, RosPublisher, RosSubscription};
 use crate::ros_graph::RosGraph;
 use crate::rules::{Direction, Rules};
 use crate::services::{Routes, Services};
-use crate::stats::Book;
 use crate::table::{OwnTable, Tables};
 use crate::types::{BridgedType, Types};
 use counterparts::{Counterparts, MATCH_TIME};
@@ -25,11 +24,10 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::Transit;
+use tautline_relay::{Book, Counters, Transit};
 use tautline_transport::{
-    Claim, Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos,
-    RawPublisher, RawSubscription, ServiceEndpoint, TopicEndpoint, TopicType,
-    TransportError,
+    Claim, Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos, RawPublisher,
+    RawSubscription, ServiceEndpoint, TopicEndpoint, TopicType, TransportError,
 };
 
 /// What the control thread is told.
@@ -69,7 +67,7 @@ pub(crate) struct Control {
     place: String,
     /// Whether the last look at what exists failed.
     is_stale: bool,
-    book: Book,
+    book: Book<TopicKey, Direction>,
     counterparts: Counterparts,
     out: BTreeMap<TopicKey, Outward>,
     /// Topics whose samples are not taken before their publishers in ROS have found somebody.
@@ -420,9 +418,9 @@ impl Control {
         Ok(Some(port))
     }
 
-    fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<crate::stats::Counters> {
+    fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
         let (out, inward) = (&self.out, &self.inward);
-        self.book.counters(key, direction, |key, direction| is_active(out, inward, key, direction))
+        self.book.counters(key.clone(), direction, |key, direction| is_active(out, inward, key, direction))
     }
 
     fn read_numbers(&mut self, elapsed: Duration) {
@@ -437,7 +435,7 @@ impl Control {
         stats.incompatible_qos = self.counterparts.incompatible();
         let (out, inward) = (&self.out, &self.inward);
         stats.topics =
-            self.book.read(&stats.topics, elapsed, |key, direction| is_active(out, inward, key, direction));
+            self.book.read(elapsed, TopicKey::clone, |key, direction| is_active(out, inward, key, direction));
     }
 }
 

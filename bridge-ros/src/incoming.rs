@@ -11,11 +11,11 @@ use crate::rcl::{
     Context, GuardCondition, RclError, RosMessageInfo, RosSubscription, SerializedMessage, WaitSet, Waitable,
 };
 use crate::ros_graph::NAME_TIME;
-use crate::stats::{Counters, Numbers};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
+use tautline_relay::{Counters, Numbers};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::{DynamicMessage, Endian, Schema};
@@ -347,7 +347,7 @@ impl Route {
             self.inlet.counters.lost(missing);
         }
         match self.inlet.pass(bytes, info) {
-            Ok(len_bytes) => self.inlet.counters.passed(len_bytes),
+            Ok(len_bytes) => self.inlet.counters.passed(len_bytes, info.source_timestamp_ns),
             Err(reason) => self.inlet.counters.dropped(reason),
         }
     }

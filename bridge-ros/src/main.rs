@@ -10,8 +10,9 @@ use args::Args;
 use clap::Parser;
 use std::io::IsTerminal;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline_bridge_ros::{Bridge, Options};
+use tautline_bridge_ros::{Bridge, BridgeError, Office, Options};
 use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
 
@@ -43,7 +44,7 @@ enum Failure {
     #[error(transparent)]
     Args(#[from] args::ArgsError),
     #[error(transparent)]
-    Bridge(#[from] tautline_bridge_ros::BridgeError),
+    Bridge(#[from] BridgeError),
     #[error("signals cannot be handled: {0}")]
     Signals(#[source] std::io::Error),
 }
@@ -51,11 +52,22 @@ enum Failure {
 fn run(args: &Args) -> Result<(), Failure> {
     let options = args.options()?;
     let stop = stop_on_signals().map_err(Failure::Signals)?;
-    let bridge = Bridge::spawn(options.clone())?;
+    let Some(bridge) = start(args, options.clone(), &stop)? else { return Ok(()) };
     introduce(&bridge, &options);
     let interval = Duration::from_secs_f64(args.interval);
     show_until(&stop, interval, args.json, || bridge.stats(), status::line);
     Ok(())
+}
+
+/// `None`: a signal came while another bridge was waited for.
+fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Bridge>, Failure> {
+    if !args.standby {
+        return Ok(Some(Bridge::spawn(options)?));
+    }
+    // What the environment says is in the options.
+    let office = Office::bridge(options.domain, options.ros_domain.unwrap_or(0));
+    let seat = office.wait(|| stop.load(Ordering::Relaxed)).map_err(BridgeError::from)?;
+    Ok(seat.map(|seat| Bridge::spawn_in(options, Some(seat))).transpose()?)
 }
 
 /// What it does: once, to standard error.

@@ -16,19 +16,21 @@
 //! [`Transit`](tautline_relay::Transit).
 
 use crate::rules::{Choice, Direction, Rules};
+use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tautline_relay::RELAYED_DEPTH;
 use tautline_transport::{Durability, EndpointKind, Gid, History, Limits, Qos, Reliability, TopicEndpoint};
 
 /// A topic on both sides.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub struct TopicKey {
     /// Tautline's name of it.
     pub topic: String,
     /// ROS's name of it.
     pub ros_topic: String,
     /// What it carries.
+    #[serde(rename = "type")]
     pub type_name: String,
 }
 

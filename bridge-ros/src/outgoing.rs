@@ -6,10 +6,9 @@
 use crate::mirror::TopicKey;
 use crate::rate::Limiter;
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
-use crate::stats::Counters;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Last, Outlet, Relay, Taken};
+use tautline_relay::{Counters, EarlyLimits, Last, Outlet, Relay, Taken};
 use tautline_rt::clock::monotonic_ns;
 
 /// XCDR1, little endian.
@@ -60,7 +59,7 @@ impl Outlet for Ros {
         }
         let body = sample.body();
         match self.buffer.assign(&ENCAPSULATION, body).and_then(|()| writer.publisher.publish(&self.buffer)) {
-            Ok(()) => topic.counters.passed(body.len()),
+            Ok(()) => topic.counters.passed(body.len(), sample.info().source_timestamp_ns),
             Err(error) => topic.counters.dropped(error.reason),
         }
     }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which topics are bridged, which way, and how: what the configuration and the command line say.
 
-use crate::pattern::Pattern;
 use serde::Serialize;
 use std::time::Duration;
+use tautline_relay::{Filter, Pattern};
 use tautline_transport::{Durability, History, Qos, Reliability};
 
 /// Which way messages go.
@@ -79,10 +79,8 @@ pub struct Rules {
     pub rules: Vec<Rule>,
     /// Whether topics that no rule speaks of are bridged too.
     pub auto: bool,
-    /// Of those: only these, if there are any.
-    pub allow: Vec<Pattern>,
-    /// Of all: none of these.
-    pub deny: Vec<Pattern>,
+    /// Of those, which; what it denies is not bridged whatever a rule says.
+    pub filter: Filter,
 }
 
 /// What is said of one topic.
@@ -110,7 +108,7 @@ impl Choice {
 impl Rules {
     /// What is said of Tautline's `topic`; `None` if it is not bridged.
     pub fn choice(&self, topic: &str) -> Option<Choice> {
-        if self.deny.iter().any(|pattern| pattern.matches(topic)) {
+        if self.filter.denies(topic) {
             return None;
         }
         if let Some(rule) = self.rules.iter().find(|rule| rule.matches(topic)) {
@@ -123,8 +121,7 @@ impl Rules {
                 min_period: rule.min_period,
             });
         }
-        let is_allowed = self.allow.is_empty() || self.allow.iter().any(|pattern| pattern.matches(topic));
-        (self.auto && is_allowed).then(|| Choice {
+        (self.auto && self.filter.allows(topic)).then(|| Choice {
             ros_topic: topic.to_owned(),
             direction: None,
             type_name: None,
@@ -189,10 +186,11 @@ mod tests {
 
     #[test]
     fn auto_allow_and_deny() {
-        let deny = vec![pattern("/camera/**")];
-        let auto = Rules { auto: true, deny, ..Rules::default() };
+        let filter = Filter { deny: vec![pattern("/camera/**")], ..Filter::default() };
+        let auto = Rules { auto: true, filter, ..Rules::default() };
         assert!(auto.choice("/x").is_some() && auto.choice("/camera/raw").is_none());
-        let only = Rules { allow: vec![pattern("/a/*")], rules: vec![Rule::new(pattern("/b"))], ..auto };
+        let filter = Filter { allow: vec![pattern("/a/*")], ..auto.filter };
+        let only = Rules { filter, rules: vec![Rule::new(pattern("/b"))], ..auto };
         let bridged = ["/a/x", "/b"].map(|name| only.choice(name).is_some());
         assert_eq!((bridged, only.choice("/x")), ([true, true], None));
         assert_eq!(Rules { auto: false, ..only }.choice("/a/x"), None);

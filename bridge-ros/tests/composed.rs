@@ -265,7 +265,7 @@ fn a_ring_of_bridges_and_gateways_neither_loops_nor_doubles() {
         program.topic("/ring", direction)[what].as_u64().is_some_and(|count| count > 0)
     };
     connect(&talkers, &listeners, || {
-        gateways.iter().all(|gateway| has_passed(gateway, "in", "samples"))
+        gateways.iter().all(|gateway| has_passed(gateway, "in", "messages"))
             && bridges.iter().all(|bridge| has_passed(bridge, "from_ros", "messages"))
             && bridges.iter().all(|bridge| has_passed(bridge, "to_ros", "messages"))
             && participants.iter().all(is_listed)
@@ -275,7 +275,7 @@ fn a_ring_of_bridges_and_gateways_neither_loops_nor_doubles() {
 
     // One way ends without a word: the other one serves, until the first one is back.
     let [first, second] = gateways;
-    let count = |gateway: &Program| gateway.topic("/ring", "in")["samples"].as_u64().unwrap_or(0);
+    let count = |gateway: &Program| gateway.topic("/ring", "in")["messages"].as_u64().unwrap_or(0);
     let first = first.again(true, || {
         connect(&talkers, &listeners, || second.stats()["links"] == 0 && participants.iter().all(is_listed));
         exchange(&talkers, &listeners, 500);

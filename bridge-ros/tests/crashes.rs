@@ -45,6 +45,24 @@ fn a_killed_bridge_and_a_killed_node_are_replaced() {
         });
     });
 
+    recovers("a bridge that was killed while another one stood by", || {
+        let next = BridgeProcess::stand_by(DOMAIN, DOMAIN);
+        assert!(next.stats().is_null(), "it waits");
+        bridge.replace(next).unwrap().kill();
+        bridge.as_mut().unwrap().wait_for_numbers();
+        let mut heard = Vec::new();
+        wait_until("something to be heard of the one that stood by", || {
+            here.publish(&text_body("by the next")).unwrap();
+            heard = peer.take_texts(there, 0);
+            heard.iter().any(|text| text == "by the next")
+        });
+        wait_until("something to be heard through the one that stood by", || {
+            peer.publish_text(theirs, &["by the next"]);
+            std::iter::from_fn(|| from_ros.try_take().unwrap())
+                .any(|sample| sample.body() == text_body("by the next"))
+        });
+    });
+
     let mut peer = Some(peer);
     recovers("a node that was killed and restarted", || {
         if let Some(peer) = peer.take() {

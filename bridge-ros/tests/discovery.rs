@@ -309,7 +309,8 @@ fn two_bridges_neither_loop_nor_double() {
     let refused = support::failure_of(&["--domain", "14", "--ros-domain", "13", "--no-rt"], |_| {});
     let pid = bridges[1].pid();
     assert!(
-        refused.contains("have a bridge already") && refused.contains(&format!("process {pid}")),
+        refused.contains("has a bridge to ROS domain 13 already")
+            && refused.contains(&format!("process {pid}")),
         "{refused}"
     );
     let participants = DOMAINS.map(|domain| Participant::new(domain).unwrap());

@@ -21,6 +21,7 @@ pub struct ServiceStats {
     /// ROS's name of it.
     pub ros_service: String,
     /// Its type.
+    #[serde(rename = "type")]
     pub type_name: String,
     /// To whom it is offered: `to_ros` is a service of Tautline's.
     pub direction: Direction,

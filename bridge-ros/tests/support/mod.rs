@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::ops::Deref;
+use std::ops::{Deref, DerefMut};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -231,7 +231,14 @@ pub struct Program {
 
 impl Program {
     /// Returns once it has printed numbers.
-    fn start(name: &'static str, mut command: Command) -> Self {
+    fn start(name: &'static str, command: Command) -> Self {
+        let mut program = Self::spawn(name, command);
+        program.wait_for_numbers();
+        program
+    }
+
+    /// As [`start`](Self::start), but one that may have to wait before it has numbers.
+    fn spawn(name: &'static str, mut command: Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let (last, said) = (Arc::new(Mutex::new(Value::Null)), Arc::new(Mutex::new(String::new())));
         let (output, errors) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
@@ -247,13 +254,15 @@ impl Program {
                 *to_said.lock().unwrap() += &format!("{line}\n");
             }
         });
-        let mut program = Program { child, last, said };
+        Program { child, last, said }
+    }
+
+    pub fn wait_for_numbers(&mut self) {
         wait_until("its first numbers", || {
-            let status = program.child.try_wait().unwrap();
-            assert!(status.is_none(), "the {name} ended: {}", program.said());
-            program.stats().is_object()
+            let status = self.child.try_wait().unwrap();
+            assert!(status.is_none(), "it ended: {}", self.said());
+            self.stats().is_object()
         });
-        program
     }
 
     /// The numbers that it printed last.
@@ -304,6 +313,12 @@ impl Drop for Program {
 /// `taut-bridge-ros`.
 pub struct BridgeProcess(Program);
 
+impl DerefMut for BridgeProcess {
+    fn deref_mut(&mut self) -> &mut Program {
+        &mut self.0
+    }
+}
+
 impl Deref for BridgeProcess {
     type Target = Program;
 
@@ -326,6 +341,21 @@ impl BridgeProcess {
         arguments: &[&str],
         change: impl FnOnce(&mut Command),
     ) -> Self {
+        BridgeProcess(Program::start("bridge", Self::command(domain, ros_domain, arguments, change)))
+    }
+
+    /// One that takes over when the one that runs ends.
+    pub fn stand_by(domain: u32, ros_domain: u32) -> Self {
+        let command = Self::command(domain, ros_domain, &["--standby", "--no-rt"], |_| {});
+        BridgeProcess(Program::spawn("bridge on standby", command))
+    }
+
+    fn command(
+        domain: u32,
+        ros_domain: u32,
+        arguments: &[&str],
+        change: impl FnOnce(&mut Command),
+    ) -> Command {
         [domain, ros_domain].into_iter().for_each(reserve);
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut-bridge-ros"));
         command.args(["--domain", &domain.to_string(), "--ros-domain", &ros_domain.to_string()]);
@@ -334,7 +364,7 @@ impl BridgeProcess {
         // What may be said on the terminal that runs the tests is no concern of theirs.
         command.env_remove("RUST_LOG").env_remove("ROS_DOMAIN_ID").env_remove("TAUT_DOMAIN");
         change(&mut command);
-        BridgeProcess(Program::start("bridge", command))
+        command
     }
 
     /// The numbers of a service.

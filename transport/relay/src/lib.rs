@@ -6,16 +6,22 @@
 //! nothing of it. [`show_until`] is what such a program does meanwhile.
 
 mod budget;
+mod pattern;
 mod process;
 mod program;
 mod relay;
 mod route;
+mod seat;
+mod stats;
 mod transit;
 mod waker;
 
 pub use budget::{Budget, Guard, WatchedThreads};
+pub use pattern::{Filter, Pattern, PatternError};
 pub use process::process_node;
 pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
 pub use relay::{PassedOver, Relay, RelayError};
 pub use route::{EarlyLimits, Last, Outlet, Taken};
+pub use seat::{Office, Seat, SeatError};
+pub use stats::{Book, Counters, Latency, Numbers, Reading, TopicStats, passing};
 pub use transit::{RELAYED_DEPTH, Transit};

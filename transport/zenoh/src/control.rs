@@ -2,7 +2,6 @@
 //! The control thread: hears of changes here and elsewhere, asks the mirror what follows, and does it.
 
 use crate::descriptions::Descriptions;
-use crate::filter::Filter;
 use crate::gateway::{Options, Shared};
 use crate::graph::Graph;
 use crate::incoming::{Checks, Incoming, Inlet, OwnGids, port_qos};
@@ -11,14 +10,14 @@ use crate::mirror::{Action, InQos, Mirror, OutQos, Writer};
 use crate::outgoing::{Outgoing, Sender};
 use crate::remote::remote_graph;
 use crate::services::{Routes, Services};
-use crate::stats::{Counters, Direction, Reading, TopicStats, refused_by_reason};
+use crate::stats::{Direction, TopicNames, refused_by_reason};
 use crate::types::Types;
 use crate::wire::{EndpointKind, MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, PoisonError, RwLock, mpsc};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::Transit;
+use tautline_relay::{Book, Counters, Filter, Numbers, Transit};
 use tautline_schema::{Packages, TypeHash, TypeName};
 use tautline_transport::{Gid, Limits, Participant, Qos, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
@@ -75,8 +74,6 @@ const BATCH: Duration = Duration::from_millis(20);
 const BATCH_PER_TOKEN: Duration = Duration::from_micros(100);
 /// How long others are waited for when all tokens are asked for.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
-/// Topics whose numbers are kept after they ended, besides those that are mirrored.
-const MAX_COUNTED: usize = 4096;
 
 pub(crate) struct Control {
     options: Options,
@@ -89,9 +86,8 @@ pub(crate) struct Control {
     /// Own gids by the local publisher's, with its topic.
     gids: HashMap<Gid, (TopicKey, Gid)>,
     tokens: HashMap<String, LivelinessToken>,
-    /// Each with the publishers whose samples come into the domain another way.
-    incoming: BTreeMap<TopicKey, (Incoming, OwnGids)>,
-    counters: BTreeMap<(TopicKey, Direction), Arc<Counters>>,
+    incoming: BTreeMap<TopicKey, Inward>,
+    book: Book<TopicKey, Direction>,
     active: BTreeSet<(TopicKey, Direction)>,
     /// Topics that could not be started, with what is to be done and why it failed.
     failed: BTreeMap<(TopicKey, Direction), (Vec<Action>, String)>,
@@ -111,6 +107,15 @@ pub(crate) struct Control {
     is_unseen: bool,
     shown: Instant,
     started: Instant,
+}
+
+/// A topic that comes in.
+struct Inward {
+    _incoming: Incoming,
+    /// Publishers whose samples come into the domain another way.
+    passed_over: OwnGids,
+    /// What has come.
+    numbers: Arc<Mutex<Numbers>>,
 }
 
 impl Control {
@@ -141,7 +146,7 @@ impl Control {
             gids: HashMap::new(),
             tokens: HashMap::new(),
             incoming: BTreeMap::new(),
-            counters: BTreeMap::new(),
+            book: Book::default(),
             active: BTreeSet::new(),
             failed: BTreeMap::new(),
             retried: None,
@@ -321,8 +326,8 @@ impl Control {
             }
             Action::PassOver(key) => {
                 let gids = self.passed_over_of(&key);
-                if let Some((_, passed_over)) = self.incoming.get(&key) {
-                    *passed_over.write().unwrap_or_else(PoisonError::into_inner) = gids;
+                if let Some(inward) = self.incoming.get(&key) {
+                    *inward.passed_over.write().unwrap_or_else(PoisonError::into_inner) = gids;
                 }
             }
             Action::Resync => self.resync(),
@@ -372,6 +377,7 @@ impl Control {
 
     fn start_in(&mut self, key: &TopicKey, qos: InQos) -> Result<(), String> {
         // Of one that runs: what is kept is asked for again, so that the new port has it for late joiners on this host.
+        let numbers = self.incoming.get(key).map(|inward| inward.numbers.clone()).unwrap_or_default();
         self.stop_in(key);
         let topic_type = self.topic_type(key).map_err(|error| error.to_string())?;
         let (offered, limits) = (port_qos(qos), Limits::default());
@@ -390,9 +396,9 @@ impl Control {
         let own = self.own.clone();
         let passed_over: OwnGids = Arc::new(RwLock::new(self.passed_over_of(key)));
         let checks = Checks { own, passed_over: passed_over.clone(), lifespans, max_bytes, schema };
-        let inlet = Inlet::new(publisher, counters, checks);
+        let inlet = Inlet::new(publisher, counters, numbers.clone(), checks);
         let incoming = Incoming::start(&self.session, key, qos, inlet).map_err(|error| error.to_string())?;
-        self.incoming.insert(key.clone(), (incoming, passed_over));
+        self.incoming.insert(key.clone(), Inward { _incoming: incoming, passed_over, numbers });
         self.active.insert((key.clone(), Direction::In));
         Ok(())
     }
@@ -406,10 +412,9 @@ impl Control {
     }
 
     fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
-        if self.counters.len() >= MAX_COUNTED {
-            self.counters.retain(|id, _| self.active.contains(id));
-        }
-        self.counters.entry((key.clone(), direction)).or_insert_with(|| Arc::new(Counters::new())).clone()
+        let active = &self.active;
+        let is_active = |key: &TopicKey, direction| active.contains(&(key.clone(), direction));
+        self.book.counters(key.clone(), direction, is_active)
     }
 
     fn fail(&mut self, key: TopicKey, direction: Direction, action: Action, reason: String) {
@@ -499,22 +504,9 @@ impl Control {
         let failed = self.failed.iter().map(|((key, _), (_, reason))| (key.topic.clone(), reason.clone()));
         stats.not_mirrored.extend(failed);
         stats.not_mirrored.extend(self.mirror.mismatches());
-        let before = std::mem::take(&mut stats.topics);
-        let old: HashMap<_, _> =
-            before.iter().map(|topic| ((&*topic.topic, &*topic.type_name, topic.direction), topic)).collect();
-        let read = |((key, direction), counters): (&(TopicKey, Direction), &Arc<Counters>)| {
-            let type_name = key.type_id.name.as_str();
-            let old = old.get(&(&*key.topic, type_name, *direction));
-            let reading: Reading = counters.read(old.map(|old| (*old, elapsed)));
-            TopicStats {
-                topic: key.topic.clone(),
-                type_name: type_name.into(),
-                direction: *direction,
-                active: self.active.contains(&(key.clone(), *direction)),
-                reading,
-            }
-        };
-        stats.topics = self.counters.iter().map(read).collect();
+        let active = &self.active;
+        let is_active = |key: &TopicKey, direction| active.contains(&(key.clone(), direction));
+        stats.topics = self.book.read(elapsed, TopicNames::of, is_active);
     }
 
     /// The graph of other hosts changed a while ago: shows it, and looks for the hashes of types that only others know.

@@ -7,7 +7,6 @@
 use crate::control::Event;
 use crate::graph::Graph;
 use crate::mirror::LocalEndpoint;
-use crate::stats::unix_ns;
 use crate::types::Types;
 use crate::wire::{
     Attachment, ENCAPSULATION, Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos,
@@ -16,6 +15,7 @@ use crate::wire::{
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
+use tautline_rt::clock::wall_ns;
 use tautline_schema::{DynamicMessage, Packages, Schema, SchemaError, TypeDescription, TypeName};
 use tautline_transport::{Gid, MAX_SCHEMA_BYTES, Origin, SchemaStore};
 use zenoh::bytes::ZBytes;
@@ -170,7 +170,7 @@ impl Descriptions {
         });
         let request = DynamicMessage::from_json_value(&self.request, request)?.to_cdr();
         let attachment =
-            Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid::default() };
+            Attachment { sequence_number: 1, source_timestamp_ns: wall_ns(), gid: Gid::default() };
         let (events, asked) = (self.events.clone(), id.clone());
         let answer = move |reply: Reply| {
             let Ok(sample) = reply.result() else { return };
@@ -277,7 +277,7 @@ impl Descriptions {
             Ok((reply, outcome)) => {
                 self.count(outcome);
                 let asked = query.attachment().and_then(|bytes| Attachment::parse(&bytes.to_bytes()).ok());
-                let echoed = Attachment { source_timestamp_ns: unix_ns(), ..asked.unwrap_or_default() };
+                let echoed = Attachment { source_timestamp_ns: wall_ns(), ..asked.unwrap_or_default() };
                 let sent =
                     query.reply(query.key_expr().clone(), reply).attachment(echoed.encode().as_slice());
                 if let Err(error) = sent.wait() {

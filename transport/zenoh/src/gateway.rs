@@ -4,11 +4,9 @@
 use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
 use crate::control::{Control, Event, tokens_to};
 use crate::descriptions::Descriptions;
-use crate::filter::Filter;
 use crate::graph::GraphLimits;
 use crate::outgoing::{self, THREADS};
 use crate::rules::Rule;
-use crate::seat::{Seat, SeatError};
 use crate::services::Services;
 use crate::session::{self, SessionError, network_threads};
 use crate::stats::Stats;
@@ -16,7 +14,7 @@ use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_relay::{Budget, Guard, RelayError};
+use tautline_relay::{Budget, Filter, Guard, Office, RelayError, Seat, SeatError};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
 use tautline_transport::{Participant, RemoteGraph, SchemaStore, TransportError};
@@ -148,7 +146,7 @@ impl Gateway {
     /// # Errors
     /// [`GatewayError`]: another gateway of the domain, a configuration, a missing privilege.
     pub fn spawn(options: Options) -> Result<Self, GatewayError> {
-        let seat = Seat::take(options.domain)?;
+        let seat = Office::gateway(options.domain).take()?;
         Self::spawn_in(options, seat)
     }
 

@@ -7,11 +7,12 @@
 
 use crate::lifespans::Lifespans;
 use crate::mirror::InQos;
-use crate::stats::{Counters, unix_ns};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
+use tautline_relay::{Counters, Numbers};
+use tautline_rt::clock::wall_ns;
 use tautline_schema::{DynamicMessage, Endian, Schema};
 use tautline_transport::{
     Durability, Gid, History, Limits, LoanError, MessageInfo, PublishError, RawPublisher, Reliability,
@@ -112,15 +113,22 @@ pub(crate) struct Inlet {
     /// Samples of one topic come from several links' threads.
     port: Mutex<RawPublisher>,
     counters: Arc<Counters>,
+    numbers: Arc<Mutex<Numbers>>,
     checks: Checks,
     /// Of a type whose size is fixed and known.
     body_bytes: Option<usize>,
 }
 
 impl Inlet {
-    pub(crate) fn new(port: RawPublisher, counters: Arc<Counters>, checks: Checks) -> Self {
+    /// `numbers` are what came through the one before it.
+    pub(crate) fn new(
+        port: RawPublisher,
+        counters: Arc<Counters>,
+        numbers: Arc<Mutex<Numbers>>,
+        checks: Checks,
+    ) -> Self {
         let body_bytes = port.topic_type().body_bytes;
-        Inlet { port: Mutex::new(port), counters, checks, body_bytes }
+        Inlet { port: Mutex::new(port), counters, numbers, checks, body_bytes }
     }
 
     fn receive(&self, sample: &Sample, are_numbers_whole: bool) {
@@ -128,7 +136,11 @@ impl Inlet {
             return self.counters.dropped(Dropped::Deletion);
         }
         match self.take(sample.payload(), sample.attachment()) {
-            Ok(taken) if are_numbers_whole => self.counters.follow(taken.gid, taken.sequence_number),
+            Ok(taken) if are_numbers_whole => {
+                let mut numbers = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);
+                let missing = numbers.missing(taken.gid, taken.sequence_number.unsigned_abs());
+                self.counters.lost(missing.unwrap_or(0));
+            }
             Ok(_) | Err(Dropped::Elsewhere) => {}
             Err(reason) => self.counters.dropped(reason),
         }
@@ -144,7 +156,7 @@ impl Inlet {
         }
         let sequence_number = u64::try_from(attachment.sequence_number).map_err(|_| Dropped::Sequence)?;
         let source_timestamp_ns = attachment.source_timestamp_ns;
-        if source_timestamp_ns < 0 || source_timestamp_ns.saturating_sub(unix_ns()) > FUTURE_NS {
+        if source_timestamp_ns < 0 || source_timestamp_ns.saturating_sub(wall_ns()) > FUTURE_NS {
             return Err(Dropped::Time);
         }
         let left = self.left(attachment.gid, source_timestamp_ns)?;
@@ -176,7 +188,7 @@ impl Inlet {
     /// of this host's clock is new.
     fn left(&self, publisher: Gid, source_timestamp_ns: i64) -> Result<Option<Duration>, Dropped> {
         let Some(lifespan_ns) = self.checks.lifespans.get(&publisher) else { return Ok(None) };
-        let age_ns = unix_ns().saturating_sub(source_timestamp_ns).max(0).unsigned_abs();
+        let age_ns = wall_ns().saturating_sub(source_timestamp_ns).max(0).unsigned_abs();
         match lifespan_ns.saturating_sub(age_ns) {
             0 => Err(Dropped::Expired),
             left_ns => Ok(Some(Duration::from_nanos(left_ns))),
@@ -263,8 +275,8 @@ mod tests {
         let lifespans = Arc::<Lifespans>::default();
         let (own, passed_over) = Default::default();
         let checks = Checks { own, passed_over, lifespans: lifespans.clone(), max_bytes: 100, schema };
-        let inlet = Inlet::new(port, Arc::new(Counters::new()), checks);
-        let attachment = Attachment { sequence_number: 1, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
+        let inlet = Inlet::new(port, Arc::default(), Arc::default(), checks);
+        let attachment = Attachment { sequence_number: 1, source_timestamp_ns: wall_ns(), gid: Gid([3; 16]) };
         let attachment = ZBytes::from(attachment.encode());
         let take = |body: &[u8]| {
             inlet.take(&ZBytes::from([&ENCAPSULATION[..], body].concat()), Some(&attachment)).map(drop)
@@ -285,7 +297,7 @@ mod tests {
             [(HOUR_NS + 1, Err(Dropped::Expired)), (HOUR_NS / 2, Ok(())), (-HOUR_NS / 2, Ok(()))]
         {
             let attachment =
-                Attachment { sequence_number: 2, source_timestamp_ns: unix_ns() - age_ns, gid: Gid([3; 16]) };
+                Attachment { sequence_number: 2, source_timestamp_ns: wall_ns() - age_ns, gid: Gid([3; 16]) };
             let payload = ZBytes::from([&ENCAPSULATION[..], &body].concat());
             let taken = inlet.take(&payload, Some(&ZBytes::from(attachment.encode())));
             assert_eq!(taken.map(drop), expected, "{age_ns}");
@@ -296,7 +308,7 @@ mod tests {
         let expired = || subscription.counters().expired();
         while expired() == 0 {
             let attachment =
-                Attachment { sequence_number: 3, source_timestamp_ns: unix_ns(), gid: Gid([3; 16]) };
+                Attachment { sequence_number: 3, source_timestamp_ns: wall_ns(), gid: Gid([3; 16]) };
             let payload = ZBytes::from([&ENCAPSULATION[..], &body].concat());
             let taken = inlet.take(&payload, Some(&ZBytes::from(attachment.encode())));
             let over_ns = tautline_rt::clock::monotonic_ns() + 3_000_000;

@@ -9,6 +9,7 @@ use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{
     Gid, GraphSnapshot, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint,
 };
+use zenoh::key_expr::keyexpr;
 
 /// The nodes; the endpoints that can be mirrored, and the topics and services that cannot, with the reason.
 #[derive(Default)]
@@ -121,6 +122,9 @@ fn type_id(
     hash: Option<&str>,
     hash_of: &mut impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Result<TypeId, String> {
+    if !keyexpr::new(topic.trim_start_matches('/')).is_ok_and(|key| !key.is_wild()) {
+        return Err("its name is no key of Zenoh's: leave '*', '$', '?', '#' and empty parts out".to_owned());
+    }
     let name: TypeName = name.parse().map_err(|_| format!("'{name}' is no ROS 2 type name"))?;
     let hash = match hash {
         Some(text) => text.parse().ok(),

@@ -12,7 +12,7 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline_gateway::{Gateway, Options, Seat};
+use tautline_gateway::{Gateway, Office, Options};
 use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
 use tracing_subscriber::Layer;
@@ -69,7 +69,8 @@ fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gate
         return Ok(Some(Gateway::spawn(options)?));
     }
     let stopped = || stop.load(Ordering::Relaxed);
-    let seat = Seat::wait(options.domain, stopped).map_err(tautline_gateway::GatewayError::from)?;
+    let seat = Office::gateway(options.domain).wait(stopped);
+    let seat = seat.map_err(tautline_gateway::GatewayError::from)?;
     Ok(seat.map(|seat| Gateway::spawn_in(options, seat)).transpose()?)
 }
 

@@ -12,14 +12,13 @@
 //! in circles, or twice: see [`Transit`](tautline_relay::Transit). The gateway's own ports are no local endpoints (whoever calls
 //! [`Mirror::set_locals`] leaves them out), the session's own tokens are no remote ones.
 
-use crate::filter::Filter;
 use crate::graph::{Change, Graph, RemoteEndpoint};
 use crate::origin::named;
 use crate::wire::{
     CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos, endpoint_gid,
 };
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
-use tautline_relay::RELAYED_DEPTH;
+use tautline_relay::{Filter, RELAYED_DEPTH};
 use tautline_transport::{Durability, Gid, History, Origin, Rank, Reliability};
 
 /// A node on this host, or one that others tell of here.

@@ -8,12 +8,11 @@
 
 use crate::mirror::Writer;
 use crate::rules::{BULK_BYTES, Rule, Urgency, ruled};
-use crate::stats::Counters;
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey};
 use std::any::Any;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Last, Outlet, Relay, RelayError, Taken};
+use tautline_relay::{Counters, EarlyLimits, Last, Outlet, Relay, RelayError, Taken};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
 use tautline_transport::{Durability, History, MessageInfo, Participant, RawSample, Reliability};
 use zenoh::bytes::ZBytes;

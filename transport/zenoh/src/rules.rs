@@ -2,9 +2,9 @@
 //! In which order samples go over a link that is busy: a rule for the topic, else by size. Small ones go first, so that
 //! an image never delays a command.
 
-use crate::filter::{Filter, PatternError};
 use std::str::FromStr;
 use tautline_analysis::file::{LinkPriority, SystemFile, TopicEntry};
+use tautline_relay::{Pattern, PatternError};
 use zenoh::qos::Priority;
 
 /// How a topic's samples are sent.
@@ -36,7 +36,7 @@ impl Urgency {
 /// `PATTERN=PRIORITY[,express]`: topics of the pattern are sent so, whatever their size.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rule {
-    topics: Filter,
+    topics: Pattern,
     urgency: Urgency,
 }
 
@@ -71,7 +71,7 @@ impl FromStr for Rule {
             "background" => Priority::Background,
             _ => return Err(malformed()),
         };
-        Ok(Rule { topics: Filter::new(&[pattern.into()], &[])?, urgency: Urgency { priority, express } })
+        Ok(Rule { topics: pattern.parse()?, urgency: Urgency { priority, express } })
     }
 }
 
@@ -92,7 +92,7 @@ impl Rule {
 
 /// The first rule that speaks of `topic`.
 pub(crate) fn ruled(rules: &[Rule], topic: &str) -> Option<Urgency> {
-    rules.iter().find(|rule| rule.topics.allows(topic)).map(|rule| rule.urgency)
+    rules.iter().find(|rule| rule.topics.matches(topic)).map(|rule| rule.urgency)
 }
 
 #[cfg(test)]

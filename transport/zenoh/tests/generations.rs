@@ -54,7 +54,8 @@ fn nodes_of_both_generations_find_and_hear_ours() {
         while take(&subscription).info().sequence_number != number as u64 + 2 {}
         let lost = || {
             let topics = host.stats().topics.into_iter();
-            let mut of_topic = topics.filter(|stats| stats.topic == "/x" && stats.direction == Direction::In);
+            let mut of_topic =
+                topics.filter(|stats| stats.name.topic == "/x" && stats.direction == Direction::In);
             of_topic.next().map(|stats| stats.reading.lost)
         };
         // A newer one counts what it sends to each: gaps are no losses.

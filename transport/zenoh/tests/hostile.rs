@@ -25,7 +25,7 @@ fn token(domain: u32, id: u64, kind: &str, topic: &str) -> String {
 
 fn dropped(host: &Host, topic: &str) -> BTreeMap<String, u64> {
     let stats = host.stats().topics.into_iter();
-    let mut found = stats.filter(|stats| stats.topic == topic && stats.direction == Direction::In);
+    let mut found = stats.filter(|stats| stats.name.topic == topic && stats.direction == Direction::In);
     found.next().map(|stats| stats.reading.dropped).unwrap_or_default()
 }
 

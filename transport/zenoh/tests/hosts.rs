@@ -12,7 +12,7 @@ use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
 use tautline_transport::{EndpointKind, Limits, Qos, ServiceKind, ServiceType};
 
 fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
-    host.stats().topics.into_iter().find(|stats| stats.topic == topic && stats.direction == direction)
+    host.stats().topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == direction)
 }
 
 #[test]
@@ -31,7 +31,7 @@ fn bytes_of_every_size_arrive_as_they_were() {
     }
     let out = stats(&a, "/image", Direction::Out);
     until("the statistics", || {
-        stats(&b, "/image", Direction::In).is_some_and(|stats| stats.reading.samples > 10)
+        stats(&b, "/image", Direction::In).is_some_and(|stats| stats.reading.messages > 10)
     });
     let inward = stats(&b, "/image", Direction::In).unwrap();
     assert_eq!(inward.reading.lost, 0, "{inward:?}");
@@ -240,7 +240,7 @@ fn three_hosts_neither_loop_nor_duplicate() {
     }
     for host in hosts {
         until("statistics", || {
-            stats(host, "/ring", Direction::Out).is_some_and(|out| out.reading.samples >= 100)
+            stats(host, "/ring", Direction::Out).is_some_and(|out| out.reading.messages >= 100)
         });
         let (out, inward) = (stats(host, "/ring", Direction::Out), stats(host, "/ring", Direction::In));
         assert!(out.unwrap().reading.dropped.is_empty());
@@ -259,17 +259,17 @@ fn what_nobody_wants_is_not_sent() {
         publisher.publish(b"to nobody").unwrap();
     }
     connect(&wanted, &[&subscription], b"probe");
-    until("statistics", || stats(&a, "/wanted", Direction::Out).is_some_and(|out| out.reading.samples > 0));
+    until("statistics", || stats(&a, "/wanted", Direction::Out).is_some_and(|out| out.reading.messages > 0));
     assert_eq!(stats(&a, "/alone", Direction::Out), None, "not even taken");
     drop(subscription);
     until("the end of the subscription", || {
         stats(&a, "/wanted", Direction::Out).is_some_and(|out| !out.active)
     });
-    let before = stats(&a, "/wanted", Direction::Out).unwrap().reading.samples;
+    let before = stats(&a, "/wanted", Direction::Out).unwrap().reading.messages;
     for _ in 0..100 {
         wanted.publish(b"to nobody").unwrap();
     }
-    assert_eq!(stats(&a, "/wanted", Direction::Out).unwrap().reading.samples, before);
+    assert_eq!(stats(&a, "/wanted", Direction::Out).unwrap().reading.messages, before);
 }
 
 #[test]
@@ -324,7 +324,7 @@ fn more_publishers_that_keep_samples() {
     let late = b.subscription("/tf_static", &string_type(), kept(50));
     all(&late, &mut HashSet::new(), 15);
     until("the statistics", || {
-        stats(&a, "/tf_static", Direction::Out).is_some_and(|out| out.reading.samples >= 15)
+        stats(&a, "/tf_static", Direction::Out).is_some_and(|out| out.reading.messages >= 15)
     });
-    assert_eq!(stats(&a, "/tf_static", Direction::Out).unwrap().reading.samples, 15);
+    assert_eq!(stats(&a, "/tf_static", Direction::Out).unwrap().reading.messages, 15);
 }

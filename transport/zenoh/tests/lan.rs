@@ -157,7 +157,7 @@ fn latency_of_the_network_shows_in_the_numbers() {
     let mut publisher = a.publisher("/x", DEPTH);
     connect(&mut publisher, &[&subscriber]);
     publisher.publish(10, 100, 5 * MS);
-    let stats = gateway_b.wait_for("/x", "in", |stats| stats["samples"].as_u64() > Some(100));
+    let stats = gateway_b.wait_for("/x", "in", |stats| stats["messages"].as_u64() > Some(100));
     // Both hosts have one clock.
     let p50 = stats["latency_us"]["p50"].as_u64().unwrap();
     assert!(p50 >= 19_800, "{stats}");

@@ -77,13 +77,14 @@ impl Topic {
 
 fn out(host: &Host, topic: &str) -> Reading {
     let topics = host.stats().topics;
-    let found = topics.into_iter().find(|stats| stats.topic == topic && stats.direction == Direction::Out);
+    let found =
+        topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == Direction::Out);
     found.unwrap().reading
 }
 
 /// What became of the samples that were to go out.
 fn accounted(reading: &Reading) -> u64 {
-    reading.samples + reading.lost + reading.dropped.values().sum::<u64>()
+    reading.messages + reading.lost + reading.dropped.values().sum::<u64>()
 }
 
 #[test]

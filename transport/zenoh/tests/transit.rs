@@ -92,13 +92,13 @@ fn reach(port: &RawPublisher, subscription: &RawSubscription) -> u64 {
 }
 
 fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
-    host.stats().topics.into_iter().find(|stats| stats.topic == topic && stats.direction == direction)
+    host.stats().topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == direction)
 }
 
 /// So many went through the host's gateway, and none was dropped or lost.
 fn nothing_was_dropped(host: &Host, topic: &str, direction: Direction, count: u64) {
     let stats = wait("the statistics", || {
-        stats(host, topic, direction).filter(|stats| stats.reading.samples >= count)
+        stats(host, topic, direction).filter(|stats| stats.reading.messages >= count)
     });
     assert!(stats.reading.dropped.is_empty() && stats.reading.lost == 0, "{stats:?}");
 }

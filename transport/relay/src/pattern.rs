@@ -78,6 +78,35 @@ impl fmt::Display for Pattern {
     }
 }
 
+/// Which names are meant.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Filter {
+    /// These alone, if there are any.
+    pub allow: Vec<Pattern>,
+    /// None of these.
+    pub deny: Vec<Pattern>,
+}
+
+impl Filter {
+    /// # Errors
+    /// The first text that is no pattern.
+    pub fn new(allow: &[String], deny: &[String]) -> Result<Self, PatternError> {
+        let all = |texts: &[String]| texts.iter().map(|text| text.parse()).collect::<Result<_, _>>();
+        Ok(Filter { allow: all(allow)?, deny: all(deny)? })
+    }
+
+    /// Whether `name`, a fully qualified one, is left out by name.
+    pub fn denies(&self, name: &str) -> bool {
+        self.deny.iter().any(|pattern| pattern.matches(name))
+    }
+
+    /// Whether `name`, a fully qualified one, is meant.
+    pub fn allows(&self, name: &str) -> bool {
+        let is_allowed = || self.allow.is_empty() || self.allow.iter().any(|pattern| pattern.matches(name));
+        !self.denies(name) && is_allowed()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -106,5 +135,16 @@ mod tests {
             let error = text.parse::<Pattern>().unwrap_err().to_string();
             assert!(error.contains(&format!("'{text}'")), "{error}");
         }
+    }
+
+    #[test]
+    fn allowed_and_denied() {
+        assert!(Filter::default().allows("/a/b"));
+        let texts = |texts: &[&str]| texts.iter().map(|&text| text.into()).collect::<Vec<String>>();
+        let filter = Filter::new(&texts(&["/camera/**", "/*/odom"]), &texts(&["/camera/raw"])).unwrap();
+        let allowed = ["/camera", "/camera/rgb/image", "/base/odom"];
+        let others = ["/camera/raw", "/odom", "/a/b/odom", "/cameras", "/", ""];
+        assert!(allowed.iter().all(|name| filter.allows(name)));
+        assert!(!others.iter().any(|name| filter.allows(name)));
     }
 }

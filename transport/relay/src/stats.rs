@@ -1,0 +1,326 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What passed and what did not, per topic and direction: counted where it happens, read by whoever asks.
+
+use hdrhistogram::Histogram;
+use serde::Serialize;
+use std::collections::{BTreeMap, HashMap};
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tautline_rt::clock::wall_ns;
+use tautline_transport::Gid;
+
+use crate::program::{counted, rate};
+
+/// Longest difference between two clocks for which the time between them is called a latency.
+const CLOCKS_AGREE_NS: i64 = 10_000_000_000;
+
+/// Counters of one topic in one direction.
+#[derive(Debug)]
+pub struct Counters {
+    messages: AtomicU64,
+    bytes: AtomicU64,
+    lost: AtomicU64,
+    skewed: AtomicU64,
+    slow: Mutex<Slow>,
+}
+
+#[derive(Debug)]
+struct Slow {
+    dropped: BTreeMap<String, u64>,
+    /// Microseconds, up to the ten seconds for which clocks agree.
+    latency_us: Histogram<u64>,
+}
+
+impl Default for Counters {
+    fn default() -> Self {
+        // The bounds are constants that hdrhistogram accepts; `new` alone would grow without a bound.
+        let histogram = Histogram::new_with_bounds(1, (CLOCKS_AGREE_NS / 1000) as u64, 2);
+        let latency_us = histogram.unwrap_or_else(|_| unreachable!("1 to 10^7 in 2 digits"));
+        let slow = Mutex::new(Slow { dropped: BTreeMap::new(), latency_us });
+        let zero = AtomicU64::default;
+        Counters { messages: zero(), bytes: zero(), lost: zero(), skewed: zero(), slow }
+    }
+}
+
+impl Counters {
+    fn slow(&self) -> MutexGuard<'_, Slow> {
+        self.slow.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A message with a body of `bytes` went through, which was published at `source_ns` since 1970.
+    pub fn passed(&self, bytes: usize, source_ns: i64) {
+        self.messages.fetch_add(1, Ordering::Relaxed);
+        self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+        let latency_ns = wall_ns().saturating_sub(source_ns);
+        if (0..CLOCKS_AGREE_NS).contains(&latency_ns) {
+            self.slow().latency_us.saturating_record((latency_ns / 1000) as u64);
+        } else {
+            self.skewed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Messages were lost before they came this far.
+    pub fn lost(&self, messages: u64) {
+        self.lost.fetch_add(messages, Ordering::Relaxed);
+    }
+
+    /// A message did not go through. Reasons are few and fixed: errors without numbers or names in them.
+    pub fn dropped(&self, reason: impl ToString) {
+        *self.slow().dropped.entry(reason.to_string()).or_default() += 1;
+    }
+
+    /// What they say now; rates are left to who knows what they said before.
+    fn read(&self) -> Reading {
+        let slow = self.slow();
+        let latency = &slow.latency_us;
+        Reading {
+            messages: self.messages.load(Ordering::Relaxed),
+            bytes: self.bytes.load(Ordering::Relaxed),
+            messages_per_s: 0.0,
+            bytes_per_s: 0.0,
+            lost: self.lost.load(Ordering::Relaxed),
+            dropped: slow.dropped.clone(),
+            latency_us: (!latency.is_empty()).then(|| Latency {
+                p50: latency.value_at_quantile(0.5),
+                p99: latency.value_at_quantile(0.99),
+                max: latency.max(),
+            }),
+            clocks_differ: self.skewed.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// Follows the numbers of a topic's publishers: a gap is what was lost on the way.
+#[derive(Debug, Default)]
+pub struct Numbers(HashMap<Gid, u64>);
+
+impl Numbers {
+    /// Publishers whose numbers are followed; of more, which a hostile peer can claim to be there, all are forgotten.
+    const MOST: usize = 1024;
+    /// Longer gaps are none: a number can be anything.
+    const LONGEST: u64 = 1 << 32;
+
+    /// How many of this publisher's messages are missing before this one; `None` if it was there before.
+    pub fn missing(&mut self, gid: Gid, number: u64) -> Option<u64> {
+        if self.0.len() >= Self::MOST && !self.0.contains_key(&gid) {
+            self.0.clear();
+        }
+        let Some(last) = self.0.get_mut(&gid) else {
+            self.0.insert(gid, number);
+            return Some(0);
+        };
+        let missing = number.checked_sub(*last)?.checked_sub(1)?;
+        *last = number;
+        Some(if missing < Self::LONGEST { missing } else { 0 })
+    }
+
+    /// Publishers have gone.
+    pub fn forget(&mut self, gone: impl Fn(&Gid) -> bool) {
+        self.0.retain(|gid, _| !gone(gid));
+    }
+}
+
+/// What passed and what did not.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Reading {
+    /// Messages that went through.
+    pub messages: u64,
+    /// Their bodies.
+    pub bytes: u64,
+    /// In the second before.
+    pub messages_per_s: f64,
+    /// In the second before.
+    pub bytes_per_s: f64,
+    /// Messages that were lost before they came this far: gaps in the publishers' numbers, or overwritten in a queue.
+    pub lost: u64,
+    /// Messages that came and were dropped here, by reason.
+    pub dropped: BTreeMap<String, u64>,
+    /// From the publisher's clock to this host's: what the way so far took, if the clocks agree. `None`: they do not, or nothing came.
+    pub latency_us: Option<Latency>,
+    /// Messages whose time stamp is in the future, or more than 10 s old: the clocks differ, or they were kept for late joiners.
+    pub clocks_differ: u64,
+}
+
+/// Microseconds since the program started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Latency {
+    /// Half took less.
+    pub p50: u64,
+    /// 1 of 100 took more.
+    pub p99: u64,
+    /// The longest.
+    pub max: u64,
+}
+
+/// A topic in one direction.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TopicStats<N, D> {
+    /// Which topic.
+    #[serde(flatten)]
+    pub name: N,
+    /// Which way.
+    pub direction: D,
+    /// Whether messages are passed on now.
+    pub active: bool,
+    /// The numbers.
+    #[serde(flatten)]
+    pub reading: Reading,
+}
+
+/// The counters of all topics, by what they are called and which way they go.
+#[derive(Debug)]
+pub struct Book<N, D>(BTreeMap<(N, D), Counted>);
+
+#[derive(Debug, Default)]
+struct Counted {
+    counters: Arc<Counters>,
+    /// Messages and bytes when they were read last.
+    before: (u64, u64),
+}
+
+impl<N, D> Default for Book<N, D> {
+    fn default() -> Self {
+        Book(BTreeMap::new())
+    }
+}
+
+impl<N: Clone + Ord, D: Copy + Ord> Book<N, D> {
+    /// Topics that are counted; of more, those that are not passed on any more are forgotten.
+    const MOST: usize = 4096;
+
+    /// Those of a topic, from now on or as they were.
+    pub fn counters(&mut self, name: N, direction: D, is_active: impl Fn(&N, D) -> bool) -> Arc<Counters> {
+        if self.0.len() >= Self::MOST {
+            self.0.retain(|(name, direction), _| is_active(name, *direction));
+        }
+        self.0.entry((name, direction)).or_default().counters.clone()
+    }
+
+    /// What all of them say, with rates since the last time, which is so long ago; `named` is what each is called there.
+    pub fn read<M>(
+        &mut self,
+        elapsed: Duration,
+        named: impl Fn(&N) -> M,
+        is_active: impl Fn(&N, D) -> bool,
+    ) -> Vec<TopicStats<M, D>> {
+        let read = |((name, direction), counted): (&(N, D), &mut Counted)| {
+            let mut reading = counted.counters.read();
+            let (messages, bytes) = std::mem::replace(&mut counted.before, (reading.messages, reading.bytes));
+            if !elapsed.is_zero() {
+                let seconds = elapsed.as_secs_f64();
+                reading.messages_per_s = (reading.messages - messages) as f64 / seconds;
+                reading.bytes_per_s = (reading.bytes - bytes) as f64 / seconds;
+            }
+            let active = is_active(name, *direction);
+            TopicStats { name: named(name), direction: *direction, active, reading }
+        };
+        self.0.iter_mut().map(read).collect()
+    }
+}
+
+/// `out 4 topics 1.2 MB/s 100/s | in 1 topic 80 kB/s 10/s | lost 0, dropped 0`, by what the directions are called.
+pub fn passing<N, D: Copy + PartialEq>(
+    topics: &[TopicStats<N, D>],
+    ways: [(D, &str); 2],
+) -> impl fmt::Display {
+    let mut text = String::new();
+    for (direction, name) in ways {
+        let of = || topics.iter().filter(move |topic| topic.active && topic.direction == direction);
+        // Not `sum`, which begins with -0.
+        let sum = |of_topic: fn(&Reading) -> f64| of().fold(0.0, |sum, topic| sum + of_topic(&topic.reading));
+        let (bytes, messages) = (sum(|reading| reading.bytes_per_s), sum(|reading| reading.messages_per_s));
+        text += &format!(
+            "{name} {} {} {messages:.0}/s | ",
+            counted(of().count(), "topic", "topics"),
+            rate(bytes)
+        );
+    }
+    let lost: u64 = topics.iter().map(|topic| topic.reading.lost).sum();
+    let dropped: u64 = topics.iter().flat_map(|topic| topic.reading.dropped.values()).sum();
+    text + &format!("lost {lost}, dropped {dropped}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_losses_and_nonsense_is_none() {
+        let mut numbers = Numbers::default();
+        let (a, b) = (Gid([1; 16]), Gid([2; 16]));
+        let all = [(a, 1), (a, 2), (b, 100), (a, 5), (b, 101), (a, 5), (a, 4), (a, 6), (b, u64::MAX), (b, 0)];
+        let missing = all.map(|(gid, number)| numbers.missing(gid, number));
+        let some = Some;
+        assert_eq!(
+            missing,
+            [some(0), some(0), some(0), some(2), some(0), None, None, some(0), some(0), None]
+        );
+        numbers.forget(|gid| *gid == a);
+        assert_eq!(numbers.missing(a, 100), Some(0));
+        for n in 0..10_000u32 {
+            let mut gid = Gid::default();
+            gid.0[..4].copy_from_slice(&n.to_le_bytes());
+            numbers.missing(gid, 1);
+        }
+        assert!(numbers.0.len() <= Numbers::MOST);
+    }
+
+    #[test]
+    fn latency_where_clocks_allow() {
+        let counters = Counters::default();
+        let now = wall_ns();
+        for source in [now + 3_600_000_000_000, 0, i64::MIN, i64::MAX] {
+            counters.passed(10, source);
+        }
+        let reading = counters.read();
+        assert_eq!((reading.messages, reading.bytes, reading.clocks_differ), (4, 40, 4));
+        assert_eq!(reading.latency_us, None);
+        counters.passed(10, now - 1_000_000_000);
+        let latency = counters.read().latency_us.unwrap();
+        assert!(latency.max >= 1_000_000 && latency.p50 >= 990_000, "{latency:?}");
+    }
+
+    #[test]
+    fn rates_the_line_and_json() {
+        let mut book = Book::default();
+        let counters = book.counters("/x", "in", |_, _| true);
+        counters.passed(100, 0);
+        book.read(Duration::ZERO, |name| *name, |_, _| true);
+        counters.passed(100, 0);
+        counters.passed(100, 0);
+        counters.lost(2);
+        counters.dropped("rate limit");
+        let after = book.read(Duration::from_millis(500), |name| *name, |_, _| true);
+        let reading = &after[0].reading;
+        assert_eq!((reading.messages, reading.messages_per_s, reading.bytes_per_s), (3, 4.0, 400.0));
+        let line = passing(&after, [("out", "to ROS"), ("in", "from ROS")]).to_string();
+        assert_eq!(line, "to ROS 0 topics 0 B/s 0/s | from ROS 1 topic 400 B/s 4/s | lost 2, dropped 1");
+        let json = serde_json::to_value(TopicStats {
+            name: BTreeMap::from([("topic", "/x")]),
+            direction: "in",
+            active: true,
+            reading: reading.clone(),
+        })
+        .unwrap();
+        assert_eq!(
+            (&json["topic"], &json["dropped"]["rate limit"], &json["messages"]),
+            (&"/x".into(), &1.into(), &3.into())
+        );
+    }
+
+    #[test]
+    fn of_too_many_topics_those_that_go_on_are_counted() {
+        let mut book = Book::default();
+        for topic in 0..=Book::<usize, ()>::MOST {
+            book.counters(topic, (), |topic, ()| *topic == 7);
+        }
+        let left: Vec<usize> = book
+            .read(Duration::ZERO, |topic| *topic, |_, ()| true)
+            .into_iter()
+            .map(|topic| topic.name)
+            .collect();
+        assert_eq!(left, [7, Book::<usize, ()>::MOST]);
+    }
+}
