@@ -76,7 +76,12 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         teller: None,
     };
     let viewer = RemoteNode { name: theirs, origin: there(3) };
-    let remote = RemoteGraph { nodes: vec![viewer], endpoints: vec![subscription], services: vec![service] };
+    let remote = RemoteGraph {
+        nodes: vec![viewer],
+        endpoints: vec![subscription],
+        services: vec![service],
+        ..RemoteGraph::default()
+    };
     gateway.set_remote(&remote).unwrap();
 
     let pid = std::process::id();

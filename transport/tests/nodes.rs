@@ -270,7 +270,7 @@ fn what_two_tell_of_is_listed_once() {
             ..remote_node("talker", 8)
         }],
         endpoints: vec![end(gid, path)],
-        services: vec![],
+        ..RemoteGraph::default()
     };
     far.set_remote(&told(1, &[70, 71])).unwrap();
     near.set_remote(&told(2, &[70])).unwrap();
@@ -358,6 +358,7 @@ fn what_other_hosts_have_is_seen_beside_and_its_stand_ins_are_not() {
             end("/only_there", EndpointKind::Subscription, 2),
         ],
         services: vec![service.clone()],
+        ..RemoteGraph::default()
     };
     let epoch = observer.graph_epoch();
     gateway.set_remote(&remote).unwrap();

@@ -430,11 +430,27 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
         changes = requested.look(monotonic_ns());
         changes.matched.is_some()
     });
-    assert_eq!(changes.liveliness, Some(alive(2, 1, -1, 1)), "nobody can tell whether it ended or died");
+    assert_eq!(changes.liveliness, Some(alive(2, 1, -1, 1)), "nobody says that it ended");
+    // One that its host says has ended.
+    let ended = remote.endpoints.remove(0);
+    remote.ended.insert(ended.gid.tag());
+    gateway.set_remote(&remote).unwrap();
+    wait_for("the orderly end of a publisher", || {
+        changes = requested.look(monotonic_ns());
+        changes.matched.is_some()
+    });
+    assert_eq!(changes.liveliness, Some(alive(1, 0, -1, -1)));
+    remote.endpoints.push(end("/far", count, publishing, 6));
+    gateway.set_remote(&remote).unwrap();
+    wait_for("another publisher", || {
+        changes = requested.look(monotonic_ns());
+        changes.matched.is_some()
+    });
+    assert_eq!(changes.liveliness, Some(alive(2, 0, 1, 0)));
     drop((relay, _out, gateway));
     wait_for("the end of the gateway", || {
         changes = requested.look(monotonic_ns());
         changes.matched.is_some()
     });
-    assert_eq!((changes.matched.unwrap().current_count, changes.liveliness), (1, Some(alive(1, 1, -1, 0))));
+    assert_eq!((changes.matched.unwrap().current_count, changes.liveliness), (1, Some(alive(1, 1, -1, 1))));
 }

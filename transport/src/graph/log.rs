@@ -50,12 +50,14 @@ pub(crate) enum Kind {
     /// The publisher with this number has ended, and what it sent waits for subscriptions that have not found it yet. Says what its
     /// port said.
     Ended = 7,
+    /// The publisher elsewhere that has this tag, in place of a hash, has ended by itself: it did not die.
+    RemoteEnded = 8,
 }
 
 impl Kind {
     fn from_word(word: u32) -> Option<Self> {
-        use Kind::{Ended, Gone, Node, Port, Relay, RemotePort, RemoteService};
-        let all = [Gone, Node, Port, RemotePort, RemoteService, Relay, Ended];
+        use Kind::{Ended, Gone, Node, Port, Relay, RemoteEnded, RemotePort, RemoteService};
+        let all = [Gone, Node, Port, RemotePort, RemoteService, Relay, Ended, RemoteEnded];
         all.into_iter().find(|kind| *kind as u32 == word)
     }
 }

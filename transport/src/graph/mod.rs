@@ -158,6 +158,9 @@ pub struct GraphSnapshot {
     pub services: Vec<Arc<ServiceEndpoint>>,
     /// For who tells of others' ends itself: the least rank, by tag, with which other participants tell of something.
     pub rivals: HashMap<u64, Rank>,
+    /// For who tells of others' ends itself: the tags of the publishers that have ended by themselves, the last few of them. What is
+    /// gone and not among these has died.
+    pub ended: Vec<u64>,
 }
 
 impl GraphSnapshot {

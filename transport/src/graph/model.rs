@@ -3,7 +3,7 @@
 
 use super::domain::Domain;
 use super::log::{Entry, Kind, Reader};
-use super::record::{NodeRecord, PortRecord, RemotePortRecord, RemoteServiceRecord};
+use super::record::{NodeRecord, PortKind, PortRecord, RemotePortRecord, RemoteServiceRecord};
 use super::{
     EndpointKind, GraphSnapshot, NodeInfo, NodeName, Origin, Rank, ServiceEndpoint, ServiceKind,
     TopicEndpoint, is_of_service, service_of,
@@ -11,12 +11,15 @@ use super::{
 use crate::error::TransportError;
 use crate::participant::file::Peer;
 use crate::topic::header::Gid;
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::io::ErrorKind::WouldBlock;
 use std::sync::Arc;
 
 /// Who looks without being a participant.
 const VISITOR: u64 = 0;
+
+/// Publishers that have ended of which that is known for a while.
+const MOST_ENDED: usize = 256;
 
 /// What this process knows of a domain's graph.
 #[derive(Default)]
@@ -32,6 +35,8 @@ pub(crate) struct Model {
     services: BTreeMap<(String, ServiceKind, Gid, Gid), Arc<ServiceEndpoint>>,
     /// Who tells of what is elsewhere, by its tag, the best first.
     told: HashMap<u64, Vec<(Rank, Gid)>>,
+    /// Tags of publishers that have ended by themselves, the last ones.
+    ended: VecDeque<u64>,
     snapshot: Arc<GraphSnapshot>,
 }
 
@@ -91,6 +96,7 @@ impl Member {
                 self.remote_services.extend(RemoteServiceRecord::parse(body).map(|end| (number, end)));
             }
             Kind::Relay => self.is_relay = true,
+            Kind::RemoteEnded => {}
         }
     }
 
@@ -199,7 +205,8 @@ impl Model {
         let there: HashSet<u64> = seen.iter().map(|member| member.id).collect();
         let gone: Vec<u64> = self.members.keys().filter(|id| !there.contains(id)).copied().collect();
         for id in gone {
-            if let Some(member) = self.members.remove(&id) {
+            if let Some(mut member) = self.members.remove(&id) {
+                self.hear_last(id, &mut member);
                 self.unlist(id, &member);
             }
         }
@@ -225,6 +232,7 @@ impl Model {
             endpoints: endpoints.map(|(_, end)| end.clone()).collect(),
             services: services.map(|(_, end)| end.clone()).collect(),
             rivals: self.rivals(),
+            ended: if self.is_relay() { self.ended.iter().copied().collect() } else { Vec::new() },
         });
         self.epoch = Some(epoch).filter(|_| !is_behind);
         Ok(self.snapshot.clone())
@@ -236,9 +244,35 @@ impl Model {
         teller.is_none() || best.is_none_or(|(_, best)| *best == gid)
     }
 
+    /// Whether the participant that asks tells of others' ends.
+    fn is_relay(&self) -> bool {
+        self.members.get(&self.own).is_some_and(|own| own.is_relay)
+    }
+
+    fn note_ended(&mut self, tag: u64) {
+        self.ended.truncate(MOST_ENDED - 1);
+        self.ended.push_front(tag);
+    }
+
+    /// A participant has gone, and may have said before that its publishers have ended.
+    fn hear_last(&mut self, id: u64, member: &mut Member) {
+        let Some(Ok(news)) = member.peer.as_ref().map(|peer| member.reader.read(peer)) else { return };
+        let ended = news.entries.iter().filter(|(entry, _)| matches!(entry.kind, Kind::Gone | Kind::Ended));
+        for (entry, _) in ended.filter(|_| !news.anew) {
+            self.note_gone(id, member, entry.number);
+        }
+    }
+
+    /// A participant says that what it has under a number is no more: if that is a publisher, it has ended.
+    fn note_gone(&mut self, id: u64, member: &Member, number: u64) {
+        if member.ports.get(&number).is_some_and(|port| port.kind == PortKind::Publisher) {
+            self.note_ended(Gid::of(id, number).tag());
+        }
+    }
+
     /// What others tell of, if this one does so too.
     fn rivals(&self) -> HashMap<u64, Rank> {
-        if !self.members.get(&self.own).is_some_and(|own| own.is_relay) {
+        if !self.is_relay() {
             return HashMap::new();
         }
         let of_others = |(tag, tellers): (&u64, &Vec<(Rank, Gid)>)| {
@@ -284,6 +318,7 @@ impl Model {
         for (entry, _) in &news.entries {
             match entry.kind {
                 Kind::Gone | Kind::Ended => {
+                    self.note_gone(id, member, entry.number);
                     self.change(id, member, entry.number, false);
                     member.remove(entry.number);
                 }
@@ -292,6 +327,7 @@ impl Model {
                     member.is_relay = true;
                     member.numbers().into_iter().for_each(|number| self.change(id, member, number, true));
                 }
+                Kind::RemoteEnded => self.note_ended(entry.hash),
                 _ => {
                     member.add(entry);
                     self.change(id, member, entry.number, true);

@@ -252,7 +252,9 @@ fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(Kind, u6
     let (ports, services) = remote.records(nodes);
     let ports = ports.iter().map(|port| (Kind::RemotePort, hash_of(port.topic()), to_body(port)));
     let services = services.iter().map(|end| (Kind::RemoteService, hash_of(end.name()), to_body(end)));
-    ports.chain(services).collect()
+    let ended = remote.ended.iter().map(|tag| (Kind::RemoteEnded, *tag, Vec::new()));
+    // Before what has ended is taken back.
+    ended.chain(ports).chain(services).collect()
 }
 
 /// A node that is there until this is dropped.

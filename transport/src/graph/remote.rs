@@ -28,6 +28,8 @@ pub struct RemoteGraph {
     pub endpoints: Vec<TopicEndpoint>,
     /// Services and clients.
     pub services: Vec<ServiceEndpoint>,
+    /// Publishers that have ended by themselves, by their tags: those of which that is not said have died. Not in the text.
+    pub ended: BTreeSet<u64>,
 }
 
 impl RemoteGraph {
@@ -100,7 +102,7 @@ impl From<Text> for RemoteGraph {
         let nodes = nodes.into_iter().filter(NodeRecord::is_valid);
         let nodes =
             nodes.filter_map(|node| Some(RemoteNode { name: node.name, origin: node.origin? })).collect();
-        RemoteGraph { nodes, endpoints, services }
+        RemoteGraph { nodes, endpoints, services, ended: BTreeSet::new() }
     }
 }
 
@@ -141,7 +143,7 @@ mod tests {
             teller: None,
         };
         let nodes = vec![RemoteNode { name: node("n"), origin: origin(1) }];
-        RemoteGraph { nodes, endpoints: vec![end], services: vec![service] }
+        RemoteGraph { nodes, endpoints: vec![end], services: vec![service], ..RemoteGraph::default() }
     }
 
     fn read(text: &[u8]) -> Option<RemoteGraph> {
@@ -164,8 +166,8 @@ mod tests {
             assert!(text.contains(from), "{from} in {text}");
             read(text.replacen(from, to, 1).as_bytes()).unwrap()
         };
-        let RemoteGraph { nodes, endpoints, services } = graph();
-        let without_end = RemoteGraph { endpoints: vec![], nodes, services };
+        let RemoteGraph { nodes, endpoints, services, ended } = graph();
+        let without_end = RemoteGraph { endpoints: vec![], nodes, services, ended };
         for (from, to) in [
             ("\"/x\"", "\"/x\\u001b[2J\""),
             ("a/msg/B", "a msg"),
@@ -176,7 +178,7 @@ mod tests {
             assert_eq!(changed(from, to), without_end, "{to}");
         }
         let far = Origin { path: vec![1; Origin::MOST_HOPS + 1], ..Origin::default() };
-        let hostile = RemoteGraph { nodes: vec![], endpoints, services: vec![] };
+        let hostile = RemoteGraph { endpoints, ..RemoteGraph::default() };
         let hostile = RemoteGraph {
             endpoints: vec![TopicEndpoint { origin: far, ..hostile.endpoints[0].clone() }],
             ..hostile

@@ -7,7 +7,7 @@ use super::compatibility::QosPolicyKind;
 use super::header::Gid;
 use super::subscription::Life;
 use crate::qos::Qos;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tautline_rt::{LatestReader, LatestWriter, latest};
@@ -28,8 +28,8 @@ pub(crate) struct End {
     pub(crate) qos: Qos,
     /// It is a gateway's or a bridge's, and stands for ends on other hosts, which are listed themselves.
     pub(crate) is_relay: bool,
-    /// On another host.
-    pub(crate) is_remote: bool,
+    /// On another host: its tag.
+    pub(crate) remote: Option<u64>,
     /// Of the end of a service that carries responses: the end of the same client or server that carries requests.
     pub(crate) partner: Option<u64>,
     /// Of a matched publisher that has to show that it is alive: where it does.
@@ -38,7 +38,7 @@ pub(crate) struct End {
 
 impl End {
     fn is_matched_here(&self) -> bool {
-        self.mismatch.is_none() && !self.is_remote
+        self.mismatch.is_none() && self.remote.is_none()
     }
 }
 
@@ -84,18 +84,20 @@ impl Ends {
         matched
     }
 
-    /// Ends on other hosts, in place of those before.
-    pub(crate) fn set_remote(&mut self, gids: &[Gid]) {
-        let is_gone = |end: &End| end.is_remote && !gids.contains(&end.gid);
-        let gone: Vec<Gid> = self.list.values().filter(|end| is_gone(end)).map(|end| end.gid).collect();
-        // That they end and that they die look alike from here.
-        for gid in gone {
-            self.remove(gid, true);
+    /// Ends on other hosts, with their tags, in place of those before. Of those that are gone these have `ended` by themselves.
+    pub(crate) fn set_remote(&mut self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
+        let is_told = |gid: Gid| told.iter().any(|(other, _)| *other == gid);
+        let gone = self.list.values().filter(|end| !is_told(end.gid));
+        let gone: Vec<_> = gone.filter_map(|end| Some((end.gid, end.remote?))).collect();
+        for (gid, tag) in gone {
+            // Or somebody else tells of it now.
+            let lives = told.iter().any(|(_, other)| *other == tag);
+            self.remove(gid, !lives && !ended.contains(&tag));
         }
-        for &gid in gids {
+        for &(gid, tag) in told {
             if !self.list.contains_key(&gid) {
                 let (mismatch, qos, partner, life) = (None, Qos::default(), None, None);
-                self.set(End { gid, mismatch, qos, is_relay: false, is_remote: true, partner, life });
+                self.set(End { gid, mismatch, qos, is_relay: false, remote: Some(tag), partner, life });
             }
         }
     }

@@ -7,13 +7,14 @@ use crate::graph::Graph;
 use crate::incoming::{Checks, Incoming, Inlet, OwnGids, port_qos};
 use crate::locals;
 use crate::mirror::{Action, InQos, Mirror, OutQos, Writer};
+use crate::origin::{ended, ended_tag};
 use crate::outgoing::{Outgoing, Sender};
 use crate::remote::remote_graph;
 use crate::services::{Routes, Services};
 use crate::stats::{Direction, TopicNames, refused_by_reason};
 use crate::types::Types;
 use crate::wire::{EndpointKind, MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock, mpsc};
 use std::time::{Duration, Instant};
@@ -29,6 +30,8 @@ use zenoh::{Session, Wait};
 pub(crate) enum Event {
     TokenUp(String),
     TokenDown(String),
+    /// A publisher of another host has ended by itself.
+    Ended(u64),
     /// Publishers or subscriptions of this host appeared or went.
     Locals,
     /// A node elsewhere answered what this type is; `None` if it says too much.
@@ -54,6 +57,17 @@ pub(crate) fn tokens_to(events: mpsc::SyncSender<Event>) -> impl Fn(Sample) + Se
     }
 }
 
+/// The same for the words that publishers have ended.
+pub(crate) fn ends_to(events: mpsc::SyncSender<Event>) -> impl Fn(Sample) + Send + Sync + 'static {
+    move |sample| {
+        let is_said = sample.kind() == SampleKind::Put;
+        if let Some(tag) = ended_tag(sample.key_expr().as_str()).filter(|_| is_said) {
+            // What does not fit is taken for a death.
+            let _ = events.try_send(Event::Ended(tag));
+        }
+    }
+}
+
 /// What is too long for any honest key is cut, so that it is refused for its length without being kept.
 fn cut(key: &str) -> String {
     let mut end = key.len().min(MAX_KEY_BYTES + 1);
@@ -75,6 +89,10 @@ const BATCH_PER_TOKEN: Duration = Duration::from_micros(100);
 /// How long others are waited for when all tokens are asked for.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// How long it is said that a publisher has ended, and of how many.
+const ENDED_TIME: Duration = Duration::from_secs(10);
+const MOST_ENDED: usize = 256;
+
 pub(crate) struct Control {
     options: Options,
     participant: Participant,
@@ -86,6 +104,8 @@ pub(crate) struct Control {
     /// Own gids by the local publisher's, with its topic.
     gids: HashMap<Gid, (TopicKey, Gid)>,
     tokens: HashMap<String, LivelinessToken>,
+    /// The words that publishers have ended, for as long as it takes until they are heard everywhere.
+    ended: VecDeque<(Instant, LivelinessToken)>,
     incoming: BTreeMap<TopicKey, Inward>,
     book: Book<TopicKey, Direction>,
     active: BTreeSet<(TopicKey, Direction)>,
@@ -145,6 +165,7 @@ impl Control {
             own: OwnGids::default(),
             gids: HashMap::new(),
             tokens: HashMap::new(),
+            ended: VecDeque::new(),
             incoming: BTreeMap::new(),
             book: Book::default(),
             active: BTreeSet::new(),
@@ -171,6 +192,7 @@ impl Control {
             let event = events.recv_timeout(soon.saturating_duration_since(Instant::now()));
             match event {
                 Ok(Event::TokenUp(key)) => self.remote_changed(|mirror| mirror.token_up(&key)),
+                Ok(Event::Ended(tag)) => self.mirror.note_ended(tag),
                 Ok(Event::TokenDown(key)) => self.remote_changed(|mirror| mirror.token_down(&key)),
                 Ok(Event::Locals) => self.list_locals(),
                 Ok(Event::Described(id, payload)) => self.descriptions.learn(&id, payload.as_deref()),
@@ -193,6 +215,7 @@ impl Control {
                 if let Some(services) = &self.services {
                     services.look();
                 }
+                self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
                 self.ask_for_types();
                 self.read_numbers(PERIOD);
             }
@@ -248,6 +271,7 @@ impl Control {
             })
             .collect();
         endpoints.append(&mut offered);
+        self.mirror.set_ended(&here.ended);
         let mut actions = self.mirror.set_rivals(&here.rivals);
         actions.append(&mut self.mirror.set_locals(locals.nodes, endpoints));
         // Before they are announced: who hears of a service may ask at once.
@@ -283,6 +307,7 @@ impl Control {
     fn act_once(&mut self, action: Action) {
         match action {
             Action::Declare(token) => self.declare(&token),
+            Action::SayEnded(tag) => self.say_ended(tag),
             Action::Undeclare(token) => drop(self.tokens.remove(&token.to_string())),
             Action::StartOut(key, qos) => {
                 let id = (key, Direction::Out);
@@ -344,6 +369,16 @@ impl Control {
             Ok(declared) => drop(self.tokens.insert(text, declared)),
             Err(error) => tracing::warn!("{text} is not announced: {error}"),
         }
+    }
+
+    fn say_ended(&mut self, tag: u64) {
+        if self.ended.len() >= MOST_ENDED {
+            self.ended.pop_front();
+        }
+        let zid = u128::from_le_bytes(self.session.zid().to_le_bytes());
+        let word = self.session.liveliness().declare_token(ended(self.network_domain(), zid, tag)).wait();
+        // Without it the end is taken for a death.
+        self.ended.extend(word.ok().map(|word| (Instant::now(), word)));
     }
 
     fn start_out(&mut self, key: &TopicKey, qos: OutQos) -> Result<(), TransportError> {
@@ -521,7 +556,7 @@ impl Control {
             let is_allowed = token.endpoint.as_ref().is_none_or(|end| filter.allows(&end.name));
             graph.told(token).filter(|_| is_allowed)
         };
-        if let Err(error) = self.participant.set_remote(&remote_graph(&remote, told)) {
+        if let Err(error) = self.participant.set_remote(&remote_graph(&remote, told, graph.ended())) {
             tracing::warn!("nodes and tools of this host do not see what others have: {error}");
         }
         *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);

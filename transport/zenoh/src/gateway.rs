@@ -2,9 +2,10 @@
 //! The gateway itself: joins the domain and the network, and does what the mirror decides.
 
 use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
-use crate::control::{Control, Event, tokens_to};
+use crate::control::{Control, Event, ends_to, tokens_to};
 use crate::descriptions::Descriptions;
 use crate::graph::GraphLimits;
+use crate::origin::ended_wildcard;
 use crate::outgoing::{self, THREADS};
 use crate::rules::Rule;
 use crate::services::Services;
@@ -179,6 +180,15 @@ impl Gateway {
                 what: "listening to other hosts",
                 reason: error.to_string(),
             })?;
+        let ends = session
+            .liveliness()
+            .declare_subscriber(ended_wildcard(network_domain))
+            .callback(ends_to(events.clone()))
+            .wait()
+            .map_err(|error| GatewayError::Zenoh {
+                what: "listening to what ends on other hosts",
+                reason: error.to_string(),
+            })?;
         let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let shared = Arc::new(Shared {
             stop: AtomicBool::new(false),
@@ -210,7 +220,7 @@ impl Gateway {
                 Control::new(options.clone(), participant, session, outgoing, shared, zid, descriptions);
             Some(thread("gw-control").spawn(move || {
                 move || {
-                    let _tokens = tokens;
+                    let _heard = (tokens, ends);
                     control.run(&received, services);
                 }
             })?)

@@ -5,11 +5,14 @@
 use crate::lifespans::Lifespans;
 use crate::origin::origin;
 use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 use tautline_relay::Transit;
 use tautline_rt::clock::nanoseconds;
 use tautline_transport::{Gid, Origin, Rank};
+
+/// Publishers that have ended of which that is known for a while.
+const MOST_ENDED: usize = 256;
 
 /// Limits of what is kept of other hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +84,8 @@ pub struct Graph {
     transit: Transit,
     /// Tags of what came or went since they were taken last.
     touched: Vec<u64>,
+    /// Tags of publishers that have ended by themselves, the last ones.
+    ended: VecDeque<u64>,
     refused: Refused,
     /// Whether a token was refused for lack of room since the last look.
     is_incomplete: bool,
@@ -99,6 +104,7 @@ impl Graph {
             lifespans: Arc::default(),
             transit,
             touched: Vec::new(),
+            ended: VecDeque::new(),
             refused: Refused::default(),
             is_incomplete: false,
         }
@@ -174,6 +180,17 @@ impl Graph {
             let lifespan_ns = nanoseconds(lifespan);
             self.lifespans.set(end.gid, is_there.then_some(lifespan_ns));
         }
+    }
+
+    /// A gateway says that a publisher has ended by itself, whose token goes next.
+    pub(crate) fn note_ended(&mut self, tag: u64) {
+        self.ended.truncate(MOST_ENDED - 1);
+        self.ended.push_front(tag);
+    }
+
+    /// The tags of publishers that have ended by themselves, as far as that is said and not long ago.
+    pub(crate) fn ended(&self) -> BTreeSet<u64> {
+        self.ended.iter().copied().collect()
     }
 
     /// The lifespans of publishers on other hosts, kept up to date.

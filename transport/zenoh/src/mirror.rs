@@ -116,6 +116,8 @@ pub enum Action {
     Declare(Token),
     /// Withdraw it.
     Undeclare(Token),
+    /// Say that the publisher with this tag has ended by itself, whose token is withdrawn next.
+    SayEnded(u64),
     /// Begin to take a topic's samples from shared memory; of one that is being taken, do so with more from now on, its
     /// writers stay. Followed by the new `OpenWriter`s.
     StartOut(TopicKey, OutQos),
@@ -148,6 +150,8 @@ pub struct Mirror {
     said: (Vec<LocalNode>, Vec<LocalEndpoint>),
     /// Of what others tell of here.
     tags: HashSet<u64>,
+    /// Tags of publishers of the domain that have ended by themselves.
+    ended: HashSet<u64>,
     /// Whether one of these is announced otherwise than before.
     is_stale: bool,
     /// Publishers of the domain that others announce better, and whether they are others than were asked for last.
@@ -193,6 +197,7 @@ impl Mirror {
             next_id: 0,
             said: Default::default(),
             tags: HashSet::new(),
+            ended: HashSet::new(),
             is_stale: false,
             passed_over: Default::default(),
             nodes: BTreeMap::new(),
@@ -279,6 +284,17 @@ impl Mirror {
         actions
     }
 
+    /// Tags of publishers of the domain that have ended by themselves, the last ones. To be followed by
+    /// [`set_locals`](Self::set_locals).
+    pub fn set_ended(&mut self, ended: &[u64]) {
+        self.ended = ended.iter().copied().collect();
+    }
+
+    /// A gateway says that a publisher elsewhere has ended by itself, whose token goes next.
+    pub fn note_ended(&mut self, tag: u64) {
+        self.graph.note_ended(tag);
+    }
+
     /// What nodes and endpoints the domain has now, but for those that this gateway tells it of.
     pub fn set_locals(&mut self, nodes: Vec<LocalNode>, endpoints: Vec<LocalEndpoint>) -> Vec<Action> {
         let mut actions = Vec::new();
@@ -333,7 +349,13 @@ impl Mirror {
         let (mut withdrawn, mut replaced) = (Vec::new(), Vec::new());
         for gid in gone {
             if let Some(local) = self.locals.remove(&gid) {
-                let tokens = if now.contains_key(&gid) { &mut replaced } else { &mut withdrawn };
+                let tag = local.announced.as_ref().map(|announced| announced.origin.tag);
+                let tokens = if now.contains_key(&gid) {
+                    &mut replaced
+                } else {
+                    withdrawn.extend(tag.filter(|tag| self.ended.contains(tag)).map(Action::SayEnded));
+                    &mut withdrawn
+                };
                 tokens.extend(local.announced.map(|announced| Action::Undeclare(announced.token)));
                 touched.insert(local.key);
             }

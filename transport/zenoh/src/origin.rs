@@ -5,6 +5,26 @@
 use crate::wire::{NodeName, Token, endpoint_gid};
 use tautline_transport::{Gid, Origin};
 
+/// Below it gateways say which publishers have ended by themselves, for a while, as tokens, which come in the order in which they are
+/// declared: `@tautline_ended/<domain>/<zid>/<tag>`. What ends without that word has died. No other program listens.
+const ENDED: &str = "@tautline_ended";
+
+/// The word that a publisher has ended.
+pub(crate) fn ended(domain: u32, zid: u128, tag: u64) -> String {
+    format!("{ENDED}/{domain}/{zid:x}/{tag:016x}")
+}
+
+/// All such words of a domain.
+pub(crate) fn ended_wildcard(domain: u32) -> String {
+    format!("{ENDED}/{domain}/**")
+}
+
+/// The tag of the publisher that such a word is about; it is a claim.
+pub(crate) fn ended_tag(key: &str) -> Option<u64> {
+    let (_, tag) = key.strip_prefix(ENDED)?.rsplit_once('/')?;
+    u64::from_str_radix(tag, 16).ok()
+}
+
 const OURS: &str = "/tautline/";
 /// What is no gateway's token's is on the network itself.
 const PLACE: &str = "zenoh";
@@ -63,6 +83,18 @@ mod tests {
             let parsed = Token::parse(&token.to_string()).unwrap();
             assert_eq!(super::origin(&parsed), origin);
         }
+    }
+
+    #[test]
+    fn the_word_of_an_end_is_read() {
+        for tag in [1, u64::MAX] {
+            assert_eq!(ended_tag(&ended(5, 0xAB, tag)), Some(tag));
+        }
+        assert!(
+            ["@tautline_ended", "@tautline_ended/5/1/x", "@ros2_lv/5/1/1"]
+                .iter()
+                .all(|key| ended_tag(key).is_none())
+        );
     }
 
     #[test]

@@ -2,17 +2,23 @@
 //! What other hosts have, in this host's terms: for the nodes and tools here.
 
 use crate::wire::{Endpoint, EndpointKind, NodeName, Token, WireQos, endpoint_gid};
+use std::collections::BTreeSet;
 use tautline_transport::{
     EndpointKind::{Publisher, Subscription},
     Limits, Liveliness, Origin, Qos, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint,
     TopicType,
 };
 
-/// The same tokens are the same graph, in whatever order they come. `told` is how the domain is told of each, if it is.
-pub(crate) fn remote_graph(tokens: &[Token], told: impl Fn(&Token) -> Option<Origin>) -> RemoteGraph {
+/// The same tokens are the same graph, in whatever order they come. `told` is how the domain is told of each, if it is; publishers with
+/// one of the tags in `ended` have ended by themselves.
+pub(crate) fn remote_graph(
+    tokens: &[Token],
+    told: impl Fn(&Token) -> Option<Origin>,
+    ended: BTreeSet<u64>,
+) -> RemoteGraph {
     let mut tokens: Vec<&Token> = tokens.iter().collect();
     tokens.sort_by_cached_key(|token| token.to_string());
-    let mut graph = RemoteGraph::default();
+    let mut graph = RemoteGraph { ended, ..RemoteGraph::default() };
     for token in tokens {
         let Some(origin) = told(token) else { continue };
         match &token.endpoint {
@@ -105,7 +111,7 @@ mod tests {
             format!("@ros2_lv/5/1/0/4/SC/%/%theirs/talker/%add/a::srv::dds_::Add_/{HASH}/::,10:,:,:,,"),
         ];
         let mut tokens: Vec<Token> = texts.iter().map(|text| Token::parse(text).unwrap()).collect();
-        let graph = remote_graph(&tokens, |token| Some(origin(token)));
+        let graph = remote_graph(&tokens, |token| Some(origin(token)), BTreeSet::new());
         let names: Vec<String> = graph.nodes.iter().map(|node| node.name.to_string()).collect();
         assert_eq!(names, ["/theirs/talker", "/silent"]);
         let [publisher, subscription] = &*graph.endpoints else { panic!("{graph:?}") };
@@ -130,7 +136,7 @@ mod tests {
             [(ServiceKind::Server, "/add", "a/srv/Add"), (ServiceKind::Client, "/add", "a/srv/Add")]
         );
         tokens.reverse();
-        let reversed = remote_graph(&tokens, |token| Some(origin(token)));
+        let reversed = remote_graph(&tokens, |token| Some(origin(token)), BTreeSet::new());
         assert_eq!((reversed.endpoints, reversed.services), (graph.endpoints, graph.services));
     }
 }

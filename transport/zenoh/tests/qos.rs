@@ -3,10 +3,11 @@
 
 mod support;
 
+use std::process::{Command, Stdio};
 use std::time::Duration;
 use support::{Host, connect, string_type, until};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline_transport::{LivelinessChanged, Qos};
+use tautline_transport::{Limits, LivelinessChanged, Participant, Qos};
 
 #[test]
 fn publishers_of_another_host_are_watched_one_by_one() {
@@ -41,10 +42,58 @@ fn publishers_of_another_host_are_watched_one_by_one() {
 
     drop(second);
     let (count, changed) = support::wait("the end of one", || look(1));
-    assert_eq!((count, changed.not_alive_count), (1, 1));
-    drop((first, a));
+    assert_eq!((count, changed.alive_count_change, changed.not_alive_count), (1, -1, 0), "it ended");
+    drop(a);
     let (count, changed) = support::wait("the end of the other host", || look(0));
-    assert_eq!((count, changed.alive_count_change, changed.not_alive_count), (0, -1, 1));
+    assert_eq!((count, changed.alive_count_change, changed.not_alive_count), (0, -1, 1), "nobody knows");
+    drop(first);
+}
+
+/// What a publisher of another process does until it is told to go.
+const CHILD: &str = "TAUT_TEST_CHILD";
+
+#[test]
+fn a_publisher_of_a_process_of_its_own() {
+    let Ok(domain) = std::env::var(CHILD) else { return };
+    support::scope();
+    let participant = Participant::new(domain.parse().unwrap()).unwrap();
+    let (qos, limits) = (Qos::keep_last(10), Limits::default());
+    let publisher = participant.create_raw_publisher("/chatter", &string_type(), qos, limits).unwrap();
+    let _ = std::io::stdin().read_line(&mut String::new());
+    drop(publisher);
+}
+
+/// A process ends, and one is killed: of the one the other host hears that its publisher has ended, of the other one that it died.
+#[test]
+fn on_another_host_an_end_is_told_from_a_death() {
+    let a = Host::first(111, 111);
+    let b = Host::beside(&a, 112);
+    let subscription = b.subscription("/chatter", &string_type(), Qos::keep_last(10));
+    let events = b.participant.claim_slot().unwrap();
+    let mut monitor = subscription.monitor(&events);
+    let mut last = LivelinessChanged::default();
+    let mut look = |alive: u64| {
+        last = monitor.look(monotonic_ns()).liveliness.unwrap_or(last);
+        (last.alive_count == alive).then_some((last.alive_count_change, last.not_alive_count))
+    };
+    for is_killed in [false, true, false] {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["a_publisher_of_a_process_of_its_own", "--exact"])
+            .env(CHILD, "111")
+            .env("TAUT_SCOPE", support::scope())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        support::wait("its publisher", || look(1));
+        if is_killed {
+            child.kill().unwrap();
+        }
+        drop(child.stdin.take());
+        child.wait().unwrap();
+        let (change, not_alive) = support::wait("its end", || look(0));
+        assert_eq!((change, not_alive), (-1, u64::from(is_killed)));
+    }
 }
 
 #[test]

@@ -40,7 +40,7 @@ fn end(kind: EndpointKind, topic: &str, gid: Gid) -> TopicEndpoint {
 /// Tells of ends in a host's domain, as a bridge does.
 fn bridge(host: &Host, endpoints: Vec<TopicEndpoint>) -> Participant {
     let bridge = Participant::new(host.domain).unwrap();
-    bridge.set_remote(&RemoteGraph { nodes: vec![], endpoints, services: vec![] }).unwrap();
+    bridge.set_remote(&RemoteGraph { endpoints, ..RemoteGraph::default() }).unwrap();
     bridge
 }
 

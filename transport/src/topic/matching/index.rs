@@ -78,6 +78,8 @@ struct Member {
     /// The topics of its ports, and of those of other hosts that it tells of.
     ports: HashMap<u64, u64>,
     remote: HashMap<u64, u64>,
+    /// The tags of publishers elsewhere that it says have ended.
+    ended: HashMap<u64, u64>,
     /// The names of its nodes, hashed.
     nodes: HashMap<u64, u64>,
 }
@@ -196,8 +198,8 @@ impl Index {
             Entry::Vacant(place) => {
                 let Some(peer) = peers.get(domain, id)? else { return Ok(()) };
                 let (generation, grown, reader) = Default::default();
-                let (ports, remote, nodes) = Default::default();
-                place.insert(Member { generation, grown, peer, reader, ports, remote, nodes })
+                let (ports, remote, ended, nodes) = Default::default();
+                place.insert(Member { generation, grown, peer, reader, ports, remote, ended, nodes })
             }
         };
         let peer = member.peer.clone();
@@ -206,6 +208,7 @@ impl Index {
         if read.anew {
             former = (std::mem::take(&mut member.ports), std::mem::take(&mut member.remote));
             member.nodes.clear();
+            member.ended.clear();
         }
         for (entry, position) in read.entries {
             let (number, hash, gid) = (entry.number, entry.hash, Gid::of(id, entry.number));
@@ -232,6 +235,7 @@ impl Index {
                         news.removed.push((gid, hash, false));
                     }
                     member.nodes.remove(&number);
+                    member.ended.remove(&number);
                     if let Some(hash) = member.remote.remove(&number) {
                         remove(&mut self.by_topic, hash, |ends| ends.remote.remove(gid));
                         self.remote_changes.insert(hash);
@@ -250,6 +254,7 @@ impl Index {
                     }
                 }
                 Kind::Node => drop(member.nodes.insert(number, hash)),
+                Kind::RemoteEnded => drop(member.ended.insert(number, hash)),
                 Kind::RemoteService | Kind::Relay => {}
             }
         }
@@ -330,8 +335,8 @@ impl Index {
         ends.map(|gid| gid.participant()).collect()
     }
 
-    /// The ends of a kind that other hosts have of a topic and that can match: sorted, each once.
-    pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Vec<Gid> {
+    /// The ends of a kind that other hosts have of a topic and that can match: sorted by gid, each once, with its tag.
+    pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Vec<(Gid, u64)> {
         let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| &ends.remote.0);
         let nobody = NodeName { namespace: "/".into(), name: "_".into() };
         let changes = &mut self.remote_changes;
@@ -353,11 +358,16 @@ impl Index {
         let mut told: Vec<(u64, Rank, Gid)> = ends.filter_map(end).collect();
         told.sort_unstable();
         told.dedup_by_key(|(tag, ..)| *tag);
-        let mut gids: Vec<Gid> = told.into_iter().map(|(.., gid)| gid).collect();
+        let mut gids: Vec<(Gid, u64)> = told.into_iter().map(|(tag, _, gid)| (gid, tag)).collect();
         gids.sort_unstable();
-        gids.dedup();
+        gids.dedup_by_key(|(gid, _)| *gid);
         gids.truncate(MOST_REMOTE);
         gids
+    }
+
+    /// The tags of publishers elsewhere that have ended by themselves, as far as that is said.
+    pub(super) fn ended(&self) -> HashSet<u64> {
+        self.members.values().flat_map(|member| member.ended.values().copied()).collect()
     }
 
     pub(super) fn take_remote_changes(&mut self) -> BTreeSet<u64> {

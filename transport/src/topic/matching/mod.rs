@@ -31,7 +31,7 @@ use crate::topic::publisher::core::{PublisherCore, Target};
 use crate::topic::subscription::core::{Expected, SubscriptionCore};
 use index::{Index, News};
 use source::PeerPublishers;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -353,7 +353,10 @@ impl State {
         for (gid, port) in peers {
             self.connect_peer(core, gid, port, work)?;
         }
-        core.set_remote(&self.index.remote(core.hash(), PortKind::Subscription, &core.topic));
+        core.set_remote(
+            &self.index.remote(core.hash(), PortKind::Subscription, &core.topic),
+            &self.index.ended(),
+        );
         Ok(())
     }
 
@@ -373,7 +376,10 @@ impl State {
                 complain(&error);
             }
         }
-        core.set_remote(&self.index.remote(core.hash(), PortKind::Publisher, &core.topic));
+        core.set_remote(
+            &self.index.remote(core.hash(), PortKind::Publisher, &core.topic),
+            &self.index.ended(),
+        );
         if let Err(error) = core.attach() {
             work.outcome.is_pending = true;
             complain(&error);
@@ -484,13 +490,15 @@ impl State {
             }
         }
         self.find_ended(ended, work);
-        for hash in self.index.take_remote_changes() {
+        let remote_changes = self.index.take_remote_changes();
+        let ended = if remote_changes.is_empty() { HashSet::new() } else { self.index.ended() };
+        for hash in remote_changes {
             for core in self.own_publishers(hash) {
-                core.set_remote(&self.index.remote(hash, PortKind::Subscription, &core.topic));
+                core.set_remote(&self.index.remote(hash, PortKind::Subscription, &core.topic), &ended);
                 work.publisher(&core);
             }
             for core in self.own_subscriptions(hash) {
-                core.set_remote(&self.index.remote(hash, PortKind::Publisher, &core.topic));
+                core.set_remote(&self.index.remote(hash, PortKind::Publisher, &core.topic), &ended);
                 work.subscription(&core);
             }
         }

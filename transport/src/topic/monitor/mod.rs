@@ -219,16 +219,8 @@ mod tests {
     use tautline_rt::latest;
 
     fn end(n: u8, mismatch: Option<Mismatch>) -> End {
-        let (is_relay, is_remote) = (n > 100, false);
-        End {
-            gid: Gid([n; 16]),
-            mismatch,
-            qos: Qos::default(),
-            is_relay,
-            is_remote,
-            partner: None,
-            life: None,
-        }
+        let (is_relay, remote) = (n > 100, None);
+        End { gid: Gid([n; 16]), mismatch, qos: Qos::default(), is_relay, remote, partner: None, life: None }
     }
 
     #[test]

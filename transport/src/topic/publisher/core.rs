@@ -21,7 +21,7 @@ use crate::topic::header::Gid;
 use crate::topic::memory::{Demand, grown_sample_bytes, sample_bytes};
 use crate::topic::pool::{MAX_SAMPLES, Pool, Segment};
 use crate::topic::subscription::receiver::{SegmentView, SegmentViews};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::io;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -204,7 +204,7 @@ impl PublisherCore {
         let mismatch = self.mismatch(&target.port, &qos);
         let is_relay = target.port.relay;
         let partner = target.port.partner;
-        let end = End { gid: target.gid, mismatch, qos, is_relay, is_remote: false, partner, life: None };
+        let end = End { gid: target.gid, mismatch, qos, is_relay, remote: None, partner, life: None };
         if let Some(mismatch) = mismatch {
             self.topic.warn_of_mismatch(mismatch, "publisher", "subscription", &target.port);
             setup.ends.set(end);
@@ -457,9 +457,9 @@ impl PublisherCore {
         self.setup().senders.iter().map(|connected| connected.sender.subscription.participant()).collect()
     }
 
-    /// The ends on other hosts.
-    pub(crate) fn set_remote(&self, gids: &[Gid]) {
-        self.setup().ends.set_remote(gids);
+    /// The ends on other hosts, with their tags, and the tags of those that have ended by themselves.
+    pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
+        self.setup().ends.set_remote(told, ended);
     }
 
     /// Hands over what has changed, and tells monitors.

@@ -14,6 +14,7 @@ use crate::topic::connection::ReaderState;
 use crate::topic::ends::{End, EndList, Ends, Mismatch};
 use crate::topic::header::Gid;
 use crate::topic::matching::Source;
+use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline_doorbell::Slot;
@@ -165,7 +166,7 @@ impl SubscriptionCore {
                     mismatch: Some(mismatch),
                     qos,
                     is_relay,
-                    is_remote: false,
+                    remote: None,
                     partner: None,
                     life: None,
                 });
@@ -235,7 +236,7 @@ impl SubscriptionCore {
             mismatch: None,
             qos,
             is_relay: port.relay,
-            is_remote: false,
+            remote: None,
             partner: port.partner,
             life,
         });
@@ -301,9 +302,9 @@ impl SubscriptionCore {
         Ok(())
     }
 
-    /// The ends on other hosts.
-    pub(crate) fn set_remote(&self, gids: &[Gid]) {
-        self.setup().ends.set_remote(gids);
+    /// The ends on other hosts, with their tags, and the tags of those that have ended by themselves.
+    pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
+        self.setup().ends.set_remote(told, ended);
     }
 
     /// Hands over what has changed, rings for it, and tells monitors. Returns the publishers whose connections were closed,

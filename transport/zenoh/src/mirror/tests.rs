@@ -63,6 +63,7 @@ fn said(actions: &[Action]) -> Vec<String> {
     let one = |action: &Action| match action {
         Action::Declare(t) => format!("declare {}", token(t)),
         Action::Undeclare(t) => format!("undeclare {}", token(t)),
+        Action::SayEnded(tag) => format!("say ended {tag}"),
         Action::StartOut(key, qos) => format!("start out {} {:?} {}", name(key), qos.durability, qos.depth),
         Action::OpenWriter(key, writer) => format!("open {} {}", name(key), writer.local_gid.0[0]),
         Action::CloseWriter(key, gid) => format!("close {} {}", name(key), gid.0[0]),
