@@ -142,6 +142,7 @@ fn rows(mode: &str, payload_bytes: usize, mb_per_s: Option<f64>, reports: &[Valu
             p999_us: longest,
             max_us: longest,
             lost: sum("lost"),
+            throttled: None,
             mb_per_s,
             rounds: topics
                 .iter()

@@ -27,6 +27,9 @@ pub struct Row {
     pub p999_us: f64,
     pub max_us: f64,
     pub lost: u64,
+    /// How often a gateway used up its budget, in the round where it was most: after that its threads are ordinary ones for a while.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub throttled: Option<u64>,
     /// What arrived, of a stream or of the flood beside the callbacks: the median round.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mb_per_s: Option<f64>,
@@ -120,7 +123,19 @@ fn title(experiment: Experiment) -> &'static str {
 fn table(rows: &[&Row]) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["payload", "system", "mode", "n", "p50", "p99", "p99.9", "max", "lost", "MB/s"]);
+    table.set_header([
+        "payload",
+        "system",
+        "mode",
+        "n",
+        "p50",
+        "p99",
+        "p99.9",
+        "max",
+        "lost",
+        "throttled",
+        "MB/s",
+    ]);
     let mut previous = String::new();
     for row in rows {
         let payload = payload(row.payload_bytes);
@@ -128,7 +143,9 @@ fn table(rows: &[&Row]) -> Table {
         previous = payload;
         let times = [row.p50_us, row.p99_us, row.p999_us, row.max_us].map(|time| format!("{time:.1}"));
         let rate = row.mb_per_s.map_or(String::new(), |rate| format!("{rate:.0}"));
-        let numbers = [vec![row.n.to_string()], times.to_vec(), vec![row.lost.to_string(), rate]].concat();
+        let throttled = row.throttled.map_or(String::new(), |times| times.to_string());
+        let last = vec![row.lost.to_string(), throttled, rate];
+        let numbers = [vec![row.n.to_string()], times.to_vec(), last].concat();
         let words = [shown, system(row.system).to_owned(), row.mode.clone()];
         let cells = words.into_iter().map(Cell::new);
         let number_cells =

@@ -37,13 +37,17 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Row>> {
             progress.set_message(format!("round {round}: {name}"));
             let topic = format!("/bench/run_{}/pair_{round}_{index}", std::process::id());
             // Started for each: nobody else's idle threads disturb a rival.
-            let _gateways = match case.system {
+            let mut gateways = match case.system {
                 System::Tautline => Some(gateways(plan, plan.cores, [plan.realtime; 2], interrupted)?),
                 _ => None,
             };
             let measured = pair(plan, case, topic, interrupted)
                 .map_err(|error| format!("{name}, round {round}: {error}"))?;
             cell.add(&measured);
+            if let Some(gateways) = &mut gateways {
+                let throttled = [0, 1].map(|host| gateways.stats(host)["throttled"].as_u64().unwrap_or(0));
+                cell.throttled = cell.throttled.max(throttled.into_iter().max());
+            }
             progress.inc(1);
         }
     }
@@ -124,12 +128,13 @@ struct Cell {
     case: Case,
     times: Distribution,
     lost: u64,
+    throttled: Option<u64>,
     rounds: Vec<Round>,
 }
 
 impl Cell {
     fn new(case: Case) -> Self {
-        Cell { case, times: Distribution::new(), lost: 0, rounds: Vec::new() }
+        Cell { case, times: Distribution::new(), lost: 0, throttled: None, rounds: Vec::new() }
     }
 
     fn add(&mut self, measured: &Measured) {
@@ -156,6 +161,7 @@ impl Cell {
             p999_us: self.times.quantile_us(0.999),
             max_us: self.times.max_us(),
             lost: self.lost,
+            throttled: self.throttled,
             mb_per_s: (self.case.exchange != Exchange::RoundTrips).then(|| rates[rates.len() / 2]),
             rounds: self.rounds.clone(),
         }

@@ -113,6 +113,7 @@ mod tests {
             p999_us: 0.0,
             max_us: 0.0,
             lost: 0,
+            throttled: None,
             mb_per_s: None,
             rounds: times_us.iter().map(|&time_us| Round { time_us, mb_per_s: 0.0 }).collect(),
         }

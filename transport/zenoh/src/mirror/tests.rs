@@ -117,6 +117,46 @@ fn samples_go_out_while_both_ends_exist() {
 }
 
 #[test]
+fn of_a_publisher_that_ended_that_is_said_before_its_token_goes() {
+    let mut m = mirror(ZID, Filter::default());
+    m.set_locals(vec![], vec![publisher(1, "x"), publisher(2, "x"), subscription(3, "x")]);
+    // Its tag is its gid's here, and of what is no publisher nobody says it.
+    m.set_ended(&[1, 9]);
+    assert_eq!(
+        said(&m.set_locals(vec![], vec![])),
+        [
+            "say ended 1",
+            "undeclare Publisher /x",
+            "undeclare Publisher /x",
+            "undeclare Subscription /x",
+            "undeclare node /n"
+        ]
+    );
+    assert_eq!(said(&m.close()), NOTHING);
+}
+
+#[test]
+fn what_is_kept_is_taken_again_when_a_publisher_is_announced_anew() {
+    let mut m = mirror(ZID, Filter::default());
+    // Of another host, told here by a bridge; and a gateway next to it that announces it as well.
+    let origin = Origin { tag: 7, path: vec![3, 4], ..Origin::default() };
+    let far = LocalEndpoint { origin, ..late_joining(publisher(1, "map")) };
+    let nearer = |hops: &str| {
+        let enclave = format!("%tautline%0000000000000007%0%there{hops}");
+        remote(1, 7, "MP", "map", QOS).replace("/%/%/n/", &format!("/{enclave}/%/n/"))
+    };
+    let depth = RELAYED_DEPTH;
+    let began = format!("start out /map TransientLocal {depth}");
+    let all = said(&m.set_locals(vec![], vec![far, late_joining(publisher(2, "map"))]));
+    assert_eq!(all.iter().filter(|action| **action == began).count(), 1, "{all:?}");
+    assert_eq!(said(&m.token_up(&nearer("%0000000000000003"))), NOTHING);
+    assert_eq!(said(&m.settle()), ["close /map 1", "undeclare Publisher /map", "undeclare node /n"]);
+    assert!(m.take_passed_over().is_some_and(|passed_over| passed_over == HashSet::from([Gid([1; 16])])));
+    assert_eq!(said(&m.token_down(&nearer("%0000000000000003"))), NOTHING);
+    assert_eq!(said(&m.settle()), ["declare node /n", "declare Publisher /map", &began, "open /map 1"]);
+}
+
+#[test]
 fn samples_come_in_while_both_ends_exist() {
     let mut m = mirror(ZID, Filter::default());
     let writer = remote(1, 7, "MP", "x", QOS);
