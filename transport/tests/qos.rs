@@ -11,7 +11,7 @@ use support::{Count, Part, clean, domain, say, take_all, wait_for, wait_for_the_
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{
     EndpointKind, Gid, IncompatibleQos, Limits, Liveliness, LivelinessChanged, Matched, MessageInfo,
-    MessageLost, NodeName, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription,
+    MessageLost, NodeName, Origin, Participant, Publisher, Qos, QosPolicyKind, RemoteGraph, Subscription,
     TopicEndpoint, TopicType,
 };
 
@@ -453,4 +453,51 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
         changes.matched.is_some()
     });
     assert_eq!((changes.matched.unwrap().current_count, changes.liveliness), (1, Some(alive(1, 1, -1, 1))));
+}
+
+/// Two gateways tell of one publisher: it is one, and goes on to be there while one of them does.
+#[test]
+fn an_end_that_two_tell_of_is_one() {
+    let domain = domain(88);
+    clean(domain);
+    let [observer, near, far] = [(); 3].map(|()| Participant::new(domain).unwrap());
+    let subscription = subscription(&observer, "/far", Qos::default());
+    let slot = observer.claim_slot().unwrap();
+    let mut monitor = subscription.raw().monitor(&slot);
+    let topic_type = TopicType::of::<Count>();
+    let told = |gid, path: &[u64]| RemoteGraph {
+        endpoints: vec![TopicEndpoint {
+            kind: EndpointKind::Publisher,
+            topic: "/far".into(),
+            topic_type: topic_type.clone(),
+            gid: Gid([gid; 16]),
+            qos: Qos::default(),
+            node: Some(NodeName { namespace: "/".into(), name: "talker".into() }),
+            pid: None,
+            is_remote: true,
+            is_own: false,
+            origin: Origin { tag: 7, path: path.to_vec(), ..Origin::default() },
+            teller: None,
+        }],
+        ..RemoteGraph::default()
+    };
+    let (mut matched, mut alive, mut total) = (0, (0, 0), 0);
+    let mut look = || {
+        let changes = monitor.look(monotonic_ns());
+        if let Some(now) = changes.matched {
+            (matched, total) = (now.current_count, now.total_count);
+        }
+        alive = changes.liveliness.map_or(alive, |now| (now.alive_count, now.not_alive_count));
+        (matched, total, alive)
+    };
+    far.set_remote(&told(2, &[1, 2])).unwrap();
+    wait_for("the publisher", || look() == (1, 1, (1, 0)));
+    near.set_remote(&told(1, &[1])).unwrap();
+    wait_for("the better word of it", || look() == (1, 2, (1, 0)));
+    // The worse one changes nothing, and in place of the better one it is there at once.
+    far.set_remote(&told(3, &[1, 2])).unwrap();
+    near.set_remote(&RemoteGraph::default()).unwrap();
+    wait_for("the other word of it", || look() == (1, 3, (1, 0)));
+    far.set_remote(&RemoteGraph::default()).unwrap();
+    wait_for("its end", || look() == (0, 3, (0, 1)));
 }
