@@ -9,9 +9,9 @@ use std::sync::Arc;
 use std::time::Duration;
 use support::{Count, Part, clean, domain, participants, say, wait_for, wait_for_the_end};
 use tautline_transport::{
-    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Origin, Participant, Qos, Rank, RawClient,
-    RawServer, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint, TopicType,
-    TransportError, graph_of,
+    EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, NodeName, Origin, Participant, Publisher, Qos, Rank,
+    RawClient, RawServer, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, ServiceType, TopicEndpoint,
+    TopicType, TransportError, graph_of,
 };
 
 /// The child's part; without its variable it is no test.
@@ -292,6 +292,41 @@ fn what_two_tell_of_is_listed_once() {
     assert_eq!(listed(), (vec![(2, Some(near.id()))], vec![Some(near.id())]));
     drop(near);
     assert_eq!(listed(), (vec![(1, Some(far.id()))], vec![Some(far.id())]));
+}
+
+/// Who tells other hosts of what is here knows which publishers have ended by themselves.
+#[test]
+fn who_tells_others_hears_what_has_ended() {
+    let domain = domain(89);
+    clean(domain);
+    let [gateway, part] = [(); 2].map(|()| Participant::new(domain).unwrap());
+    let publisher =
+        |of: &Participant| of.create_publisher::<Count>("/x", Qos::default(), Limits::default()).unwrap();
+    let tag = |of: &Publisher<Count>| of.gid().tag();
+    let (first, second) = (publisher(&part), publisher(&part));
+    assert!(gateway.graph().unwrap().ended.is_empty());
+    gateway.set_remote(&RemoteGraph::default()).unwrap();
+    // How often that is said of the publisher with a tag.
+    let said = |tag: u64| gateway.graph().unwrap().ended.iter().filter(|ended| **ended == tag).count();
+    let tags = [tag(&first), tag(&second)];
+    assert_eq!(said(tags[0]), 0);
+    drop(first);
+    assert_eq!(tags.map(said), [1, 0]);
+    // Also if the record is written anew meanwhile, as it gets longer.
+    (0..200).for_each(|_| drop(publisher(&part)));
+    drop(second);
+    assert_eq!(tags.map(said), [1, 1]);
+    // And if its process ends at once.
+    let last = publisher(&part);
+    let tag_of_last = tag(&last);
+    assert_eq!(said(tag_of_last), 0);
+    drop((last, part));
+    assert_eq!(said(tag_of_last), 1);
+    // What others tell of counts as well, but not what this one itself tells.
+    let other = Participant::new(domain).unwrap();
+    other.set_remote(&RemoteGraph { ended: [7].into(), ..RemoteGraph::default() }).unwrap();
+    gateway.set_remote(&RemoteGraph { ended: [8].into(), ..RemoteGraph::default() }).unwrap();
+    assert_eq!([7, 8].map(said), [1, 0]);
 }
 
 #[test]

@@ -60,12 +60,14 @@ impl FromStr for Pattern {
         let refuse = |reason| Err(PatternError { pattern: text.to_owned(), reason });
         let Some(rest) = text.strip_prefix('/') else { return refuse("it does not begin with '/'") };
         for part in rest.split('/') {
-            let is_word = part.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+            // What a topic may be called, but for what has a meaning in patterns, here or in Zenoh.
+            let is_plain = |c: char| !c.is_control() && !c.is_whitespace() && !":*$?#".contains(c);
+            let is_word = part.chars().all(is_plain);
             if part.is_empty() {
                 return refuse("a part of it is empty");
             }
             if !matches!(part, "*" | "**") && !is_word {
-                return refuse("a part is a word of letters, digits and '_', or '*', or '**'");
+                return refuse("a part is a word without ' ', ':', '*', '$', '?' and '#', or '*', or '**'");
             }
         }
         Ok(Pattern(text.to_owned()))
@@ -121,6 +123,7 @@ mod tests {
             ("/*/odom", "/base/odom"),
             ("/**/x", "/x"),
             ("/**/b/*", "/a/b/b/c"),
+            ("/robot-1/*", "/robot-1/odom"),
         ];
         let others =
             [("/a", "/b"), ("/a", "/a/b"), ("/a/**", "/ab"), ("/*/odom", "/odom"), ("/*/odom", "/a/b/odom")];
@@ -131,7 +134,7 @@ mod tests {
 
     #[test]
     fn what_is_no_pattern() {
-        for text in ["", "a", "/", "/a//b", "/a/", "/a b", "/a*"] {
+        for text in ["", "a", "/", "/a//b", "/a/", "/a b", "/a*", "/a$*", "/a#"] {
             let error = text.parse::<Pattern>().unwrap_err().to_string();
             assert!(error.contains(&format!("'{text}'")), "{error}");
         }

@@ -22,7 +22,7 @@ pub struct Transit {
     goes_on: bool,
     place: String,
     rivals: HashMap<u64, Rank>,
-    /// Of each tag all that tell of it there: one almost always.
+    /// Of each tag all that tell of it there, the best first: one almost always, and as many as somebody claims.
     far: HashMap<u64, Vec<Rank>>,
 }
 
@@ -58,7 +58,9 @@ impl Transit {
     /// Something is on the far side, as `teller` tells of it there; not what this one itself tells.
     pub fn insert(&mut self, origin: &Origin, teller: u128) {
         if origin.tag != 0 {
-            self.far.entry(origin.tag).or_insert_with(|| Vec::with_capacity(1)).push(origin.rank(teller));
+            let tellers = self.far.entry(origin.tag).or_insert_with(|| Vec::with_capacity(1));
+            let rank = origin.rank(teller);
+            tellers.insert(tellers.partition_point(|other| *other < rank), rank);
         }
     }
 
@@ -66,8 +68,8 @@ impl Transit {
     pub fn remove(&mut self, origin: &Origin, teller: u128) {
         let rank = origin.rank(teller);
         let Some(tellers) = self.far.get_mut(&origin.tag) else { return };
-        if let Some(place) = tellers.iter().position(|teller| *teller == rank) {
-            tellers.swap_remove(place);
+        if let Ok(place) = tellers.binary_search(&rank) {
+            tellers.remove(place);
         }
         if tellers.is_empty() {
             self.far.remove(&origin.tag);
@@ -80,7 +82,7 @@ impl Transit {
     }
 
     fn best(&self, tag: u64) -> Option<Rank> {
-        self.far.get(&tag)?.iter().min().copied()
+        self.far.get(&tag)?.first().copied()
     }
 
     /// How the domain is to be told of what `teller` tells on the far side; `None`: not at all, for it has been here before, or

@@ -14,18 +14,21 @@ use crate::topic::header::Gid;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::io::ErrorKind::WouldBlock;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// Who looks without being a participant.
 const VISITOR: u64 = 0;
 
-/// Publishers that have ended of which that is known for a while.
-const MOST_ENDED: usize = 256;
+/// How long, and of how many publishers, it is known that they have ended.
+const ENDED_TIME: Duration = Duration::from_secs(10);
+const MOST_ENDED: usize = 4096;
 
 /// What this process knows of a domain's graph.
 #[derive(Default)]
 pub(crate) struct Model {
-    /// The participant that asks.
+    /// The participant that asks, and whether it tells of others' ends.
     own: u64,
+    is_teller: bool,
     /// The domain's when `snapshot` was made.
     epoch: Option<u32>,
     members: HashMap<u64, Member>,
@@ -35,8 +38,8 @@ pub(crate) struct Model {
     services: BTreeMap<(String, ServiceKind, Gid, Gid), Arc<ServiceEndpoint>>,
     /// Who tells of what is elsewhere, by its tag, the best first.
     told: HashMap<u64, Vec<(Rank, Gid)>>,
-    /// Tags of publishers that have ended by themselves, the last ones.
-    ended: VecDeque<u64>,
+    /// Tags of publishers that have ended by themselves, and since when that is known.
+    ended: VecDeque<(Instant, u64)>,
     snapshot: Arc<GraphSnapshot>,
 }
 
@@ -232,7 +235,7 @@ impl Model {
             endpoints: endpoints.map(|(_, end)| end.clone()).collect(),
             services: services.map(|(_, end)| end.clone()).collect(),
             rivals: self.rivals(),
-            ended: if self.is_relay() { self.ended.iter().copied().collect() } else { Vec::new() },
+            ended: self.ended.iter().map(|(_, tag)| *tag).collect(),
         });
         self.epoch = Some(epoch).filter(|_| !is_behind);
         Ok(self.snapshot.clone())
@@ -244,35 +247,44 @@ impl Model {
         teller.is_none() || best.is_none_or(|(_, best)| *best == gid)
     }
 
-    /// Whether the participant that asks tells of others' ends.
-    fn is_relay(&self) -> bool {
-        self.members.get(&self.own).is_some_and(|own| own.is_relay)
-    }
-
+    /// Only for who tells others of it.
     fn note_ended(&mut self, tag: u64) {
-        self.ended.truncate(MOST_ENDED - 1);
-        self.ended.push_front(tag);
+        if self.is_teller {
+            let now = Instant::now();
+            let is_over = |(since, _): &(Instant, u64)| now.duration_since(*since) >= ENDED_TIME;
+            while self.ended.len() >= MOST_ENDED || self.ended.front().is_some_and(is_over) {
+                self.ended.pop_front();
+            }
+            self.ended.push_back((now, tag));
+        }
     }
 
     /// A participant has gone, and may have said before that its publishers have ended.
     fn hear_last(&mut self, id: u64, member: &mut Member) {
         let Some(Ok(news)) = member.peer.as_ref().map(|peer| member.reader.read(peer)) else { return };
-        let ended = news.entries.iter().filter(|(entry, _)| matches!(entry.kind, Kind::Gone | Kind::Ended));
-        for (entry, _) in ended.filter(|_| !news.anew) {
-            self.note_gone(id, member, entry.number);
+        let of_kind = |is_it: fn(Kind) -> bool| {
+            let entries = news.entries.iter().filter(move |(entry, _)| is_it(entry.kind));
+            entries.map(|(entry, _)| entry.number).collect::<BTreeSet<u64>>()
+        };
+        let ended = of_kind(|kind| matches!(kind, Kind::Gone | Kind::Ended));
+        let still = of_kind(|kind| kind == Kind::Port);
+        for (number, port) in &member.ports {
+            if ended.contains(number) || news.anew && !still.contains(number) {
+                self.note_gone(id, member.is_relay, *number, port);
+            }
         }
     }
 
-    /// A participant says that what it has under a number is no more: if that is a publisher, it has ended.
-    fn note_gone(&mut self, id: u64, member: &Member, number: u64) {
-        if member.ports.get(&number).is_some_and(|port| port.kind == PortKind::Publisher) {
+    /// A participant says that what it has under a number is no more: if that is a topic's publisher, it has ended.
+    fn note_gone(&mut self, id: u64, is_relay: bool, number: u64, port: &PortRecord) {
+        if port.kind == PortKind::Publisher && !is_relay && !is_of_service(&port.topic) {
             self.note_ended(Gid::of(id, number).tag());
         }
     }
 
     /// What others tell of, if this one does so too.
     fn rivals(&self) -> HashMap<u64, Rank> {
-        if !self.is_relay() {
+        if !self.is_teller {
             return HashMap::new();
         }
         let of_others = |(tag, tellers): (&u64, &Vec<(Rank, Gid)>)| {
@@ -310,28 +322,42 @@ impl Model {
     fn read(&mut self, id: u64, member: &mut Member) -> Result<(), TransportError> {
         let Some(peer) = &member.peer else { return Ok(()) };
         let news = member.reader.read(peer)?;
+        let mut former = BTreeMap::new();
         if news.anew {
             self.unlist(id, member);
+            former = std::mem::take(&mut member.ports);
             *member =
                 Member { reader: std::mem::take(&mut member.reader), ..Member::new(member.peer.take()) };
         }
         for (entry, _) in &news.entries {
             match entry.kind {
                 Kind::Gone | Kind::Ended => {
-                    self.note_gone(id, member, entry.number);
+                    if let Some(port) = member.ports.get(&entry.number) {
+                        self.note_gone(id, member.is_relay, entry.number, port);
+                    }
                     self.change(id, member, entry.number, false);
                     member.remove(entry.number);
                 }
                 Kind::Relay => {
+                    self.is_teller |= id == self.own;
                     self.unlist(id, member);
                     member.is_relay = true;
                     member.numbers().into_iter().for_each(|number| self.change(id, member, number, true));
                 }
+                // Not what this one itself says.
+                Kind::RemoteEnded if id == self.own => {}
                 Kind::RemoteEnded => self.note_ended(entry.hash),
                 _ => {
+                    former.remove(&entry.number);
                     member.add(entry);
                     self.change(id, member, entry.number, true);
                 }
+            }
+        }
+        // What was there before the record was written anew, and is no longer.
+        for (number, port) in former {
+            if !member.ports.contains_key(&number) {
+                self.note_gone(id, member.is_relay, number, &port);
             }
         }
         if news.is_damaged

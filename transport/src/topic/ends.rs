@@ -84,11 +84,11 @@ impl Ends {
         matched
     }
 
-    /// Ends on other hosts, with their tags, in place of those before. Of those that are gone these have `ended` by themselves.
+    /// Ends on other hosts, sorted, with their tags, in place of those before. Of those that are gone these have `ended` by themselves.
     pub(crate) fn set_remote(&mut self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
-        let is_told = |gid: Gid| told.iter().any(|(other, _)| *other == gid);
-        let gone = self.list.values().filter(|end| !is_told(end.gid));
-        let gone: Vec<_> = gone.filter_map(|end| Some((end.gid, end.remote?))).collect();
+        let is_told = |gid: Gid| told.binary_search_by(|(other, _)| other.cmp(&gid)).is_ok();
+        let remote = self.list.values().filter_map(|end| Some((end.gid, end.remote?)));
+        let gone: Vec<_> = remote.filter(|(gid, _)| !is_told(*gid)).collect();
         for (gid, tag) in gone {
             // Or somebody else tells of it now.
             let lives = told.iter().any(|(_, other)| *other == tag);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What Zenoh's access control refused. Zenoh says so in its trace events only: here they are counted.
 
+use crate::origin::ENDED;
 use crate::wire::TopicKey;
 use std::collections::BTreeMap;
 use std::fmt::{Debug, Write};
@@ -80,7 +81,7 @@ fn refusal(event: &str) -> Option<String> {
     let (_, refused) = event.split_once(" is unauthorized to ")?;
     let (action, key) = refused.split_once(" on ")?;
     // Who may not see a node does not see its tokens either: the topic's own refusals say enough.
-    if key.contains("@ros2_lv/") {
+    if key.contains("@ros2_lv/") || key.contains(ENDED) {
         return None;
     }
     let base = key.strip_suffix("/_buf_cpu").unwrap_or(key);
@@ -104,5 +105,7 @@ mod tests {
             refusal("ab12 is unauthorized to Liveliness Token (ingress) on @ros2_lv/0/1/0/0/NN/%/%/n"),
             None
         );
+        let word = crate::origin::ended(0, 1, 7);
+        assert_eq!(refusal(&format!("ab12 is unauthorized to Liveliness Token (ingress) on {word}")), None);
     }
 }

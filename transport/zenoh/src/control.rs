@@ -57,11 +57,14 @@ pub(crate) fn tokens_to(events: mpsc::SyncSender<Event>) -> impl Fn(Sample) + Se
     }
 }
 
-/// The same for the words that publishers have ended.
-pub(crate) fn ends_to(events: mpsc::SyncSender<Event>) -> impl Fn(Sample) + Send + Sync + 'static {
+/// The same for the words that publishers have ended, but for those of this session.
+pub(crate) fn ends_to(
+    events: mpsc::SyncSender<Event>,
+    own_zid: u128,
+) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
-        let is_said = sample.kind() == SampleKind::Put;
-        if let Some(tag) = ended_tag(sample.key_expr().as_str()).filter(|_| is_said) {
+        let said = ended_tag(sample.key_expr().as_str()).filter(|_| sample.kind() == SampleKind::Put);
+        if let Some((_, tag)) = said.filter(|(zid, _)| *zid != own_zid) {
             // What does not fit is taken for a death.
             let _ = events.try_send(Event::Ended(tag));
         }
@@ -91,7 +94,7 @@ const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// How long it is said that a publisher has ended, and of how many.
 const ENDED_TIME: Duration = Duration::from_secs(10);
-const MOST_ENDED: usize = 256;
+const MOST_ENDED: usize = 4096;
 
 pub(crate) struct Control {
     options: Options,
@@ -216,6 +219,7 @@ impl Control {
                     services.look();
                 }
                 self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
+                self.forget_numbers();
                 self.ask_for_types();
                 self.read_numbers(PERIOD);
             }
@@ -368,6 +372,15 @@ impl Control {
         match self.session.liveliness().declare_token(text.clone()).wait() {
             Ok(declared) => drop(self.tokens.insert(text, declared)),
             Err(error) => tracing::warn!("{text} is not announced: {error}"),
+        }
+    }
+
+    /// Those of publishers that have gone: another one may come with the same gid, and begin anew.
+    fn forget_numbers(&self) {
+        for (key, inward) in &self.incoming {
+            let there: HashSet<Gid> = self.mirror.graph().publishers(key).iter().map(|end| end.gid).collect();
+            let mut numbers = inward.numbers.lock().unwrap_or_else(PoisonError::into_inner);
+            numbers.forget(|gid| !there.contains(gid));
         }
     }
 

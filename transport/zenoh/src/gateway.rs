@@ -180,16 +180,16 @@ impl Gateway {
                 what: "listening to other hosts",
                 reason: error.to_string(),
             })?;
+        let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let ends = session
             .liveliness()
             .declare_subscriber(ended_wildcard(network_domain))
-            .callback(ends_to(events.clone()))
+            .callback(ends_to(events.clone(), zid))
             .wait()
             .map_err(|error| GatewayError::Zenoh {
                 what: "listening to what ends on other hosts",
                 reason: error.to_string(),
             })?;
-        let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let shared = Arc::new(Shared {
             stop: AtomicBool::new(false),
             stats: Mutex::new(Stats::new(options.domain, network_domain, format!("{zid:x}"))),

@@ -7,12 +7,14 @@ use crate::origin::origin;
 use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tautline_relay::Transit;
 use tautline_rt::clock::nanoseconds;
 use tautline_transport::{Gid, Origin, Rank};
 
-/// Publishers that have ended of which that is known for a while.
-const MOST_ENDED: usize = 256;
+/// How long, and of how many publishers, it is known that they have ended.
+const ENDED_TIME: Duration = Duration::from_secs(10);
+const MOST_ENDED: usize = 4096;
 
 /// Limits of what is kept of other hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,8 +86,8 @@ pub struct Graph {
     transit: Transit,
     /// Tags of what came or went since they were taken last.
     touched: Vec<u64>,
-    /// Tags of publishers that have ended by themselves, the last ones.
-    ended: VecDeque<u64>,
+    /// Tags of publishers that have ended by themselves, and since when that is known.
+    ended: VecDeque<(Instant, u64)>,
     refused: Refused,
     /// Whether a token was refused for lack of room since the last look.
     is_incomplete: bool,
@@ -184,13 +186,16 @@ impl Graph {
 
     /// A gateway says that a publisher has ended by itself, whose token goes next.
     pub(crate) fn note_ended(&mut self, tag: u64) {
-        self.ended.truncate(MOST_ENDED - 1);
-        self.ended.push_front(tag);
+        if self.ended.len() >= MOST_ENDED {
+            self.ended.pop_front();
+        }
+        self.ended.push_back((Instant::now(), tag));
     }
 
     /// The tags of publishers that have ended by themselves, as far as that is said and not long ago.
     pub(crate) fn ended(&self) -> BTreeSet<u64> {
-        self.ended.iter().copied().collect()
+        let recent = self.ended.iter().filter(|(since, _)| since.elapsed() < ENDED_TIME);
+        recent.map(|(_, tag)| *tag).collect()
     }
 
     /// The lifespans of publishers on other hosts, kept up to date.

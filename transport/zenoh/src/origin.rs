@@ -7,7 +7,7 @@ use tautline_transport::{Gid, Origin};
 
 /// Below it gateways say which publishers have ended by themselves, for a while, as tokens, which come in the order in which they are
 /// declared: `@tautline_ended/<domain>/<zid>/<tag>`. What ends without that word has died. No other program listens.
-const ENDED: &str = "@tautline_ended";
+pub(crate) const ENDED: &str = "@tautline_ended";
 
 /// The word that a publisher has ended.
 pub(crate) fn ended(domain: u32, zid: u128, tag: u64) -> String {
@@ -19,10 +19,12 @@ pub(crate) fn ended_wildcard(domain: u32) -> String {
     format!("{ENDED}/{domain}/**")
 }
 
-/// The tag of the publisher that such a word is about; it is a claim.
-pub(crate) fn ended_tag(key: &str) -> Option<u64> {
-    let (_, tag) = key.strip_prefix(ENDED)?.rsplit_once('/')?;
-    u64::from_str_radix(tag, 16).ok()
+/// Whose word that is, and the tag of the publisher that it is about; a claim.
+pub(crate) fn ended_tag(key: &str) -> Option<(u128, u64)> {
+    let mut parts = key.strip_prefix(ENDED)?.split('/').skip(2);
+    let (zid, tag) = (parts.next()?, parts.next()?);
+    Some((u128::from_str_radix(zid, 16).ok()?, u64::from_str_radix(tag, 16).ok()?))
+        .filter(|_| parts.next().is_none())
 }
 
 const OURS: &str = "/tautline/";
@@ -88,10 +90,10 @@ mod tests {
     #[test]
     fn the_word_of_an_end_is_read() {
         for tag in [1, u64::MAX] {
-            assert_eq!(ended_tag(&ended(5, 0xAB, tag)), Some(tag));
+            assert_eq!(ended_tag(&ended(5, 0xAB, tag)), Some((0xAB, tag)));
         }
         assert!(
-            ["@tautline_ended", "@tautline_ended/5/1/x", "@ros2_lv/5/1/1"]
+            ["@tautline_ended", "@tautline_ended/5/1/x", "@tautline_ended/5/1/1/1", "@ros2_lv/5/1/1"]
                 .iter()
                 .all(|key| ended_tag(key).is_none())
         );

@@ -148,7 +148,7 @@ impl Drop for Asked {
 pub(crate) struct Services {
     commands: Sender,
     routes: Routes,
-    held: Arc<AtomicUsize>,
+    waiting: Arc<AtomicUsize>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -162,8 +162,8 @@ impl Services {
         let (commands, received) = mpsc::unbounded();
         let commands = Sender { commands, waiting: Arc::default() };
         let sender = commands.clone();
-        let held = Arc::<AtomicUsize>::default();
-        let all_held = held.clone();
+        let waiting = Arc::<AtomicUsize>::default();
+        let all_waiting = waiting.clone();
         let thread = thread.spawn(move || {
             let mut bridge = Bridge {
                 participant,
@@ -175,16 +175,16 @@ impl Services {
                 sought: BTreeMap::new(),
                 pending: FuturesUnordered::new(),
                 unanswered: Vec::new(),
-                held: all_held,
+                waiting: all_waiting,
             };
             move || block_on(poll_fn(|context| bridge.poll(context)))
         })?;
-        Ok(Services { commands, routes: Routes::default(), held, thread: Some(thread) })
+        Ok(Services { commands, routes: Routes::default(), waiting, thread: Some(thread) })
     }
 
     /// Lets the thread look whether something has waited long enough. To be called now and then.
     pub(crate) fn look(&self) {
-        if self.held.load(Ordering::Relaxed) != 0 {
+        if self.waiting.load(Ordering::Relaxed) != 0 {
             self.commands.tell(Command::Look);
         }
     }
@@ -223,8 +223,8 @@ struct Bridge {
     pending: FuturesUnordered<BoxFuture<'static, ()>>,
     /// Clients that could not be told yet that there is no answer.
     unanswered: Vec<(TopicKey, RequestId)>,
-    /// How many requests wait for a server.
-    held: Arc<AtomicUsize>,
+    /// How many requests wait for a server, and clients for word that there is no answer.
+    waiting: Arc<AtomicUsize>,
 }
 
 /// A service of this host that others may ask.
@@ -242,7 +242,7 @@ struct Offer {
 struct Held {
     requests: VecDeque<(Query, Instant)>,
     bytes: usize,
-    /// How many wait for any service.
+    /// How many wait for any service, and more.
     all: Arc<AtomicUsize>,
 }
 
@@ -282,7 +282,9 @@ impl Drop for Held {
 
 impl Bridge {
     fn poll(&mut self, context: &mut Context<'_>) -> Poll<()> {
-        for (key, id) in std::mem::take(&mut self.unanswered) {
+        let unanswered = std::mem::take(&mut self.unanswered);
+        self.waiting.fetch_sub(unanswered.len(), Ordering::Relaxed);
+        for (key, id) in unanswered {
             self.give_up(key, id);
         }
         for count in 1.. {
@@ -369,7 +371,7 @@ impl Bridge {
 
     /// Asks what waited for a server that is there now.
     fn ask_held(&mut self, context: &mut Context<'_>) {
-        if self.held.load(Ordering::Relaxed) == 0 {
+        if self.waiting.load(Ordering::Relaxed) == 0 {
             return;
         }
         let mut found = Vec::new();
@@ -426,7 +428,7 @@ impl Bridge {
             })
             .wait()
             .map_err(|error| error.to_string())?;
-        let held = Held { requests: VecDeque::new(), bytes: 0, all: self.held.clone() };
+        let held = Held { requests: VecDeque::new(), bytes: 0, all: self.waiting.clone() };
         let (asked, availability) = Default::default();
         Ok(Offer { clients: vec![client], asked, held, availability, _queryable: queryable })
     }
@@ -510,6 +512,7 @@ impl Bridge {
                     tracing::warn!("{error}");
                 }
                 self.unanswered.push((key, id));
+                self.waiting.fetch_add(1, Ordering::Relaxed);
             }
             Err(error) => tracing::warn!("{error}"),
         }

@@ -283,3 +283,23 @@ fn nobody_tells_better_of_what_is_here() {
     transit.insert(&Origin { place: "elsewhere".into(), ..here.clone() }, 0);
     assert!(transit.announced(&here).is_some());
 }
+
+/// One session can declare thousands of tokens with one tag.
+#[test]
+fn of_many_that_tell_of_one_tag_the_best_counts() {
+    let mut transit = Transit::to_network(1, 2, 3, "host");
+    let origin = |hops: usize| Origin { tag: 7, path: vec![9; hops], ..Origin::default() };
+    let mut random = SmallRng::seed_from_u64(1);
+    let mut tellers: Vec<(usize, u128)> =
+        (0..4096).map(|teller| (random.random_range(2..6), 10 + teller % 100)).collect();
+    tellers.iter().for_each(|(hops, teller)| transit.insert(&origin(*hops), *teller));
+    while let Some((hops, teller)) = tellers.pop() {
+        if tellers.len() % 64 == 0 {
+            let best = tellers.iter().chain([&(hops, teller)]).min().copied().unwrap();
+            assert!(transit.told(&origin(best.0), best.1).is_some());
+            assert!(best == (5, 109) || transit.told(&origin(5), 200).is_none());
+        }
+        transit.remove(&origin(hops), teller);
+    }
+    assert!(transit.far.is_empty());
+}

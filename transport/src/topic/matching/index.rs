@@ -335,16 +335,17 @@ impl Index {
         ends.map(|gid| gid.participant()).collect()
     }
 
-    /// The ends of a kind that other hosts have of a topic and that can match: sorted by gid, each once, with its tag.
-    pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Vec<(Gid, u64)> {
+    /// The ends of a kind that other hosts have of a topic and that can match: sorted by gid, each once, with its tag. `None`: they
+    /// cannot be read before the next look.
+    pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Option<Vec<(Gid, u64)>> {
         let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| &ends.remote.0);
         let nobody = NodeName { namespace: "/".into(), name: "_".into() };
-        let changes = &mut self.remote_changes;
+        let mut is_moved = false;
         let end = |(gid, position): &(Gid, usize)| {
             let member = self.members.get(&gid.participant())?;
             let Some(entry) = member.reader.entry(member.peer.head(), *position) else {
                 // As in `port`.
-                changes.insert(hash);
+                is_moved = true;
                 return None;
             };
             let end = RemotePortRecord::parse(&entry.body)?.endpoint(&nobody, Some(gid.participant()));
@@ -356,13 +357,17 @@ impl Index {
             fits.then_some((end.origin.tag, rank, end.gid))
         };
         let mut told: Vec<(u64, Rank, Gid)> = ends.filter_map(end).collect();
+        if is_moved {
+            self.remote_changes.insert(hash);
+            return None;
+        }
         told.sort_unstable();
         told.dedup_by_key(|(tag, ..)| *tag);
         let mut gids: Vec<(Gid, u64)> = told.into_iter().map(|(tag, _, gid)| (gid, tag)).collect();
         gids.sort_unstable();
         gids.dedup_by_key(|(gid, _)| *gid);
         gids.truncate(MOST_REMOTE);
-        gids
+        Some(gids)
     }
 
     /// The tags of publishers elsewhere that have ended by themselves, as far as that is said.

@@ -353,10 +353,8 @@ impl State {
         for (gid, port) in peers {
             self.connect_peer(core, gid, port, work)?;
         }
-        core.set_remote(
-            &self.index.remote(core.hash(), PortKind::Subscription, &core.topic),
-            &self.index.ended(),
-        );
+        let told = self.index.remote(core.hash(), PortKind::Subscription, &core.topic).unwrap_or_default();
+        core.set_remote(&told, &HashSet::new());
         Ok(())
     }
 
@@ -376,10 +374,8 @@ impl State {
                 complain(&error);
             }
         }
-        core.set_remote(
-            &self.index.remote(core.hash(), PortKind::Publisher, &core.topic),
-            &self.index.ended(),
-        );
+        let told = self.index.remote(core.hash(), PortKind::Publisher, &core.topic).unwrap_or_default();
+        core.set_remote(&told, &HashSet::new());
         if let Err(error) = core.attach() {
             work.outcome.is_pending = true;
             complain(&error);
@@ -494,11 +490,15 @@ impl State {
         let ended = if remote_changes.is_empty() { HashSet::new() } else { self.index.ended() };
         for hash in remote_changes {
             for core in self.own_publishers(hash) {
-                core.set_remote(&self.index.remote(hash, PortKind::Subscription, &core.topic), &ended);
+                if let Some(told) = self.index.remote(hash, PortKind::Subscription, &core.topic) {
+                    core.set_remote(&told, &ended);
+                }
                 work.publisher(&core);
             }
             for core in self.own_subscriptions(hash) {
-                core.set_remote(&self.index.remote(hash, PortKind::Publisher, &core.topic), &ended);
+                if let Some(told) = self.index.remote(hash, PortKind::Publisher, &core.topic) {
+                    core.set_remote(&told, &ended);
+                }
                 work.subscription(&core);
             }
         }
