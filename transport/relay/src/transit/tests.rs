@@ -294,7 +294,7 @@ fn of_many_that_tell_of_one_tag_the_best_counts() {
         (0..4096).map(|teller| (random.random_range(2..6), 10 + teller % 100)).collect();
     tellers.iter().for_each(|(hops, teller)| transit.insert(&origin(*hops), *teller));
     while let Some((hops, teller)) = tellers.pop() {
-        if tellers.len() % 64 == 0 {
+        if tellers.len().is_multiple_of(64) {
             let best = tellers.iter().chain([&(hops, teller)]).min().copied().unwrap();
             assert!(transit.told(&origin(best.0), best.1).is_some());
             assert!(best == (5, 109) || transit.told(&origin(5), 200).is_none());
