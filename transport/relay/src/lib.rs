@@ -19,7 +19,7 @@ mod waker;
 pub use budget::{Budget, Guard, WatchedThreads};
 pub use pattern::{Filter, Pattern, PatternError};
 pub use process::process_node;
-pub use program::{counted, parse_interval, rate, show_until, stop_on_signals};
+pub use program::{counted, parse_interval, show_until, stop_on_signals};
 pub use relay::{PassedOver, Relay, RelayError};
 pub use route::{EarlyLimits, Last, Outlet, Taken};
 pub use seat::{Office, Seat, SeatError};

@@ -90,6 +90,8 @@ pub struct Filter {
 }
 
 impl Filter {
+    /// Of the patterns that these texts are.
+    ///
     /// # Errors
     /// The first text that is no pattern.
     pub fn new(allow: &[String], deny: &[String]) -> Result<Self, PatternError> {

@@ -103,7 +103,7 @@ pub fn counted(count: usize, one: &str, many: &str) -> String {
 }
 
 /// `80.0 kB/s`.
-pub fn rate(bytes_per_s: f64) -> String {
+pub(crate) fn rate(bytes_per_s: f64) -> String {
     match bytes_per_s {
         b if b >= 1e6 => format!("{:.1} MB/s", b / 1e6),
         b if b >= 1e3 => format!("{:.1} kB/s", b / 1e3),

@@ -5,9 +5,10 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
 use tautline_transport::Gid;
 
@@ -23,7 +24,8 @@ pub struct Counters {
     bytes: AtomicU64,
     lost: AtomicU64,
     skewed: AtomicU64,
-    slow: Mutex<Slow>,
+    /// Carrying threads share it with one of a lower priority, which reads.
+    slow: PiMutex<Slow>,
 }
 
 #[derive(Debug)]
@@ -38,24 +40,20 @@ impl Default for Counters {
         // The bounds are constants that hdrhistogram accepts; `new` alone would grow without a bound.
         let histogram = Histogram::new_with_bounds(1, (CLOCKS_AGREE_NS / 1000) as u64, 2);
         let latency_us = histogram.unwrap_or_else(|_| unreachable!("1 to 10^7 in 2 digits"));
-        let slow = Mutex::new(Slow { dropped: BTreeMap::new(), latency_us });
+        let slow = PiMutex::new(Slow { dropped: BTreeMap::new(), latency_us });
         let zero = AtomicU64::default;
         Counters { messages: zero(), bytes: zero(), lost: zero(), skewed: zero(), slow }
     }
 }
 
 impl Counters {
-    fn slow(&self) -> MutexGuard<'_, Slow> {
-        self.slow.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// A message with a body of `bytes` went through, which was published at `source_ns` since 1970.
     pub fn passed(&self, bytes: usize, source_ns: i64) {
         self.messages.fetch_add(1, Ordering::Relaxed);
         self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
         let latency_ns = wall_ns().saturating_sub(source_ns);
         if (0..CLOCKS_AGREE_NS).contains(&latency_ns) {
-            self.slow().latency_us.saturating_record((latency_ns / 1000) as u64);
+            self.slow.lock().latency_us.saturating_record((latency_ns / 1000) as u64);
         } else {
             self.skewed.fetch_add(1, Ordering::Relaxed);
         }
@@ -68,12 +66,12 @@ impl Counters {
 
     /// A message did not go through. Reasons are few and fixed: errors without numbers or names in them.
     pub fn dropped(&self, reason: impl ToString) {
-        *self.slow().dropped.entry(reason.to_string()).or_default() += 1;
+        *self.slow.lock().dropped.entry(reason.to_string()).or_default() += 1;
     }
 
     /// What they say now; rates are left to who knows what they said before.
     fn read(&self) -> Reading {
-        let slow = self.slow();
+        let slow = self.slow.lock();
         let latency = &slow.latency_us;
         Reading {
             messages: self.messages.load(Ordering::Relaxed),

@@ -261,7 +261,9 @@ impl Model {
 
     /// A participant has gone, and may have said before that its publishers have ended.
     fn hear_last(&mut self, id: u64, member: &mut Member) {
-        let Some(Ok(news)) = member.peer.as_ref().map(|peer| member.reader.read(peer)) else { return };
+        let Some(peer) = member.peer.as_ref().filter(|_| self.is_teller) else { return };
+        // What is damaged says of nobody that it has ended.
+        let Some(news) = member.reader.read(peer).ok().filter(|news| !news.is_damaged) else { return };
         let of_kind = |is_it: fn(Kind) -> bool| {
             let entries = news.entries.iter().filter(move |(entry, _)| is_it(entry.kind));
             entries.map(|(entry, _)| entry.number).collect::<BTreeSet<u64>>()
@@ -356,7 +358,7 @@ impl Model {
         }
         // What was there before the record was written anew, and is no longer.
         for (number, port) in former {
-            if !member.ports.contains_key(&number) {
+            if !news.is_damaged && !member.ports.contains_key(&number) {
                 self.note_gone(id, member.is_relay, number, &port);
             }
         }

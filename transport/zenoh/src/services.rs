@@ -242,7 +242,7 @@ struct Offer {
 struct Held {
     requests: VecDeque<(Query, Instant)>,
     bytes: usize,
-    /// How many wait for any service, and more.
+    /// Counts them together with all else that a look is for: the thread's `waiting`.
     all: Arc<AtomicUsize>,
 }
 
