@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge itself: joins both domains, and starts the threads that carry.
 
-use crate::control::{Carriers, Control, Event};
 use crate::incoming::{Incoming, IncomingError};
 use crate::outgoing::{Outgoing, Ros};
 use crate::rcl::{
     Context, GraphGuard, GuardCondition, Node, RclError, RosSubscription, SerializedMessage, WaitSet,
     Waitable, rmw_implementation,
 };
+use crate::ros::{Carriers, RosSide};
 use crate::ros_graph::BRIDGE_PREFIX;
-use crate::rules::Rules;
 use crate::services::{Services, ServicesError};
 use crate::stats::Stats;
 use crate::table::{self, OwnTable, Tables};
@@ -17,7 +16,7 @@ use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_relay::{Budget, Guard, Office, RelayError, Seat, SeatError};
+use tautline_relay::{Budget, Control, Event, Guard, Office, Parts, RelayError, Rules, Seat, SeatError};
 use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
 
@@ -125,7 +124,7 @@ impl From<ServicesError> for BridgeError {
 
 /// A running bridge. Dropping it takes everything back: endpoints, nodes, threads.
 pub struct Bridge {
-    events: mpsc::SyncSender<Event>,
+    events: mpsc::SyncSender<Event<()>>,
     shared: Arc<Shared>,
     wake: Arc<GuardCondition>,
     threads: Vec<JoinHandle<()>>,
@@ -212,11 +211,13 @@ impl Bridge {
         };
         let control = {
             let shared = bridge.shared.clone();
-            let (participant, node, tables) =
-                (participant.clone(), node.clone(), (tables.clone(), own_table));
-            let carriers = Carriers { outgoing, incoming, services };
-            let control = Control::new(&options, participant, node, carriers, tables, shared);
-            priorities.other("ros-control").spawn(move || move || control.run(&received))?
+            let (carriers, tables) = (Carriers { incoming, services }, (tables.clone(), own_table));
+            let (far, transit) =
+                RosSide::new(&options, &participant, node.clone(), carriers, tables, shared.clone());
+            let (rules, services) = (options.rules, options.services);
+            let participant = participant.clone();
+            let control = Control::new(Parts { participant, far, relay: outgoing, transit, rules, services });
+            priorities.other("ros-control").spawn(move || move || control.run(&received, &shared.stop))?
         };
         bridge.hold(control);
         let here = {
@@ -282,7 +283,7 @@ fn node_name(domain: u32) -> String {
 }
 
 /// Says when the topics of Tautline's domain changed.
-fn watch_tautline(participant: &Participant, events: &mpsc::SyncSender<Event>, shared: &Shared) {
+fn watch_tautline(participant: &Participant, events: &mpsc::SyncSender<Event<()>>, shared: &Shared) {
     const PATIENCE: Duration = Duration::from_millis(250);
     let mut seen = participant.graph_epoch().wrapping_sub(1);
     while !shared.stop.load(Ordering::Acquire) {
@@ -309,7 +310,7 @@ fn watch_ros(
     mut there: There,
     mut wait_set: WaitSet,
     wake: &GuardCondition,
-    events: &mpsc::SyncSender<Event>,
+    events: &mpsc::SyncSender<Event<()>>,
     shared: &Shared,
 ) {
     while !shared.stop.load(Ordering::Acquire) {
@@ -317,7 +318,7 @@ fn watch_ros(
             [Waitable::Subscription(&there.heard), Waitable::Graph(&there.graph), Waitable::Guard(wake)];
         let woken = wait_set.wait(&all, None).map(drop);
         match woken.and_then(|()| there.tables.take(&mut there.heard, &mut there.buffer)) {
-            Ok(()) => drop(events.try_send(Event::There)),
+            Ok(()) => drop(events.try_send(Event::There(()))),
             Err(error) => {
                 tracing::error!("changes in ROS are not seen: {error}");
                 std::thread::sleep(Duration::from_secs(1));

@@ -2,12 +2,11 @@
 //! The file that says which topics are bridged, and how. All that is wrong with it is said at once, with its line.
 
 use crate::rcl::{is_message_type, is_service_type};
-use crate::rules::{Direction, QosOverride, Rule, Rules};
 use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use tautline_relay::{Filter, Pattern};
+use tautline_relay::{Direction, Filter, Pattern, QosOverride, Rule, Rules};
 use tautline_transport::{Durability, History, Limits, MAX_DOMAIN, Reliability};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -202,7 +201,7 @@ impl<'t> Reader<'t> {
         self.unknown(&section);
         Some(Rule {
             topic: topic?,
-            ros_topic,
+            far_topic: ros_topic,
             direction,
             type_name,
             qos,
@@ -225,7 +224,7 @@ impl<'t> Reader<'t> {
             is_one.then(|| name.to_owned())
         });
         self.unknown(&section);
-        Some(Rule { ros_topic: ros_service, direction, type_name, ..Rule::new(service?) })
+        Some(Rule { far_topic: ros_service, direction, type_name, ..Rule::new(service?) })
     }
 
     /// What an action consists of: a rule for its services and its topics alike.
@@ -238,8 +237,8 @@ impl<'t> Reader<'t> {
             Some(name) => format!("{name}/_action/**").parse().ok(),
             None => Some(action),
         };
-        let ros_topic = ros_action.and_then(parts);
-        Some(Rule { ros_topic, direction, is_of_actions: true, ..Rule::new(action.and_then(parts)?) })
+        let far_topic = ros_action.and_then(parts);
+        Some(Rule { far_topic, direction, is_of_actions: true, ..Rule::new(action.and_then(parts)?) })
     }
 
     fn table(&mut self, value: &'t Value<'t>, title: &'static str) -> Option<Section<'t>> {
@@ -292,8 +291,7 @@ impl<'t> Reader<'t> {
     }
 
     fn direction(&mut self, section: &mut Section<'t>) -> Option<Direction> {
-        let choices =
-            [("to_ros", Some(Direction::ToRos)), ("from_ros", Some(Direction::FromRos)), ("both", None)];
+        let choices = [("to_ros", Some(Direction::Out)), ("from_ros", Some(Direction::In)), ("both", None)];
         self.one_of(section, "direction", &choices).flatten()
     }
 
@@ -492,7 +490,7 @@ mod tests {
         let config = Config::parse(text).unwrap();
         assert_eq!((config.domain, config.ros_domain), (Some(5), Some(16)));
         let choice = config.rules.choice("/robot/odom").unwrap();
-        assert_eq!((&*choice.ros_topic, choice.direction), ("/r1/odom", Some(Direction::ToRos)));
+        assert_eq!((&*choice.far_topic, choice.direction), ("/r1/odom", Some(Direction::Out)));
         assert_eq!(choice.min_period, Some(Duration::from_millis(80)));
         assert_eq!(choice.qos.depth, Some(5));
         assert_eq!(choice.type_name.as_deref(), Some("nav_msgs/msg/Odometry"));
@@ -500,21 +498,21 @@ mod tests {
         assert_eq!((plain.direction, plain.min_period), (None, Some(Duration::from_secs(1))));
         assert!(config.rules.choice("/camera/rgb").is_none() && config.rules.choice("/other").is_some());
         let choice = config.services.choice("/set").unwrap();
-        assert_eq!((&*choice.ros_topic, choice.direction), ("/r1/set", Some(Direction::FromRos)));
+        assert_eq!((&*choice.far_topic, choice.direction), ("/r1/set", Some(Direction::In)));
         assert_eq!(choice.type_name.as_deref(), Some("std_srvs/srv/SetBool"));
         for rules in [&config.rules, &config.services] {
             let dock = rules.choice("/dock/_action/feedback").unwrap();
-            assert_eq!((&*dock.ros_topic, dock.direction), ("/r1/dock/_action/feedback", None));
+            assert_eq!((&*dock.far_topic, dock.direction), ("/r1/dock/_action/feedback", None));
             let arm = rules.choice("/arm/left/_action/status").unwrap();
             assert_eq!(
-                (&*arm.ros_topic, arm.direction),
-                ("/ros_arm/left/_action/status", Some(Direction::ToRos))
+                (&*arm.far_topic, arm.direction),
+                ("/ros_arm/left/_action/status", Some(Direction::Out))
             );
             // No action's: as if nothing were said of it.
             let other = rules.choice("/arm/joint_states").unwrap();
-            assert_eq!((&*other.ros_topic, other.direction), ("/arm/joint_states", None));
+            assert_eq!((&*other.far_topic, other.direction), ("/arm/joint_states", None));
             assert_eq!(
-                rules.tautline_name("/ros_arm/left/_action/status").as_deref(),
+                rules.here_name("/ros_arm/left/_action/status").as_deref(),
                 Some("/arm/left/_action/status")
             );
         }

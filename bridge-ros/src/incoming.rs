@@ -4,94 +4,38 @@
 //! So there is one queue, the RMW's, and its depth is the QoS's: between it and the loan is no channel that could
 //! overflow. A message is taken into a buffer of rmw's, checked there, and copied once, into a loan.
 
-use crate::mirror::InKey;
 use crate::outgoing::ENCAPSULATION;
-use crate::rate::Limiter;
 use crate::rcl::{
     Context, GuardCondition, RclError, RosMessageInfo, RosSubscription, SerializedMessage, WaitSet, Waitable,
 };
 use crate::ros_graph::NAME_TIME;
-use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::{Counters, Numbers};
-use tautline_rt::clock::monotonic_ns;
+use tautline_relay::{Change, EarlyLimits, InKey, Inlet, Manner, Source};
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
-use tautline_schema::{DynamicMessage, Endian, Schema};
-use tautline_transport::{Gid, LoanError, MessageInfo, PublishError, RawPublisher};
 
 /// Messages taken of one topic before the next topic has its turn.
 const TURN: usize = 64;
-/// Messages of publishers that are not known yet, and how long they are waited for: longer than it takes to give up the name of
-/// a publisher's node, and the next look at the graph.
-const EARLY_MESSAGES: usize = 1000;
-const EARLY_BYTES: usize = 64 << 20;
-const EARLY_TIME: Duration = NAME_TIME.saturating_add(Duration::from_secs(3));
+/// How messages come. Those of publishers that are not known yet are waited for longer than it takes to give up the name of a
+/// publisher's node, and the next look at the graph.
+pub(crate) const MANNER: Manner = Manner {
+    early: EarlyLimits {
+        samples: 1000,
+        bytes: 64 << 20,
+        time: NAME_TIME.saturating_add(Duration::from_secs(3)),
+    },
+    is_ordered: true,
+};
 /// How often it is looked whether something has waited long enough.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// How long a subscription is kept beside the one that replaces it: publishers have found that by then, which they tell nobody.
 const RENEWAL_TIME: Duration = Duration::from_secs(3);
 
-/// A topic and class that come in.
-pub(crate) struct Inlet {
-    pub(crate) subscription: RosSubscription,
-    pub(crate) port: Port,
-    pub(crate) schema: Arc<Schema>,
-    pub(crate) counters: Arc<Counters>,
-    pub(crate) limiter: Limiter,
-    pub(crate) senders: Senders,
-}
-
-/// What messages come through here.
-pub(crate) enum Port {
-    /// There is nobody who sends.
-    None,
-    /// Through the one that the key has: what it keeps for late joiners stays.
-    Same,
-    New(Box<RawPublisher>),
-}
-
-/// Whose messages a subscription passes on: it may match others, which a subscription of their class takes.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Senders {
-    wanted: BTreeSet<Gid>,
-    /// Of other classes, and of bridges.
-    others: BTreeSet<Gid>,
-}
-
-/// What a message's publisher is to a subscription.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Sender {
-    Wanted,
-    Other,
-    /// Not known yet: its message waits.
-    Unknown,
-}
-
-impl Senders {
-    /// Of all publishers of the topic that are `known`, `publishers` are those of the class. Without a port for them their
-    /// messages wait.
-    pub(crate) fn of(known: &BTreeSet<Gid>, publishers: &BTreeSet<Gid>, has_port: bool) -> Self {
-        Senders {
-            wanted: if has_port { publishers.clone() } else { BTreeSet::new() },
-            others: known.difference(publishers).copied().collect(),
-        }
-    }
-
-    fn find(&self, gid: &Gid) -> Sender {
-        match (self.wanted.contains(gid), self.others.contains(gid)) {
-            (true, _) => Sender::Wanted,
-            (_, true) => Sender::Other,
-            _ => Sender::Unknown,
-        }
-    }
-}
-
 enum Command {
-    Start(InKey, Box<Inlet>),
-    Change(InKey, Senders, Limiter, Option<Box<RawPublisher>>),
+    Start(InKey, Box<(RosSubscription, Inlet)>),
+    Change(InKey, Change),
     Stop(InKey),
 }
 
@@ -134,13 +78,12 @@ impl Incoming {
     }
 
     /// Takes from now on; in place of what the key had.
-    pub(crate) fn open(&self, key: InKey, inlet: Inlet) {
-        self.tell(Command::Start(key, Box::new(inlet)));
+    pub(crate) fn open(&self, key: InKey, subscription: RosSubscription, inlet: Inlet) {
+        self.tell(Command::Start(key, Box::new((subscription, inlet))));
     }
 
-    /// With a `port` if there was none.
-    pub(crate) fn change(&self, key: InKey, senders: Senders, limiter: Limiter, port: Option<RawPublisher>) {
-        self.tell(Command::Change(key, senders, limiter, port.map(Box::new)));
+    pub(crate) fn change(&self, key: InKey, change: Change) {
+        self.tell(Command::Change(key, change));
     }
 
     pub(crate) fn close(&self, key: InKey) {
@@ -176,22 +119,13 @@ struct Loop {
 }
 
 struct Route {
-    inlet: Box<Inlet>,
+    subscription: RosSubscription,
+    inlet: Inlet,
     /// Subscriptions before this one, the oldest first, and until when they are taken from: who keeps nothing for late joiners
     /// does not send to the new one before they have found each other.
     previous: Vec<(RosSubscription, Instant)>,
-    numbers: Numbers,
-    early: Vec<Early>,
-    early_bytes: usize,
     /// Whether a turn ended before the queue was empty.
     has_more: bool,
-}
-
-/// A message of a publisher that is not known yet.
-struct Early {
-    bytes: Vec<u8>,
-    info: RosMessageInfo,
-    since: Instant,
 }
 
 impl Loop {
@@ -202,7 +136,7 @@ impl Loop {
             }
             let is_busy = self.routes.iter().any(|(_, route)| route.has_more);
             let is_waiting =
-                self.routes.iter().any(|(_, route)| !route.early.is_empty() || !route.previous.is_empty());
+                self.routes.iter().any(|(_, route)| route.inlet.is_waiting() || !route.previous.is_empty());
             let timeout = match (is_busy, is_waiting) {
                 (true, _) => Some(Duration::ZERO),
                 (_, true) => Some(LOOK),
@@ -233,24 +167,17 @@ impl Loop {
 
     fn obey(&mut self, command: Command) {
         match command {
-            Command::Start(key, inlet) => {
-                let mut route = Route::new(inlet);
+            Command::Start(key, start) => {
+                let (subscription, inlet) = *start;
+                let mut route = Route { subscription, inlet, previous: Vec::new(), has_more: true };
                 if let Some(old) = self.end(&key) {
-                    route.take_over(old, key.class.is_kept);
+                    route.take_over(old, key.is_kept());
                 }
-                route.settle();
                 self.routes.push((key, route));
             }
-            Command::Change(key, senders, limiter, port) => {
+            Command::Change(key, change) => {
                 if let Some((_, route)) = self.routes.iter_mut().find(|(other, _)| *other == key) {
-                    if limiter.period_ns() != route.inlet.limiter.period_ns() {
-                        route.inlet.limiter = limiter;
-                    }
-                    if let Some(port) = port {
-                        route.inlet.port = Port::New(port);
-                    }
-                    route.inlet.senders = senders;
-                    route.settle();
+                    route.inlet.change(change);
                 }
             }
             Command::Stop(key) => drop(self.end(&key)),
@@ -273,37 +200,18 @@ impl Loop {
 }
 
 impl Route {
-    fn new(inlet: Box<Inlet>) -> Self {
-        Route {
-            inlet,
-            previous: Vec::new(),
-            numbers: Numbers::default(),
-            early: Vec::new(),
-            early_bytes: 0,
-            has_more: true,
-        }
-    }
-
     /// In the order in which they are taken from.
     fn subscriptions(&self) -> impl Iterator<Item = &RosSubscription> {
-        self.previous.iter().map(|(subscription, _)| subscription).chain([&self.inlet.subscription])
+        self.previous.iter().map(|(subscription, _)| subscription).chain([&self.subscription])
     }
 
-    /// Goes on where the other ended: both may get the same, which its numbers tell. But what a new port is to keep for late
-    /// joiners must come through it, so who listens already gets it once more.
+    /// Goes on where the other ended.
     fn take_over(&mut self, old: Route, is_kept: bool) {
-        let is_same_port = matches!(self.inlet.port, Port::Same);
-        if is_same_port {
-            self.inlet.port = old.inlet.port;
-        }
-        if is_same_port || !is_kept {
-            self.numbers = old.numbers;
-        }
         if !is_kept {
             self.previous = old.previous;
-            self.previous.push((old.inlet.subscription, Instant::now() + RENEWAL_TIME));
+            self.previous.push((old.subscription, Instant::now() + RENEWAL_TIME));
         }
-        self.early = old.early;
+        self.inlet.take_over(old.inlet, is_kept);
     }
 
     /// Takes and passes on what is there, at most a turn of it.
@@ -313,7 +221,7 @@ impl Route {
                 Ok(Some(info)) => self.receive(buffer.bytes(), info),
                 Ok(None) => return self.has_more = false,
                 Err(error) => {
-                    self.inlet.counters.dropped(error.reason);
+                    self.inlet.counters().dropped(error.reason);
                     return self.has_more = false;
                 }
             }
@@ -329,52 +237,23 @@ impl Route {
                 return Ok(Some(info));
             }
         }
-        self.inlet.subscription.take(buffer)
+        self.subscription.take(buffer)
     }
 
     fn receive(&mut self, bytes: &[u8], info: RosMessageInfo) {
-        match self.inlet.senders.find(&info.gid) {
-            _ if info.is_own => {}
-            Sender::Wanted => self.pass(bytes, info),
-            Sender::Other => {}
-            Sender::Unknown => self.keep_early(bytes, info),
+        if info.is_own || self.inlet.leaves(&info.gid) {
+            return;
         }
-    }
-
-    fn pass(&mut self, bytes: &[u8], info: RosMessageInfo) {
-        if let Some(number) = info.sequence_number {
-            let Some(missing) = self.numbers.missing(info.gid, number) else { return };
-            self.inlet.counters.lost(missing);
+        let source = Source {
+            publisher: info.gid,
+            number: info.sequence_number,
+            are_numbers_whole: true,
+            timestamp_ns: info.source_timestamp_ns,
+        };
+        match body(bytes) {
+            Ok(body) => self.inlet.receive(body, source),
+            Err(reason) => self.inlet.counters().dropped(reason),
         }
-        match self.inlet.pass(bytes, info) {
-            Ok(len_bytes) => self.inlet.counters.passed(len_bytes, info.source_timestamp_ns),
-            Err(reason) => self.inlet.counters.dropped(reason),
-        }
-    }
-
-    fn keep_early(&mut self, bytes: &[u8], info: RosMessageInfo) {
-        if self.early.len() >= EARLY_MESSAGES || self.early_bytes + bytes.len() > EARLY_BYTES {
-            return self.inlet.counters.dropped(Dropped::Unknown);
-        }
-        self.early_bytes += bytes.len();
-        self.early.push(Early { bytes: bytes.to_vec(), info, since: Instant::now() });
-    }
-
-    /// The senders changed: what waited for that goes on, in order.
-    fn settle(&mut self) {
-        self.early_bytes = 0;
-        for early in std::mem::take(&mut self.early) {
-            match self.inlet.senders.find(&early.info.gid) {
-                Sender::Wanted => self.pass(&early.bytes, early.info),
-                Sender::Other => {}
-                Sender::Unknown => {
-                    self.early_bytes += early.bytes.len();
-                    self.early.push(early);
-                }
-            }
-        }
-        let wanted = &self.inlet.senders.wanted;
-        self.numbers.forget(|gid| !wanted.contains(gid));
     }
 
     /// What has waited long enough goes.
@@ -383,39 +262,19 @@ impl Route {
         if !self.has_more {
             self.previous.retain(|(_, until)| Instant::now() < *until);
         }
-        if self.early.first().is_some_and(|early| early.since.elapsed() >= EARLY_TIME) {
-            let (counters, bytes) = (&self.inlet.counters, &mut self.early_bytes);
-            self.early.retain(|early| {
-                let stays = early.since.elapsed() < EARLY_TIME;
-                if !stays {
-                    *bytes -= early.bytes.len();
-                    counters.dropped(Dropped::Unknown);
-                }
-                stays
-            });
-        }
+        self.inlet.look();
     }
 }
 
 /// Why a message from ROS was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 enum Dropped {
-    #[error("rate limit")]
-    Rate,
-    #[error("publisher not known yet")]
-    Unknown,
     #[error("shorter than its encapsulation")]
     Short,
     #[error("big endian, which is not converted")]
     BigEndian,
     #[error("encapsulated as XCDR2 or as a parameter list, not as XCDR1")]
     Encapsulation,
-    #[error("not a message of its type")]
-    Invalid,
-    #[error(transparent)]
-    Loan(#[from] LoanError),
-    #[error("{0}")]
-    Publish(PublishError),
 }
 
 /// The body, if it is one that can be read in place.
@@ -429,48 +288,9 @@ fn body(bytes: &[u8]) -> Result<&[u8], Dropped> {
     }
 }
 
-impl Inlet {
-    /// Checks a message and publishes it here. Returns its length.
-    fn pass(&mut self, bytes: &[u8], info: RosMessageInfo) -> Result<usize, Dropped> {
-        if !self.limiter.admits(monotonic_ns()) {
-            return Err(Dropped::Rate);
-        }
-        let body = body(bytes)?;
-        let trailing =
-            DynamicMessage::validate(&self.schema, body, Endian::Little).map_err(|_| Dropped::Invalid)?;
-        // What follows the last field is nobody's.
-        let body = body.get(..body.len().saturating_sub(trailing)).unwrap_or_default();
-        let Port::New(port) = &self.port else { return Err(Dropped::Unknown) };
-        let mut loan = port.loan(body.len())?;
-        loan.copy_from_slice(body);
-        let source = MessageInfo {
-            sequence_number: info.sequence_number.unwrap_or(0),
-            source_timestamp_ns: info.source_timestamp_ns,
-            released_ns: 0,
-            publisher_gid: info.gid,
-        };
-        loan.publish_as(source).map_err(|unpublished| Dropped::Publish(unpublished.into()))?;
-        Ok(body.len())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn who_is_of_another_class_is_not_waited_for() {
-        let [wanted, other, new] = [1, 2, 3].map(|id| Gid([id; 16]));
-        let publishers = BTreeSet::from([wanted]);
-        let found = |known: &[Gid], has_port| {
-            let senders = Senders::of(&known.iter().copied().collect(), &publishers, has_port);
-            [wanted, other, new].map(|gid| senders.find(&gid))
-        };
-        assert_eq!(found(&[wanted, other], true), [Sender::Wanted, Sender::Other, Sender::Unknown]);
-        assert_eq!(found(&[wanted, other, new], true), [Sender::Wanted, Sender::Other, Sender::Other]);
-        // Whose port could not be made: its messages wait for the next try.
-        assert_eq!(found(&[wanted, other], false), [Sender::Unknown, Sender::Other, Sender::Unknown]);
-    }
 
     #[test]
     fn what_is_no_xcdr1_is_refused_with_its_reason() {

@@ -12,16 +12,14 @@
 
 mod bridge;
 mod config;
-mod control;
 mod incoming;
-mod mirror;
 mod outgoing;
 mod qos;
-mod rate;
 mod rcl;
+mod ros;
 mod ros_graph;
-mod rules;
 mod services;
+mod shown;
 mod stats;
 mod table;
 mod threads;
@@ -29,10 +27,11 @@ mod types;
 
 pub use bridge::{Bridge, BridgeError, Options};
 pub use config::{Config, ConfigError, Problem};
-pub use mirror::TopicKey;
 pub use rcl::RclError;
 pub use ros_graph::BRIDGE_PREFIX;
-pub use rules::{Choice, Direction, QosOverride, Rule, Rules};
 pub use services::ServiceStats;
-pub use stats::{IncompatibleQos, Stats, TopicStats};
-pub use tautline_relay::{Budget, Filter, Latency, Office, Pattern, PatternError, Reading, Seat, SeatError};
+pub use stats::{Direction, IncompatibleQos, Stats, TopicNames, TopicStats};
+pub use tautline_relay::{
+    Budget, Filter, Latency, Office, Pattern, PatternError, QosOverride, Reading, Rule, Rules, Seat,
+    SeatError,
+};

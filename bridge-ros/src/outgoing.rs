@@ -3,12 +3,10 @@
 //!
 //! A body is copied once, from shared memory behind the encapsulation in a buffer of rmw's, which ROS then has.
 
-use crate::mirror::TopicKey;
-use crate::rate::Limiter;
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tautline_relay::{Counters, EarlyLimits, Last, Outlet, Relay, Taken};
+use tautline_relay::{Counters, EarlyLimits, Last, Limiter, Outlet, Relay, Taken, TopicKey};
 use tautline_rt::clock::monotonic_ns;
 
 /// XCDR1, little endian.

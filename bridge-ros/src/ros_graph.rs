@@ -2,15 +2,13 @@
 //! What exists in ROS, without what this bridge made; and the same in Tautline's terms, for its nodes and tools.
 
 use crate::rcl::{Node, RclError, RosEndpoint, RosNode};
-use crate::rules::{Direction, Rules};
 use crate::table::{self, Table, Tables};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tautline_relay::Transit;
 use tautline_transport::{
-    EndpointKind, Gid, NodeName, Origin, Qos, RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind,
-    TopicEndpoint, TopicType,
+    EndpointKind, Gid, NodeName, Origin, Qos, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint,
+    TopicType,
 };
 
 /// How the names of bridges' nodes begin: what these nodes have stands for others' ends.
@@ -26,7 +24,7 @@ pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 pub(crate) struct RosGraph {
     /// All nodes, bridges' too.
     pub(crate) nodes: Vec<RosNode>,
-    /// Publishers and subscriptions: ROS nodes' own, and what other bridges' stand for, with who tells of them; see [`Transit`].
+    /// Publishers and subscriptions: ROS nodes' own, and what other bridges' stand for, with who tells of them; see [`Transit`](tautline_relay::Transit).
     pub(crate) endpoints: Vec<(TopicEndpoint, u128)>,
     /// By topic, all publishers that it is known of what they are.
     pub(crate) publishers: HashMap<String, BTreeSet<Gid>>,
@@ -157,37 +155,6 @@ pub(crate) fn ros_node(node: &NodeName) -> RosNode {
 
 pub(crate) fn node_name(node: &RosNode) -> NodeName {
     NodeName { namespace: node.namespace.clone(), name: node.name.clone() }
-}
-
-/// What the domain is to be told of: nodes, and the endpoints of bridged topics by Tautline's names.
-pub(crate) fn as_remote(
-    graph: &RosGraph,
-    nodes: &[(RemoteNode, u128)],
-    rules: &Rules,
-    transit: &Transit,
-) -> RemoteGraph {
-    let mut remote = RemoteGraph::default();
-    let told = |(node, teller): &(RemoteNode, u128)| {
-        let origin = transit.told(&node.origin, *teller)?;
-        Some(RemoteNode { name: node.name.clone(), origin })
-    };
-    remote.nodes.extend(nodes.iter().filter_map(told));
-    for (end, teller) in &graph.endpoints {
-        let Some(topic) = rules.tautline_name(&end.topic) else { continue };
-        // What is not let through is not told: somebody else may have a way.
-        let way = match end.kind {
-            EndpointKind::Publisher => Direction::FromRos,
-            EndpointKind::Subscription => Direction::ToRos,
-        };
-        let goes = rules.choice(&topic).is_some_and(|choice| choice.goes(way));
-        if let Some(origin) = transit.told(&end.origin, *teller).filter(|_| goes) {
-            remote.endpoints.push(TopicEndpoint { topic, origin, ..end.clone() });
-        }
-    }
-    // The same graph is the same list.
-    remote.nodes.sort();
-    remote.endpoints.sort_by(|one, other| (&one.topic, one.gid).cmp(&(&other.topic, other.gid)));
-    remote
 }
 
 /// Gives each of ROS's own services and clients what it is known by everywhere: if other bridges have it too, where it takes requests,

@@ -1,14 +1,50 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the bridge says of itself.
 
-use crate::mirror::TopicKey;
-use crate::rules::Direction;
 use crate::services::ServiceStats;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use tautline_relay::TopicKey;
 
 /// A topic in one direction.
-pub type TopicStats = tautline_relay::TopicStats<TopicKey, Direction>;
+pub type TopicStats = tautline_relay::TopicStats<TopicNames, Direction>;
+
+/// What a topic is called.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct TopicNames {
+    /// Tautline's name of it.
+    pub topic: String,
+    /// ROS's name of it.
+    pub ros_topic: String,
+    /// What it carries.
+    #[serde(rename = "type")]
+    pub type_name: String,
+}
+
+impl TopicNames {
+    pub(crate) fn of(key: TopicKey) -> Self {
+        TopicNames { topic: key.topic, ros_topic: key.far_topic, type_name: key.type_name }
+    }
+}
+
+/// Which way messages go, or to whom a service is offered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// From Tautline to ROS.
+    ToRos,
+    /// From ROS to Tautline.
+    FromRos,
+}
+
+impl From<tautline_relay::Direction> for Direction {
+    fn from(direction: tautline_relay::Direction) -> Self {
+        match direction {
+            tautline_relay::Direction::Out => Direction::ToRos,
+            tautline_relay::Direction::In => Direction::FromRos,
+        }
+    }
+}
 
 /// Ends that do not fit a bridge's, as ROS counts them.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]

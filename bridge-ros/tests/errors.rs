@@ -60,7 +60,7 @@ fn types_that_ros_does_not_have_are_named_and_the_rest_goes_on() {
         bridge.wait_for(topic, |stats| {
             stats["not_bridged"][topic].as_str().is_some_and(|said| said.contains(part))
         });
-        wait_until("it is said", || bridge.said().contains(&format!("'{topic}' is not bridged")));
+        wait_until("it is said", || bridge.said().contains(&format!("'{topic}' is not mirrored")));
     }
     let mut peer = Peer::start(&venv, DOMAIN, "fine");
     let here = publisher(&participant, "/fine", STRING, Qos::default());
@@ -70,7 +70,7 @@ fn types_that_ros_does_not_have_are_named_and_the_rest_goes_on() {
     assert_eq!(peer.take_texts(there, 1), ["fine"]);
     // Once, though it is tried again.
     let said = bridge.said();
-    assert_eq!(said.matches("'/no_package' is not bridged").count(), 1, "{said}");
+    assert_eq!(said.matches("'/no_package' is not mirrored").count(), 1, "{said}");
 }
 
 #[test]

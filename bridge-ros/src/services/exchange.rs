@@ -7,7 +7,7 @@ use super::sought::Sought;
 use super::stats::{Book, ServiceStats};
 use super::types::ServiceTypes;
 use crate::rcl::{GuardCondition, Node, RclError, SerializedMessage, WaitSet, Waitable};
-use crate::rules::Direction;
+use crate::stats::Direction;
 use futures::task::{ArcWake, waker};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which services go which way: decided here from what exists on both sides, done elsewhere.
 
-use crate::rules::{Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
+use tautline_relay::{Direction, Rules};
 use tautline_transport::{Gid, NodeName, ServiceEndpoint, ServiceKind};
 
 /// A service on both sides.
@@ -94,7 +94,7 @@ impl Routes {
     ) {
         let Some(choice) = rules.choice(service) else { return };
         let servers =
-            there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.ros_topic);
+            there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.far_topic);
         let all = here.iter().filter(|end| end.kind == ServiceKind::Server);
         let server = all.min_by_key(|end| (!announced(end), !end.origin.is_here()));
         let is_asked = here.iter().any(|end| end.kind == ServiceKind::Client);
@@ -113,7 +113,7 @@ impl Routes {
         }
         let key = ServiceKey {
             service: service.to_owned(),
-            ros_service: choice.ros_topic.clone(),
+            ros_service: choice.far_topic.clone(),
             type_name: end.type_name.clone(),
         };
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
@@ -122,11 +122,11 @@ impl Routes {
         let is_nearer = !same.is_empty() && server.is_some_and(|server| !server.origin.is_here());
         match (server, other.first()) {
             (Some(server), _) if !announced(server) => {}
-            (Some(_), _) if is_nearer && is_asked && choice.goes(Direction::FromRos) => {
+            (Some(_), _) if is_nearer && is_asked && choice.goes(Direction::In) => {
                 self.seek(key, end, &same);
             }
             (Some(_), _) if is_nearer => {}
-            (Some(server), _) if choice.goes(Direction::ToRos) => {
+            (Some(server), _) if choice.goes(Direction::Out) => {
                 let is_alone = same.is_empty() && other.is_empty();
                 if !is_alone {
                     // Who asks in ROS would get two answers.
@@ -138,7 +138,7 @@ impl Routes {
                     self.offered.insert(key, OfferedService { type_hash, node });
                 }
             }
-            (None, _) if choice.goes(Direction::FromRos) && !same.is_empty() => {
+            (None, _) if choice.goes(Direction::In) && !same.is_empty() => {
                 self.seek(key, end, &same);
             }
             (None, Some(other)) => {
@@ -163,7 +163,7 @@ impl Routes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rules::Rule;
+    use tautline_relay::Rule;
     use tautline_transport::Origin;
 
     const SET_BOOL: &str = "std_srvs/srv/SetBool";
@@ -230,7 +230,7 @@ mod tests {
     #[test]
     fn types_and_directions() {
         let mut rule = Rule::new("/a".parse().unwrap());
-        rule.ros_topic = Some("/b".parse().unwrap());
+        rule.far_topic = Some("/b".parse().unwrap());
         let rules = |rule: &Rule| Rules { rules: vec![rule.clone()], ..Rules::default() };
         let routes = of(&rules(&rule), &[client("/a")], &[server("/b")]);
         assert_eq!(names(&routes.sought), [("/a", "/b")]);
@@ -240,9 +240,9 @@ mod tests {
         let asking = [client("/a"), end(ServiceKind::Client, "/a", "std_srvs/srv/Trigger")];
         let routes = of(&rules(&rule), &asking, std::slice::from_ref(&trigger));
         assert_eq!((names(&routes.sought), routes.problems.len()), (vec![("/a", "/b")], 0));
-        rule.direction = Some(Direction::FromRos);
+        rule.direction = Some(Direction::In);
         assert_eq!(of(&rules(&rule), &[server("/a")], &[]), Routes::default());
-        rule.direction = Some(Direction::ToRos);
+        rule.direction = Some(Direction::Out);
         assert_eq!(names(&of(&rules(&rule), &[server("/a")], &[]).offered), [("/a", "/b")]);
         rule.type_name = Some("std_srvs/srv/Empty".into());
         let routes = of(&rules(&rule), &[server("/a")], &[]);

@@ -2,7 +2,7 @@
 //! What was answered through the bridge and what was not, per service.
 
 use super::routes::ServiceKey;
-use crate::rules::Direction;
+use crate::stats::Direction;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -1,27 +1,43 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What programs have in common that pass on the samples of topics, such as the gateway and the bridge to ROS 2.
+//! What the gateway and the bridge to ROS 2 are: mirrors between a domain and what is on the other side, a [`FarSide`].
 //!
-//! A [`Relay`] is the thread that takes the samples of all topics, waiting on the doorbell as a sampler does, and gives each to
-//! an [`Outlet`]. What a publisher sent before its counterpart elsewhere was known waits for it. A local publisher notices
-//! nothing of it. [`show_until`] is what such a program does meanwhile.
+//! [`Mirror`] decides what is mirrored from what exists on both sides, [`Transit`] what is told and carried, so that nothing comes twice
+//! or goes in circles: both are pure. [`Control`] is the thread that does it. A [`Relay`] is the thread that takes the samples of all
+//! topics, waiting on the doorbell as a sampler does, and gives each to an [`Outlet`]; what a publisher sent before its counterpart
+//! elsewhere was known waits for it. What comes from elsewhere goes through an [`Inlet`]. A local publisher notices nothing of it.
+//! [`show_until`] is what such a program does meanwhile.
 
 mod budget;
+mod control;
+mod inlet;
+mod limiter;
+mod mirror;
 mod pattern;
 mod process;
 mod program;
 mod relay;
 mod route;
+mod rules;
 mod seat;
 mod stats;
+#[cfg(test)]
+mod tests;
 mod transit;
 mod waker;
+mod writers;
 
 pub use budget::{Budget, Guard, WatchedThreads};
+pub use control::{Control, Event, FarSide, FoundType, Here, Parts, Publisher, Report, There};
+pub use inlet::{Body, Change, Inlet, Manner, Port, Refused, Senders, Source};
+pub use limiter::Limiter;
+pub use mirror::{Action, Class, Far, InKey, Inward, Mirror, Outward, Side, TopicKey};
 pub use pattern::{Filter, Pattern, PatternError};
 pub use process::process_node;
 pub use program::{counted, parse_interval, show_until, stop_on_signals};
 pub use relay::{PassedOver, Relay, RelayError};
 pub use route::{EarlyLimits, Last, Outlet, Taken};
+pub use rules::{Choice, Direction, QosOverride, Rule, Rules};
 pub use seat::{Office, Seat, SeatError};
 pub use stats::{Book, Counters, Latency, Numbers, Reading, TopicStats, passing};
 pub use transit::{RELAYED_DEPTH, Transit};
+pub use writers::{FarWriter, Writers};

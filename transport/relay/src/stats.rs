@@ -70,7 +70,7 @@ impl Counters {
     }
 
     /// What they say now; rates are left to who knows what they said before.
-    fn read(&self) -> Reading {
+    pub(crate) fn read(&self) -> Reading {
         let slow = self.slow.lock();
         let latency = &slow.latency_us;
         Reading {
@@ -168,6 +168,14 @@ pub struct TopicStats<N, D> {
     /// The numbers.
     #[serde(flatten)]
     pub reading: Reading,
+}
+
+impl<N, D> TopicStats<N, D> {
+    /// In other words.
+    pub fn named<M, E>(self, name: impl Fn(N) -> M, direction: impl Fn(D) -> E) -> TopicStats<M, E> {
+        let TopicStats { name: named, direction: way, active, reading } = self;
+        TopicStats { name: name(named), direction: direction(way), active, reading }
+    }
 }
 
 /// The counters of all topics, by what they are called and which way they go.

@@ -6,7 +6,7 @@
 //! between networks do by path: word that came through a domain is not believed there again, so nothing keeps itself alive in a circle;
 //! and when the best way ends, the next one is known already.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use tautline_transport::{Gid, Origin, Rank};
 
 /// How deep the queue is at least by which samples of a publisher are taken that is elsewhere: its own depth is how much it keeps there,
@@ -22,8 +22,8 @@ pub struct Transit {
     goes_on: bool,
     place: String,
     rivals: HashMap<u64, Rank>,
-    /// Of each tag all that tell of it there, the best first: one almost always, and as many as somebody claims.
-    far: HashMap<u64, Vec<Rank>>,
+    /// Of each tag the best that tells of it there.
+    far: HashMap<u64, Rank>,
 }
 
 impl Transit {
@@ -46,43 +46,24 @@ impl Transit {
         Transit { goes_on, ..self }
     }
 
-    /// What others tell of in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals).
-    /// Returns the tags of which that is otherwise than before.
-    pub fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> HashSet<u64> {
-        let differs = |tag: &&u64| self.rivals.get(tag) != rivals.get(tag);
-        let changed = self.rivals.keys().chain(rivals.keys()).filter(differs).copied().collect();
+    /// What others tell of in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals). Nothing is known of
+    /// the far side after that.
+    pub fn look_anew(&mut self, rivals: &HashMap<u64, Rank>) {
         self.rivals.clone_from(rivals);
-        changed
+        self.far.clear();
     }
 
     /// Something is on the far side, as `teller` tells of it there; not what this one itself tells.
     pub fn insert(&mut self, origin: &Origin, teller: u128) {
         if origin.tag != 0 {
-            let tellers = self.far.entry(origin.tag).or_insert_with(|| Vec::with_capacity(1));
             let rank = origin.rank(teller);
-            tellers.insert(tellers.partition_point(|other| *other < rank), rank);
+            let best = self.far.entry(origin.tag).or_insert(rank);
+            *best = rank.min(*best);
         }
-    }
-
-    /// It is gone.
-    pub fn remove(&mut self, origin: &Origin, teller: u128) {
-        let rank = origin.rank(teller);
-        let Some(tellers) = self.far.get_mut(&origin.tag) else { return };
-        if let Ok(place) = tellers.binary_search(&rank) {
-            tellers.remove(place);
-        }
-        if tellers.is_empty() {
-            self.far.remove(&origin.tag);
-        }
-    }
-
-    /// Nothing is on the far side.
-    pub fn clear(&mut self) {
-        self.far.clear();
     }
 
     fn best(&self, tag: u64) -> Option<Rank> {
-        self.far.get(&tag)?.first().copied()
+        self.far.get(&tag).copied()
     }
 
     /// How the domain is to be told of what `teller` tells on the far side; `None`: not at all, for it has been here before, or

@@ -4,20 +4,21 @@
 //!
 //! What comes is a claim. It is bounded before it is kept, and kept only if the hash computed from it is the one asked for.
 
-use crate::control::Event;
 use crate::graph::Graph;
-use crate::mirror::LocalEndpoint;
+use crate::side::{Events, Heard};
+use crate::tokens::LocalEndpoint;
 use crate::types::Types;
 use crate::wire::{
     Attachment, ENCAPSULATION, Endpoint, EndpointKind, NodeName, Token, TopicKey, TypeId, WireQos,
     check_encapsulation, endpoint_gid,
 };
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
-use std::sync::{Arc, mpsc};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tautline_relay::Event;
 use tautline_rt::clock::wall_ns;
 use tautline_schema::{DynamicMessage, Packages, Schema, SchemaError, TypeDescription, TypeName};
-use tautline_transport::{Gid, MAX_SCHEMA_BYTES, Origin, SchemaStore};
+use tautline_transport::{Gid, MAX_SCHEMA_BYTES, Origin, SchemaStore, ServiceEndpoint, ServiceKind};
 use zenoh::bytes::ZBytes;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
 use zenoh::sample::Locality;
@@ -83,7 +84,7 @@ pub(crate) struct Descriptions {
     request: Arc<Schema>,
     response: Arc<Schema>,
     store: SchemaStore,
-    events: mpsc::SyncSender<Event>,
+    events: Events,
     /// What is on its way, and when it was asked for.
     pending: HashMap<TypeId, Instant>,
     /// Services that were asked, and for what.
@@ -93,7 +94,7 @@ pub(crate) struct Descriptions {
 }
 
 impl Descriptions {
-    pub(crate) fn new(store: SchemaStore, events: mpsc::SyncSender<Event>) -> Result<Self, SchemaError> {
+    pub(crate) fn new(store: SchemaStore, events: Events) -> Result<Self, SchemaError> {
         let mut packages = Packages::new();
         for (file, text) in DEFINITIONS {
             let name = file.rsplit_once('.').map_or(file, |(name, _)| name);
@@ -137,8 +138,7 @@ impl Descriptions {
         if self.pending.len() >= MAX_PENDING {
             return;
         }
-        let publishers = graph.publishers(key).iter();
-        let wanted: HashSet<String> = publishers.map(|end| service_of(&end.node)).collect();
+        let wanted: HashSet<String> = graph.publishing_nodes(key).map(service_of).collect();
         let served = graph.tokens().filter_map(|token| token.endpoint.as_ref()).filter(|end| {
             end.kind == EndpointKind::Service && end.type_id == self.id && wanted.contains(&end.name)
         });
@@ -177,7 +177,7 @@ impl Descriptions {
             let payload = sample.payload();
             // What is too long is refused for that, without being copied.
             let bytes = (payload.len() <= MAX_SCHEMA_BYTES).then(|| payload.to_bytes().into_owned());
-            let _ = events.try_send(Event::Described(asked.clone(), bytes));
+            let _ = events.try_send(Event::There(Heard::Described(asked.clone(), bytes)));
         };
         let key = TopicKey { domain, topic: service, type_id: self.id.clone() };
         (session.get(key.to_string()).payload(request).attachment(attachment.encode().as_slice()))
@@ -244,6 +244,16 @@ impl Descriptions {
         nodes.into_iter().map(offer).filter(|end| !is_own(&end.topic)).collect()
     }
 
+    /// The same of a server as the domain has it.
+    pub(crate) fn answers_for(&self, end: &ServiceEndpoint) -> bool {
+        let is_of_node = |node: &tautline_transport::NodeName| {
+            end.name.strip_suffix(SUFFIX).is_some_and(|name| name == node.full_name())
+        };
+        end.kind == ServiceKind::Server
+            && end.type_name == self.id.name.as_str()
+            && end.node.as_ref().is_some_and(is_of_node)
+    }
+
     /// Whether it is a node's own server of types.
     pub(crate) fn is_theirs(&self, end: &LocalEndpoint) -> bool {
         end.kind == EndpointKind::Service && end.type_id == self.id && end.topic == service_of(&end.node)
@@ -261,7 +271,7 @@ impl Descriptions {
             let declared = (session.declare_queryable(key.to_string()).complete(true))
                 .allowed_origin(Locality::Remote)
                 // Who finds no room has its question dropped, and asks again.
-                .callback(move |query| drop(events.try_send(Event::Asked(query))))
+                .callback(move |query| drop(events.try_send(Event::There(Heard::Asked(query)))))
                 .wait();
             match declared {
                 Ok(queryable) => drop(self.answering.insert(name, queryable)),
@@ -325,6 +335,7 @@ fn service_of(node: &NodeName) -> String {
 mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
+    use std::sync::mpsc;
 
     fn descriptions(store: &std::path::Path) -> Descriptions {
         Descriptions::new(SchemaStore::at(store), mpsc::sync_channel(1).0).unwrap()

@@ -2,7 +2,6 @@
 //! The gateway itself: joins the domain and the network, and does what the mirror decides.
 
 use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
-use crate::control::{Control, Event, ends_to, tokens_to};
 use crate::descriptions::Descriptions;
 use crate::graph::GraphLimits;
 use crate::origin::ended_wildcard;
@@ -10,12 +9,15 @@ use crate::outgoing::{self, THREADS};
 use crate::rules::Rule;
 use crate::services::Services;
 use crate::session::{self, SessionError, network_threads};
+use crate::side::{Events, NetworkSide, ends_to, tokens_to};
 use crate::stats::Stats;
 use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_relay::{Budget, Filter, Guard, Office, RelayError, Seat, SeatError};
+use tautline_relay::{
+    Budget, Control, Event, Filter, Guard, Office, Parts, RelayError, Rules, Seat, SeatError,
+};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
 use tautline_transport::{Participant, RemoteGraph, SchemaStore, TransportError};
@@ -53,6 +55,10 @@ pub struct Options {
 impl Options {
     /// Default of [`Options::priority`].
     pub const PRIORITY: u8 = 80;
+
+    pub(crate) fn domain_there(&self) -> u32 {
+        self.network_domain.unwrap_or(self.domain)
+    }
 }
 
 impl Default for Options {
@@ -117,7 +123,7 @@ impl From<RelayError> for GatewayError {
 
 /// A running gateway. Dropping it takes everything back: tokens, links, threads, the seat.
 pub struct Gateway {
-    events: mpsc::SyncSender<Event>,
+    events: Events,
     shared: Arc<Shared>,
     control: Option<JoinHandle<()>>,
     watch: Option<JoinHandle<()>>,
@@ -169,7 +175,7 @@ impl Gateway {
         let outgoing = outgoing::start(&participant, policy, options.realtime, options.cores)?;
 
         let (events, received) = mpsc::sync_channel(EVENTS);
-        let network_domain = options.network_domain.unwrap_or(options.domain);
+        let network_domain = options.domain_there();
         let tokens = session
             .liveliness()
             .declare_subscriber(token_wildcard(network_domain))
@@ -216,12 +222,21 @@ impl Gateway {
         };
         gateway.control = {
             let (session, shared) = (gateway.session.clone(), gateway.shared.clone());
-            let control =
-                Control::new(options.clone(), participant, session, outgoing, shared, zid, descriptions);
+            let rules = Rules { auto: true, filter: options.filter.clone(), ..Rules::default() };
+            let (far, transit) = NetworkSide::new(
+                options.clone(),
+                participant.clone(),
+                session,
+                services,
+                descriptions,
+                shared.clone(),
+            );
+            let services = rules.clone();
+            let control = Control::new(Parts { participant, far, relay: outgoing, transit, rules, services });
             Some(thread("gw-control").spawn(move || {
                 move || {
                     let _heard = (tokens, ends);
-                    control.run(&received, services);
+                    control.run(&received, &shared.stop);
                 }
             })?)
         };
@@ -298,7 +313,7 @@ fn watched_threads() -> Result<Vec<u32>, RtError> {
 }
 
 /// Says when the topics of the domain changed.
-fn watch_domain(participant: &Participant, events: &mpsc::SyncSender<Event>, shared: &Shared) {
+fn watch_domain(participant: &Participant, events: &Events, shared: &Shared) {
     const PATIENCE: Duration = Duration::from_millis(250);
     let mut seen = participant.graph_epoch().wrapping_sub(1);
     while !shared.stop.load(Ordering::Acquire) {
@@ -306,7 +321,7 @@ fn watch_domain(participant: &Participant, events: &mpsc::SyncSender<Event>, sha
         if epoch == seen {
             continue;
         }
-        match events.try_send(Event::Locals) {
+        match events.try_send(Event::Here) {
             Ok(()) => seen = epoch,
             // The control thread has much to do, at this thread's priority: let it.
             Err(_) => std::thread::sleep(Duration::from_millis(20)),

@@ -2,15 +2,14 @@
 //! What is known of other hosts: their nodes and endpoints, from their liveliness tokens. Bounded, however many tokens
 //! a hostile peer declares.
 
-use crate::lifespans::Lifespans;
 use crate::origin::origin;
-use crate::wire::{Endpoint, EndpointKind, Malformed, NodeName, Token, TopicKey, endpoint_gid};
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
-use std::sync::Arc;
+use crate::remote::{Thing, thing};
+use crate::wire::{EndpointKind, Malformed, NodeName, Token, TopicKey};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::{Duration, Instant};
-use tautline_relay::Transit;
-use tautline_rt::clock::nanoseconds;
-use tautline_transport::{Gid, Origin, Rank};
+use tautline_relay::There;
+use tautline_schema::{TypeHash, TypeName};
+use tautline_transport::{EndpointKind::Publisher, RemoteNode};
 
 /// How long, and of how many publishers, it is known that they have ended.
 const ENDED_TIME: Duration = Duration::from_secs(10);
@@ -31,17 +30,6 @@ impl Default for GraphLimits {
     }
 }
 
-/// What a token changed.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Change {
-    /// Nothing that topics depend on: a node, a service, a token known already, one of this session's own.
-    None,
-    /// The endpoints of this topic.
-    Topic(TopicKey),
-    /// Refused: the limit is reached.
-    Full,
-}
-
 /// How many tokens were refused, by reason.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
@@ -51,41 +39,14 @@ pub struct Refused {
     pub malformed: BTreeMap<Malformed, u64>,
 }
 
-/// An endpoint of another host.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RemoteEndpoint {
-    /// Zenoh's id of its session.
-    pub zid: u128,
-    /// Its identifier in attachments.
-    pub gid: Gid,
-    /// Its node.
-    pub node: NodeName,
-    /// What it is.
-    pub endpoint: Endpoint,
-    /// Where it was first.
-    pub origin: Origin,
-}
-
-/// The endpoints of one topic on other hosts.
-#[derive(Clone, Debug, Default)]
-struct Topic {
-    publishers: Vec<RemoteEndpoint>,
-    subscriptions: Vec<RemoteEndpoint>,
-}
-
 /// Nodes and endpoints of other hosts.
-pub struct Graph {
+pub(crate) struct Graph {
     domain: u32,
     own_zid: u128,
     limits: GraphLimits,
-    /// By the token's text as it came, which is how its end is announced.
-    tokens: HashMap<String, Token>,
+    /// By the token's text as it came, which is how its end is announced; and what it stands for.
+    tokens: HashMap<String, (Token, Thing)>,
     per_session: HashMap<u128, usize>,
-    topics: BTreeMap<TopicKey, Topic>,
-    lifespans: Arc<Lifespans>,
-    transit: Transit,
-    /// Tags of what came or went since they were taken last.
-    touched: Vec<u64>,
     /// Tags of publishers that have ended by themselves, and since when that is known.
     ended: VecDeque<(Instant, u64)>,
     refused: Refused,
@@ -94,94 +55,67 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// An empty graph of `domain`, seen from the session `own_zid`; `transit` is of the same session.
-    pub fn new(domain: u32, own_zid: u128, limits: GraphLimits, transit: Transit) -> Self {
-        Graph {
-            domain,
-            own_zid,
-            limits,
-            tokens: HashMap::new(),
-            per_session: HashMap::new(),
-            topics: BTreeMap::new(),
-            lifespans: Arc::default(),
-            transit,
-            touched: Vec::new(),
-            ended: VecDeque::new(),
-            refused: Refused::default(),
-            is_incomplete: false,
-        }
+    /// An empty graph of `domain`, seen from the session `own_zid`.
+    pub(crate) fn new(domain: u32, own_zid: u128, limits: GraphLimits) -> Self {
+        let (tokens, per_session, ended, refused) = Default::default();
+        Graph { domain, own_zid, limits, tokens, per_session, ended, refused, is_incomplete: false }
     }
 
-    /// A token appeared.
-    pub fn insert(&mut self, key: &str) -> Change {
+    /// A token appeared. Whether it says anything new.
+    pub(crate) fn insert(&mut self, key: &str) -> bool {
         let token = match Token::parse(key) {
             Ok(token) => token,
             Err(reason) => {
                 *self.refused.malformed.entry(reason).or_default() += 1;
-                return Change::None;
+                return false;
             }
         };
         if token.zid == self.own_zid || token.domain != self.domain || self.tokens.contains_key(key) {
-            return Change::None;
+            return false;
         }
         let of_session = self.per_session.get(&token.zid).copied().unwrap_or(0);
         if self.tokens.len() >= self.limits.tokens || of_session >= self.limits.tokens_per_session {
             self.refused.full += 1;
             self.is_incomplete = true;
-            return Change::Full;
+            return false;
         }
         *self.per_session.entry(token.zid).or_default() += 1;
-        let change = match remote_endpoint(&token) {
-            Some((key, endpoint)) => {
-                self.note_lifespan(&endpoint, true);
-                let topic = self.topics.entry(key.clone()).or_default();
-                topic.side(endpoint.endpoint.kind).push(endpoint);
-                Change::Topic(key)
-            }
-            None => Change::None,
-        };
-        let origin = origin(&token);
-        self.transit.insert(&origin, token.zid);
-        self.touched.push(origin.tag);
-        self.tokens.insert(key.into(), token);
-        change
+        let thing = thing(&token);
+        self.tokens.insert(key.into(), (token, thing));
+        true
     }
 
-    /// A token is gone.
-    pub fn remove(&mut self, key: &str) -> Change {
-        let Some(token) = self.tokens.remove(key) else { return Change::None };
+    /// A token is gone. Whether it was there.
+    pub(crate) fn remove(&mut self, key: &str) -> bool {
+        let Some((token, _)) = self.tokens.remove(key) else { return false };
         if let Some(count) = self.per_session.get_mut(&token.zid) {
             *count -= 1;
             if *count == 0 {
                 self.per_session.remove(&token.zid);
             }
         }
-        let origin = origin(&token);
-        self.transit.remove(&origin, token.zid);
-        self.touched.push(origin.tag);
-        let Some((key, gone)) = remote_endpoint(&token) else { return Change::None };
-        self.note_lifespan(&gone, false);
-        if let Some(topic) = self.topics.get_mut(&key) {
-            let side = topic.side(gone.endpoint.kind);
-            // One: two tokens may differ in spelling only.
-            if let Some(at) = side.iter().position(|endpoint| *endpoint == gone) {
-                side.remove(at);
-            }
-            if topic.publishers.is_empty() && topic.subscriptions.is_empty() {
-                self.topics.remove(&key);
-            }
-        }
-        Change::Topic(key)
+        true
     }
 
-    fn note_lifespan(&self, end: &RemoteEndpoint, is_there: bool) {
-        if end.endpoint.kind != EndpointKind::Publisher {
-            return;
+    /// What there is, for a mirror.
+    pub(crate) fn there(&self) -> There {
+        let mut there = There { ended: self.ended(), ..There::default() };
+        for (token, thing) in self.tokens.values() {
+            match thing {
+                Thing::Node(name) => {
+                    let node = RemoteNode { name: name.clone(), origin: origin(token) };
+                    there.nodes.push((node, token.zid));
+                }
+                Thing::Topic(end) => {
+                    if end.kind == Publisher {
+                        there.publishers.entry(end.topic.clone()).or_default().insert(end.gid);
+                    }
+                    there.endpoints.push((end.clone(), token.zid));
+                }
+                Thing::Service(end) => there.services.push((end.clone(), token.zid)),
+            }
         }
-        if let Some(lifespan) = end.endpoint.qos.lifespan.to_duration() {
-            let lifespan_ns = nanoseconds(lifespan);
-            self.lifespans.set(end.gid, is_there.then_some(lifespan_ns));
-        }
+        there
     }
 
     /// A gateway says that a publisher has ended by itself, whose token goes next.
@@ -198,78 +132,39 @@ impl Graph {
         recent.map(|(_, tag)| *tag).collect()
     }
 
-    /// The lifespans of publishers on other hosts, kept up to date.
-    pub(crate) fn lifespans(&self) -> &Arc<Lifespans> {
-        &self.lifespans
-    }
-
     /// Whether tokens were refused for lack of room, and there is room now: time to ask for all tokens again.
-    pub fn wants_resync(&mut self) -> bool {
+    pub(crate) fn wants_resync(&mut self) -> bool {
         let wants = self.is_incomplete && self.tokens.len() < self.limits.tokens / 4 * 3;
         self.is_incomplete &= !wants;
         wants
     }
 
-    /// Publishers of a topic on other hosts.
-    pub fn publishers(&self, key: &TopicKey) -> &[RemoteEndpoint] {
-        self.topics.get(key).map_or(&[], |topic| &topic.publishers)
+    /// The nodes of a topic's publishers on other hosts.
+    pub(crate) fn publishing_nodes(&self, key: &TopicKey) -> impl Iterator<Item = &NodeName> {
+        self.tokens()
+            .filter(|token| {
+                token.endpoint.as_ref().is_some_and(|end| {
+                    end.kind == EndpointKind::Publisher && end.name == key.topic && end.type_id == key.type_id
+                })
+            })
+            .map(|token| &token.node)
     }
 
-    /// Whether what a publisher sends comes into the domain through this gateway.
-    pub fn is_carried(&self, publisher: &RemoteEndpoint) -> bool {
-        self.transit.carries(&publisher.origin, publisher.zid)
-    }
-
-    /// Subscriptions of a topic on other hosts, that are not the domain's own seen through others.
-    pub fn subscriptions(&self, key: &TopicKey) -> impl Iterator<Item = &RemoteEndpoint> {
-        let all = self.topics.get(key).into_iter().flat_map(|topic| &topic.subscriptions);
-        all.filter(|end| self.transit.told(&end.origin, end.zid).is_some())
-    }
-
-    /// Whether what a token stands for comes into the domain through this gateway.
-    pub(crate) fn carries(&self, token: &Token) -> bool {
-        self.transit.carries(&origin(token), token.zid)
-    }
-
-    /// How the domain is told of what a token stands for; `None`: not at all.
-    pub(crate) fn told(&self, token: &Token) -> Option<Origin> {
-        self.transit.told(&origin(token), token.zid)
-    }
-
-    /// How the network is told of what the domain has; `None`: not at all.
-    pub(crate) fn announced(&self, origin: &Origin) -> Option<Origin> {
-        self.transit.announced(origin)
-    }
-
-    /// What others tell of in the domain. The tags of which that is otherwise than before.
-    pub(crate) fn set_rivals(&mut self, rivals: &HashMap<u64, Rank>) -> HashSet<u64> {
-        self.transit.set_rivals(rivals)
-    }
-
-    /// The tags of what came or went since the last call.
-    pub(crate) fn take_touched(&mut self) -> Vec<u64> {
-        std::mem::take(&mut self.touched)
-    }
-
-    /// Topics with a publisher of one of these tags.
-    pub(crate) fn topics_of(&self, tags: &HashSet<u64>) -> Vec<TopicKey> {
-        let has = |topic: &Topic| topic.publishers.iter().any(|end| tags.contains(&end.origin.tag));
-        self.topics.iter().filter(|(_, topic)| has(topic)).map(|(key, _)| key.clone()).collect()
-    }
-
-    /// All topics with an endpoint on another host.
-    pub fn topics(&self) -> impl Iterator<Item = &TopicKey> {
-        self.topics.keys()
+    /// The hash that other hosts state for a type on a topic.
+    pub(crate) fn hash_of(&self, topic: &str, name: &TypeName) -> Option<TypeHash> {
+        let ends = self.tokens().filter_map(|token| token.endpoint.as_ref());
+        let mut hashes = ends
+            .filter(|end| matches!(end.kind, EndpointKind::Publisher | EndpointKind::Subscription))
+            .filter(|end| end.name == topic && end.type_id.name == *name)
+            .map(|end| end.type_id.hash);
+        let hash = hashes.next()?;
+        // Of two that differ, neither can be believed.
+        hashes.all(|other| other == hash).then_some(hash)
     }
 
     /// All nodes and endpoints of other hosts.
-    pub fn tokens(&self) -> impl Iterator<Item = &Token> {
-        self.tokens.values()
-    }
-
-    /// How many tokens are kept.
-    pub(crate) fn len(&self) -> usize {
-        self.tokens.len()
+    pub(crate) fn tokens(&self) -> impl Iterator<Item = &Token> {
+        self.tokens.values().map(|(token, _)| token)
     }
 
     /// The texts of all tokens that are kept.
@@ -278,38 +173,9 @@ impl Graph {
     }
 
     /// How many tokens were refused.
-    pub fn refused(&self) -> &Refused {
+    pub(crate) fn refused(&self) -> &Refused {
         &self.refused
     }
-}
-
-impl Topic {
-    fn side(&mut self, kind: EndpointKind) -> &mut Vec<RemoteEndpoint> {
-        match kind {
-            EndpointKind::Publisher => &mut self.publishers,
-            _ => &mut self.subscriptions,
-        }
-    }
-}
-
-/// `None` for a node and for services, which are no topics.
-fn remote_endpoint(token: &Token) -> Option<(TopicKey, RemoteEndpoint)> {
-    let endpoint = token.endpoint.clone()?;
-    if !matches!(endpoint.kind, EndpointKind::Publisher | EndpointKind::Subscription) {
-        return None;
-    }
-    let key =
-        TopicKey { domain: token.domain, topic: endpoint.name.clone(), type_id: endpoint.type_id.clone() };
-    Some((
-        key,
-        RemoteEndpoint {
-            zid: token.zid,
-            gid: endpoint_gid(token),
-            node: token.node.clone(),
-            endpoint,
-            origin: origin(token),
-        },
-    ))
 }
 
 #[cfg(test)]
@@ -319,7 +185,7 @@ mod tests {
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
     fn graph(limits: GraphLimits) -> Graph {
-        Graph::new(5, 0xAA, limits, Transit::to_network(1, 2, 0xAA, "host"))
+        Graph::new(5, 0xAA, limits)
     }
 
     fn token(zid: u128, id: u64, kind: &str, topic: &str) -> String {
@@ -328,31 +194,25 @@ mod tests {
         )
     }
 
-    fn key(topic: &str) -> TopicKey {
-        TopicKey::parse(&format!("5/{topic}/std_msgs::msg::dds_::String_/{HASH}")).unwrap()
-    }
-
     #[test]
     fn endpoints_come_and_go() {
         let mut graph = graph(GraphLimits::default());
-        assert_eq!(graph.insert("@ros2_lv/5/1/0/0/NN/%/%/n"), Change::None);
-        assert_eq!(graph.insert(&token(1, 1, "MP", "x")), Change::Topic(key("x")));
-        assert_eq!(graph.insert(&token(1, 1, "MP", "x")), Change::None, "known");
-        assert_eq!(graph.insert(&token(2, 1, "MS", "x")), Change::Topic(key("x")));
-        assert_eq!(graph.insert(&token(0xAA, 1, "MS", "x")), Change::None, "own");
-        assert_eq!(graph.insert(&token(1, 2, "SS", "service")), Change::None);
-        assert_eq!(
-            graph.insert(&token(1, 1, "MP", "x").replace("/5/", "/6/")),
-            Change::None,
-            "another domain"
-        );
-        assert_eq!((graph.publishers(&key("x")).len(), graph.subscriptions(&key("x")).count()), (1, 1));
-        assert_eq!((graph.topics().count(), graph.tokens().count()), (1, 4));
+        let counts = |graph: &Graph| {
+            let there = graph.there();
+            [there.nodes.len(), there.endpoints.len(), there.services.len(), there.publishers.len()]
+        };
+        assert!(graph.insert("@ros2_lv/5/1/0/0/NN/%/%/n"));
+        assert!(graph.insert(&token(1, 1, "MP", "x")));
+        assert!(!graph.insert(&token(1, 1, "MP", "x")), "known");
+        assert!(graph.insert(&token(2, 1, "MS", "x")));
+        assert!(!graph.insert(&token(0xAA, 1, "MS", "x")), "own");
+        assert!(graph.insert(&token(1, 2, "SS", "service")));
+        assert!(!graph.insert(&token(1, 1, "MP", "x").replace("/5/", "/6/")), "another domain");
+        assert_eq!(counts(&graph), [1, 2, 1, 1]);
 
-        assert_eq!(graph.remove(&token(9, 9, "MP", "x")), Change::None, "never seen");
-        assert_eq!(graph.remove(&token(1, 1, "MP", "x")), Change::Topic(key("x")));
-        assert_eq!(graph.remove(&token(2, 1, "MS", "x")), Change::Topic(key("x")));
-        assert_eq!((graph.topics().count(), graph.tokens().count()), (0, 2));
+        assert!(!graph.remove(&token(9, 9, "MP", "x")), "never seen");
+        assert!(graph.remove(&token(1, 1, "MP", "x")) && graph.remove(&token(2, 1, "MS", "x")));
+        assert_eq!(counts(&graph), [1, 0, 1, 0]);
     }
 
     #[test]
@@ -362,9 +222,9 @@ mod tests {
         graph.insert(&short);
         graph.insert(&long);
         graph.remove(&short);
-        assert_eq!(graph.publishers(&key("x")).len(), 1);
+        assert_eq!(graph.there().endpoints.len(), 1);
         graph.remove(&long);
-        assert_eq!(graph.publishers(&key("x")).len(), 0);
+        assert_eq!(graph.there().endpoints.len(), 0);
     }
 
     #[test]
@@ -374,12 +234,8 @@ mod tests {
         for n in 0..10_000 {
             graph.insert(&token(1, n, "MP", &format!("t{n}")));
         }
-        assert_eq!((graph.tokens().count(), graph.topics().count()), (60, 60));
-        assert_eq!(
-            graph.insert(&token(2, 0, "MP", "other")),
-            Change::Topic(key("other")),
-            "others still get in"
-        );
+        assert_eq!(graph.tokens().count(), 60);
+        assert!(graph.insert(&token(2, 0, "MP", "other")), "others still get in");
         for zid in 3..10_000 {
             graph.insert(&token(zid, 0, "MS", "x"));
         }

@@ -12,30 +12,28 @@
 
 mod access;
 mod config;
-mod control;
 mod descriptions;
 mod gateway;
 mod graph;
 mod incoming;
-mod lifespans;
 mod locals;
-mod mirror;
 mod origin;
 mod outgoing;
 mod remote;
 mod rules;
 mod services;
 mod session;
+mod side;
 mod stats;
 #[cfg(test)]
 mod tests;
+mod tokens;
 mod types;
 
 pub use access::access_layer;
 pub use config::{ConfigError, MAX_MESSAGE_BYTES, Mode, Network, SessionConfig};
 pub use gateway::{Gateway, GatewayError, Options};
-pub use graph::{Change, Graph, GraphLimits, Refused, RemoteEndpoint};
-pub use mirror::{Action, InQos, LocalEndpoint, LocalNode, Mirror, OutQos, Writer};
+pub use graph::GraphLimits;
 pub use rules::{Rule, RuleError, Urgency};
 pub use session::{SessionError, network_threads};
 pub use stats::{Direction, Stats, TopicNames, TopicStats};

@@ -1,23 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What exists in the domain, in the network's terms: on this host, and what bridges and other gateways tell of here.
 
-use crate::mirror::{LocalEndpoint, LocalNode};
+use crate::tokens::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
-use tautline_relay::process_node;
+use std::sync::Arc;
+use tautline_relay::{Here, process_node};
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{
-    Gid, GraphSnapshot, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint,
-};
+use tautline_transport::{Gid, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use zenoh::key_expr::keyexpr;
-
-/// The nodes; the endpoints that can be mirrored, and the topics and services that cannot, with the reason.
-#[derive(Default)]
-pub(crate) struct Locals {
-    pub(crate) nodes: Vec<LocalNode>,
-    pub(crate) endpoints: Vec<LocalEndpoint>,
-    pub(crate) refused: BTreeMap<String, String>,
-}
 
 /// An end of a topic or a service, as the graph has it.
 struct End<'a> {
@@ -69,21 +60,14 @@ impl<'a> End<'a> {
     }
 }
 
-/// Lists them, but for what `own`, the gateway's participant, tells of itself. `hash_of` finds the hash of a type that no end of its topic here states, from its topic's and type's name.
+/// What is here in the network's terms, and of what cannot be mirrored the reason. What is left `here` states the hash of its type.
+/// `hash_of` finds that of a type that no end of its topic here states, from its topic's and type's name.
 pub(crate) fn list(
-    graph: &GraphSnapshot,
-    own: u64,
+    here: &mut Here,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
-) -> Locals {
-    let mut locals = Locals::default();
-    let nodes = graph.nodes.iter().filter(|node| node.teller != Some(own));
-    locals
-        .nodes
-        .extend(nodes.map(|node| LocalNode { name: wire_node(&node.name), origin: node.origin.clone() }));
-    let topics = graph.endpoints.iter().filter(|end| end.teller != Some(own)).map(|end| End::of_topic(end));
-    let services =
-        graph.services.iter().filter(|end| end.teller != Some(own)).map(|end| End::of_service(end));
-    let ends: Vec<End> = topics.chain(services).collect();
+) -> Vec<LocalEndpoint> {
+    let topics = here.endpoints.iter().map(|end| End::of_topic(end));
+    let ends: Vec<End> = topics.chain(here.services.iter().map(|end| End::of_service(end))).collect();
     let mut stated = HashMap::new();
     for end in &ends {
         if let Some(hash) = end.hash {
@@ -92,28 +76,44 @@ pub(crate) fn list(
             *known = known.filter(|known| *known == hash);
         }
     }
-    let mut processes = HashMap::new();
+    let (mut processes, mut problems) = (HashMap::new(), BTreeMap::new());
+    let mut listed: Vec<Option<LocalEndpoint>> = Vec::with_capacity(ends.len());
     for end in ends {
         let hash = end.hash.or_else(|| stated.get(&(end.name, end.type_name)).copied().flatten());
-        match type_id(end.name, end.type_name, hash, &mut hash_of) {
-            Err(reason) => drop(locals.refused.insert(end.name.to_owned(), reason)),
-            Ok(type_id) => locals.endpoints.push(LocalEndpoint {
-                gid: end.gid,
-                kind: end.kind,
-                topic: end.name.to_owned(),
-                type_id,
-                qos: end.qos,
-                node: match end.node {
-                    Some(node) => wire_node(node),
-                    None => {
-                        processes.entry(end.pid).or_insert_with(|| wire_node(&process_node(end.pid))).clone()
-                    }
-                },
-                origin: end.origin.clone(),
-            }),
-        }
+        let type_id = type_id(end.name, end.type_name, hash, &mut hash_of);
+        let type_id = type_id.map_err(|reason| drop(problems.insert(end.name.to_owned(), reason)));
+        listed.push(type_id.ok().map(|type_id| LocalEndpoint {
+            gid: end.gid,
+            kind: end.kind,
+            topic: end.name.to_owned(),
+            type_id,
+            qos: end.qos,
+            node: match end.node {
+                Some(node) => wire_node(node),
+                None => processes.entry(end.pid).or_insert_with(|| wire_node(&process_node(end.pid))).clone(),
+            },
+            origin: end.origin.clone(),
+        }));
     }
-    locals
+    here.problems = problems;
+    let mut next = listed.iter();
+    let mut hash = || Some(next.next()?.as_ref()?.type_id.hash.to_string());
+    here.endpoints.retain_mut(|end| {
+        let hash = hash();
+        if hash.is_some() && end.topic_type.hash.is_none() {
+            let topic_type = end.topic_type.clone().with_hash(hash.clone().unwrap_or_default());
+            *end = Arc::new(TopicEndpoint { topic_type, ..(**end).clone() });
+        }
+        hash.is_some()
+    });
+    here.services.retain_mut(|end| {
+        let hash = hash();
+        if hash.is_some() && end.type_hash.is_none() {
+            *end = Arc::new(ServiceEndpoint { type_hash: hash.clone(), ..(**end).clone() });
+        }
+        hash.is_some()
+    });
+    listed.into_iter().flatten().collect()
 }
 
 fn type_id(
@@ -136,11 +136,11 @@ fn type_id(
     Ok(TypeId { name, hash })
 }
 
-fn wire_node(node: &tautline_transport::NodeName) -> NodeName {
+pub(crate) fn wire_node(node: &tautline_transport::NodeName) -> NodeName {
     NodeName::new(&node.namespace, &node.name)
 }
 
-fn wire_qos(qos: &Qos) -> WireQos {
+pub(crate) fn wire_qos(qos: &Qos) -> WireQos {
     WireQos {
         reliability: qos.reliability,
         durability: qos.durability,
@@ -193,13 +193,19 @@ mod tests {
         let _ports = ends.map(|(topic, topic_type)| {
             participant.create_raw_publisher(topic, &topic_type, Qos::default(), Limits::default()).unwrap()
         });
-        let locals = list(&participant.graph().unwrap(), 0, |_, _| None);
+        let endpoints = participant.graph().unwrap().endpoints.clone();
+        let mut here = Here { endpoints, ..Here::default() };
+        let locals = list(&mut here, |_, _| None);
         let mut listed: Vec<_> =
-            locals.endpoints.iter().map(|end| (&*end.topic, end.type_id.hash.to_string())).collect();
+            locals.iter().map(|end| (&*end.topic, end.type_id.hash.to_string())).collect();
         listed.sort();
         let expected = [("/agreed", "1"), ("/agreed", "1"), ("/torn", "1"), ("/torn", "2")];
         assert_eq!(listed, expected.map(|(topic, digit)| (topic, hash(digit))));
-        assert!(locals.refused["/torn"].starts_with("no hash is known"), "{:?}", locals.refused);
+        assert!(here.problems["/torn"].starts_with("no hash is known"), "{:?}", here.problems);
+        let told = here.endpoints.iter().map(|end| (&*end.topic, end.topic_type.hash.clone().unwrap()));
+        let mut told: Vec<_> = told.map(|(topic, hash)| (topic, hash.to_string())).collect();
+        told.sort();
+        assert_eq!(told, listed);
     }
 
     fn empty() -> TopicType {

@@ -6,15 +6,14 @@
 //! link's queue, and those of publishers that keep samples for late joiners or are reliable and keep all. When too many of
 //! these wait, they are dropped too, and counted. A local publisher never notices any of it.
 
-use crate::mirror::Writer;
 use crate::rules::{BULK_BYTES, Rule, Urgency, ruled};
-use crate::wire::{Attachment, ENCAPSULATION, TopicKey};
+use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
 use std::any::Any;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
-use tautline_relay::{Counters, EarlyLimits, Last, Outlet, Relay, RelayError, Taken};
+use tautline_relay::{Counters, EarlyLimits, FarWriter, Last, Outlet, Relay, RelayError, Taken};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
-use tautline_transport::{Durability, History, MessageInfo, Participant, RawSample, Reliability};
+use tautline_transport::{Durability, Gid, History, MessageInfo, Participant, RawSample, Reliability};
 use zenoh::bytes::ZBytes;
 use zenoh::internal::buffers::{ZBuf, ZSlice, ZSliceBuffer};
 use zenoh::pubsub::Publisher;
@@ -52,6 +51,22 @@ pub(crate) fn start(
     Relay::start(participant, thread(THREADS[0]), Network { patient, bulk })
 }
 
+/// A publisher whose samples go out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Writer {
+    /// Its gid on the network.
+    pub(crate) wire_gid: Gid,
+    /// Quality of service.
+    pub(crate) qos: WireQos,
+}
+
+impl FarWriter for Writer {
+    /// Samples are taken when there is a subscription elsewhere: Zenoh has its key before its token.
+    fn is_matched(&self) -> bool {
+        true
+    }
+}
+
 /// What becomes of samples that were taken.
 pub(crate) struct Network {
     patient: Queue,
@@ -59,7 +74,7 @@ pub(crate) struct Network {
 }
 
 impl Outlet for Network {
-    type Key = TopicKey;
+    type Key = tautline_relay::TopicKey;
     type Topic = Arc<Counters>;
     type Sender = Sender;
 
@@ -133,20 +148,17 @@ enum AnyPublisher {
 }
 
 impl Sender {
-    /// Declares the publisher. `body_bytes` is the size of its bodies, if that is fixed.
+    /// Declares the publisher.
     pub(crate) fn declare(
         session: &Session,
         key: &TopicKey,
         writer: &Writer,
         rules: &[Rule],
-        body_bytes: Option<usize>,
     ) -> zenoh::Result<Self> {
         let rule = ruled(rules, &key.topic);
-        let urgency =
-            rule.unwrap_or_else(|| Urgency::by_size(body_bytes.unwrap_or(crate::rules::SMALL_BYTES + 1)));
-        let is_bulk = body_bytes.is_some_and(|bytes| bytes >= BULK_BYTES);
+        let urgency = rule.unwrap_or_else(|| Urgency::by_size(crate::rules::SMALL_BYTES + 1));
+        let (is_guess, is_bulk) = (rule.is_none(), false);
         let publisher = Arc::new(declare(session, key, writer, urgency, is_bulk)?);
-        let is_guess = rule.is_none() && body_bytes.is_none();
         let (session, key, writer) = (session.clone(), key.clone(), writer.clone());
         Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last: Last::default() })
     }

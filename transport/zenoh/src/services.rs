@@ -4,7 +4,7 @@
 //!
 //! One thread does both. It decides nothing: [`Routes`] says which services go which way.
 
-use crate::wire::{Attachment, ENCAPSULATION, EndpointKind, TopicKey, check_encapsulation};
+use crate::wire::{Attachment, ENCAPSULATION, TopicKey, check_encapsulation};
 use futures::channel::mpsc;
 use futures::executor::block_on;
 use futures::future::{AbortHandle, Aborted, BoxFuture, abortable, poll_fn};
@@ -20,7 +20,7 @@ use tautline_rt::clock::wall_ns;
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder};
 use tautline_transport::{
     Availability, Claim, Limits, MAX_PENDING_REQUESTS, Participant, RawClient, RawPending, RawSample,
-    RawServer, RequestId, ServiceError, ServiceType, TransportError,
+    RawServer, RequestId, ServiceError, ServiceKind, ServiceType, TransportError,
 };
 use zenoh::bytes::ZBytes;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
@@ -59,15 +59,15 @@ pub(crate) struct Routes {
 
 impl Routes {
     /// What follows from the servers and clients of the domain, each with whether the network is told of it, and the servers
-    /// elsewhere.
+    /// elsewhere whose answers come in here.
     pub(crate) fn of<'a>(
-        here: impl Iterator<Item = (EndpointKind, &'a TopicKey, bool)> + Clone,
+        here: impl Iterator<Item = &'a (ServiceKind, TopicKey, bool)> + Clone,
         elsewhere: &BTreeSet<TopicKey>,
     ) -> Self {
         let of_kind = |kind| here.clone().filter(move |(of, ..)| *of == kind);
-        let offered = of_kind(EndpointKind::Service).filter(|(.., is_announced)| *is_announced);
-        let servers: BTreeSet<&TopicKey> = of_kind(EndpointKind::Service).map(|(_, key, _)| key).collect();
-        let clients: BTreeSet<&TopicKey> = of_kind(EndpointKind::Client).map(|(_, key, _)| key).collect();
+        let offered = of_kind(ServiceKind::Server).filter(|(.., is_announced)| *is_announced);
+        let servers: BTreeSet<&TopicKey> = of_kind(ServiceKind::Server).map(|(_, key, _)| key).collect();
+        let clients: BTreeSet<&TopicKey> = of_kind(ServiceKind::Client).map(|(_, key, _)| key).collect();
         let sought = clients.difference(&servers).filter(|key| elsewhere.contains(**key));
         Routes {
             offered: offered.map(|(_, key, _)| key.clone()).collect(),
@@ -631,17 +631,17 @@ mod tests {
         let (one, two, three) = (key("one", '1'), key("two", '1'), key("three", '1'));
         let (other_type, four) = (key("three", '2'), key("four", '1'));
         let here = [
-            (EndpointKind::Service, &one, true),
-            (EndpointKind::Client, &one, true),
-            (EndpointKind::Client, &two, true),
-            (EndpointKind::Service, &other_type, true),
-            (EndpointKind::Client, &three, true),
+            (ServiceKind::Server, one.clone(), true),
+            (ServiceKind::Client, one.clone(), true),
+            (ServiceKind::Client, two.clone(), true),
+            (ServiceKind::Server, other_type.clone(), true),
+            (ServiceKind::Client, three.clone(), true),
             // Somebody else announces what this domain has too.
-            (EndpointKind::Service, &four, false),
-            (EndpointKind::Client, &four, true),
+            (ServiceKind::Server, four.clone(), false),
+            (ServiceKind::Client, four.clone(), true),
         ];
         let elsewhere = BTreeSet::from([one.clone(), two.clone(), three.clone(), four.clone()]);
-        let routes = Routes::of(here.into_iter(), &elsewhere);
+        let routes = Routes::of(here.iter(), &elsewhere);
         assert_eq!(routes.offered, BTreeSet::from([one, other_type]));
         assert_eq!(routes.sought, BTreeSet::from([two, three]), "a service of another type is another one");
     }

@@ -2,19 +2,10 @@
 //! What the gateway says of itself.
 
 use crate::graph::Refused;
-use crate::wire::TopicKey;
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-/// Which way samples go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Direction {
-    /// From shared memory to the network.
-    Out,
-    /// From the network to shared memory.
-    In,
-}
+pub use tautline_relay::Direction;
+use tautline_relay::TopicKey;
 
 /// What a topic is called.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -27,8 +18,8 @@ pub struct TopicNames {
 }
 
 impl TopicNames {
-    pub(crate) fn of(key: &TopicKey) -> Self {
-        TopicNames { topic: key.topic.clone(), type_name: key.type_id.name.to_string() }
+    pub(crate) fn of(key: TopicKey) -> Self {
+        TopicNames { topic: key.topic, type_name: key.type_name }
     }
 }
 

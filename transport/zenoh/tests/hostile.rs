@@ -8,15 +8,17 @@ use rand::rngs::SmallRng;
 use rand::{Rng, RngExt, SeedableRng};
 use std::collections::BTreeMap;
 use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until};
-use tautline_gateway::wire::Attachment;
+use tautline_gateway::wire::{Attachment, Token, endpoint_gid};
 use tautline_gateway::{Direction, GraphLimits};
 use tautline_transport::{Gid, Qos, TopicType};
 use zenoh::Wait;
 
 const KEY_TYPE: &str = "std_msgs::msg::dds_::String_";
 
-fn attachment(sequence_number: i64, source_timestamp_ns: i64) -> [u8; 33] {
-    Attachment { sequence_number, source_timestamp_ns, gid: Gid([0xEE; 16]) }.encode()
+/// Of the publisher with this token.
+fn attachment_of(token: &str, sequence_number: i64, source_timestamp_ns: i64) -> [u8; 33] {
+    let gid = endpoint_gid(&Token::parse(token).unwrap());
+    Attachment { sequence_number, source_timestamp_ns, gid }.encode()
 }
 
 fn token(domain: u32, id: u64, kind: &str, topic: &str) -> String {
@@ -49,11 +51,13 @@ fn samples_that_are_none() {
         .with_body_bytes(24);
     let fixed = host.subscription("/fixed", &fixed_type, Qos::keep_last(1000));
     let enemy = host.session();
-    let _token = enemy.liveliness().declare_token(token(196, 1, "MP", "x")).wait().unwrap();
+    let of_x = token(196, 1, "MP", "x");
+    let _token = enemy.liveliness().declare_token(of_x.clone()).wait().unwrap();
+    let attachment = |number, time_ns| attachment_of(&of_x, number, time_ns);
     let of_fixed =
         token(196, 2, "MP", "fixed").replace("std_msgs", "geometry_msgs").replace("String_", "Vector3_");
     let of_fixed = of_fixed.replace("_df", "_cc");
-    let _fixed_token = enemy.liveliness().declare_token(of_fixed).wait().unwrap();
+    let _fixed_token = enemy.liveliness().declare_token(of_fixed.clone()).wait().unwrap();
     let key = format!("196/x/{KEY_TYPE}/{UNKNOWN_HASH}");
     let good = [&[0, 1, 0, 0, 3, 0, 0, 0][..], b"ab\0"].concat();
     let put = |payload: Vec<u8>, attachment: Option<Vec<u8>>| {
@@ -70,6 +74,9 @@ fn samples_that_are_none() {
         subscription.try_take_valid().unwrap().is_some()
     });
     let honest = attachment(2, now_ns()).to_vec();
+    // Whose it is nobody tells.
+    let unknown = Attachment { sequence_number: 1, source_timestamp_ns: now_ns(), gid: Gid([0xEE; 16]) };
+    put(good.clone(), Some(unknown.encode().into()));
     put(good.clone(), None);
     put(good.clone(), Some(vec![]));
     put(good.clone(), Some(honest[..32].to_vec()));
@@ -106,6 +113,7 @@ fn samples_that_are_none() {
         .replace("std_msgs", "geometry_msgs")
         .replace("String_", "Vector3_");
     let fixed_key = fixed_key.replace("_df", "_cc");
+    let honest = attachment_of(&of_fixed, 2, now_ns()).to_vec();
     until("a connection", || {
         let body = [&[0, 1, 0, 0][..], &[7; 24]].concat();
         enemy.put(&fixed_key, body).attachment(honest.clone()).wait().unwrap();
@@ -135,6 +143,7 @@ fn samples_that_are_none() {
         "payload over the size limit",
         "time stamp before 1970 or far in the future",
         "a deletion, which topics do not have",
+        "publisher not known yet",
     ];
     let is_counted = |topic: &str, reasons: &[&str]| {
         let dropped = dropped(&host, topic);
@@ -142,9 +151,9 @@ fn samples_that_are_none() {
     };
     until("the counters of /x", || is_counted("/x", &reasons));
     until("the counters of /fixed", || is_counted("/fixed", &["length differs from the type's"]));
-    let of_x = dropped(&host, "/x");
-    assert!(of_x["time stamp before 1970 or far in the future"] >= 3, "{of_x:?}");
-    assert!(of_x.values().sum::<u64>() >= 314, "{of_x:?}");
+    let dropped = dropped(&host, "/x");
+    assert!(dropped["time stamp before 1970 or far in the future"] >= 3, "{dropped:?}");
+    assert!(dropped.values().sum::<u64>() >= 315, "{dropped:?}");
 }
 
 /// The text of a message claims a string of 2 GiB: what lies in shared memory is a claim for its readers, too.
@@ -153,13 +162,14 @@ fn a_claimed_length_allocates_nothing() {
     let a = Host::first(197, 197);
     let subscription = a.subscription("/x", &string_type(), Qos::keep_last(10));
     let enemy = a.session();
-    let _token = enemy.liveliness().declare_token(token(197, 1, "MP", "x")).wait().unwrap();
+    let of_x = token(197, 1, "MP", "x");
+    let _token = enemy.liveliness().declare_token(of_x.clone()).wait().unwrap();
     let payload = [0, 1, 0, 0, 0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
     let key = format!("197/x/{KEY_TYPE}/{UNKNOWN_HASH}");
     let before = resident_bytes();
     let mut taken = 0;
     until("what was let through or dropped", || {
-        enemy.put(&key, payload).attachment(attachment(1, now_ns())).wait().unwrap();
+        enemy.put(&key, payload).attachment(attachment_of(&of_x, 1, now_ns())).wait().unwrap();
         std::thread::sleep(std::time::Duration::from_millis(5));
         taken += usize::from(subscription.try_take_valid().unwrap().is_some());
         taken > 3 || dropped(&a, "/x").values().sum::<u64>() > 3

@@ -1,43 +1,62 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is to be bridged: decided here from what exists on both sides, done elsewhere.
+//! What is to be mirrored between a domain and what is on the other side, a network or a ROS 2 graph: decided here from what exists on
+//! both sides, done elsewhere.
 //!
 //! A pure state machine: what exists goes in, the [`Action`]s that follow from it come out, in the order in which they
 //! are to be done.
 //!
-//! - *To ROS.* Each publisher here has a publisher of its own in ROS, with its QoS, so that ROS sees and matches it by
-//!   itself. Samples are taken from shared memory while ROS has a subscription.
-//! - *From ROS.* Publishers there are told apart by what they offer ([`Class`]): each class has a subscription in ROS that
-//!   requests just that, and a port here that offers just that. So every subscription here gets what it would get in
-//!   ROS: what it is compatible with. While there are no publishers, a subscription of the default class shows in ROS that
-//!   somebody listens.
+//! - *Out.* Each publisher here has a writer of its own there, with its QoS. Samples are taken from shared memory while there is a
+//!   subscription there; of publishers that keep samples for late joiners a network is given those ahead, for it keeps them.
+//! - *In.* Messages come in while a subscription is here and a publisher there. In ROS, ends are matched by their QoS: publishers there
+//!   are told apart by what they offer ([`Class`]), each class has a subscription that requests just that, and a port here that offers
+//!   just that. So every subscription here gets what it would get in ROS. While there are no publishers, a subscription of the default
+//!   class shows in ROS that somebody listens. On a network everybody gets everything, through one port.
 //!
-//! **Nothing goes in circles, or twice.** What this bridge itself tells of on either side is not looked at; what gateways and other
-//! bridges tell of is, with where it was first, and whoever calls [`Mirror::update`] leaves out what comes another way: see
-//! [`Transit`](tautline_relay::Transit).
+//! **Nothing goes in circles, or twice.** What this mirror itself tells of on either side is not looked at; what others tell of is, with
+//! where it was first, and whoever calls [`Mirror::update`] says what comes another way: see [`Transit`](crate::Transit).
 
 use crate::rules::{Choice, Direction, Rules};
-use serde::Serialize;
+use crate::transit::RELAYED_DEPTH;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
-use tautline_relay::RELAYED_DEPTH;
 use tautline_transport::{Durability, EndpointKind, Gid, History, Limits, Qos, Reliability, TopicEndpoint};
 
+/// What is on the other side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// A ROS 2 graph: of a topic a process there has one type, and ends are matched by their QoS.
+    Ros,
+    /// A network of rmw_zenoh's kind: each type of a topic, by name and definition, is a topic of its own, and publishers reach every
+    /// subscription.
+    Network,
+}
+
+impl Side {
+    fn place(self) -> &'static str {
+        match self {
+            Side::Ros => "in ROS",
+            Side::Network => "on another host",
+        }
+    }
+}
+
 /// A topic on both sides.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicKey {
-    /// Tautline's name of it.
+    /// The domain's name of it.
     pub topic: String,
-    /// ROS's name of it.
-    pub ros_topic: String,
+    /// The far side's name of it.
+    pub far_topic: String,
     /// What it carries.
-    #[serde(rename = "type")]
     pub type_name: String,
+    /// The hash of that definition, on a network.
+    pub type_hash: Option<String>,
 }
 
 impl TopicKey {
     /// Whether it is an action's feedback or status. A client may send its first goal, and should be told of it, before its
     /// subscriptions are seen here: these topics go to ROS whether or not it is known that somebody listens.
-    pub(crate) fn is_of_action(&self) -> bool {
+    pub fn is_of_action(&self) -> bool {
         self.topic.contains("/_action/")
     }
 }
@@ -69,25 +88,34 @@ impl Class {
     }
 }
 
-/// A topic that comes from ROS, of publishers of one class.
+/// A topic that comes in, of publishers of one class.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct InKey {
     /// The topic.
     pub topic: TopicKey,
-    /// The class.
-    pub class: Class,
+    /// The class; `None`: of all publishers, whatever they offer.
+    pub class: Option<Class>,
 }
 
-/// How messages of a class are taken from ROS.
+impl InKey {
+    /// Whether publishers serve late joiners: their samples come again to who asks anew.
+    pub fn is_kept(&self) -> bool {
+        self.class.is_some_and(|class| class.is_kept)
+    }
+}
+
+/// How messages of a class come in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inward {
-    /// What the subscription in ROS requests.
+    /// What the subscription there requests.
     pub qos: Qos,
     /// What the port here offers.
     pub offered: Qos,
-    /// Of publishers of the class: what others send is left to the subscriptions of their classes. None yet, if the
-    /// subscription is there for ROS to see.
-    pub publishers: BTreeSet<Gid>,
+    /// The publishers of the class whose messages come in here, each with its lifespan: what others send is left to others. None yet,
+    /// if the subscription is there for ROS to see.
+    pub publishers: BTreeMap<Gid, Option<Duration>>,
+    /// Publishers of the class whose messages come into the domain another way.
+    pub passed_over: BTreeSet<Gid>,
     /// See [`Choice::min_period`].
     pub min_period: Option<Duration>,
     /// What the topic says of its type.
@@ -99,12 +127,30 @@ impl Inward {
     fn is_same_subscription(&self, other: &Inward) -> bool {
         (self.qos, self.offered, &self.type_hash) == (other.qos, other.offered, &other.type_hash)
     }
+
+    /// What runs only grows, for a change costs samples or has them come twice.
+    fn grow_from(&mut self, running: &Inward, side: Side) {
+        if side == Side::Network {
+            let (was, is) = (running.offered, self.offered);
+            let is_kept = [was, is].iter().any(|qos| qos.durability == Durability::TransientLocal);
+            let is_reliable = [was, is].iter().any(|qos| qos.reliability == Reliability::Reliable);
+            self.offered.durability = if is_kept { Durability::TransientLocal } else { Durability::Volatile };
+            // Of what is not kept, whoever is already heard stays so without an interruption.
+            self.offered.reliability =
+                if is_kept && is_reliable { Reliability::Reliable } else { was.reliability };
+        }
+        self.offered.depth = self.offered.depth.max(running.offered.depth);
+        self.qos = match side {
+            Side::Network => self.offered,
+            Side::Ros => Qos { depth: self.qos.depth.max(running.qos.depth), ..self.qos },
+        };
+    }
 }
 
 /// How messages are taken from shared memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outward {
-    /// Length of the bridge's queue, per publisher.
+    /// Length of the queue, per publisher.
     pub depth: usize,
     /// Whether any publisher serves late joiners.
     pub is_kept: bool,
@@ -117,16 +163,19 @@ pub struct Outward {
 /// Something to do.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
-    /// Make a publisher in ROS that stands for this one.
+    /// Make a writer there that stands for this publisher.
     OpenWriter(TopicKey, Gid, Qos, Option<String>),
     /// It has gone.
     CloseWriter(TopicKey, Gid),
-    /// Begin to take a topic's samples from shared memory.
+    /// Begin to take a topic's samples from shared memory; of one that is being taken, do so with more from now on, or anew: what is
+    /// kept comes again.
     StartOut(TopicKey, Outward),
     /// Stop it.
     StopOut(TopicKey),
-    /// Begin to take a class's messages from ROS; of one that is being taken, begin anew.
+    /// Begin to take a class's messages from there; of one that is being taken, begin anew.
     StartIn(InKey, Inward),
+    /// Begin anew though all is as it was: what publishers keep that came another way so far comes again.
+    AskAgain(InKey, Inward),
     /// These are its publishers now, and this the rate.
     ChangeIn(InKey, Inward),
     /// Stop it.
@@ -142,17 +191,22 @@ impl Action {
                 (key, gid) == (other, port)
             }
             (StartOut(key, _) | StopOut(key), StartOut(other, _)) => key == other,
-            (StartIn(key, _) | StopIn(key), StartIn(other, _) | ChangeIn(other, _)) => key == other,
+            (
+                StartIn(key, _) | AskAgain(key, _) | StopIn(key),
+                StartIn(other, _) | AskAgain(other, _) | ChangeIn(other, _),
+            ) => key == other,
             (ChangeIn(key, _), ChangeIn(other, _)) => key == other,
             _ => false,
         }
     }
 
+    /// Which topic it is about.
     pub(crate) fn topic(&self) -> &TopicKey {
         match self {
             Action::OpenWriter(key, ..) | Action::CloseWriter(key, _) => key,
             Action::StartOut(key, _) | Action::StopOut(key) => key,
-            Action::StartIn(key, _) | Action::ChangeIn(key, _) | Action::StopIn(key) => &key.topic,
+            Action::StartIn(key, _) | Action::AskAgain(key, _) => &key.topic,
+            Action::ChangeIn(key, _) | Action::StopIn(key) => &key.topic,
         }
     }
 }
@@ -163,8 +217,12 @@ pub const MIN_DEPTH_IN: usize = 1000;
 /// already what they get twice, so a few publishers more must not be one.
 pub const MIN_KEPT: usize = 32;
 
-/// The state: what is being bridged.
+/// An end there, and, of a publisher, whether its messages come into the domain through this mirror.
+pub type Far<'e> = (&'e TopicEndpoint, bool);
+
+/// The state: what is being mirrored.
 pub struct Mirror {
+    side: Side,
     rules: Rules,
     writers: BTreeMap<(TopicKey, Gid), Qos>,
     out: BTreeMap<TopicKey, Outward>,
@@ -175,17 +233,24 @@ pub struct Mirror {
 /// What there should be.
 #[derive(Default)]
 struct Wanted {
-    writers: BTreeMap<(TopicKey, Gid), (Qos, Option<String>)>,
+    writers: BTreeMap<(TopicKey, Gid), WantedWriter>,
     out: BTreeMap<TopicKey, Outward>,
     inward: BTreeMap<InKey, Inward>,
     problems: BTreeMap<String, String>,
 }
 
+struct WantedWriter {
+    qos: Qos,
+    hash: Option<String>,
+    /// Whether it stands for a publisher of this host.
+    is_here: bool,
+}
+
 impl Mirror {
     /// Nothing exists yet.
-    pub fn new(rules: Rules) -> Self {
-        let (writers, out, inward) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        Mirror { rules, writers, out, inward, problems: BTreeMap::new() }
+    pub fn new(side: Side, rules: Rules) -> Self {
+        let (writers, out, inward, problems) = Default::default();
+        Mirror { side, rules, writers, out, inward, problems }
     }
 
     /// What the rules say.
@@ -193,22 +258,16 @@ impl Mirror {
         &self.rules
     }
 
-    /// Publishers in ROS of a class.
-    pub fn publishers(&self, key: &InKey) -> Option<&BTreeSet<Gid>> {
-        self.inward.get(key).map(|inward| &inward.publishers)
-    }
-
-    /// Topics that cannot be bridged, and why.
+    /// Topics that cannot be mirrored, and why.
     pub fn problems(&self) -> &BTreeMap<String, String> {
         &self.problems
     }
 
-    /// What exists now: `here` in Tautline, `there` in ROS, both without what this bridge made, and of publishers those
-    /// alone whose messages it carries.
+    /// What exists now, on both sides, without what this mirror made, and of publishers `here` those alone that it announces.
     pub fn update<'e>(
         &mut self,
         here: impl IntoIterator<Item = &'e TopicEndpoint>,
-        there: &[TopicEndpoint],
+        there: &[Far<'e>],
     ) -> Vec<Action> {
         let wanted = self.wanted(here, there);
         let mut actions = Vec::new();
@@ -222,11 +281,15 @@ impl Mirror {
         for key in self.inward.keys().filter(|key| !wanted.inward.contains_key(*key)) {
             actions.push(Action::StopIn(key.clone()));
         }
-        for (writer, (qos, hash)) in &wanted.writers {
+        // Topics with a publisher of elsewhere that was not announced before and keeps samples: these were passed over, maybe.
+        let mut regained = BTreeSet::new();
+        for (writer, WantedWriter { qos, hash, is_here }) in &wanted.writers {
             if self.writers.get(writer) != Some(qos) {
                 let (key, gid) = writer.clone();
                 if self.writers.contains_key(writer) {
                     actions.push(Action::CloseWriter(key.clone(), gid));
+                } else if !is_here && qos.durability == Durability::TransientLocal {
+                    regained.insert(key.clone());
                 }
                 actions.push(Action::OpenWriter(key, gid, *qos, hash.clone()));
             }
@@ -239,7 +302,7 @@ impl Mirror {
                 outward.depth = outward.depth.max(running.depth);
                 outward.is_kept |= running.is_kept;
             }
-            if running != Some(&outward) {
+            if running != Some(&outward) || regained.contains(&key) {
                 actions.push(Action::StartOut(key.clone(), outward.clone()));
             }
             out.insert(key, outward);
@@ -249,10 +312,14 @@ impl Mirror {
             match self.inward.get(&key) {
                 None => actions.push(Action::StartIn(key.clone(), now.clone())),
                 Some(running) => {
-                    now.qos.depth = now.qos.depth.max(running.qos.depth);
-                    now.offered.depth = now.offered.depth.max(running.offered.depth);
+                    now.grow_from(running, self.side);
+                    // What is kept by a publisher that comes in here from now on is asked for.
+                    let is_regained = now.offered.durability == Durability::TransientLocal
+                        && now.publishers.keys().any(|gid| running.passed_over.contains(gid));
                     if !now.is_same_subscription(running) {
                         actions.push(Action::StartIn(key.clone(), now.clone()));
+                    } else if is_regained {
+                        actions.push(Action::AskAgain(key.clone(), now.clone()));
                     } else if now != *running {
                         actions.push(Action::ChangeIn(key.clone(), now.clone()));
                     }
@@ -260,35 +327,42 @@ impl Mirror {
             }
             inward.insert(key, now);
         }
-        self.writers = wanted.writers.into_iter().map(|(writer, (qos, _))| (writer, qos)).collect();
+        self.writers = wanted.writers.into_iter().map(|(writer, wanted)| (writer, wanted.qos)).collect();
         (self.out, self.inward) = (out, inward);
         self.problems = wanted.problems;
         actions
     }
 
-    fn wanted<'e>(
-        &self,
-        here: impl IntoIterator<Item = &'e TopicEndpoint>,
-        there: &[TopicEndpoint],
-    ) -> Wanted {
+    fn wanted<'e>(&self, here: impl IntoIterator<Item = &'e TopicEndpoint>, there: &[Far<'e>]) -> Wanted {
         let mut wanted = Wanted::default();
         let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
         for end in here {
             topics.entry(&end.topic).or_default().push(end);
         }
-        let mut of_ros: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
+        let mut far: BTreeMap<&str, Vec<Far>> = BTreeMap::new();
         for end in there {
-            of_ros.entry(&end.topic).or_default().push(end);
+            far.entry(&end.0.topic).or_default().push(*end);
         }
         for (topic, ends) in topics {
             let Some(choice) = self.rules.choice(topic) else { continue };
-            let others = of_ros.get(&*choice.ros_topic).map_or(&[][..], |ends| ends);
-            let is_bridged = |type_name: &str| self.is_bridged(topic, type_name);
-            if let Err(reason) = wanted.topic(topic, &ends, others, &choice, is_bridged) {
+            let others = far.get(&*choice.far_topic).map_or(&[][..], |ends| ends);
+            let topic_wanted = match self.side {
+                Side::Ros => {
+                    let is_bridged = |type_name: &str| self.is_bridged(topic, type_name);
+                    wanted.of_one_type(topic, &ends, others, &choice, is_bridged)
+                }
+                Side::Network => wanted.of_each_type(topic, &ends, others, &choice),
+            };
+            if let Err(reason) = topic_wanted {
                 wanted.problems.insert(topic.to_owned(), reason);
             }
         }
         wanted
+    }
+
+    /// What stands for this publisher has been ended: it is made anew, if it is still wanted.
+    pub fn forget_writer(&mut self, key: &TopicKey, gid: Gid) {
+        self.writers.remove(&(key.clone(), gid));
     }
 
     /// Whether a topic exists in ROS for the ends here with this type.
@@ -299,17 +373,74 @@ impl Mirror {
 }
 
 impl Wanted {
-    /// Adds what is to be done of a topic, of which `here` and `there` are the ends.
-    fn topic(
+    /// Adds what is to be done of a topic, of which `here` and `there` are the ends and each type is one of its own.
+    fn of_each_type(
         &mut self,
         topic: &str,
         here: &[&TopicEndpoint],
-        there: &[&TopicEndpoint],
+        there: &[Far],
+        choice: &Choice,
+    ) -> Result<(), String> {
+        let mut types: BTreeMap<(&str, Option<&str>), Vec<&TopicEndpoint>> = BTreeMap::new();
+        for end in here {
+            types.entry(type_of(end)).or_default().push(end);
+        }
+        for ((type_name, hash), here) in &types {
+            let key = TopicKey {
+                topic: topic.to_owned(),
+                far_topic: choice.far_topic.clone(),
+                type_name: (*type_name).to_owned(),
+                type_hash: hash.map(str::to_owned),
+            };
+            let same: Vec<Far> =
+                there.iter().copied().filter(|(end, _)| type_of(end) == (type_name, *hash)).collect();
+            self.both_ways(Side::Network, &key, here, &same, choice, *hash);
+        }
+        let other = there.iter().map(|(end, _)| type_of(end)).find(|other| !types.contains_key(other));
+        let (Some((there, their_hash)), Some((here, _))) = (other, types.keys().next()) else {
+            return Ok(());
+        };
+        let place = Side::Network.place();
+        Err(match here == &there {
+            true => {
+                format!("{place} {there} has another definition (hash {})", their_hash.unwrap_or("unknown"))
+            }
+            false => format!("it carries {here}, {place} {there}"),
+        })
+    }
+
+    fn both_ways(
+        &mut self,
+        side: Side,
+        key: &TopicKey,
+        here: &[&TopicEndpoint],
+        there: &[Far],
+        choice: &Choice,
+        hash: Option<&str>,
+    ) {
+        if choice.goes(Direction::Out) {
+            self.out(side, key, here, there, choice, hash);
+        }
+        if choice.goes(Direction::In) {
+            match side {
+                Side::Ros => self.by_class(key, here, there, choice, hash),
+                Side::Network => self.all_in_one(key, here, there, choice, hash),
+            }
+        }
+    }
+
+    /// Adds what is to be done of a topic, of which `here` and `there` are the ends and one type counts.
+    fn of_one_type(
+        &mut self,
+        topic: &str,
+        here: &[&TopicEndpoint],
+        there: &[Far],
         choice: &Choice,
         is_bridged: impl Fn(&str) -> bool,
     ) -> Result<(), String> {
         let types: BTreeSet<&str> = here.iter().map(|end| &*end.topic_type.name).collect();
-        let is_there = |name: &&str| there.iter().any(|end| end.topic_type.name == **name);
+        let place = Side::Ros.place();
+        let is_there = |name: &&str| there.iter().any(|(end, _)| end.topic_type.name == **name);
         // A process has one type of a topic in ROS: of several here it is one that is there too, and stays the same.
         let rank = |name: &&str| (types.len() > 1).then(|| (is_there(name), is_bridged(name)));
         let is_allowed = |name: &&str| choice.type_name.as_deref().is_none_or(|expected| expected == *name);
@@ -323,33 +454,28 @@ impl Wanted {
         };
         let (here, others): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
             here.iter().copied().partition(|end| end.topic_type.name == type_name);
-        let (same, other): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
-            there.iter().copied().partition(|end| end.topic_type.name == type_name);
+        let (same, other): (Vec<Far>, Vec<Far>) =
+            there.iter().copied().partition(|(end, _)| end.topic_type.name == type_name);
         let hash = definition(&here, &same);
-        let (same, changed): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
-            same.into_iter().partition(|end| is_of(end, hash));
+        let (same, changed): (Vec<Far>, Vec<Far>) = same.into_iter().partition(|(end, _)| is_of(end, hash));
         let here: Vec<&TopicEndpoint> = here.into_iter().filter(|end| is_of(end, hash)).collect();
         let key = TopicKey {
             topic: topic.to_owned(),
-            ros_topic: choice.ros_topic.clone(),
+            far_topic: choice.far_topic.clone(),
             type_name: type_name.to_owned(),
+            type_hash: None,
         };
-        if choice.goes(Direction::ToRos) {
-            self.out(&key, &here, &same, choice, hash);
-        }
-        if choice.goes(Direction::FromRos) {
-            self.inward(&key, &here, &same, choice, hash);
-        }
+        self.both_ways(Side::Ros, &key, &here, &same, choice, hash);
         // Of the types that ROS has, this is one: those that nobody has here are none of ours.
         let also = others.iter().map(|end| &*end.topic_type.name).find(is_there);
         match (same.is_empty(), changed.first(), other.first()) {
-            (true, Some(changed), _) => Err(format!(
-                "{type_name} is defined differently in ROS ({}) and here ({}): rebuild one of them with the other's definition",
+            (true, Some((changed, _)), _) => Err(format!(
+                "{type_name} is defined differently {place} ({}) and here ({}): rebuild one of them with the other's definition",
                 changed.topic_type.hash.as_deref().unwrap_or("no hash"),
                 hash.unwrap_or("no hash"),
             )),
-            (true, None, Some(other)) => Err(format!(
-                "it carries {type_name}, in ROS {}: rename one of them, or use the same type",
+            (true, None, Some((other, _))) => Err(format!(
+                "it carries {type_name}, {place} {}: rename one of them, or use the same type",
                 other.topic_type.name
             )),
             _ => also.map_or(Ok(()), |also| {
@@ -363,9 +489,10 @@ impl Wanted {
 
     fn out(
         &mut self,
+        side: Side,
         key: &TopicKey,
         here: &[&TopicEndpoint],
-        there: &[&TopicEndpoint],
+        there: &[Far],
         choice: &Choice,
         hash: Option<&str>,
     ) {
@@ -378,31 +505,76 @@ impl Wanted {
                 liveliness_lease_duration: None,
                 ..end.qos
             });
-            self.writers.insert((key.clone(), end.gid), (qos, hash.clone()));
+            let wanted = WantedWriter { qos, hash: hash.clone(), is_here: end.origin.is_here() };
+            self.writers.insert((key.clone(), end.gid), wanted);
         }
-        let is_read = key.is_of_action() || there.iter().any(|end| end.kind == EndpointKind::Subscription);
+        let is_kept = writers().any(|end| end.qos.durability == Durability::TransientLocal);
+        let is_read = there.iter().any(|(end, _)| end.kind == EndpointKind::Subscription);
+        let is_read = match side {
+            Side::Ros => is_read || key.is_of_action(),
+            Side::Network => is_read || is_kept,
+        };
         let depth =
             |end: &&&TopicEndpoint| end.qos.depth.max(if end.origin.is_here() { 1 } else { RELAYED_DEPTH });
         if let (true, Some(depth)) = (is_read, writers().map(|end| depth(&end)).max()) {
-            let is_kept = writers().any(|end| end.qos.durability == Durability::TransientLocal);
             let outward = Outward { depth, is_kept, min_period: choice.min_period, type_hash: hash };
             self.out.insert(key.clone(), outward);
         }
     }
 
-    fn inward(
+    /// Of all publishers, whatever they offer.
+    fn all_in_one(
         &mut self,
         key: &TopicKey,
         here: &[&TopicEndpoint],
-        there: &[&TopicEndpoint],
+        there: &[Far],
+        choice: &Choice,
+        hash: Option<&str>,
+    ) {
+        let publishers = || there.iter().filter(|(end, _)| end.kind == EndpointKind::Publisher);
+        let carried = || publishers().filter(|(_, comes_in)| *comes_in).map(|(end, _)| *end);
+        let mut readers = here.iter().filter(|end| end.kind == EndpointKind::Subscription).peekable();
+        if readers.peek().is_none() || carried().next().is_none() {
+            return;
+        }
+        let is_kept = |end: &&&TopicEndpoint| end.qos.durability == Durability::TransientLocal;
+        // None of the subscriptions here gets more than its depth, whatever others claim to keep; and what others keep together comes and
+        // goes, while a change of the port costs who listens what it gets twice.
+        let asked = readers.filter(is_kept).map(|end| end.qos.depth).max();
+        let kept = asked.filter(|_| carried().any(|end| is_kept(&&end)));
+        let is_reliable = carried().any(|end| end.qos.reliability == Reliability::Reliable);
+        let class = Class { is_reliable, is_kept: kept.is_some() };
+        let qos = class.qos(kept.unwrap_or(1).clamp(1, Limits::MAX_DEPTH));
+        let inward = Inward {
+            qos,
+            offered: qos,
+            publishers: carried().map(|end| (end.gid, end.qos.lifespan)).collect(),
+            passed_over: publishers().filter(|(_, comes_in)| !comes_in).map(|(end, _)| end.gid).collect(),
+            min_period: choice.min_period,
+            type_hash: hash.map(str::to_owned),
+        };
+        self.inward.insert(InKey { topic: key.clone(), class: None }, inward);
+    }
+
+    /// Of the publishers of each class.
+    fn by_class(
+        &mut self,
+        key: &TopicKey,
+        here: &[&TopicEndpoint],
+        there: &[Far],
         choice: &Choice,
         hash: Option<&str>,
     ) {
         let readers = || here.iter().filter(|end| end.kind == EndpointKind::Subscription);
         let Some(deepest) = readers().map(|end| end.qos.depth).max() else { return };
         let mut classes: BTreeMap<Class, Vec<&TopicEndpoint>> = BTreeMap::new();
-        for end in there.iter().filter(|end| end.kind == EndpointKind::Publisher) {
-            classes.entry(Class::of(&choice.qos.applied_to(end.qos))).or_default().push(end);
+        let mut passed_over: BTreeMap<Class, BTreeSet<Gid>> = BTreeMap::new();
+        for (end, comes_in) in there.iter().filter(|(end, _)| end.kind == EndpointKind::Publisher) {
+            let class = Class::of(&choice.qos.applied_to(end.qos));
+            match comes_in {
+                true => classes.entry(class).or_default().push(end),
+                false => drop(passed_over.entry(class).or_default().insert(end.gid)),
+            }
         }
         // A publisher that is yet to come finds somebody at once, if it offers the default. One that offers less would be told
         // that it does not fit.
@@ -414,7 +586,7 @@ impl Wanted {
             // What others elsewhere ask for is a claim.
             let late = readers().filter(|end| end.origin.is_here());
             let late = late.filter(|end| end.qos.durability == Durability::TransientLocal);
-            let kept = publishers.iter().map(|end| depth_in_ros(&end.qos)).fold(0, usize::saturating_add);
+            let kept = publishers.iter().map(|end| kept_there(&end.qos)).fold(0, usize::saturating_add);
             let deepest_late = late.map(|end| end.qos.depth).max().unwrap_or(1);
             let qos = choice.qos.applied_to(class.qos(deepest.max(MIN_DEPTH_IN)));
             let inward = Inward {
@@ -429,7 +601,9 @@ impl Wanted {
                         false => 1,
                     })
                 },
-                publishers: publishers.iter().map(|end| end.gid).collect(),
+                // ROS itself lets go of what is too old.
+                publishers: publishers.iter().map(|end| (end.gid, None)).collect(),
+                passed_over: passed_over.remove(&class).unwrap_or_default(),
                 min_period: choice.min_period,
                 type_hash: hash.map(str::to_owned),
             };
@@ -440,7 +614,7 @@ impl Wanted {
                 );
                 self.problems.insert(key.topic.clone(), reason);
             }
-            self.inward.insert(InKey { topic: key.clone(), class }, inward);
+            self.inward.insert(InKey { topic: key.clone(), class: Some(class) }, inward);
         }
     }
 }
@@ -451,10 +625,14 @@ fn longest(times: impl Iterator<Item = Option<Duration>>) -> Option<Duration> {
 }
 
 /// The hash of the definition that the ends of a type go by, of those that are stated: one that both sides have, if there is one.
-fn definition<'e>(here: &[&'e TopicEndpoint], there: &[&TopicEndpoint]) -> Option<&'e str> {
+fn definition<'e>(here: &[&'e TopicEndpoint], there: &[Far]) -> Option<&'e str> {
     let mut stated = here.iter().filter_map(|end| end.topic_type.hash.as_deref());
-    let is_there = |hash: &&str| there.iter().any(|end| end.topic_type.hash.as_deref() == Some(hash));
+    let is_there = |hash: &&str| there.iter().any(|(end, _)| end.topic_type.hash.as_deref() == Some(hash));
     stated.clone().find(is_there).or_else(|| stated.next())
+}
+
+fn type_of(end: &TopicEndpoint) -> (&str, Option<&str>) {
+    (&end.topic_type.name, end.topic_type.hash.as_deref())
 }
 
 /// What is not known agrees with everything.
@@ -467,8 +645,8 @@ fn kept_depth(wanted: usize) -> usize {
     depth.min(Limits::MAX_DEPTH)
 }
 
-/// Samples that a publisher in ROS keeps; keep-all has no number there and gets a large one.
-fn depth_in_ros(qos: &Qos) -> usize {
+/// Samples that a publisher there keeps; keep-all has no number and gets a large one.
+fn kept_there(qos: &Qos) -> usize {
     const KEEP_ALL: usize = 1000;
     if qos.history == History::KeepAll { qos.depth.max(KEEP_ALL) } else { qos.depth.max(1) }
 }

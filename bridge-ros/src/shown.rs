@@ -8,7 +8,7 @@ use std::sync::{Arc, Weak};
 use tautline_transport::NodeName;
 
 #[derive(Default)]
-pub(super) struct ShownNodes {
+pub(crate) struct ShownNodes {
     /// Those that could not be made in ROS too, which is said once.
     nodes: BTreeMap<NodeName, Option<Arc<Node>>>,
     /// Those of nodes that have gone, as long as a service holds them.
@@ -17,7 +17,7 @@ pub(super) struct ShownNodes {
 
 impl ShownNodes {
     /// Shows these nodes, and no others any longer than their services last. `own` is the bridge's.
-    pub(super) fn update<'n>(&mut self, own: &Node, wanted: impl Iterator<Item = &'n NodeName>) {
+    pub(crate) fn update<'n>(&mut self, own: &Node, wanted: impl Iterator<Item = &'n NodeName>) {
         let wanted: BTreeSet<&NodeName> = wanted.collect();
         self.gone.retain(|(_, node)| node.strong_count() > 0);
         self.nodes.retain(|name, node| {
@@ -38,18 +38,18 @@ impl ShownNodes {
     }
 
     /// Those that stand in ROS for Tautline's that are there.
-    pub(super) fn by_name(&self) -> BTreeMap<NodeName, Arc<Node>> {
+    pub(crate) fn by_name(&self) -> BTreeMap<NodeName, Arc<Node>> {
         self.nodes.iter().filter_map(|(name, node)| Some((name.clone(), node.clone()?))).collect()
     }
 
     /// Whether a node in ROS bears the name of one of them.
-    pub(super) fn has(&self, node: &RosNode) -> bool {
+    pub(crate) fn has(&self, node: &RosNode) -> bool {
         let name = ros_graph::node_name(node);
         self.nodes.contains_key(&name) || self.held().any(|held| *held == name)
     }
 
     /// What they are in ROS.
-    pub(super) fn in_ros(&self) -> Vec<RosNode> {
+    pub(crate) fn in_ros(&self) -> Vec<RosNode> {
         let made = self.nodes.iter().filter(|(_, node)| node.is_some()).map(|(name, _)| name);
         made.chain(self.held()).map(ros_graph::ros_node).collect()
     }

@@ -10,7 +10,7 @@ impl Failed {
     /// It failed, again if there was a reason `before`: what is new about it is said.
     pub(super) fn note(&mut self, action: Action, reason: String, before: Option<&str>) {
         if before != Some(&reason) {
-            tracing::warn!("topic '{}' is not bridged: {reason}", action.topic().topic);
+            tracing::warn!("topic '{}' is not mirrored: {reason}", action.topic().topic);
         }
         self.0.push((action, reason));
     }
@@ -23,7 +23,7 @@ impl Failed {
     /// If the class could not be started, it is started as `inward` says the next time. Returns whether that is so.
     pub(super) fn change_start(&mut self, key: &InKey, inward: &Inward) -> bool {
         for (failed, _) in &mut self.0 {
-            if let Action::StartIn(other, wanted) = failed
+            if let Action::StartIn(other, wanted) | Action::AskAgain(other, wanted) = failed
                 && other == key
             {
                 *wanted = inward.clone();

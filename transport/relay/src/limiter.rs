@@ -5,23 +5,25 @@ use std::time::Duration;
 
 /// Admits a message if the last one is long enough ago.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Limiter {
+pub struct Limiter {
     period_ns: u64,
     next_ns: u64,
 }
 
 impl Limiter {
-    pub(crate) fn new(min_period: Option<Duration>) -> Self {
+    /// At least so long between two; `None` is without a limit.
+    pub fn new(min_period: Option<Duration>) -> Self {
         let period_ns = min_period.map_or(0, |period| u64::try_from(period.as_nanos()).unwrap_or(u64::MAX));
         Limiter { period_ns, next_ns: 0 }
     }
 
-    pub(crate) fn period_ns(&self) -> u64 {
+    /// 0 is without a limit.
+    pub fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
     /// Whether a message may pass at `now_ns`. What comes a little late does not delay those after it.
-    pub(crate) fn admits(&mut self, now_ns: u64) -> bool {
+    pub fn admits(&mut self, now_ns: u64) -> bool {
         if self.period_ns == 0 {
             return true;
         }

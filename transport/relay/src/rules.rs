@@ -1,33 +1,33 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which topics are bridged, which way, and how: what the configuration and the command line say.
+//! Which topics and services are mirrored, which way, and how: what the configuration and the command line say.
 
+use crate::pattern::{Filter, Pattern};
 use serde::Serialize;
 use std::time::Duration;
-use tautline_relay::{Filter, Pattern};
 use tautline_transport::{Durability, History, Qos, Reliability};
 
 /// Which way messages go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
-    /// From Tautline to ROS.
-    ToRos,
-    /// From ROS to Tautline.
-    FromRos,
+    /// From the domain to the far side.
+    Out,
+    /// From the far side to the domain.
+    In,
 }
 
 /// What is said of the topics that match.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rule {
-    /// Tautline's names.
+    /// The domain's names.
     pub topic: Pattern,
-    /// What they are called in ROS, if not the same: a name for a name, `/b/**` for `/a/**`.
-    pub ros_topic: Option<Pattern>,
+    /// What they are called on the far side, if not the same: a name for a name, `/b/**` for `/a/**`.
+    pub far_topic: Option<Pattern>,
     /// One way only.
     pub direction: Option<Direction>,
     /// The type that is expected.
     pub type_name: Option<String>,
-    /// What the ROS end offers or requests in place of what is there.
+    /// What the end on the far side offers or requests in place of what is there.
     pub qos: QosOverride,
     /// Shortest time between two messages; what comes sooner is dropped and counted.
     pub min_period: Option<Duration>,
@@ -38,9 +38,9 @@ pub struct Rule {
 impl Rule {
     /// Everything of `topic`, as it is there.
     pub fn new(topic: Pattern) -> Self {
-        let (ros_topic, direction, type_name, min_period) = (None, None, None, None);
+        let (far_topic, direction, type_name, min_period) = (None, None, None, None);
         let qos = QosOverride::default();
-        Rule { topic, ros_topic, direction, type_name, qos, min_period, is_of_actions: false }
+        Rule { topic, far_topic, direction, type_name, qos, min_period, is_of_actions: false }
     }
 
     fn matches(&self, topic: &str) -> bool {
@@ -77,17 +77,17 @@ impl QosOverride {
 pub struct Rules {
     /// The first one that matches counts.
     pub rules: Vec<Rule>,
-    /// Whether topics that no rule speaks of are bridged too.
+    /// Whether topics that no rule speaks of are mirrored too.
     pub auto: bool,
-    /// Of those, which; what it denies is not bridged whatever a rule says.
+    /// Of those, which; what it denies is not mirrored whatever a rule says.
     pub filter: Filter,
 }
 
 /// What is said of one topic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
-    /// What it is called in ROS.
-    pub ros_topic: String,
+    /// What it is called on the far side.
+    pub far_topic: String,
     /// See [`Rule::direction`].
     pub direction: Option<Direction>,
     /// See [`Rule::type_name`].
@@ -106,15 +106,15 @@ impl Choice {
 }
 
 impl Rules {
-    /// What is said of Tautline's `topic`; `None` if it is not bridged.
+    /// What is said of the domain's `topic`; `None` if it is not mirrored.
     pub fn choice(&self, topic: &str) -> Option<Choice> {
         if self.filter.denies(topic) {
             return None;
         }
         if let Some(rule) = self.rules.iter().find(|rule| rule.matches(topic)) {
-            let ros_topic = rule.ros_topic.as_ref().and_then(|ros| translated(topic, &rule.topic, ros));
+            let far_topic = rule.far_topic.as_ref().and_then(|far| translated(topic, &rule.topic, far));
             return Some(Choice {
-                ros_topic: ros_topic.unwrap_or_else(|| topic.to_owned()),
+                far_topic: far_topic.unwrap_or_else(|| topic.to_owned()),
                 direction: rule.direction,
                 type_name: rule.type_name.clone(),
                 qos: rule.qos,
@@ -122,7 +122,7 @@ impl Rules {
             });
         }
         (self.auto && self.filter.allows(topic)).then(|| Choice {
-            ros_topic: topic.to_owned(),
+            far_topic: topic.to_owned(),
             direction: None,
             type_name: None,
             qos: QosOverride::default(),
@@ -130,16 +130,16 @@ impl Rules {
         })
     }
 
-    /// What the topic `ros_topic` of ROS is called in Tautline; `None` if it is not bridged.
-    pub fn tautline_name(&self, ros_topic: &str) -> Option<String> {
+    /// What the topic `far_topic` of the far side is called here; `None` if it is not mirrored.
+    pub fn here_name(&self, far_topic: &str) -> Option<String> {
         let renamed = self.rules.iter().find_map(|rule| {
-            let topic = translated(ros_topic, rule.ros_topic.as_ref()?, &rule.topic)?;
-            self.choice(&topic).filter(|choice| choice.ros_topic == ros_topic).map(|_| topic)
+            let topic = translated(far_topic, rule.far_topic.as_ref()?, &rule.topic)?;
+            self.choice(&topic).filter(|choice| choice.far_topic == far_topic).map(|_| topic)
         });
         renamed.or_else(|| {
-            self.choice(ros_topic)
-                .filter(|choice| choice.ros_topic == ros_topic)
-                .map(|_| ros_topic.to_owned())
+            self.choice(far_topic)
+                .filter(|choice| choice.far_topic == far_topic)
+                .map(|_| far_topic.to_owned())
         })
     }
 }
@@ -162,8 +162,8 @@ mod tests {
         text.parse().unwrap()
     }
 
-    fn renaming(topic: &str, ros_topic: &str) -> Rule {
-        Rule { ros_topic: Some(pattern(ros_topic)), ..Rule::new(pattern(topic)) }
+    fn renaming(topic: &str, far_topic: &str) -> Rule {
+        Rule { far_topic: Some(pattern(far_topic)), ..Rule::new(pattern(topic)) }
     }
 
     #[test]
@@ -173,14 +173,14 @@ mod tests {
             ..Rules::default()
         };
         for (here, there) in [("/a", "/b"), ("/robot/x/y", "/r1/x/y"), ("/same", "/same")] {
-            assert_eq!(rules.choice(here).unwrap().ros_topic, there);
-            assert_eq!(rules.tautline_name(there).as_deref(), Some(here));
+            assert_eq!(rules.choice(here).unwrap().far_topic, there);
+            assert_eq!(rules.here_name(there).as_deref(), Some(here));
         }
         for name in ["/b", "/r1/x", "/other"] {
             assert_eq!(rules.choice(name), None, "{name}");
         }
         for name in ["/a", "/robot/x", "/other"] {
-            assert_eq!(rules.tautline_name(name), None, "{name}");
+            assert_eq!(rules.here_name(name), None, "{name}");
         }
     }
 

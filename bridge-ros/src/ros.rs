@@ -1,0 +1,360 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The ROS 2 graph as the other side of a mirror.
+
+use crate::bridge::{Options, Shared};
+use crate::incoming::{self, Incoming};
+use crate::outgoing::{Outbound, Ros, Writer};
+use crate::rcl::{Node, RosPublisher, RosSubscription};
+use crate::ros_graph::{self, RosGraph};
+use crate::services::{Routes, Services};
+use crate::shown::ShownNodes;
+use crate::stats::{IncompatibleQos, TopicNames};
+use crate::table::{OwnTable, Table, Tables};
+use crate::types::Types;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+use std::time::Instant;
+use tautline_relay::{
+    Change, Counters, Direction, FarSide, FarWriter, FoundType, Here, InKey, Inlet, Inward, Limiter, Manner,
+    Publisher, Report, Rules, Side, There, TopicKey, Transit, Writers, process_node,
+};
+use tautline_transport::{
+    Claim, EndpointKind, Gid, Limits, NodeName, Participant, Qos, RawPublisher, RemoteGraph, RemoteNode,
+    ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
+};
+
+/// Nodes of elsewhere that are shown in ROS: a network can claim to have many.
+const MOST_SHOWN: usize = 1024;
+
+pub(crate) struct RosSide {
+    /// Tautline's domain, for tags.
+    domain: u64,
+    node: Arc<Node>,
+    types: Types,
+    incoming: Incoming,
+    services: Services,
+    rules: Rules,
+    service_rules: Rules,
+    shared: Arc<Shared>,
+    graph: RosGraph,
+    endpoint_count: usize,
+    tables: Tables,
+    own_table: OwnTable,
+    /// What the ROS domain is called where people read it.
+    place: String,
+    shown: ShownNodes,
+}
+
+/// The threads that carry messages from ROS, requests and responses.
+pub(crate) struct Carriers {
+    pub(crate) incoming: Incoming,
+    pub(crate) services: Services,
+}
+
+/// A publisher in ROS that stands for one here.
+pub(crate) struct StandIn {
+    writer: Writer,
+    incompatible: Option<Incompatible>,
+}
+
+impl FarWriter for StandIn {
+    fn is_matched(&self) -> bool {
+        self.writer.publisher.subscription_count() > 0
+    }
+}
+
+/// Ends in ROS that do not fit a publisher's QoS.
+#[derive(Clone, Copy)]
+struct Incompatible {
+    count: u64,
+    last_policy: &'static str,
+    since: Instant,
+}
+
+impl RosSide {
+    /// And how word goes between both sides.
+    pub(crate) fn new(
+        options: &Options,
+        participant: &Participant,
+        node: Arc<Node>,
+        carriers: Carriers,
+        (tables, own_table): (Tables, OwnTable),
+        shared: Arc<Shared>,
+    ) -> (Self, Transit) {
+        let Carriers { incoming, services } = carriers;
+        let (domain, own) = (participant.domain_id(), participant.id());
+        let host = tautline_rt::host::name();
+        let place = format!("ros{}_{host}", node.context().domain());
+        let transit = Transit::to_ros(domain, own, own.into(), &host).going_on(options.transit);
+        let side = RosSide {
+            domain,
+            node,
+            types: Types::new(),
+            incoming,
+            services,
+            rules: options.rules.clone(),
+            service_rules: options.services.clone(),
+            shared,
+            graph: RosGraph::default(),
+            endpoint_count: 0,
+            tables,
+            own_table,
+            place,
+            shown: ShownNodes::default(),
+        };
+        (side, transit)
+    }
+
+    /// Those of ROS, but for this bridge's, with who tells of them.
+    fn read_services(&mut self, here: &Here) -> Vec<(ServiceEndpoint, u128)> {
+        let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
+        let mut ends = ros_graph::services(&self.node, others, &self.place);
+        let tables = &self.graph.tables;
+        let told = || {
+            let of = |table: &Arc<Table>| u128::from(table.bridge);
+            tables.iter().flat_map(move |table| table.graph.services.iter().map(move |end| (end, of(table))))
+        };
+        // Servers of other bridges bear the names of the nodes that they stand for.
+        let servers = told().filter(|(end, _)| end.kind == ServiceKind::Server);
+        let servers: BTreeSet<_> = servers.map(|(end, _)| (&*end.name, end.node.as_ref())).collect();
+        ends.retain(|end| !servers.contains(&(&*end.name, end.node.as_ref())));
+        let names: BTreeSet<String> = match tables.is_empty() {
+            // Other bridges know a server by where it takes requests.
+            false => ends.iter().map(|end| end.name.clone()).collect(),
+            // And without it one is known by its node's name alone.
+            true => {
+                let asked = here.services.iter().filter(|end| end.kind == ServiceKind::Client);
+                let asked = asked.filter_map(|end| Some(self.service_rules.choice(&end.name)?.far_topic));
+                asked.collect()
+            }
+        };
+        for name in names {
+            let found = self.node.servers(&name).unwrap_or_default();
+            ros_graph::identify(&mut ends, &name, &found);
+        }
+        for end in &mut ends {
+            end.type_hash = self.types.service_hash(&end.type_name);
+        }
+        ros_graph::mark(&mut ends, self.domain, self.graph.tables.is_empty());
+        let told = told().map(|(end, bridge)| (end.clone(), bridge));
+        ends.into_iter().map(|end| (end, 0)).chain(told).collect()
+    }
+
+    fn show_nodes(&mut self, here: &Here, transit: &Transit) {
+        let announced = here.nodes.iter().filter(|node| transit.announced(&node.origin).is_some());
+        let (own, others): (Vec<_>, Vec<_>) = announced.partition(|node| node.origin.is_here());
+        let shown = own.into_iter().chain(others.into_iter().take(MOST_SHOWN));
+        self.shown.update(&self.node, shown.map(|node| &node.name));
+    }
+
+    fn route_services(&mut self, here: &Here, there: &[(ServiceEndpoint, u128)], transit: &Transit) {
+        let ends = here.services.iter().map(AsRef::as_ref);
+        let there = there.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
+        let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
+        let announced = |end: &ServiceEndpoint| transit.announced(&end.origin).is_some();
+        let routes = Routes::of(&self.service_rules, ends, &there, self.services.routes(), announced);
+        self.services.set_routes(routes, self.shown.by_name());
+    }
+
+    /// Other bridges of the ROS domain are told what this one's ends stand for.
+    fn tell_bridges(&mut self, here: &Here, transit: &Transit, writers: &Writers<StandIn>) {
+        let announced = |origin| transit.announced(origin);
+        let mut processes = HashMap::new();
+        let mut of_node = |node: &Option<NodeName>, pid: Option<u32>| {
+            let process = || processes.entry(pid).or_insert_with(|| process_node(pid)).clone();
+            Some(node.clone().unwrap_or_else(process))
+        };
+        let stand_ins: BTreeMap<Gid, Gid> =
+            writers.iter().map(|(_, gid, stand_in)| (gid, stand_in.writer.publisher.gid())).collect();
+        let mut graph = RemoteGraph::default();
+        graph.nodes.extend(here.nodes.iter().filter_map(|node| {
+            Some(RemoteNode { name: node.name.clone(), origin: announced(&node.origin)? })
+        }));
+        for end in &here.endpoints {
+            let (gid, way) = match end.kind {
+                EndpointKind::Publisher => (stand_ins.get(&end.gid).copied(), Direction::Out),
+                EndpointKind::Subscription => (Some(end.gid), Direction::In),
+            };
+            let choice = self.rules.choice(&end.topic).filter(|choice| choice.goes(way));
+            let (Some(origin), Some(gid), Some(choice)) = (announced(&end.origin), gid, choice) else {
+                continue;
+            };
+            let (topic, node) = (choice.far_topic, of_node(&end.node, end.pid));
+            graph.endpoints.push(TopicEndpoint { topic, gid, node, origin, ..(**end).clone() });
+        }
+        for end in &here.services {
+            let way = match end.kind {
+                ServiceKind::Server => Direction::Out,
+                ServiceKind::Client => Direction::In,
+            };
+            let choice = self.service_rules.choice(&end.name).filter(|choice| choice.goes(way));
+            let (Some(origin), Some(choice)) = (announced(&end.origin), choice) else { continue };
+            let (name, node) = (choice.far_topic, of_node(&end.node, end.pid));
+            graph.services.push(ServiceEndpoint { name, node, origin, ..(**end).clone() });
+        }
+        if let Err(reason) = self.own_table.say(Table { bridge: here.own, graph }) {
+            tracing::warn!("other bridges of this ROS domain are not told what this one carries: {reason}");
+        }
+    }
+}
+
+impl FarSide for RosSide {
+    const SIDE: Side = Side::Ros;
+    const MANNER: Manner = incoming::MANNER;
+    type Event = ();
+    type Outlet = Ros;
+    type Writer = StandIn;
+
+    fn hear(&mut self, (): ()) -> bool {
+        true
+    }
+
+    fn look(&mut self, here: &Here) -> Result<There, String> {
+        self.graph.read(&self.node, &self.place, &self.tables).map_err(|error| error.to_string())?;
+        self.endpoint_count = self.graph.endpoints.len();
+        Ok(There {
+            nodes: self.graph.others(&self.shown.in_ros(), self.domain, &self.place),
+            services: self.read_services(here),
+            endpoints: std::mem::take(&mut self.graph.endpoints),
+            publishers: std::mem::take(&mut self.graph.publishers),
+            ended: BTreeSet::new(),
+        })
+    }
+
+    fn prepare(&mut self, _: &mut Here, _: &Transit) {}
+
+    fn tell(
+        &mut self,
+        here: &Here,
+        services: &[(ServiceEndpoint, u128)],
+        transit: &Transit,
+        writers: &Writers<StandIn>,
+    ) {
+        self.show_nodes(here, transit);
+        // After the topics: an action's feedback has its way before goals have.
+        self.route_services(here, services, transit);
+        self.tell_bridges(here, transit, writers);
+    }
+
+    fn tick(&mut self, writers: &mut Writers<StandIn>) -> bool {
+        self.services.try_again(|| self.shown.by_name());
+        look_for_incompatible(writers);
+        self.graph.has_unknown()
+    }
+
+    fn find_type(&mut self, key: &TopicKey, hash: Option<&str>) -> Result<FoundType, String> {
+        let found = self.types.find(&key.type_name, hash).map_err(|error| error.to_string())?;
+        Ok(FoundType { topic_type: found.topic_type(), schema: Some(found.schema) })
+    }
+
+    fn open_writer(&mut self, key: &TopicKey, publisher: &Publisher) -> Result<StandIn, String> {
+        let found = self.types.find(&key.type_name, publisher.type_hash.as_deref());
+        let found = found.map_err(|error| error.to_string())?;
+        let made = RosPublisher::new(&self.node, &key.far_topic, &found.support, &publisher.qos);
+        let publisher = Arc::new(made.map_err(|error| error.to_string())?);
+        Ok(StandIn { writer: Writer { publisher, last: Arc::default() }, incompatible: None })
+    }
+
+    fn sender(&mut self, _: &TopicKey, stand_in: &StandIn) -> Result<Writer, String> {
+        Ok(stand_in.writer.clone())
+    }
+
+    fn outbound(counters: Arc<Counters>, limiter: Limiter) -> Outbound {
+        Outbound { counters, limiter }
+    }
+
+    fn port(
+        participant: &Participant,
+        topic: &str,
+        topic_type: &TopicType,
+        offered: Qos,
+    ) -> Result<RawPublisher, TransportError> {
+        // How long other messages are is not known before they come: what would be claimed ahead is a guess.
+        let claim = if topic_type.body_bytes.is_some() { Claim::Ahead } else { Claim::OnUse };
+        participant.create_raw_publisher(topic, topic_type, offered, Limits { claim, ..Limits::default() })
+    }
+
+    fn start_in(&mut self, key: &InKey, inward: &Inward, inlet: Inlet) -> Result<(), String> {
+        let found = self.types.find(&key.topic.type_name, inward.type_hash.as_deref());
+        let support = found.map_err(|error| error.to_string())?.support;
+        let subscription = RosSubscription::new(&self.node, &key.topic.far_topic, &support, &inward.qos);
+        self.incoming.open(key.clone(), subscription.map_err(|error| error.to_string())?, inlet);
+        Ok(())
+    }
+
+    fn change_in(&mut self, key: &InKey, change: Change) {
+        self.incoming.change(key.clone(), change);
+    }
+
+    fn stop_in(&mut self, key: &InKey) {
+        self.incoming.close(key.clone());
+    }
+
+    fn told_gid(end: &ServiceEndpoint) -> Gid {
+        ros_graph::told_gid(end.origin.tag)
+    }
+
+    fn report(&mut self, report: Report, writers: &Writers<StandIn>) {
+        let mut stats = self.shared.stats();
+        stats.uptime_s = report.uptime_s;
+        stats.ros_nodes = self.graph.nodes.len();
+        stats.ros_endpoints = self.endpoint_count;
+        stats.not_bridged = report.problems;
+        stats.services_not_bridged = self.services.problems();
+        stats.services = self.services.stats();
+        let incompatible = writers.iter().filter_map(|(key, _, end)| Some((&*key.topic, end.incompatible?)));
+        stats.incompatible_qos = by_topic(incompatible);
+        let named = report.topics.into_iter().map(|topic| topic.named(TopicNames::of, Into::into));
+        stats.topics = named.collect();
+    }
+}
+
+/// As ROS does: an event for each end that does not fit, which is counted and said.
+fn look_for_incompatible(writers: &mut Writers<StandIn>) {
+    for (key, stand_in) in writers.iter_mut() {
+        let Some((count, policy)) = stand_in.writer.publisher.incompatible() else { continue };
+        tracing::warn!(
+            "topic '{}': an end in ROS does not fit the QoS of one here (last policy: {policy}): no messages go between them; \
+             change one of them, or set qos.{policy} of the topic in the configuration",
+            key.far_topic
+        );
+        let since = Instant::now();
+        stand_in.incompatible = Some(Incompatible { count, last_policy: policy, since });
+    }
+}
+
+/// Those of all publishers of a topic that are there now.
+fn by_topic<'t>(ends: impl Iterator<Item = (&'t str, Incompatible)>) -> BTreeMap<String, IncompatibleQos> {
+    let mut topics: BTreeMap<&str, Incompatible> = BTreeMap::new();
+    for (topic, end) in ends {
+        let all = topics.entry(topic).or_insert(Incompatible { count: 0, ..end });
+        let count = all.count + end.count;
+        let last = if end.since > all.since { end } else { *all };
+        *all = Incompatible { count, ..last };
+    }
+    let told = |(topic, all): (&str, Incompatible)| {
+        (topic.to_owned(), IncompatibleQos { count: all.count, last_policy: all.last_policy.to_owned() })
+    };
+    topics.into_iter().map(told).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn ends_that_do_not_fit_are_those_of_all_publishers_of_a_topic() {
+        let start = Instant::now();
+        let end = |count, last_policy, after_s| Incompatible {
+            count,
+            last_policy,
+            since: start + Duration::from_secs(after_s),
+        };
+        let ends =
+            [("/x", end(2, "reliability", 5)), ("/x", end(3, "deadline", 1)), ("/y", end(1, "deadline", 2))];
+        let told = by_topic(ends.into_iter());
+        let of = |topic: &str| (told[topic].count, &*told[topic].last_policy);
+        assert_eq!((of("/x"), of("/y")), ((5, "reliability"), (1, "deadline")));
+    }
+}

@@ -1,0 +1,628 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Does what the mirror decides: one thread, told when either side changes, that makes and ends everything.
+
+mod failed;
+
+use crate::inlet::{Change, Inlet, Manner, Port, Senders};
+use crate::limiter::Limiter;
+use crate::mirror::{Action, Far, InKey, Inward, Mirror, Outward, Side, TopicKey};
+use crate::relay::Relay;
+use crate::route::Outlet;
+use crate::rules::{Direction, Rules};
+use crate::stats::{Book, Counters, TopicStats};
+use crate::transit::Transit;
+use crate::writers::{FarWriter, MATCH_TIME, Writers};
+use failed::Failed;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+use tautline_schema::Schema;
+use tautline_transport::{
+    Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos, RawPublisher,
+    RawSubscription, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint, TopicType, TransportError,
+};
+
+/// What a mirror mirrors a domain with: a network, or a ROS 2 graph. [`Control`] calls it, from one thread.
+pub trait FarSide: Sized {
+    /// What it is.
+    const SIDE: Side;
+    /// How its messages come.
+    const MANNER: Manner;
+    /// What it is told of by others than this thread.
+    type Event: Send;
+    /// What takes samples from here.
+    type Outlet: Outlet<Key = TopicKey>;
+    /// What stands there for a publisher here.
+    type Writer: FarWriter;
+
+    /// Something happened. Whether what exists there is otherwise.
+    fn hear(&mut self, event: Self::Event) -> bool;
+
+    /// What exists there, but for what this one made; `here` exists in the domain. An error is said, and tried again.
+    ///
+    /// # Errors
+    /// Why that is not known.
+    fn look(&mut self, here: &Here) -> Result<There, String>;
+
+    /// Before anything is done: `here` is in terms of the domain, and some of it can perhaps not be told there.
+    fn prepare(&mut self, here: &mut Here, transit: &Transit);
+
+    /// After topics are in line with what exists: nodes, services, and what else others there are told. `services` are those there that
+    /// the domain is told of, as they are there.
+    fn tell(
+        &mut self,
+        here: &Here,
+        services: &[(ServiceEndpoint, u128)],
+        transit: &Transit,
+        writers: &Writers<Self::Writer>,
+    );
+
+    /// A second has gone by. Whether it is to be looked anew what exists.
+    fn tick(&mut self, writers: &mut Writers<Self::Writer>) -> bool;
+
+    /// What is known of a topic's type, for messages that come in.
+    ///
+    /// # Errors
+    /// Why it cannot be mirrored.
+    fn find_type(&mut self, key: &TopicKey, hash: Option<&str>) -> Result<FoundType, String>;
+
+    /// Makes what stands there for a publisher.
+    ///
+    /// # Errors
+    /// Why that is not possible.
+    fn open_writer(&mut self, key: &TopicKey, publisher: &Publisher) -> Result<Self::Writer, String>;
+
+    /// Whether this is what stands there for it now: if not, another one is made.
+    fn is_current(&self, publisher: &Gid, writer: &Self::Writer) -> bool {
+        let _ = (publisher, writer);
+        true
+    }
+
+    /// What passes a publisher's samples on.
+    ///
+    /// # Errors
+    /// Why that is not possible.
+    fn sender(
+        &mut self,
+        key: &TopicKey,
+        writer: &Self::Writer,
+    ) -> Result<<Self::Outlet as Outlet>::Sender, String>;
+
+    /// What is kept for a topic whose samples go out.
+    fn outbound(counters: Arc<Counters>, limiter: Limiter) -> <Self::Outlet as Outlet>::Topic;
+
+    /// A port of the domain for messages from there.
+    ///
+    /// # Errors
+    /// As [`Participant::create_raw_publisher`].
+    fn port(
+        participant: &Participant,
+        topic: &str,
+        topic_type: &TopicType,
+        offered: Qos,
+    ) -> Result<RawPublisher, TransportError>;
+
+    /// Takes messages of a class from now on; in place of what takes them, if there is such.
+    ///
+    /// # Errors
+    /// Why that is not possible.
+    fn start_in(&mut self, key: &InKey, inward: &Inward, inlet: Inlet) -> Result<(), String>;
+
+    /// What is otherwise with one that is being taken.
+    fn change_in(&mut self, key: &InKey, change: Change);
+
+    /// No longer.
+    fn stop_in(&mut self, key: &InKey);
+
+    /// By which the domain is told of a service's end there.
+    fn told_gid(end: &ServiceEndpoint) -> Gid {
+        end.gid
+    }
+
+    /// What there is to be known now, for whoever asks.
+    fn report(&mut self, report: Report, writers: &Writers<Self::Writer>);
+}
+
+/// A publisher of the domain, for which something is to stand elsewhere.
+pub struct Publisher {
+    /// Its gid here.
+    pub gid: Gid,
+    /// What it offers.
+    pub qos: Qos,
+    /// What the topic says of its type.
+    pub type_hash: Option<String>,
+}
+
+/// What is known of a type.
+pub struct FoundType {
+    /// As topics state it.
+    pub topic_type: TopicType,
+    /// The definition, which what comes in is checked against.
+    pub schema: Option<Arc<Schema>>,
+}
+
+/// What the domain has, but for what this mirror tells it of.
+#[derive(Default)]
+pub struct Here {
+    /// The mirror's participant.
+    pub own: u64,
+    /// Nodes.
+    pub nodes: Vec<Arc<NodeInfo>>,
+    /// Publishers and subscriptions.
+    pub endpoints: Vec<Arc<TopicEndpoint>>,
+    /// Services and clients.
+    pub services: Vec<Arc<ServiceEndpoint>>,
+    /// The tags of the publishers that have ended by themselves, the last few of them.
+    pub ended: Vec<u64>,
+    /// Topics and services that cannot be told there, and why.
+    pub problems: BTreeMap<String, String>,
+}
+
+impl Here {
+    fn of(own: u64, snapshot: &GraphSnapshot) -> Self {
+        Here {
+            own,
+            nodes: snapshot.nodes.iter().filter(|node| node.teller != Some(own)).cloned().collect(),
+            endpoints: snapshot.endpoints.iter().filter(|end| end.teller != Some(own)).cloned().collect(),
+            services: snapshot.services.iter().filter(|end| end.teller != Some(own)).cloned().collect(),
+            ended: snapshot.ended.clone(),
+            problems: BTreeMap::new(),
+        }
+    }
+}
+
+/// What exists on the far side, each with who tells of it there; see [`Transit`].
+#[derive(Default)]
+pub struct There {
+    /// Nodes.
+    pub nodes: Vec<(RemoteNode, u128)>,
+    /// Publishers and subscriptions.
+    pub endpoints: Vec<(TopicEndpoint, u128)>,
+    /// Services and clients.
+    pub services: Vec<(ServiceEndpoint, u128)>,
+    /// By topic, all publishers that it is known of what they are.
+    pub publishers: HashMap<String, BTreeSet<Gid>>,
+    /// The tags of publishers that have ended by themselves, as far as that is told.
+    pub ended: BTreeSet<u64>,
+}
+
+/// What there is to be known of a mirror.
+pub struct Report {
+    /// Since it started.
+    pub uptime_s: f64,
+    /// Topics that cannot be mirrored, and why.
+    pub problems: BTreeMap<String, String>,
+    /// Every topic that is or was mirrored.
+    pub topics: Vec<TopicStats<TopicKey, Direction>>,
+}
+
+/// What the control thread is told.
+pub enum Event<E> {
+    /// What exists in the domain changed.
+    Here,
+    /// Something happened on the far side.
+    There(E),
+    /// The end.
+    Stop,
+}
+
+/// How often numbers are read, and what failed is tried again.
+const TICK: Duration = Duration::from_secs(1);
+/// Between two looks at what exists at least: what comes with one another is seen together, and a look costs as much as there is.
+const PAUSE: Duration = Duration::from_millis(2);
+/// The same for each time that a look took: however much changes, most of the time is left to others.
+const PAUSE_PER_LOOK: u32 = 4;
+/// Between two looks whether a writer has found its subscriptions.
+const MATCH_LOOK: Duration = Duration::from_millis(2);
+
+/// What a mirror consists of.
+pub struct Parts<F: FarSide> {
+    /// The domain.
+    pub participant: Participant,
+    /// The other side.
+    pub far: F,
+    /// The thread that takes samples.
+    pub relay: Relay<F::Outlet>,
+    /// What is told and carried.
+    pub transit: Transit,
+    /// Which topics.
+    pub rules: Rules,
+    /// Which services.
+    pub services: Rules,
+}
+
+/// Keeps both sides of a mirror in line.
+pub struct Control<F: FarSide> {
+    relay: Relay<F::Outlet>,
+    writers: Writers<F::Writer>,
+    far: F,
+    participant: Participant,
+    transit: Transit,
+    mirror: Mirror,
+    rules: Rules,
+    service_rules: Rules,
+    /// Whether the last look at what exists failed.
+    is_stale: bool,
+    book: Book<TopicKey, Direction>,
+    out: BTreeMap<TopicKey, Outward>,
+    /// Topics whose samples are not taken before their writers have found somebody.
+    waiting: BTreeMap<TopicKey, (Outward, Instant)>,
+    inward: BTreeMap<InKey, Taken>,
+    failed: Failed,
+    /// As they were told last.
+    publishers: HashMap<String, BTreeSet<Gid>>,
+    problems: BTreeMap<String, String>,
+    started: Instant,
+}
+
+/// A class that is being taken.
+struct Taken {
+    inward: Inward,
+    /// Whether there is a port, which offers what `inward` says: once there is somebody who sends.
+    has_port: bool,
+    /// As who takes was told.
+    senders: Senders,
+}
+
+impl<F: FarSide> Control<F> {
+    /// Of these parts; nothing is done yet.
+    pub fn new(parts: Parts<F>) -> Self {
+        let Parts { participant, far, relay, transit, rules, services } = parts;
+        let (book, out, waiting, inward) = Default::default();
+        let (failed, publishers, problems) = Default::default();
+        Control {
+            relay,
+            writers: Writers::default(),
+            far,
+            participant,
+            transit,
+            mirror: Mirror::new(F::SIDE, rules.clone()),
+            rules,
+            service_rules: services,
+            is_stale: false,
+            book,
+            out,
+            waiting,
+            inward,
+            failed,
+            publishers,
+            problems,
+            started: Instant::now(),
+        }
+    }
+
+    /// Until it is told to stop.
+    pub fn run(mut self, events: &mpsc::Receiver<Event<F::Event>>, stop: &AtomicBool) {
+        let (mut last_tick, mut next_update) = (Instant::now(), Instant::now());
+        let mut is_changed = true;
+        while !stop.load(Ordering::Acquire) {
+            let mut until = last_tick + TICK;
+            if is_changed {
+                until = until.min(next_update);
+            }
+            if self.is_matching() {
+                until = until.min(Instant::now() + MATCH_LOOK);
+            }
+            let mut event = events.recv_timeout(until.saturating_duration_since(Instant::now())).ok();
+            // One look for all that changed at once.
+            while let Some(heard) = event {
+                is_changed |= match heard {
+                    Event::Here => true,
+                    Event::There(event) => self.far.hear(event),
+                    Event::Stop => return,
+                };
+                event = events.try_recv().ok();
+            }
+            // One, however long an update took.
+            let elapsed = last_tick.elapsed();
+            if elapsed >= TICK {
+                last_tick += elapsed;
+                is_changed |= self.far.tick(&mut self.writers) || self.is_stale;
+                self.try_again();
+                self.report(elapsed);
+            }
+            if is_changed && Instant::now() >= next_update {
+                is_changed = false;
+                let start = Instant::now();
+                self.update();
+                next_update = Instant::now() + PAUSE + start.elapsed() * PAUSE_PER_LOOK;
+            }
+            self.look_for_matches();
+        }
+    }
+
+    /// Brings everything in line with what exists.
+    fn update(&mut self) {
+        let seen = self.participant.graph().map_err(|error| error.to_string()).and_then(|snapshot| {
+            let here = Here::of(self.participant.id(), &snapshot);
+            Ok((self.far.look(&here)?, here, snapshot))
+        });
+        // Looked at again with the next tick.
+        self.is_stale = seen.is_err();
+        let (there, mut here, snapshot) = match seen {
+            Ok(seen) => seen,
+            Err(error) => return tracing::warn!("what exists is not known: {error}"),
+        };
+        let transit = &mut self.transit;
+        transit.look_anew(&snapshot.rivals);
+        there.nodes.iter().for_each(|(node, teller)| transit.insert(&node.origin, *teller));
+        there.endpoints.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
+        there.services.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
+        self.far.prepare(&mut here, &self.transit);
+        for (key, gid) in self.writers.others(|gid, writer| self.far.is_current(gid, writer)) {
+            self.mirror.forget_writer(&key, gid);
+            self.relay.close(key.clone(), gid);
+            self.writers.remove(&key, gid);
+        }
+        self.mirror_topics(&here, &there);
+        self.far.tell(&here, &there.services, &self.transit, &self.writers);
+        if let Err(error) = self.participant.set_remote(&self.remote(there)) {
+            tracing::warn!("nodes and tools of this host do not see what is elsewhere: {error}");
+        }
+        self.problems = here.problems;
+    }
+
+    fn mirror_topics(&mut self, here: &Here, there: &There) {
+        let transit = &self.transit;
+        let is_publisher = |end: &TopicEndpoint| end.kind == EndpointKind::Publisher;
+        let is_left = |end: &TopicEndpoint| is_publisher(end) && transit.announced(&end.origin).is_none();
+        let (left, told): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
+            here.endpoints.iter().map(AsRef::as_ref).partition(|end| is_left(end));
+        // Left to somebody else who tells of the same there.
+        let mut passed_over: HashSet<Gid> = left.into_iter().map(|end| end.gid).collect();
+        let mut before = self.relay.passed_over().lock().unwrap_or_else(PoisonError::into_inner);
+        // What was there before is dropped after the lock: the thread that sends may wait for it.
+        std::mem::swap(&mut *before, &mut passed_over);
+        drop(before);
+        let comes_in = |(end, teller): &(TopicEndpoint, u128)| match end.kind {
+            EndpointKind::Publisher => transit.carries(&end.origin, *teller),
+            EndpointKind::Subscription => transit.told(&end.origin, *teller).is_some(),
+        };
+        let far: Vec<Far> = there.endpoints.iter().map(|end| (&end.0, comes_in(end))).collect();
+        let far: Vec<Far> =
+            far.into_iter().filter(|(end, comes_in)| *comes_in || is_publisher(end)).collect();
+        let actions = self.mirror.update(told, &far);
+        self.publishers.clone_from(&there.publishers);
+        for action in actions {
+            if let Err(reason) = self.act(&action) {
+                self.failed.note(action, reason, None);
+            }
+        }
+        self.renew_senders();
+    }
+
+    /// What the domain is told of, by its own names. The same graph is the same list.
+    fn remote(&self, there: There) -> RemoteGraph {
+        let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
+        for (RemoteNode { name, origin }, teller) in there.nodes {
+            let told = self.transit.told(&origin, teller);
+            remote.nodes.extend(told.map(|origin| RemoteNode { name, origin }));
+        }
+        for (end, teller) in there.endpoints {
+            let Some(topic) = self.rules.here_name(&end.topic) else { continue };
+            // What is not let through is not told: somebody else may have a way.
+            let way = match end.kind {
+                EndpointKind::Publisher => Direction::In,
+                EndpointKind::Subscription => Direction::Out,
+            };
+            let goes = self.rules.choice(&topic).is_some_and(|choice| choice.goes(way));
+            let told = self.transit.told(&end.origin, teller).filter(|_| goes);
+            remote.endpoints.extend(told.map(|origin| TopicEndpoint { topic, origin, ..end }));
+        }
+        for (end, teller) in there.services {
+            let Some(name) = self.service_rules.here_name(&end.name) else { continue };
+            let told = self.transit.told(&end.origin, teller);
+            let gid = F::told_gid(&end);
+            remote.services.extend(told.map(|origin| ServiceEndpoint { name, gid, origin, ..end }));
+        }
+        remote.nodes.sort();
+        remote.endpoints.sort_by(|one, other| (&one.topic, one.gid).cmp(&(&other.topic, other.gid)));
+        remote.services.sort_by(|one, other| {
+            (&one.name, one.kind, &one.node, one.gid).cmp(&(&other.name, other.kind, &other.node, other.gid))
+        });
+        remote
+    }
+
+    /// Publishers there come and go that a subscription gets messages of though they are none of its class.
+    fn renew_senders(&mut self) {
+        for (key, taken) in &mut self.inward {
+            let senders = senders(&self.publishers, key, &taken.inward, taken.has_port);
+            if senders != taken.senders {
+                taken.senders = senders.clone();
+                let limiter = Limiter::new(taken.inward.min_period);
+                self.far.change_in(key, Change { senders, limiter, port: None });
+            }
+        }
+    }
+
+    /// What failed may be possible now: there is memory, a package was installed.
+    fn try_again(&mut self) {
+        for (action, before) in self.failed.take() {
+            if let Err(reason) = self.act(&action) {
+                self.failed.note(action, reason, Some(&before));
+            }
+        }
+    }
+
+    fn act(&mut self, action: &Action) -> Result<(), String> {
+        self.failed.forget_replaced(action);
+        match action {
+            Action::OpenWriter(key, gid, qos, hash) => {
+                let publisher = Publisher { gid: *gid, qos: *qos, type_hash: hash.clone() };
+                let writer = self.far.open_writer(key, &publisher)?;
+                self.writers.insert(key.clone(), *gid, writer);
+            }
+            Action::CloseWriter(key, gid) => {
+                self.relay.close(key.clone(), *gid);
+                self.writers.remove(key, *gid);
+            }
+            Action::StartOut(key, outward)
+                if key.is_of_action() || self.out.contains_key(key) || self.writers.is_matched(key) =>
+            {
+                self.start_out(key, outward)?;
+            }
+            Action::StartOut(key, outward) => {
+                self.waiting.insert(key.clone(), (outward.clone(), Instant::now()));
+            }
+            Action::StopOut(key) => {
+                self.waiting.remove(key);
+                self.out.remove(key);
+                self.writers.close(key);
+                self.relay.stop_topic(key.clone());
+            }
+            Action::StartIn(key, inward) => {
+                // The type may be the one that is known whatever the topic stated before and states now.
+                let is_same = |taken: &Taken| {
+                    taken.inward.qos == inward.qos
+                        && (!taken.has_port || taken.inward.offered == inward.offered)
+                };
+                if self.inward.get(key).is_some_and(is_same) {
+                    self.far.find_type(&key.topic, inward.type_hash.as_deref())?;
+                    return self.change_in(key, inward);
+                }
+                self.start_in(key, inward)?;
+            }
+            Action::AskAgain(key, inward) => self.start_in(key, inward)?,
+            Action::ChangeIn(key, inward) => self.change_in(key, inward)?,
+            Action::StopIn(key) => {
+                self.inward.remove(key);
+                self.far.stop_in(key);
+            }
+        }
+        Ok(())
+    }
+
+    fn change_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
+        if self.failed.change_start(key, inward) {
+            return Ok(());
+        }
+        let had_port = self.inward.get(key).is_some_and(|taken| taken.has_port);
+        let port = if had_port { None } else { self.port(key, inward)?.0 };
+        let has_port = had_port || port.is_some();
+        let senders = senders(&self.publishers, key, inward, has_port);
+        let change = Change {
+            senders: senders.clone(),
+            limiter: Limiter::new(inward.min_period),
+            port: port.map(Box::new),
+        };
+        self.far.change_in(key, change);
+        self.inward.insert(key.clone(), Taken { inward: inward.clone(), has_port, senders });
+        Ok(())
+    }
+
+    /// Whether writers are about to find their subscriptions.
+    fn is_matching(&self) -> bool {
+        let now = Instant::now();
+        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME)
+            || self.writers.is_opening(|key| self.out.contains_key(key))
+    }
+
+    /// Samples are taken once a writer has somebody to send them to.
+    fn look_for_matches(&mut self) {
+        for (key, (outward, since)) in std::mem::take(&mut self.waiting) {
+            if !self.writers.is_matched(&key) {
+                self.waiting.insert(key, (outward, since));
+            } else if let Err(reason) = self.start_out(&key, &outward) {
+                self.failed.note(Action::StartOut(key, outward), reason, None);
+            }
+        }
+        let (out, far, relay) = (&self.out, &mut self.far, &self.relay);
+        self.writers.open_matched(
+            |key| out.contains_key(key),
+            |key, gid, writer| match far.sender(key, writer) {
+                Ok(sender) => relay.open(key.clone(), gid, sender),
+                Err(reason) => tracing::warn!("topic '{}' is not sent: {reason}", key.topic),
+            },
+        );
+    }
+
+    fn start_out(&mut self, key: &TopicKey, outward: &Outward) -> Result<(), String> {
+        let subscription = self.subscribe(key, outward).map_err(|error| error.to_string())?;
+        let counters = self.counters(key, Direction::Out);
+        let outbound = F::outbound(counters, Limiter::new(outward.min_period));
+        self.relay.start_topic(key.clone(), subscription, outbound);
+        self.out.insert(key.clone(), outward.clone());
+        Ok(())
+    }
+
+    fn subscribe(&self, key: &TopicKey, outward: &Outward) -> Result<RawSubscription, TransportError> {
+        let hash = outward.type_hash.clone().map(Into::into);
+        let topic_type = TopicType { hash, ..TopicType::new(key.type_name.clone()) };
+        let durability = if outward.is_kept { Durability::TransientLocal } else { Durability::Volatile };
+        let depth = outward.depth.clamp(1, Limits::MAX_DEPTH);
+        let qos = Qos { durability, ..Qos::keep_last(depth) };
+        self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
+    }
+
+    fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
+        // What the port keeps for late joiners is not to be lost without need.
+        let has_same = |taken: &Taken| taken.has_port && taken.inward.offered == inward.offered;
+        let keeps_port = self.inward.get(key).is_some_and(has_same);
+        let (port, schema) = match keeps_port {
+            true => {
+                let found = self.far.find_type(&key.topic, inward.type_hash.as_deref())?;
+                (Port::Same, found.schema)
+            }
+            false => {
+                let (port, schema) = self.port(key, inward)?;
+                (port.map_or(Port::None, |port| Port::New(Box::new(port))), schema)
+            }
+        };
+        let has_port = !matches!(port, Port::None);
+        let senders = senders(&self.publishers, key, inward, has_port);
+        let (counters, limiter) = (self.counters(&key.topic, Direction::In), Limiter::new(inward.min_period));
+        let inlet = Inlet::new(port, schema, counters, limiter, senders.clone(), F::MANNER);
+        self.far.start_in(key, inward, inlet)?;
+        self.inward.insert(key.clone(), Taken { inward: inward.clone(), has_port, senders });
+        Ok(())
+    }
+
+    /// The port that messages of the class come through here, once there is somebody who sends them; and their definition.
+    fn port(
+        &mut self,
+        key: &InKey,
+        inward: &Inward,
+    ) -> Result<(Option<RawPublisher>, Option<Arc<Schema>>), String> {
+        let FoundType { topic_type, schema } = self.far.find_type(&key.topic, inward.type_hash.as_deref())?;
+        if inward.publishers.is_empty() {
+            return Ok((None, schema));
+        }
+        let port = F::port(&self.participant, &key.topic.topic, &topic_type, inward.offered);
+        Ok((Some(port.map_err(|error| error.to_string())?), schema))
+    }
+
+    fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
+        let (out, inward) = (&self.out, &self.inward);
+        self.book.counters(key.clone(), direction, |key, direction| is_active(out, inward, key, direction))
+    }
+
+    fn report(&mut self, elapsed: Duration) {
+        let mut problems = self.problems.clone();
+        problems.extend(self.mirror.problems().clone());
+        problems.extend(self.failed.reasons());
+        let (out, inward) = (&self.out, &self.inward);
+        let topics =
+            self.book.read(elapsed, TopicKey::clone, |key, direction| is_active(out, inward, key, direction));
+        let uptime_s = self.started.elapsed().as_secs_f64();
+        self.far.report(Report { uptime_s, problems, topics }, &self.writers);
+    }
+}
+
+/// Of the publishers that are known.
+fn senders(known: &HashMap<String, BTreeSet<Gid>>, key: &InKey, inward: &Inward, has_port: bool) -> Senders {
+    let none = BTreeSet::new();
+    Senders::of(known.get(&key.topic.far_topic).unwrap_or(&none), &inward.publishers, has_port)
+}
+
+fn is_active(
+    out: &BTreeMap<TopicKey, Outward>,
+    inward: &BTreeMap<InKey, Taken>,
+    key: &TopicKey,
+    direction: Direction,
+) -> bool {
+    match direction {
+        Direction::Out => out.contains_key(key),
+        Direction::In => inward.keys().any(|other| other.topic == *key),
+    }
+}

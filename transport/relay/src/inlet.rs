@@ -1,0 +1,471 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What comes in of a topic: whose messages, of which form, through which port of the domain.
+
+use crate::limiter::Limiter;
+use crate::route::EarlyLimits;
+use crate::stats::{Counters, Numbers};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tautline_rt::clock::{monotonic_ns, nanoseconds, wall_ns};
+use tautline_schema::{DynamicMessage, Endian, Schema};
+use tautline_transport::{Gid, LoanError, MessageInfo, PublishError, RawPublisher};
+
+/// Fast CDR appends up to this many bytes after the last field.
+const TRAILING_BYTES: usize = 8;
+
+/// What messages come through here.
+pub enum Port {
+    /// There is nobody who sends.
+    None,
+    /// Through the one that the key has: what it keeps for late joiners stays.
+    Same,
+    /// Through this one.
+    New(Box<RawPublisher>),
+}
+
+/// Whose messages an inlet passes on: it may get others, which come another way.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Senders {
+    /// Each with its lifespan.
+    wanted: BTreeMap<Gid, Option<Duration>>,
+    others: BTreeSet<Gid>,
+}
+
+/// What a message's publisher is to an inlet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sender {
+    Wanted(Option<Duration>),
+    Other,
+    /// Not known yet: its message waits.
+    Unknown,
+}
+
+impl Senders {
+    /// Of all publishers of the topic that are `known`, `publishers` are those that count, each with its lifespan. Without a port for
+    /// them their messages wait.
+    pub fn of(known: &BTreeSet<Gid>, publishers: &BTreeMap<Gid, Option<Duration>>, has_port: bool) -> Self {
+        Senders {
+            wanted: if has_port { publishers.clone() } else { BTreeMap::new() },
+            others: known.iter().filter(|gid| !publishers.contains_key(gid)).copied().collect(),
+        }
+    }
+
+    fn find(&self, gid: &Gid) -> Sender {
+        match self.wanted.get(gid) {
+            Some(lifespan) => Sender::Wanted(*lifespan),
+            None if self.others.contains(gid) => Sender::Other,
+            None => Sender::Unknown,
+        }
+    }
+}
+
+/// A message's bytes, without encapsulation, in one piece or several.
+pub trait Body {
+    /// How many.
+    fn len_bytes(&self) -> usize;
+    /// All of them, if they are in one piece.
+    fn whole(&self) -> Option<&[u8]>;
+    /// The first ones, as many as `to` has room for; what is missing is zero.
+    fn copy_to(&self, to: &mut [u8]);
+}
+
+impl Body for [u8] {
+    fn len_bytes(&self) -> usize {
+        self.len()
+    }
+
+    fn whole(&self) -> Option<&[u8]> {
+        Some(self)
+    }
+
+    fn copy_to(&self, to: &mut [u8]) {
+        let len = to.len().min(self.len());
+        to[..len].copy_from_slice(&self[..len]);
+        to[len..].fill(0);
+    }
+}
+
+/// What is said of a message elsewhere.
+#[derive(Clone, Copy, Debug)]
+pub struct Source {
+    /// Its publisher.
+    pub publisher: Gid,
+    /// Its number there, if that is told.
+    pub number: Option<u64>,
+    /// Whether a gap in these numbers is a loss.
+    pub are_numbers_whole: bool,
+    /// When it was published there, since 1970.
+    pub timestamp_ns: i64,
+}
+
+/// Why a message from elsewhere was dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refused {
+    /// It came sooner than the rules allow.
+    #[error("rate limit")]
+    Rate,
+    /// Nobody told in time whose it is, or too many of these waited.
+    #[error("publisher not known yet")]
+    Unknown,
+    /// By the clocks of both hosts.
+    #[error("older than its publisher's lifespan")]
+    Expired,
+    /// Of a type whose messages all have one.
+    #[error("length differs from the type's")]
+    Length,
+    /// What it says does not fit its type.
+    #[error("not a message of its type")]
+    Invalid,
+    /// No room in shared memory.
+    #[error(transparent)]
+    Loan(#[from] LoanError),
+    /// Not published.
+    #[error("{0}")]
+    Publish(PublishError),
+}
+
+/// A message of a publisher that is not known yet.
+struct Early {
+    body: Vec<u8>,
+    source: Source,
+    since: Instant,
+}
+
+/// Where the messages of a topic, or of a class of it, come into the domain.
+pub struct Inlet {
+    port: Port,
+    /// Of a type whose definition is known.
+    schema: Option<Arc<Schema>>,
+    counters: Arc<Counters>,
+    limiter: Limiter,
+    senders: Senders,
+    numbers: Numbers,
+    early: Vec<Early>,
+    early_bytes: usize,
+    manner: Manner,
+}
+
+/// How messages of an inlet come.
+#[derive(Clone, Copy, Debug)]
+pub struct Manner {
+    /// How much waits until it is known whose it is.
+    pub early: EarlyLimits,
+    /// Whether a publisher's messages come in its order, so that one whose number has been came twice.
+    pub is_ordered: bool,
+}
+
+impl Inlet {
+    /// One that nothing came through yet.
+    pub fn new(
+        port: Port,
+        schema: Option<Arc<Schema>>,
+        counters: Arc<Counters>,
+        limiter: Limiter,
+        senders: Senders,
+        manner: Manner,
+    ) -> Self {
+        let (numbers, early, early_bytes) = Default::default();
+        Inlet { port, schema, counters, limiter, senders, numbers, early, early_bytes, manner }
+    }
+
+    /// Goes on where the other ended: both may get the same, which its numbers tell. But what a new port is to keep for late joiners
+    /// must come through it, so who listens already gets it once more.
+    pub fn take_over(&mut self, old: Inlet, is_kept: bool) {
+        let is_same_port = matches!(self.port, Port::Same);
+        if is_same_port {
+            self.port = old.port;
+        }
+        if is_same_port || !is_kept {
+            self.numbers = old.numbers;
+        }
+        self.early = old.early;
+        self.settle();
+    }
+
+    /// These are its senders from now on, and this the rate; through `port` if there was none.
+    pub fn change(&mut self, Change { senders, limiter, port }: Change) {
+        if limiter.period_ns() != self.limiter.period_ns() {
+            self.limiter = limiter;
+        }
+        if let Some(port) = port {
+            self.port = Port::New(port);
+        }
+        self.senders = senders;
+        self.settle();
+    }
+
+    /// What comes of it is counted here.
+    pub fn counters(&self) -> &Arc<Counters> {
+        &self.counters
+    }
+
+    /// Whether messages wait until it is known whose they are.
+    pub fn is_waiting(&self) -> bool {
+        !self.early.is_empty()
+    }
+
+    /// Whether this publisher's messages are left to others.
+    pub fn leaves(&self, publisher: &Gid) -> bool {
+        self.senders.find(publisher) == Sender::Other
+    }
+
+    /// A message came: it is passed on, waits, or is left to others.
+    ///
+    /// # Real-time
+    /// One look-up, one loan, one copy; a check in the length of the body if its type's definition is known. Of a publisher that is not
+    /// known yet the body is copied to the heap.
+    pub fn receive<B: Body + ?Sized>(&mut self, body: &B, source: Source) {
+        match self.senders.find(&source.publisher) {
+            Sender::Wanted(lifespan) => self.pass(body, source, lifespan),
+            Sender::Other => {}
+            Sender::Unknown => self.keep_early(body, source),
+        }
+    }
+
+    fn pass<B: Body + ?Sized>(&mut self, body: &B, source: Source, lifespan: Option<Duration>) {
+        if let Some(number) = source.number.filter(|_| source.are_numbers_whole) {
+            match self.numbers.missing(source.publisher, number) {
+                Some(missing) => self.counters.lost(missing),
+                None if self.manner.is_ordered => return,
+                None => {}
+            }
+        }
+        match self.publish(body, source, lifespan) {
+            Ok(len_bytes) => self.counters.passed(len_bytes, source.timestamp_ns),
+            Err(reason) => self.counters.dropped(reason),
+        }
+    }
+
+    /// Checks a message and publishes it here. Returns its length.
+    fn publish<B: Body + ?Sized>(
+        &mut self,
+        body: &B,
+        source: Source,
+        lifespan: Option<Duration>,
+    ) -> Result<usize, Refused> {
+        if !self.limiter.admits(monotonic_ns()) {
+            return Err(Refused::Rate);
+        }
+        let left = lifespan.map(|lifespan| left(lifespan, source.timestamp_ns)).transpose()?;
+        let Port::New(port) = &self.port else { return Err(Refused::Unknown) };
+        let valid = |schema: &Schema, bytes: &[u8]| {
+            DynamicMessage::validate(schema, bytes, Endian::Little).map_err(|_| Refused::Invalid)
+        };
+        // What follows the last field is nobody's.
+        let (len_bytes, is_checked) = match (port.topic_type().body_bytes, &self.schema, body.whole()) {
+            (Some(fixed), ..) if (fixed..=fixed + TRAILING_BYTES).contains(&body.len_bytes()) => {
+                (fixed, false)
+            }
+            (Some(_), ..) => return Err(Refused::Length),
+            (None, Some(schema), Some(bytes)) => (bytes.len().saturating_sub(valid(schema, bytes)?), true),
+            (None, ..) => (body.len_bytes(), false),
+        };
+        let mut loan = port.loan(len_bytes)?;
+        body.copy_to(&mut loan);
+        if let Some(schema) = self.schema.as_ref().filter(|_| !is_checked) {
+            valid(schema, &loan)?;
+        }
+        let info = MessageInfo {
+            sequence_number: source.number.unwrap_or(0),
+            source_timestamp_ns: source.timestamp_ns,
+            released_ns: 0,
+            publisher_gid: source.publisher,
+        };
+        let published = match left {
+            None => loan.publish_as(info),
+            Some(left) => loan.publish_as_for(info, left),
+        };
+        published.map_err(|unpublished| Refused::Publish(unpublished.into()))?;
+        Ok(len_bytes)
+    }
+
+    fn keep_early<B: Body + ?Sized>(&mut self, body: &B, source: Source) {
+        let (limits, len_bytes) = (self.manner.early, body.len_bytes());
+        if self.early.len() >= limits.samples || self.early_bytes + len_bytes > limits.bytes {
+            return self.counters.dropped(Refused::Unknown);
+        }
+        self.early_bytes += len_bytes;
+        let mut copied = vec![0; len_bytes];
+        body.copy_to(&mut copied);
+        self.early.push(Early { body: copied, source, since: Instant::now() });
+    }
+
+    /// The senders changed: what waited for that goes on, in order.
+    fn settle(&mut self) {
+        self.early_bytes = 0;
+        for early in std::mem::take(&mut self.early) {
+            match self.senders.find(&early.source.publisher) {
+                Sender::Wanted(lifespan) => self.pass(&*early.body, early.source, lifespan),
+                Sender::Other => {}
+                Sender::Unknown => {
+                    self.early_bytes += early.body.len();
+                    self.early.push(early);
+                }
+            }
+        }
+        // Another one may come with the same gid, and begin anew.
+        let wanted = &self.senders.wanted;
+        self.numbers.forget(|gid| !wanted.contains_key(gid));
+    }
+
+    /// What has waited long enough goes. To be called now and then.
+    pub fn look(&mut self) {
+        let time = self.manner.early.time;
+        let is_late = |early: &Early| early.since.elapsed() >= time;
+        if self.early.first().is_some_and(is_late) {
+            let (counters, bytes) = (&self.counters, &mut self.early_bytes);
+            self.early.retain(|early| {
+                let stays = !is_late(early);
+                if !stays {
+                    *bytes -= early.body.len();
+                    counters.dropped(Refused::Unknown);
+                }
+                stays
+            });
+        }
+    }
+}
+
+/// What is otherwise with an inlet that runs.
+pub struct Change {
+    /// Whose messages pass.
+    pub senders: Senders,
+    /// How often.
+    pub limiter: Limiter,
+    /// Through this port, if there was none.
+    pub port: Option<Box<RawPublisher>>,
+}
+
+/// How long a message is still to be delivered: by the clocks of both hosts. One that is ahead of this host's clock is new.
+fn left(lifespan: Duration, timestamp_ns: i64) -> Result<Duration, Refused> {
+    let age_ns = wall_ns().saturating_sub(timestamp_ns).max(0).unsigned_abs();
+    match nanoseconds(lifespan).saturating_sub(age_ns) {
+        0 => Err(Refused::Expired),
+        left_ns => Ok(Duration::from_nanos(left_ns)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tautline_transport::{Limits, Participant, Qos, TopicType};
+
+    const NAMES: [Gid; 3] = [Gid([1; 16]), Gid([2; 16]), Gid([3; 16])];
+    const MANNER: Manner = Manner {
+        early: EarlyLimits { samples: 2, bytes: 100, time: Duration::from_secs(3600) },
+        is_ordered: true,
+    };
+
+    fn source(publisher: Gid, number: u64) -> Source {
+        Source { publisher, number: Some(number), are_numbers_whole: true, timestamp_ns: wall_ns() }
+    }
+
+    /// A message in two pieces.
+    struct Pieces<'b>(&'b [u8]);
+
+    impl Body for Pieces<'_> {
+        fn len_bytes(&self) -> usize {
+            self.0.len()
+        }
+
+        fn whole(&self) -> Option<&[u8]> {
+            None
+        }
+
+        fn copy_to(&self, to: &mut [u8]) {
+            self.0.copy_to(to);
+        }
+    }
+
+    #[test]
+    fn who_is_of_another_class_is_not_waited_for() {
+        let [wanted, other, new] = NAMES;
+        let publishers = BTreeMap::from([(wanted, None)]);
+        let found = |known: &[Gid], has_port| {
+            let senders = Senders::of(&known.iter().copied().collect(), &publishers, has_port);
+            [wanted, other, new].map(|gid| senders.find(&gid))
+        };
+        use Sender::{Other, Unknown, Wanted};
+        assert_eq!(found(&[wanted, other], true), [Wanted(None), Other, Unknown]);
+        assert_eq!(found(&[wanted, other, new], true), [Wanted(None), Other, Other]);
+        // Whose port could not be made: its messages wait for the next try.
+        assert_eq!(found(&[wanted, other], false), [Unknown, Other, Unknown]);
+    }
+
+    #[test]
+    fn what_is_a_message_of_a_known_sender_comes_in_once_and_in_order() {
+        crate::tests::isolated();
+        let participant = Participant::new(211).unwrap();
+        let schema = Schema::from_text(&"std_msgs/msg/String".parse().unwrap(), "string data\n").unwrap();
+        let topic_type = TopicType::new("std_msgs/msg/String").with_hash(schema.hash().to_string());
+        let (qos, limits) = (Qos::keep_last(10), Limits::default());
+        let heard = participant.create_raw_subscription("/x", &topic_type, qos, limits).unwrap();
+        let port = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
+        let take = || heard.try_take().unwrap().map(|sample| sample.body().to_vec());
+        let counters = Arc::<Counters>::default();
+        let [one, other, new] = NAMES;
+        let senders = |wanted: &[(Gid, Option<Duration>)]| {
+            Senders::of(&[one, other].into(), &wanted.iter().copied().collect(), true)
+        };
+        let mut inlet = Inlet::new(
+            Port::New(Box::new(port)),
+            Some(Arc::new(schema)),
+            counters.clone(),
+            Limiter::new(None),
+            senders(&[(one, None)]),
+            MANNER,
+        );
+        let dropped =
+            |reason: Refused| counters.read().dropped.get(&reason.to_string()).copied().unwrap_or(0);
+        let claimed = [0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
+        let nonsense = [&claimed[..], &[], &[3, 0, 0, 0, b'a', b'b'], &[2, 0, 0, 0, 0xFF, 0], &[0; 40]];
+        for (number, body) in (1..).zip(nonsense) {
+            inlet.receive(body, source(one, number));
+            inlet.receive(&Pieces(body), source(one, number + 1));
+            inlet.numbers.forget(|_| true);
+        }
+        assert_eq!((take(), dropped(Refused::Invalid)), (None, 10));
+
+        let text = [3, 0, 0, 0, b'a', b'b', 0];
+        inlet.receive(&text[..], source(one, 1));
+        inlet.receive(&text[..], source(one, 1));
+        inlet.receive(&text[..], source(other, 1));
+        inlet.receive(&Pieces(&text), source(one, 4));
+        assert_eq!([take(), take(), take()], [Some(text.to_vec()), Some(text.to_vec()), None]);
+        assert_eq!(counters.read().lost, 2);
+
+        // Not known yet: they wait, as many as there is room for.
+        for number in 1..=3 {
+            inlet.receive(&text[..], source(new, number));
+        }
+        assert_eq!((take(), inlet.is_waiting(), dropped(Refused::Unknown)), (None, true, 1));
+        let change =
+            |wanted: &[_]| Change { senders: senders(wanted), limiter: Limiter::new(None), port: None };
+        inlet.change(change(&[(new, None)]));
+        assert_eq!([take().is_some(), take().is_some(), take().is_some()], [true, true, false]);
+
+        // An hour is over, or not, by the stamp of the other host.
+        const HOUR: Duration = Duration::from_secs(3600);
+        let hour_ns = HOUR.as_nanos() as i64;
+        inlet.change(change(&[(one, Some(HOUR))]));
+        for (number, age_ns) in [(1, hour_ns + 1), (2, hour_ns / 2), (3, -hour_ns / 2)] {
+            let source = Source { timestamp_ns: wall_ns() - age_ns, ..source(one, number) };
+            inlet.receive(&text[..], source);
+        }
+        assert_eq!((std::iter::from_fn(take).count(), dropped(Refused::Expired)), (2, 1));
+        // One that is queued longer than it has left is passed over when it is to be taken.
+        const SHORT: Duration = Duration::from_millis(3);
+        inlet.change(change(&[(one, Some(SHORT))]));
+        for number in 10.. {
+            inlet.receive(&text[..], source(one, number));
+            let over_ns = monotonic_ns() + nanoseconds(SHORT);
+            while monotonic_ns() < over_ns {}
+            assert_eq!(take(), None);
+            // On a busy machine it may have been too late before it was queued.
+            if heard.counters().expired() > 0 {
+                break;
+            }
+        }
+    }
+}

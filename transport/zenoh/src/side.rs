@@ -1,0 +1,442 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The network as the other side of a mirror.
+
+use crate::descriptions::Descriptions;
+use crate::gateway::{Options, Shared};
+use crate::graph::Graph;
+use crate::incoming::{self, Incoming};
+use crate::locals::{self, wire_node, wire_qos};
+use crate::origin::{ended, ended_tag};
+use crate::outgoing::{Network, Sender, Writer};
+use crate::services::{Routes, Services};
+use crate::stats::{TopicNames, refused_by_reason};
+use crate::tokens::{Tokens, Word};
+use crate::types::Types;
+use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+use tautline_relay::{
+    Change, Counters, Event, FarSide, FoundType, Here, InKey, Inlet, Inward, Limiter, Manner, Publisher,
+    Report, Side, There, Transit, Writers,
+};
+use tautline_schema::Packages;
+use tautline_transport::{
+    Claim, Durability, Limits, Participant, Qos, RawPublisher, SchemaStore, ServiceEndpoint, ServiceKind,
+    TopicType, TransportError,
+};
+use zenoh::liveliness::LivelinessToken;
+use zenoh::query::{Query, Reply};
+use zenoh::sample::{Sample, SampleKind};
+use zenoh::{Session, Wait};
+
+/// What comes from the network.
+pub(crate) enum Heard {
+    TokenUp(String),
+    TokenDown(String),
+    /// A publisher of another host has ended by itself.
+    Ended(u64),
+    /// A node elsewhere answered what this type is; `None` if it says too much.
+    Described(TypeId, Option<Vec<u8>>),
+    /// A node elsewhere asks a node here for a type.
+    Asked(Query),
+}
+
+/// Where that goes.
+pub(crate) type Events = mpsc::SyncSender<Event<Heard>>;
+
+/// Takes tokens in Zenoh's thread and leaves them to the control thread. What does not fit makes room for nothing: all
+/// tokens are asked for again later.
+pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'static {
+    move |sample| {
+        let key = cut(sample.key_expr().as_str());
+        let heard = match sample.kind() {
+            SampleKind::Put => Heard::TokenUp(key),
+            SampleKind::Delete => Heard::TokenDown(key),
+        };
+        if events.try_send(Event::There(heard)).is_err() {
+            MISSED.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// The same for the words that publishers have ended, but for those of this session.
+pub(crate) fn ends_to(events: Events, own_zid: u128) -> impl Fn(Sample) + Send + Sync + 'static {
+    move |sample| {
+        let said = ended_tag(sample.key_expr().as_str()).filter(|_| sample.kind() == SampleKind::Put);
+        if let Some((_, tag)) = said.filter(|(zid, _)| *zid != own_zid) {
+            // What does not fit is taken for a death.
+            let _ = events.try_send(Event::There(Heard::Ended(tag)));
+        }
+    }
+}
+
+/// What is too long for any honest key is cut, so that it is refused for its length without being kept.
+fn cut(key: &str) -> String {
+    let mut end = key.len().min(MAX_KEY_BYTES + 1);
+    while !key.is_char_boundary(end) {
+        end += 1;
+    }
+    key[..end].to_owned()
+}
+
+/// Whether an event found no room. Of whichever gateway of the process: looking once too often does no harm.
+static MISSED: AtomicBool = AtomicBool::new(false);
+
+/// How long others are waited for when all tokens are asked for.
+const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How long it is said that a publisher has ended, and of how many.
+const ENDED_TIME: Duration = Duration::from_secs(10);
+const MOST_ENDED: usize = 4096;
+
+pub(crate) struct NetworkSide {
+    services: Services,
+    incoming: BTreeMap<InKey, Incoming>,
+    declared: HashMap<String, LivelinessToken>,
+    /// The words that publishers have ended, for as long as it takes until they are heard everywhere.
+    ended: VecDeque<(Instant, LivelinessToken)>,
+    options: Options,
+    participant: Participant,
+    session: Session,
+    shared: Arc<Shared>,
+    graph: Graph,
+    /// Whether the graph is otherwise than it was shown.
+    is_unseen: bool,
+    tokens: Tokens,
+    /// What is said next.
+    words: Vec<Word>,
+    types: Types,
+    descriptions: Descriptions,
+    /// Topics that come in and whose type is not known here.
+    undescribed: BTreeSet<TopicKey>,
+}
+
+impl NetworkSide {
+    /// And how word goes between both sides.
+    pub(crate) fn new(
+        options: Options,
+        participant: Participant,
+        session: Session,
+        services: Services,
+        descriptions: Descriptions,
+        shared: Arc<Shared>,
+    ) -> (Self, Transit) {
+        let domain = options.domain_there();
+        let zid = u128::from_le_bytes(session.zid().to_le_bytes());
+        let host = tautline_rt::host::name();
+        let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
+        let transit = transit.going_on(options.transit);
+        let (incoming, declared, ended, words, undescribed) = Default::default();
+        let side = NetworkSide {
+            services,
+            incoming,
+            declared,
+            ended,
+            graph: Graph::new(domain, zid, options.limits),
+            is_unseen: true,
+            tokens: Tokens::new(domain, zid),
+            options,
+            participant,
+            session,
+            shared,
+            words,
+            types: Types::new(SchemaStore::of_user(), Packages::from_env()),
+            descriptions,
+            undescribed,
+        };
+        (side, transit)
+    }
+
+    /// A topic as the network calls it.
+    fn wire_key(&self, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
+        let type_id = || {
+            Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? })
+        };
+        let type_id = type_id().ok_or_else(|| format!("'{}' is no ROS 2 type name", key.type_name))?;
+        Ok(TopicKey { domain: self.options.domain_there(), topic: key.far_topic.clone(), type_id })
+    }
+
+    fn service_key(&self, end: &ServiceEndpoint) -> Option<TopicKey> {
+        let name = end.type_name.parse().ok()?;
+        let type_id = TypeId { name, hash: end.type_hash.as_ref()?.parse().ok()? };
+        Some(TopicKey { domain: self.options.domain_there(), topic: end.name.clone(), type_id })
+    }
+
+    fn route_services(&mut self, here: &Here, there: &[(ServiceEndpoint, u128)], transit: &Transit) {
+        let filter = &self.options.filter;
+        let local = here.services.iter().filter(|end| filter.allows(&end.name)).filter_map(|end| {
+            // What this host's nodes do not answer themselves the gateway answers.
+            let is_announced = transit.announced(&end.origin).is_some();
+            Some((end.kind, self.service_key(end)?, is_announced))
+        });
+        let servers = there
+            .iter()
+            .filter(|(end, teller)| end.kind == ServiceKind::Server && transit.carries(&end.origin, *teller));
+        let elsewhere = servers.filter_map(|(end, _)| self.service_key(end)).collect();
+        let routes = Routes::of(local.collect::<Vec<_>>().iter(), &elsewhere);
+        self.services.set_routes(routes);
+    }
+
+    fn say(&mut self, word: Word) {
+        match word {
+            Word::Declare(token) => {
+                let text = token.to_string();
+                match self.session.liveliness().declare_token(text.clone()).wait() {
+                    Ok(declared) => drop(self.declared.insert(text, declared)),
+                    Err(error) => tracing::warn!("{text} is not announced: {error}"),
+                }
+            }
+            Word::Withdraw(token) => drop(self.declared.remove(&token.to_string())),
+            Word::Ended(tag) => {
+                if self.ended.len() >= MOST_ENDED {
+                    self.ended.pop_front();
+                }
+                let zid = u128::from_le_bytes(self.session.zid().to_le_bytes());
+                let key = ended(self.options.domain_there(), zid, tag);
+                let word = self.session.liveliness().declare_token(key).wait();
+                // Without it the end is taken for a death.
+                self.ended.extend(word.ok().map(|word| (Instant::now(), word)));
+            }
+        }
+    }
+
+    /// The types of topics that come in and are not known here, of whoever has not been asked yet.
+    fn ask_for_types(&mut self) {
+        let types = &mut self.types;
+        self.undescribed.retain(|key| types.schema(&key.type_id).is_none());
+        for key in &self.undescribed {
+            self.descriptions.ask(&self.session, key, &self.graph);
+        }
+    }
+
+    /// Asks for all tokens, for some were missed or refused.
+    fn resync(&mut self) {
+        let wildcard = token_wildcard(self.options.domain_there());
+        // This session's own, and twice as many as the graph can hold: most of the rest would be refused. Not Zenoh's own
+        // queue, which is short and would have the answers that this session gives itself wait for their reader, who is
+        // still asking.
+        let (answers, keys) = mpsc::channel();
+        let most = self.options.limits.tokens.saturating_mul(2).saturating_add(self.declared.len());
+        let room = Arc::new(AtomicUsize::new(most));
+        let answer = {
+            let room = room.clone();
+            move |reply: Reply| {
+                let Ok(sample) = reply.result() else { return };
+                let count = |room: usize| room.checked_sub(1);
+                if room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count).is_ok() {
+                    let _ = answers.send(cut(sample.key_expr().as_str()));
+                }
+            }
+        };
+        let get = self.session.liveliness().get(wildcard).timeout(RESYNC_TIMEOUT).callback(answer);
+        if let Err(error) = get.wait() {
+            return tracing::warn!("other hosts cannot be asked what they have: {error}");
+        }
+        // Ends when Zenoh lets go of the other end, after the timeout at the latest.
+        let there: BTreeSet<String> = keys.iter().collect();
+        // In a flood an honest peer's may be among those without room: nothing of what is known is taken for gone then.
+        let is_complete = room.load(Ordering::Relaxed) > 0;
+        let gone = self.graph.keys().filter(|key| is_complete && !there.contains(*key));
+        for key in gone.map(String::from).collect::<Vec<_>>() {
+            self.graph.remove(&key);
+        }
+        for key in &there {
+            self.graph.insert(key);
+        }
+        self.is_unseen = true;
+    }
+}
+
+impl FarSide for NetworkSide {
+    const SIDE: Side = Side::Network;
+    const MANNER: Manner = incoming::MANNER;
+    type Event = Heard;
+    type Outlet = Network;
+    type Writer = Writer;
+
+    fn hear(&mut self, heard: Heard) -> bool {
+        let is_changed = match heard {
+            Heard::TokenUp(key) => self.graph.insert(&key),
+            Heard::TokenDown(key) => {
+                let was_there = self.graph.remove(&key);
+                if self.graph.wants_resync() {
+                    self.resync();
+                }
+                was_there
+            }
+            Heard::Ended(tag) => {
+                self.graph.note_ended(tag);
+                false
+            }
+            Heard::Described(id, payload) => {
+                self.descriptions.learn(&id, payload.as_deref());
+                false
+            }
+            Heard::Asked(query) => {
+                self.descriptions.answer(&query, &mut self.types);
+                false
+            }
+        };
+        self.is_unseen |= is_changed;
+        is_changed
+    }
+
+    fn look(&mut self, _: &Here) -> Result<There, String> {
+        if std::mem::take(&mut self.is_unseen) {
+            let remote: Vec<Token> = self.graph.tokens().cloned().collect();
+            *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
+        }
+        let mut there = self.graph.there();
+        // What comes back some way is left where it is.
+        for (topic, gid) in self.tokens.publishers() {
+            if let Some(publishers) = there.publishers.get_mut(topic) {
+                publishers.insert(gid);
+            }
+        }
+        Ok(there)
+    }
+
+    fn prepare(&mut self, here: &mut Here, transit: &Transit) {
+        let (graph, types) = (&self.graph, &mut self.types);
+        let hash_of = |topic: &str, name: &_| types.hash_of(name).or_else(|| graph.hash_of(topic, name));
+        let mut ends = locals::list(here, hash_of);
+        // What the gateway itself answers: for nodes of this host that do not, and for those elsewhere, who would be asked in vain, for
+        // nobody here does.
+        let descriptions = &self.descriptions;
+        ends.retain(|end| end.origin.is_here() || !descriptions.is_theirs(end));
+        here.services.retain(|end| end.origin.is_here() || !descriptions.answers_for(end));
+        let nodes: Vec<_> =
+            here.nodes.iter().map(|node| (wire_node(&node.name), node.origin.clone())).collect();
+        let names = nodes.iter().map(|(name, _)| name).chain(ends.iter().map(|end| &end.node));
+        let mut offered = descriptions.offered(names, &ends);
+        let filter = &self.options.filter;
+        offered.retain(|end| filter.allows(&end.topic));
+        let services = offered.iter().map(|end| end.topic.clone()).collect();
+        self.descriptions.answer_at(&self.session, self.options.domain_there(), services);
+        ends.append(&mut offered);
+        ends.retain_mut(|end| {
+            let announced = transit.announced(&end.origin).filter(|_| filter.allows(&end.topic));
+            let is_announced = announced.is_some();
+            end.origin = announced.unwrap_or_default();
+            is_announced
+        });
+        let nodes: Vec<_> = nodes
+            .into_iter()
+            .filter_map(|(name, origin)| Some((name, transit.announced(&origin)?)))
+            .collect();
+        let ended = here.ended.iter().copied().collect();
+        self.words.append(&mut self.tokens.tell(&nodes, ends, &ended));
+    }
+
+    fn tell(
+        &mut self,
+        here: &Here,
+        services: &[(ServiceEndpoint, u128)],
+        transit: &Transit,
+        _: &Writers<Writer>,
+    ) {
+        // Before they are announced: who hears of a service may ask at once.
+        self.route_services(here, services, transit);
+        for word in std::mem::take(&mut self.words) {
+            self.say(word);
+        }
+    }
+
+    fn tick(&mut self, _: &mut Writers<Writer>) -> bool {
+        let is_missed = MISSED.swap(false, Ordering::Relaxed);
+        if is_missed {
+            self.resync();
+        }
+        self.services.look();
+        self.incoming.values().for_each(Incoming::look);
+        self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
+        self.ask_for_types();
+        is_missed
+    }
+
+    fn find_type(&mut self, key: &tautline_relay::TopicKey, _: Option<&str>) -> Result<FoundType, String> {
+        let wire_key = self.wire_key(key)?;
+        let known = TopicType::new(key.type_name.clone()).with_hash(wire_key.type_id.hash.to_string());
+        let graph = self.participant.graph().map_err(|error| error.to_string())?;
+        let here = graph.endpoints.iter().filter(|end| !end.is_remote && end.topic == key.topic);
+        let topic_type = here.fold(known, |known, end| known.clone().join(&end.topic_type).unwrap_or(known));
+        Ok(FoundType { topic_type, schema: self.types.schema(&wire_key.type_id) })
+    }
+
+    fn open_writer(&mut self, _: &tautline_relay::TopicKey, publisher: &Publisher) -> Result<Writer, String> {
+        let wire_gid = self.tokens.wire_gid(&publisher.gid);
+        let wire_gid = wire_gid.ok_or("its publisher is not announced")?;
+        Ok(Writer { wire_gid, qos: wire_qos(&publisher.qos) })
+    }
+
+    fn is_current(&self, publisher: &tautline_transport::Gid, writer: &Writer) -> bool {
+        self.tokens.wire_gid(publisher) == Some(writer.wire_gid)
+    }
+
+    fn sender(&mut self, key: &tautline_relay::TopicKey, writer: &Writer) -> Result<Sender, String> {
+        let sender = Sender::declare(&self.session, &self.wire_key(key)?, writer, &self.options.rules);
+        sender.map_err(|error| error.to_string())
+    }
+
+    fn outbound(counters: Arc<Counters>, _: Limiter) -> Arc<Counters> {
+        counters
+    }
+
+    fn port(
+        participant: &Participant,
+        topic: &str,
+        topic_type: &TopicType,
+        offered: Qos,
+    ) -> Result<RawPublisher, TransportError> {
+        // What is kept is as much as comes, not as much as somebody may ask for.
+        let is_kept = offered.durability == Durability::TransientLocal;
+        let claim = if is_kept { Claim::OnUse } else { Claim::Ahead };
+        participant.create_relay_publisher(topic, topic_type, offered, Limits { claim, ..Limits::default() })
+    }
+
+    fn start_in(&mut self, key: &InKey, inward: &Inward, mut inlet: Inlet) -> Result<(), String> {
+        let wire_key = self.wire_key(&key.topic)?;
+        // Of one that runs: what is kept is asked for again, so that the new port has it for late joiners on this host.
+        if let Some(old) = self.incoming.remove(key).and_then(Incoming::end) {
+            inlet.take_over(old, key.is_kept());
+        }
+        if self.types.schema(&wire_key.type_id).is_none() {
+            self.undescribed.insert(wire_key.clone());
+            self.descriptions.ask(&self.session, &wire_key, &self.graph);
+        }
+        let max_bytes = self.options.max_message_bytes;
+        let started = Incoming::start(&self.session, &wire_key, inward, inlet, max_bytes);
+        self.incoming.insert(key.clone(), started.map_err(|error| error.to_string())?);
+        Ok(())
+    }
+
+    fn change_in(&mut self, key: &InKey, change: Change) {
+        if let Some(incoming) = self.incoming.get(key) {
+            incoming.change(change);
+        }
+    }
+
+    fn stop_in(&mut self, key: &InKey) {
+        if let Ok(wire_key) = self.wire_key(&key.topic)
+            && self.undescribed.remove(&wire_key)
+        {
+            self.descriptions.forget(&wire_key.type_id);
+        }
+        self.incoming.remove(key);
+    }
+
+    fn report(&mut self, report: Report, _: &Writers<Writer>) {
+        let mut stats = self.shared.stats.lock().unwrap_or_else(PoisonError::into_inner);
+        stats.uptime_s = report.uptime_s;
+        stats.remote_nodes = self.graph.tokens().filter(|token| token.endpoint.is_none()).count();
+        stats.remote_endpoints = self.graph.tokens().count() - stats.remote_nodes;
+        stats.refused_tokens = refused_by_reason(self.graph.refused());
+        stats.type_descriptions = self.descriptions.counts().clone();
+        stats.unauthorized = crate::access::refused();
+        stats.not_mirrored = report.problems;
+        stats.topics =
+            report.topics.into_iter().map(|topic| topic.named(TopicNames::of, |way| way)).collect();
+    }
+}

@@ -1,0 +1,257 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the network is told of the domain: a liveliness token for each node and each end. Decided here, declared elsewhere.
+
+use crate::origin::named;
+use crate::wire::{CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, TypeId, WireQos, endpoint_gid};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+use tautline_transport::{Durability, Gid, Origin};
+
+/// A publisher, subscription, service or client on this host, or one that others tell of here.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct LocalEndpoint {
+    /// Identifies it on this host; of a publisher, the gid in its samples.
+    pub(crate) gid: Gid,
+    /// Which of these.
+    pub(crate) kind: EndpointKind,
+    /// Fully qualified name.
+    pub(crate) topic: String,
+    /// What it carries.
+    pub(crate) type_id: TypeId,
+    /// Quality of service.
+    pub(crate) qos: WireQos,
+    /// The node it belongs to.
+    pub(crate) node: NodeName,
+    /// Where it was first, as the network is told of it.
+    pub(crate) origin: Origin,
+}
+
+/// What is to be said, in this order.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Word {
+    /// Declare a liveliness token.
+    Declare(Token),
+    /// Withdraw it.
+    Withdraw(Token),
+    /// The publisher with this tag has ended by itself; its token is withdrawn next.
+    Ended(u64),
+}
+
+/// What is said.
+pub(crate) struct Tokens {
+    zid: u128,
+    domain: u32,
+    next_id: u64,
+    nodes: BTreeMap<NodeName, Token>,
+    ends: BTreeMap<Gid, Said>,
+}
+
+struct Said {
+    end: LocalEndpoint,
+    token: Token,
+    wire_gid: Gid,
+}
+
+/// By which an end finds its node's token: the full name, and where both were first and how word of them came, without a tag.
+type NodeKey = (String, Origin);
+
+fn node_key(name: &NodeName, origin: &Origin) -> NodeKey {
+    (name.full_name(), Origin { tag: 0, ..origin.clone() })
+}
+
+impl Tokens {
+    /// Nothing is said yet.
+    pub(crate) fn new(domain: u32, zid: u128) -> Self {
+        Tokens { zid, domain, next_id: 0, nodes: BTreeMap::new(), ends: BTreeMap::new() }
+    }
+
+    /// How the network knows this publisher, if it does.
+    pub(crate) fn wire_gid(&self, gid: &Gid) -> Option<Gid> {
+        self.ends.get(gid).map(|said| said.wire_gid)
+    }
+
+    /// The publishers that the network knows: their topics and gids there.
+    pub(crate) fn publishers(&self) -> impl Iterator<Item = (&str, Gid)> {
+        let publishers = self.ends.values().filter(|said| said.end.kind == EndpointKind::Publisher);
+        publishers.map(|said| (&*said.end.topic, said.wire_gid))
+    }
+
+    /// The network is to be told of these nodes and ends, and no others; of the publishers with the tags in `ended` that they have ended
+    /// by themselves.
+    pub(crate) fn tell(
+        &mut self,
+        nodes: &[(NodeName, Origin)],
+        ends: Vec<LocalEndpoint>,
+        ended: &HashSet<u64>,
+    ) -> Vec<Word> {
+        let mut words = Vec::new();
+        // By name, and by how word of them came: ends say of their nodes no more.
+        let mut named_nodes = BTreeMap::<NodeKey, BTreeSet<NodeName>>::new();
+        for (name, origin) in nodes {
+            named_nodes.entry(node_key(name, origin)).or_default().insert(named(name, origin));
+        }
+        for end in &ends {
+            let key = node_key(&end.node, &end.origin);
+            let tag = Origin::tag_of(&format!("{:x?} {}", key.1.path.first(), key.0));
+            let unlisted = || BTreeSet::from([named(&end.node, &Origin { tag, ..end.origin.clone() })]);
+            named_nodes.entry(key).or_insert_with(unlisted);
+        }
+        let used: BTreeSet<NodeName> = named_nodes.values().flatten().cloned().collect();
+        for node in &used {
+            if !self.nodes.contains_key(node) {
+                let (domain, zid, node_id) = (self.domain, self.zid, self.id());
+                let token = Token { domain, zid, node_id, node: node.clone(), endpoint: None };
+                words.push(Word::Declare(token.clone()));
+                self.nodes.insert(node.clone(), token);
+            }
+        }
+        // Of several it is the oldest that has them.
+        let oldest = |names: &BTreeSet<NodeName>| {
+            names.iter().filter_map(|name| self.nodes.get(name)).map(|token| token.node_id).min()
+        };
+        let node_ids: BTreeMap<NodeKey, u64> =
+            named_nodes.iter().filter_map(|(key, names)| Some((key.clone(), oldest(names)?))).collect();
+        let node_of = |end: &LocalEndpoint| node_ids.get(&node_key(&end.node, &end.origin)).copied();
+        let now: BTreeMap<Gid, LocalEndpoint> = ends.into_iter().map(|end| (end.gid, end)).collect();
+        // An end that changed is one that ended and one that began. But its former token goes last, so that others have it all the time.
+        let mut replaced = Vec::new();
+        self.ends.retain(|gid, said| match now.get(gid) {
+            Some(end) if *end == said.end && node_of(end) == Some(said.token.node_id) => true,
+            Some(_) => {
+                replaced.push(Word::Withdraw(said.token.clone()));
+                false
+            }
+            None => {
+                let tag = said.end.origin.tag;
+                let has_ended = said.end.kind == EndpointKind::Publisher && ended.contains(&tag);
+                words.extend(has_ended.then_some(Word::Ended(tag)));
+                words.push(Word::Withdraw(said.token.clone()));
+                false
+            }
+        });
+        for (gid, end) in now {
+            if !self.ends.contains_key(&gid) {
+                let token = self.token(&end, node_of(&end).unwrap_or_default());
+                words.push(Word::Declare(token.clone()));
+                self.ends.insert(gid, Said { end, wire_gid: endpoint_gid(&token), token });
+            }
+        }
+        words.append(&mut replaced);
+        let unused: Vec<NodeName> = self.nodes.keys().filter(|node| !used.contains(node)).cloned().collect();
+        words.extend(unused.into_iter().filter_map(|node| self.nodes.remove(&node).map(Word::Withdraw)));
+        words
+    }
+
+    /// One that was not used before.
+    fn id(&mut self) -> u64 {
+        self.next_id += 1;
+        self.next_id - 1
+    }
+
+    fn token(&mut self, end: &LocalEndpoint, node_id: u64) -> Token {
+        let LocalEndpoint { kind, topic, type_id, qos, node, origin, .. } = end.clone();
+        // So newer nodes know on which key to send: see `TopicKey::cpu_group`.
+        let is_volatile = kind == EndpointKind::Subscription && qos.durability == Durability::Volatile;
+        let suffix = if is_volatile { CPU_BACKEND.to_owned() } else { String::new() };
+        let endpoint = Endpoint { id: self.id(), kind, name: topic, type_id, qos, suffix };
+        let node = named(&node, &origin);
+        Token { domain: self.domain, zid: self.zid, node_id, node, endpoint: Some(endpoint) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::TopicKey;
+
+    const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+
+    fn end(gid: u8, kind: EndpointKind, topic: &str) -> LocalEndpoint {
+        let key = TopicKey::parse(&format!("5/{topic}/std_msgs::msg::dds_::String_/{HASH}")).unwrap();
+        LocalEndpoint {
+            gid: Gid([gid; 16]),
+            kind,
+            topic: key.topic,
+            type_id: key.type_id,
+            qos: WireQos { depth: 10, ..WireQos::default() },
+            node: NodeName::new("/", "n"),
+            origin: Origin { tag: gid.into(), ..Origin::default() },
+        }
+    }
+
+    fn publisher(gid: u8) -> LocalEndpoint {
+        end(gid, EndpointKind::Publisher, "x")
+    }
+
+    /// What is said, in short: `+ Publisher /x`.
+    fn said(words: &[Word]) -> Vec<String> {
+        let token = |token: &Token| match &token.endpoint {
+            None => format!("node {}", token.node.full_name()),
+            Some(end) => format!("{:?} {}", end.kind, end.name),
+        };
+        let one = |word: &Word| match word {
+            Word::Declare(declared) => format!("+ {}", token(declared)),
+            Word::Withdraw(withdrawn) => format!("- {}", token(withdrawn)),
+            Word::Ended(tag) => format!("ended {tag}"),
+        };
+        words.iter().map(one).collect()
+    }
+
+    const NONE: [&str; 0] = [];
+
+    fn tell(tokens: &mut Tokens, ends: &[LocalEndpoint]) -> Vec<String> {
+        said(&tokens.tell(&[], ends.to_vec(), &HashSet::new()))
+    }
+
+    #[test]
+    fn nodes_and_ends_of_all_kinds_are_told() {
+        let mut tokens = Tokens::new(5, 1);
+        let (service, client) = (end(1, EndpointKind::Service, "add"), end(2, EndpointKind::Client, "add"));
+        let all = [service, client.clone()];
+        assert_eq!(tell(&mut tokens, &all), ["+ node /n", "+ Service /add", "+ Client /add"]);
+        assert_eq!(tell(&mut tokens, &all), NONE);
+        assert_eq!(tell(&mut tokens, &[client]), ["- Service /add"]);
+        assert_eq!(tell(&mut tokens, &[]), ["- Client /add", "- node /n"]);
+        // A node without ends.
+        let node = [(NodeName::new("/a", "m"), Origin { tag: 99, ..Origin::default() })];
+        let mut words = |ends| said(&tokens.tell(&node, ends, &HashSet::new()));
+        assert_eq!(words(vec![]), ["+ node /a/m"]);
+        assert_eq!(words(vec![publisher(1)]), ["+ node /n", "+ Publisher /x"]);
+        assert_eq!(words(vec![]), ["- Publisher /x", "- node /n"]);
+    }
+
+    #[test]
+    fn of_a_publisher_that_ended_that_is_said_before_its_token_goes() {
+        let mut tokens = Tokens::new(5, 1);
+        tell(&mut tokens, &[publisher(1), publisher(2), end(3, EndpointKind::Subscription, "x")]);
+        // Its tag is its gid's here, and of what is no publisher nobody says it.
+        let words = tokens.tell(&[], vec![], &HashSet::from([1, 3, 9]));
+        let expected = ["ended 1", "- Publisher /x", "- Publisher /x", "- Subscription /x", "- node /n"];
+        assert_eq!(said(&words), expected);
+    }
+
+    #[test]
+    fn what_is_told_anew_is_there_all_the_time() {
+        let mut tokens = Tokens::new(5, 1);
+        tell(&mut tokens, &[publisher(1)]);
+        let before = tokens.wire_gid(&Gid([1; 16]));
+        let farther = Origin { path: vec![3], ..publisher(1).origin };
+        let changed = LocalEndpoint { origin: farther, ..publisher(1) };
+        let expected = ["+ node /n", "+ Publisher /x", "- Publisher /x", "- node /n"];
+        assert_eq!(tell(&mut tokens, &[changed]), expected);
+        assert_ne!(tokens.wire_gid(&Gid([1; 16])), before);
+        assert_eq!(tokens.publishers().collect::<Vec<_>>().len(), 1);
+    }
+
+    #[test]
+    fn ids_are_never_used_twice() {
+        let mut tokens = Tokens::new(5, 1);
+        let mut ids = BTreeSet::new();
+        for n in 0..100 {
+            for word in tokens.tell(&[], vec![publisher(n)], &HashSet::new()) {
+                if let Word::Declare(token) = word {
+                    assert!(ids.insert(token.endpoint.map_or(token.node_id, |endpoint| endpoint.id)));
+                }
+            }
+        }
+    }
+}
