@@ -312,7 +312,7 @@ impl Net {
     /// These are there, and come in here but for those passed over.
     fn there(&mut self, ends: &[TopicEndpoint], passed_over: &[u8]) -> Vec<String> {
         let comes_in = |end: &TopicEndpoint| !passed_over.contains(&end.gid.0[0]);
-        self.there = ends.iter().cloned().map(|end| (stated(end.clone()), comes_in(&end))).collect();
+        self.there = ends.iter().map(|end| (stated(end.clone()), comes_in(end))).collect();
         self.look()
     }
 
