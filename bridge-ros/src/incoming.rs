@@ -432,6 +432,14 @@ fn body(bytes: &[u8]) -> Result<&[u8], Dropped> {
 impl Inlet {
     /// Checks a message and publishes it here. Returns its length.
     fn pass(&mut self, bytes: &[u8], info: RosMessageInfo) -> Result<usize, Dropped> {
+        let Port::New(port) = &self.port else { return Err(Dropped::Unknown) };
+        let source = MessageInfo {
+            sequence_number: info.sequence_number.unwrap_or(0),
+            source_timestamp_ns: info.source_timestamp_ns,
+            released_ns: 0,
+            publisher_gid: info.gid,
+        };
+        port.traced().received(&source);
         if !self.limiter.admits(monotonic_ns()) {
             return Err(Dropped::Rate);
         }
@@ -440,15 +448,8 @@ impl Inlet {
             DynamicMessage::validate(&self.schema, body, Endian::Little).map_err(|_| Dropped::Invalid)?;
         // What follows the last field is nobody's.
         let body = body.get(..body.len().saturating_sub(trailing)).unwrap_or_default();
-        let Port::New(port) = &self.port else { return Err(Dropped::Unknown) };
         let mut loan = port.loan(body.len())?;
         loan.copy_from_slice(body);
-        let source = MessageInfo {
-            sequence_number: info.sequence_number.unwrap_or(0),
-            source_timestamp_ns: info.source_timestamp_ns,
-            released_ns: 0,
-            publisher_gid: info.gid,
-        };
         loan.publish_as(source).map_err(|unpublished| Dropped::Publish(unpublished.into()))?;
         Ok(body.len())
     }

@@ -16,6 +16,7 @@ use tautline_rt::clock::wall_ns;
 use tautline_schema::{DynamicMessage, Endian, Schema};
 use tautline_transport::{
     Durability, Gid, History, Limits, LoanError, MessageInfo, PublishError, RawPublisher, Reliability,
+    TracedPort,
 };
 use zenoh::bytes::ZBytes;
 use zenoh::sample::{Locality, Sample, SampleKind};
@@ -112,6 +113,7 @@ pub(crate) struct Checks {
 pub(crate) struct Inlet {
     /// Samples of one topic come from several links' threads.
     port: Mutex<RawPublisher>,
+    traced: TracedPort,
     counters: Arc<Counters>,
     numbers: Arc<Mutex<Numbers>>,
     checks: Checks,
@@ -127,8 +129,8 @@ impl Inlet {
         numbers: Arc<Mutex<Numbers>>,
         checks: Checks,
     ) -> Self {
-        let body_bytes = port.topic_type().body_bytes;
-        Inlet { port: Mutex::new(port), counters, numbers, checks, body_bytes }
+        let (body_bytes, traced) = (port.topic_type().body_bytes, port.traced());
+        Inlet { port: Mutex::new(port), traced, counters, numbers, checks, body_bytes }
     }
 
     fn receive(&self, sample: &Sample, are_numbers_whole: bool) {
@@ -159,6 +161,9 @@ impl Inlet {
         if source_timestamp_ns < 0 || source_timestamp_ns.saturating_sub(wall_ns()) > FUTURE_NS {
             return Err(Dropped::Time);
         }
+        let publisher_gid = attachment.gid;
+        let source = MessageInfo { sequence_number, source_timestamp_ns, released_ns: 0, publisher_gid };
+        self.traced.received(&source);
         let left = self.left(attachment.gid, source_timestamp_ns)?;
         let len_bytes = self.body_len(payload)?;
         {
@@ -168,12 +173,6 @@ impl Inlet {
             if let Some(schema) = &self.checks.schema {
                 DynamicMessage::validate(schema, &loan, Endian::Little).map_err(|_| Dropped::Invalid)?;
             }
-            let source = MessageInfo {
-                sequence_number,
-                source_timestamp_ns,
-                released_ns: 0,
-                publisher_gid: attachment.gid,
-            };
             let published = match left {
                 None => loan.publish_as(source),
                 Some(left) => loan.publish_as_for(source, left),
