@@ -56,7 +56,8 @@ impl Outlet for Ros {
             return topic.counters.dropped("rate limit");
         }
         let body = sample.body();
-        match self.buffer.assign(&ENCAPSULATION, body).and_then(|()| writer.publisher.publish(&self.buffer)) {
+        let assigned = self.buffer.assign(&ENCAPSULATION, body);
+        match assigned.and_then(|()| writer.publisher.publish_from(sample.port(), &self.buffer)) {
             Ok(()) => topic.counters.passed(body.len(), sample.info().source_timestamp_ns),
             Err(error) => topic.counters.dropped(error.reason),
         }

@@ -41,11 +41,15 @@ pub enum Kind {
     SpinTimeout = 7,
     /// The sampler has served what it woke for.
     SpinEnd = 8,
+    /// A mirror has received a message from a network.
+    Receive = 9,
+    /// A mirror passes a message on under another id: to a network, or as a publisher of its domain.
+    Pass = 10,
 }
 
 impl Kind {
     /// Every kind, in order of its number.
-    pub const ALL: [Kind; 8] = [
+    pub const ALL: [Kind; 10] = [
         Kind::Publish,
         Kind::Take,
         Kind::CallbackStart,
@@ -54,6 +58,8 @@ impl Kind {
         Kind::SpinWake,
         Kind::SpinTimeout,
         Kind::SpinEnd,
+        Kind::Receive,
+        Kind::Pass,
     ];
 
     /// The name that exports print.
@@ -67,6 +73,8 @@ impl Kind {
             Kind::SpinWake => "spin_wake",
             Kind::SpinTimeout => "spin_timeout",
             Kind::SpinEnd => "spin_end",
+            Kind::Receive => "receive",
+            Kind::Pass => "pass",
         }
     }
 
@@ -84,7 +92,8 @@ pub struct Event {
     pub kind: Kind,
     /// To what.
     pub object: ObjectId,
-    /// `publish` and `take`: sequence number, source time stamp (nanoseconds since 1970), [`gid_key`] of the publisher.
+    /// `publish`, `take` and `receive`: sequence number, source time stamp (nanoseconds since 1970), [`gid_key`] of the publisher.
+    /// `pass`: sequence number among the object's messages; what it was before: sequence number, [`gid_key`] of the publisher.
     /// `callback_start`: the release of its message or tick on `CLOCK_MONOTONIC`. `spin_start`: the longest wait in
     /// nanoseconds, `u64::MAX` for as long as it takes. Otherwise zeros.
     pub arguments: [u64; 3],
@@ -125,7 +134,7 @@ mod tests {
                 Event { time_ns: 7, kind, object: ObjectId(u64::MAX >> 8), arguments: [1, 2, u64::MAX] };
             assert_eq!(Event::from_words(event.words()), Some(event));
         }
-        for number in (0..=255u64).filter(|n| !(1..=8).contains(n)) {
+        for number in (0..=255u64).filter(|n| !(1..=10).contains(n)) {
             assert_eq!(Event::from_words([0, number << OBJECT_BITS | 1, 0, 0, 0]), None);
         }
     }

@@ -89,6 +89,29 @@ pub fn take(subscription: ObjectId, message: &MessageId) {
     lttng::take(subscription, message);
 }
 
+/// A mirror has received a message from a network, which it is about to publish through `publisher`.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn receive(publisher: ObjectId, message: &MessageId) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::Receive, publisher, message.arguments());
+    }
+}
+
+/// A mirror is about to pass on, through a sender or publisher as message `sequence_number` of that, what was message
+/// `from_number` of the publisher `from`.
+///
+/// # Real-time
+/// As [`publish`].
+#[inline(always)]
+pub fn pass(through: ObjectId, sequence_number: u64, from: [u64; 2], from_number: u64) {
+    if ON.load(Ordering::Relaxed) {
+        record(Kind::Pass, through, [sequence_number, from_number, gid_key(from)]);
+    }
+}
+
 /// `callback` begins with a message or tick that was released at `release_ns` on `CLOCK_MONOTONIC`.
 ///
 /// # Real-time

@@ -95,6 +95,11 @@ pub fn subscription_init(topic: &str, depth: usize) -> Object {
     subscription
 }
 
+/// A mirror has made what it sends the messages of one publisher to a network through.
+pub fn sender_init(topic: &str, gid: [u64; 2]) -> Object {
+    Object::describe(ObjectKind::Sender, ObjectId::NONE, 0, gid, topic)
+}
+
 /// A timer was made, by the node of the current [`NodeScope`].
 pub fn timer_init(period_ns: u64) -> Object {
     let timer = Object::describe(ObjectKind::Timer, NODE.get(), period_ns, [0; 2], "");

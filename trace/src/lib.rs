@@ -10,6 +10,7 @@
 //!   the lock of a file that it is there, so that a killed one leaves nothing switched on.
 //! - A killed process loses no event: its rings stay until a recorder has fetched them.
 //! - What events speak of (nodes, topics, callbacks) is described in a table beside the rings, so that a recorder may come late.
+//! - A message that a mirror passes on gets another id: [`pass`] records both, so that its way can be followed.
 //! - With the feature `lttng` the same functions are LTTng-UST tracepoints with the names and fields of ros2_tracing and r2r.
 //!
 //! ```
@@ -53,12 +54,12 @@ pub use control::is_trace_file;
 pub use error::TraceError;
 pub use event::{Event, Kind, ObjectId, gid_key};
 pub use hot::{
-    MessageId, callback_end, callback_start, is_on, publish, spin_end, spin_start, spin_timeout, spin_wake,
-    take,
+    MessageId, callback_end, callback_start, is_on, pass, publish, receive, spin_end, spin_start,
+    spin_timeout, spin_wake, take,
 };
 pub use init::{
     NodeScope, SamplerObject, callback_init, context_init, in_node, node_init, publisher_init, sampler_init,
-    subscription_callback_init, subscription_init, timer_callback_init, timer_init,
+    sender_init, subscription_callback_init, subscription_init, timer_callback_init, timer_init,
 };
 pub use object::{Description, Object, ObjectKind};
 pub use process::{Membership, attend, configure, join, leave_at_exit};

@@ -26,10 +26,12 @@ pub enum ObjectKind {
     Callback = 6,
     /// A sampler; its parent is the context.
     Sampler = 7,
+    /// What a mirror sends one publisher's messages to a network through; its gid is the network's.
+    Sender = 8,
 }
 
 impl ObjectKind {
-    const ALL: [ObjectKind; 7] = [
+    const ALL: [ObjectKind; 8] = [
         ObjectKind::Context,
         ObjectKind::Node,
         ObjectKind::Publisher,
@@ -37,6 +39,7 @@ impl ObjectKind {
         ObjectKind::Timer,
         ObjectKind::Callback,
         ObjectKind::Sampler,
+        ObjectKind::Sender,
     ];
 
     /// The name that exports print.
@@ -49,6 +52,7 @@ impl ObjectKind {
             ObjectKind::Timer => "timer",
             ObjectKind::Callback => "callback",
             ObjectKind::Sampler => "sampler",
+            ObjectKind::Sender => "sender",
         }
     }
 
@@ -73,7 +77,7 @@ pub struct Description {
     pub parent: ObjectId,
     /// A number that depends on the kind.
     pub detail: u64,
-    /// A publisher's gid, as two words.
+    /// A publisher's or a sender's gid, as two words.
     pub gid: [u64; 2],
     /// When it was made, on `CLOCK_MONOTONIC`.
     pub created_ns: u64,

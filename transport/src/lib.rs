@@ -72,4 +72,5 @@ pub use topic::monitor::{
 pub use topic::publisher::{Gate, MatchedCount, PublisherCounters, RawLoan, RawPublisher, Unpublished};
 pub use topic::subscription::{Counters, RawSample, RawSubscription};
 pub use topic::topic_type::TopicType;
+pub use topic::traced::{Passage, TracedPort, TracedSender};
 pub use topic::typed::{Loan, Publisher, Sample, Subscription, Unwritten};

@@ -13,7 +13,9 @@ use support::{Count, Stop, domain, wait_for};
 use tautline_ros_msgs::sensor_msgs::msg::{
     Image, ImageSizes, PointCloud2, PointCloud2Sizes, PointField, PointFieldSizes,
 };
-use tautline_transport::{Limits, Liveliness, Participant, Qos, RequestId, ServiceType, TopicType};
+use tautline_transport::{
+    Limits, Liveliness, MessageInfo, Participant, Qos, RequestId, ServiceType, TopicType, TracedSender,
+};
 
 const CYCLES: usize = 10_000;
 const DOMAIN: u32 = 164;
@@ -107,6 +109,28 @@ fn publish_and_take() {
     // A sample that is dropped without being published.
     assert_eq!(count(|| drop(publisher.loan().unwrap())), NONE);
     assert!(support::traced(DOMAIN) > 3 * CYCLES, "publish and takes");
+}
+
+/// What gateways and bridges do with each message.
+#[test]
+fn passing_on() {
+    let _alone = alone();
+    let participant = Participant::new(domain(DOMAIN)).unwrap();
+    let (limits, qos, source) = (Limits::default(), Qos::default(), MessageInfo::default());
+    let text = TopicType::new("test_msgs/msg/Text");
+    let port = participant.create_raw_publisher("/passed", &text, qos, limits).unwrap();
+    let subscription = participant.create_raw_subscription("/passed", &text, qos, limits).unwrap();
+    let sender = TracedSender::new("/passed", source.publisher_gid);
+    let cycle = |number| {
+        let source = MessageInfo { sequence_number: number, ..source };
+        port.traced().received(&source);
+        port.loan(8).unwrap().publish_as(source).unwrap();
+        let sample = subscription.try_take().unwrap().unwrap();
+        sender.passage((sample.port_gid(), sample.port_sequence_number()), number).record();
+    };
+    cycle(1);
+    assert_eq!(count(|| (0..CYCLES as u64).for_each(cycle)), NONE);
+    assert!(support::traced(DOMAIN) > 5 * CYCLES, "receive, pass, publish, take, pass");
 }
 
 #[test]

@@ -111,7 +111,7 @@ fn arrow(
     events.push((start_ns, ARROW, end("f", pid_, tid)));
 }
 
-/// Publications, takes and the sampler.
+/// Publications, takes, what mirrors do, and the sampler.
 fn others(recording: &Recording, events: &mut Vec<(u64, u8, Value)>) {
     let mut following: HashMap<(u32, u32), u64> = HashMap::new();
     let mut spin: HashMap<(u32, u32), u64> = HashMap::new();
@@ -132,10 +132,11 @@ fn others(recording: &Recording, events: &mut Vec<(u64, u8, Value)>) {
                 slice["args"] = json!({"sequence_number": key(event.arguments).sequence_number});
                 events.push((time_ns, SLICE, slice));
             }
-            Kind::Take => {
+            Kind::Take | Kind::Receive | Kind::Pass => {
                 let arguments = json!({"sequence_number": key(event.arguments).sequence_number});
+                let what = event.kind.name();
                 let instant = json!({
-                    "ph": "i", "s": "t", "cat": "take", "name": format!("take {name}"), "pid": pid_, "tid": tid,
+                    "ph": "i", "s": "t", "cat": what, "name": format!("{what} {name}"), "pid": pid_, "tid": tid,
                     "args": arguments,
                 });
                 events.push((time_ns, SLICE, instant));

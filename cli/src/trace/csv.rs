@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use tautline_trace::{Description, Event, Kind};
 
 const HEAD: &str = "time_ns,pid,process,tid,thread,event,object_id,object,parent_id,sequence_number,source_timestamp_ns,\
-                    publisher,release_ns,timeout_ns";
+                    publisher,release_ns,timeout_ns,from_sequence_number,from_publisher";
 
 /// Writes all of it.
 pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
@@ -31,11 +31,14 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
         let (label, parent) = known.map_or((String::new(), 0), |known| (quoted(&known.name), known.parent.0));
         let [a, b, c] = arguments;
         let more = match kind {
-            Kind::Publish | Kind::Take => format!("{a},{},{c:016x},,", b.cast_signed()),
-            Kind::CallbackStart => format!(",,,{a},"),
-            Kind::SpinStart if a == u64::MAX => ",,,,".to_owned(),
-            Kind::SpinStart => format!(",,,,{a}"),
-            _ => ",,,,".to_owned(),
+            Kind::Publish | Kind::Take | Kind::Receive => format!("{a},{},{c:016x},,,,", b.cast_signed()),
+            Kind::Pass => {
+                let publisher = known.map_or(0, |known| tautline_trace::gid_key(known.gid));
+                format!("{a},,{publisher:016x},,,{b},{c:016x}")
+            }
+            Kind::CallbackStart => format!(",,,{a},,,"),
+            Kind::SpinStart if a != u64::MAX => format!(",,,,{a},,"),
+            _ => ",,,,,,".to_owned(),
         };
         writeln!(
             to,
@@ -60,7 +63,7 @@ fn write_made(recording: &Recording, of: u32, object: &Description, to: &mut dyn
     let (time_ns, kind, id, parent) = (object.created_ns, object.kind.name(), object.id.0, object.parent.0);
     writeln!(
         to,
-        "{time_ns},{pid},{name},,,{kind}_init,{id},{},{parent},,,{publisher},,",
+        "{time_ns},{pid},{name},,,{kind}_init,{id},{},{parent},,,{publisher},,,,",
         quoted(&object.name)
     )
 }

@@ -27,6 +27,12 @@ pub enum Entry {
         kernel: String,
         started_monotonic_ns: u64,
         started_unix_ns: i64,
+        /// What the host is called; empty in older recordings.
+        #[serde(default)]
+        host: String,
+        /// Equal in recordings whose times are of one clock; empty if that is not known.
+        #[serde(default)]
+        clock: String,
     },
     Process {
         process: u32,

@@ -60,7 +60,7 @@ pub fn run(args: &LatencyArgs) -> Result<ExitCode, TraceError> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn histogram() -> Histogram<u64> {
+pub fn histogram() -> Histogram<u64> {
     // Grows as needed; three significant digits are a valid number of them.
     Histogram::new(3).expect("3 is between 0 and 5")
 }
@@ -114,7 +114,7 @@ fn rows(recording: &Recording) -> Vec<Row> {
     rows.into_values().collect()
 }
 
-fn us(ns: u64) -> f64 {
+pub fn us(ns: u64) -> f64 {
     ns as f64 / 1000.0
 }
 

@@ -4,10 +4,12 @@
 mod chrome;
 mod csv;
 mod file;
+mod hops;
 mod latency;
 mod messages;
 mod record;
 mod recording;
+mod ways;
 
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
@@ -21,6 +23,7 @@ use std::process::ExitCode;
 #[command(after_help = "Examples:
   taut trace record --seconds 10 -o run.trace       every process of the domain, for ten seconds
   taut trace latency run.trace                      from publication to callback, per topic
+  taut trace hops a.trace b.trace                   each hop of messages that gateways and bridges pass on
   taut trace export run.trace --format perfetto     run.trace.json, for https://ui.perfetto.dev
   taut trace export run.trace --format csv -o -     every event as a line
 
@@ -35,6 +38,7 @@ enum Verb {
     Record(record::RecordArgs),
     Export(ExportArgs),
     Latency(latency::LatencyArgs),
+    Hops(hops::HopsArgs),
 }
 
 /// Writes a recording in another format
@@ -92,6 +96,7 @@ pub fn run(args: TraceArgs) -> Result<ExitCode, TraceError> {
         Verb::Record(args) => record::run(&args),
         Verb::Export(args) => export(&args),
         Verb::Latency(args) => latency::run(&args),
+        Verb::Hops(args) => hops::run(&args),
     }
 }
 

@@ -169,5 +169,18 @@ fn session(domain: u32) -> Entry {
         kernel: kernel.trim_end().to_owned(),
         started_monotonic_ns: rt::clock::monotonic_ns(),
         started_unix_ns: rt::clock::wall_ns(),
+        host: rt::host::name(),
+        clock: clock(),
+    }
+}
+
+/// Of which boot of a kernel, and of which namespace, `CLOCK_MONOTONIC` is. Empty if the kernel does not say.
+fn clock() -> String {
+    let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    // A kernel without namespaces of time has one.
+    let namespace = std::fs::read_link("/proc/self/ns/time").unwrap_or_default();
+    match boot.trim_end() {
+        "" => String::new(),
+        boot => format!("{boot} {}", namespace.display()),
     }
 }

@@ -244,11 +244,18 @@ impl Inlet {
         source: Source,
         lifespan: Option<Duration>,
     ) -> Result<usize, Refused> {
+        let Port::New(port) = &self.port else { return Err(Refused::Unknown) };
+        let info = MessageInfo {
+            sequence_number: source.number.unwrap_or(0),
+            source_timestamp_ns: source.timestamp_ns,
+            released_ns: 0,
+            publisher_gid: source.publisher,
+        };
+        port.traced().received(&info);
         if !self.limiter.admits(monotonic_ns()) {
             return Err(Refused::Rate);
         }
         let left = lifespan.map(|lifespan| left(lifespan, source.timestamp_ns)).transpose()?;
-        let Port::New(port) = &self.port else { return Err(Refused::Unknown) };
         let valid = |schema: &Schema, bytes: &[u8]| {
             DynamicMessage::validate(schema, bytes, Endian::Little).map_err(|_| Refused::Invalid)
         };
@@ -266,12 +273,6 @@ impl Inlet {
         if let Some(schema) = self.schema.as_ref().filter(|_| !is_checked) {
             valid(schema, &loan)?;
         }
-        let info = MessageInfo {
-            sequence_number: source.number.unwrap_or(0),
-            source_timestamp_ns: source.timestamp_ns,
-            released_ns: 0,
-            publisher_gid: source.publisher,
-        };
         let published = match left {
             None => loan.publish_as(info),
             Some(left) => loan.publish_as_for(info, left),

@@ -8,7 +8,7 @@ use super::pending::Outcome;
 use super::server::{RawResponse, RawServer, RequestId};
 use super::{RESPONSES_DEPTH, ServiceError};
 use crate::error::{LoanError, TakeError};
-use crate::topic::header::{Gid, MessageInfo, NEVER, SampleKind};
+use crate::topic::header::{Gid, MessageInfo, SampleKind};
 use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, Unpublished, WhenFull};
 use crate::topic::subscription::{Patience, RawSample};
 use core::future::Future;
@@ -62,7 +62,7 @@ impl RawClient {
         self.sequence_number.set(sequence_number);
         shared.table.arm(place, sequence_number);
         // Whoever waits with more requests is woken when there is room: `collect` has registered.
-        let stamp = Stamp::As(stamped(sequence_number, self.gid()), NEVER);
+        let stamp = Stamp::OfRequest(stamped(sequence_number, self.gid()));
         let sending = Sending { stamp, when_full: WhenFull::Ask, kind: SampleKind::Message, to: None };
         if let Err(unpublished) = request.publish_with(sending) {
             shared.table.release(place);
@@ -287,7 +287,7 @@ impl RawServer {
             Ok(to) => Some(to),
             Err(error) => return Err(Unsent { error, loan: Some(loan) }),
         };
-        let stamp = Stamp::As(stamped(id.sequence_number, id.client), NEVER);
+        let stamp = Stamp::OfRequest(stamped(id.sequence_number, id.client));
         let sent = loan.publish_with(Sending { stamp, when_full: WhenFull::Leave, kind, to });
         sent.map_err(|unpublished| {
             let error = match &unpublished {

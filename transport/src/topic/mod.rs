@@ -19,6 +19,7 @@ pub(crate) mod pool;
 pub(crate) mod publisher;
 pub(crate) mod subscription;
 pub(crate) mod topic_type;
+pub(crate) mod traced;
 pub(crate) mod typed;
 
 use crate::error::TransportError;

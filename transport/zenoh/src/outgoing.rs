@@ -13,7 +13,9 @@ use std::sync::{Arc, mpsc};
 use std::time::Duration;
 use tautline_relay::{Counters, EarlyLimits, FarWriter, Last, Outlet, Relay, RelayError, Taken};
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
-use tautline_transport::{Durability, Gid, History, MessageInfo, Participant, RawSample, Reliability};
+use tautline_transport::{
+    Durability, Gid, History, MessageInfo, Participant, Passage, RawSample, Reliability, TracedSender,
+};
 use zenoh::bytes::ZBytes;
 use zenoh::internal::buffers::{ZBuf, ZSlice, ZSliceBuffer};
 use zenoh::pubsub::Publisher;
@@ -87,12 +89,13 @@ impl Outlet for Network {
             return;
         }
         sender.settle(len_bytes);
+        let passage = sender.traced.passage(sample.port(), info.sequence_number);
         let payload = match sample {
             // What may outlive the put is copied: a subscription can lend few samples.
             Taken::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => in_place(sample),
             sample => copied(sample.body()),
         };
-        self.put(sender, payload, &info, len_bytes, counters);
+        self.put(sender, payload, &info, len_bytes, passage, counters);
     }
 
     fn dropped(counters: &Arc<Counters>) {
@@ -111,6 +114,7 @@ impl Network {
         payload: ZBytes,
         info: &MessageInfo,
         len_bytes: usize,
+        passage: Passage,
         counters: &Arc<Counters>,
     ) {
         let attachment = sender.attachment(info);
@@ -119,11 +123,11 @@ impl Network {
             (true, _) => &self.patient,
             (false, true) => &self.bulk,
             (false, false) => {
-                return sent(counters, publisher.put(payload, &attachment), len_bytes, &attachment);
+                return sent(counters, publisher.put(payload, &attachment, passage), len_bytes, &attachment);
             }
         };
         let (publisher, counters) = (publisher.clone(), counters.clone());
-        queue.push(Waiting { publisher, payload, attachment, len_bytes, counters });
+        queue.push(Waiting { publisher, payload, attachment, len_bytes, passage, counters });
     }
 }
 
@@ -139,6 +143,7 @@ pub(crate) struct Sender {
     /// Whether a large sample has come: all later ones follow it, to keep their order.
     is_bulk: bool,
     last: Last,
+    traced: TracedSender,
 }
 
 enum AnyPublisher {
@@ -159,8 +164,9 @@ impl Sender {
         let urgency = rule.unwrap_or_else(|| Urgency::by_size(crate::rules::SMALL_BYTES + 1));
         let (is_guess, is_bulk) = (rule.is_none(), false);
         let publisher = Arc::new(declare(session, key, writer, urgency, is_bulk)?);
-        let (session, key, writer) = (session.clone(), key.clone(), writer.clone());
-        Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last: Last::default() })
+        let (session, key, writer, last) = (session.clone(), key.clone(), writer.clone(), Last::default());
+        let traced = TracedSender::new(&key.topic, writer.wire_gid);
+        Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last, traced })
     }
 
     /// Samples tell how large they are.
@@ -235,7 +241,8 @@ fn declare(
 }
 
 impl AnyPublisher {
-    fn put(&self, payload: ZBytes, attachment: &Attachment) -> zenoh::Result<()> {
+    fn put(&self, payload: ZBytes, attachment: &Attachment, passage: Passage) -> zenoh::Result<()> {
+        passage.record();
         let attachment = attachment.encode();
         match self {
             AnyPublisher::Plain(publisher) => publisher.put(payload).attachment(attachment).wait(),
@@ -258,9 +265,9 @@ impl Queue {
     }
 
     fn push(&self, sample: Waiting) {
-        let refused = self.samples.as_ref().map(|samples| samples.try_send(sample));
-        if let Some(Err(mpsc::TrySendError::Full(sample) | mpsc::TrySendError::Disconnected(sample))) =
-            refused
+        let Some(samples) = &self.samples else { return };
+        if let Err(mpsc::TrySendError::Full(sample) | mpsc::TrySendError::Disconnected(sample)) =
+            samples.try_send(sample)
         {
             sample.counters.dropped("too many samples wait for the link");
         }
@@ -283,12 +290,13 @@ struct Waiting {
     payload: ZBytes,
     attachment: Attachment,
     len_bytes: usize,
+    passage: Passage,
     counters: Arc<Counters>,
 }
 
 fn send_waiting(samples: &mpsc::Receiver<Waiting>) {
-    while let Ok(Waiting { publisher, payload, attachment, len_bytes, counters }) = samples.recv() {
-        sent(&counters, publisher.put(payload, &attachment), len_bytes, &attachment);
+    while let Ok(Waiting { publisher, payload, attachment, len_bytes, passage, counters }) = samples.recv() {
+        sent(&counters, publisher.put(payload, &attachment, passage), len_bytes, &attachment);
     }
 }
 

@@ -104,6 +104,8 @@ pub(crate) enum Stamp {
     Now,
     /// Published now, released at this `CLOCK_MONOTONIC` time.
     ReleasedAt(u64),
+    /// Of a service's request and its response: published and released now, told apart by what the client says.
+    OfRequest(MessageInfo),
     /// Published elsewhere, released now, to be delivered for so many nanoseconds.
     As(MessageInfo, u64),
 }
@@ -233,6 +235,7 @@ impl RawPublisher {
         let now_ns = monotonic_ns();
         let (released_ns, source, lifespan_ns) = match sending.stamp {
             Stamp::As(source, left_ns) => (now_ns, source, left_ns.min(self.lifespan_ns)),
+            Stamp::OfRequest(source) => (now_ns, source, self.lifespan_ns),
             Stamp::Now => (now_ns, self.info(number), self.lifespan_ns),
             Stamp::ReleasedAt(released_ns) => (released_ns, self.info(number), self.lifespan_ns),
         };
@@ -246,6 +249,10 @@ impl RawPublisher {
             ..SampleHeader::default()
         };
         header.set_body(loan.len_bytes, sending.kind);
+        if let Stamp::As(..) = sending.stamp {
+            let from = source.publisher_gid.words();
+            tautline_trace::pass(self.trace.id(), number, from, source.sequence_number);
+        }
         tautline_trace::publish(self.trace.id(), &header.trace_id(core.gid, loan.payload.addr().get()));
         let (segment, index) = loan.into_sample();
         // SAFETY: the sample has a reference until the end of this, so its segment stays.

@@ -19,6 +19,7 @@ use crate::topic::Topic;
 use crate::topic::header::{Gid, NEVER};
 use crate::topic::memory::{padded, sample_bytes};
 use crate::topic::topic_type::TopicType;
+use crate::topic::traced::TracedPort;
 use core::PublisherCore;
 use futures::StreamExt;
 use sender::Live;
@@ -152,6 +153,11 @@ impl RawPublisher {
     /// This publisher's identifier.
     pub fn gid(&self) -> Gid {
         self.core.gid
+    }
+
+    /// For a mirror that publishes through it, and tells a trace what it has received.
+    pub fn traced(&self) -> TracedPort {
+        TracedPort(self.trace.id())
     }
 
     /// This publisher's limits; `message_bytes` is the type's size if that is fixed.

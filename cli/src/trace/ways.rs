@@ -1,0 +1,215 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Puts the pieces of a message's way together: a mirror (a gateway, a bridge) passes it on under another id, in another
+//! recording, and tells both ids. Ids are random where they are made, so they are of no recording.
+
+use super::messages::{MessageKey, key};
+use super::recording::Recording;
+use std::collections::{HashMap, HashSet};
+use tautline_trace::{Kind, ObjectId, ObjectKind, gid_key};
+
+/// A process of one of the recordings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Place {
+    pub recording: usize,
+    pub process: u32,
+}
+
+/// Where and when something happened, by the clock of its recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct At {
+    pub place: Place,
+    pub time_ns: u64,
+}
+
+/// From what to what, in the order in which a message does it in a domain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum HopKind {
+    /// In a mirror, which lets a message in.
+    ReceiveToPublish,
+    PublishToTake,
+    /// In a mirror, which lets a message out: `send` is when it is about to hand it to the network.
+    TakeToSend,
+    /// From mirror to mirror.
+    SendToReceive,
+    /// From the first publisher to a subscription that passes it on to nobody, through at least one network.
+    WholeWay,
+}
+
+impl HopKind {
+    pub const fn name(self) -> &'static str {
+        match self {
+            HopKind::ReceiveToPublish => "receive_to_publish",
+            HopKind::PublishToTake => "publish_to_take",
+            HopKind::TakeToSend => "take_to_send",
+            HopKind::SendToReceive => "send_to_receive",
+            HopKind::WholeWay => "whole_way",
+        }
+    }
+
+    /// What is missing if a hop has no beginning.
+    pub const fn beginning(self) -> &'static str {
+        match self {
+            HopKind::ReceiveToPublish => "reception",
+            HopKind::PublishToTake | HopKind::WholeWay => "publication",
+            HopKind::TakeToSend => "take",
+            HopKind::SendToReceive => "sending",
+        }
+    }
+}
+
+/// One hop of one message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Hop<'r> {
+    pub topic: &'r str,
+    /// How many domains the message has been in before; of a whole way, before its end.
+    pub domains_before: usize,
+    pub kind: HopKind,
+    /// `None`: that is in none of the recordings.
+    pub from: Option<At>,
+    pub to: At,
+}
+
+/// More networks than any message passes: a damaged recording may send one in circles.
+const MAX_DOMAINS: usize = 64;
+
+/// What the recordings say of messages, by their ids.
+#[derive(Default)]
+pub struct Ways<'r> {
+    published: HashMap<MessageKey, (At, &'r str)>,
+    /// What messages of a mirror's ports were on the network.
+    let_in: HashMap<MessageKey, LetIn<'r>>,
+    /// By their ids on the network. Of several mirrors of a domain each may send.
+    sent: HashMap<MessageKey, Vec<Sent<'r>>>,
+    taken: Vec<Take<'r>>,
+    /// Subscriptions that messages were passed on from.
+    of_mirrors: HashSet<(Place, ObjectId)>,
+}
+
+struct LetIn<'r> {
+    network: MessageKey,
+    place: Place,
+    received: Option<At>,
+    topic: &'r str,
+}
+
+struct Sent<'r> {
+    message: MessageKey,
+    at: At,
+    taken: Option<At>,
+    topic: &'r str,
+}
+
+struct Take<'r> {
+    message: MessageKey,
+    at: At,
+    subscription: ObjectId,
+    topic: &'r str,
+}
+
+impl<'r> Ways<'r> {
+    pub fn of(recordings: &'r [Recording]) -> Self {
+        let mut ways = Ways::default();
+        recordings.iter().enumerate().for_each(|(index, recording)| ways.add(index, recording));
+        ways
+    }
+
+    fn add(&mut self, index: usize, recording: &'r Recording) {
+        let mut received: HashMap<(u32, MessageKey), At> = HashMap::new();
+        let mut taken: HashMap<(u32, MessageKey), (At, ObjectId)> = HashMap::new();
+        for timed in &recording.events {
+            let (event, process) = (timed.event, timed.process);
+            let place = Place { recording: index, process };
+            let at = At { place, time_ns: event.time_ns };
+            let object = recording.object(process, event.object);
+            let topic = object.map_or("", |object| &*object.name);
+            let message = key(event.arguments);
+            match event.kind {
+                Kind::Publish => drop(self.published.insert(message, (at, topic))),
+                Kind::Take => {
+                    taken.insert((process, message), (at, event.object));
+                    self.taken.push(Take { message, at, subscription: event.object, topic });
+                }
+                Kind::Receive => drop(received.insert((process, message), at)),
+                Kind::Pass => {
+                    // Without it nothing is known of what the message became: that is warned of.
+                    let Some(through) = object else { continue };
+                    let [sequence_number, from_number, from_publisher] = event.arguments;
+                    let from = MessageKey { publisher: from_publisher, sequence_number: from_number };
+                    let to = MessageKey { publisher: gid_key(through.gid), sequence_number };
+                    if through.kind == ObjectKind::Sender {
+                        let taken = taken.get(&(process, from));
+                        self.of_mirrors.extend(taken.map(|(_, subscription)| (place, *subscription)));
+                        let taken = taken.map(|(at, _)| *at);
+                        self.sent.entry(to).or_default().push(Sent { message: from, at, taken, topic });
+                    } else {
+                        let received = received.remove(&(process, from));
+                        self.let_in.insert(to, LetIn { network: from, place, received, topic });
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// What was sent that was received so: the last before that, if `is_before` can tell. Who does not count its messages numbers all
+    /// of them 0: which of them it was is not known.
+    fn sending(&self, let_in: &LetIn<'_>, is_before: &impl Fn(At, At) -> bool) -> Option<&Sent<'r>> {
+        let sent = self.sent.get(&let_in.network).filter(|_| let_in.network.sequence_number != 0)?;
+        let before = |sent: &&Sent<'_>| let_in.received.is_none_or(|received| is_before(sent.at, received));
+        sent.iter().rfind(before).or(sent.first())
+    }
+
+    /// How many domains a message has been in before, its first id that is known, and its topic there.
+    fn source(
+        &self,
+        message: MessageKey,
+        here: &'r str,
+        is_before: &impl Fn(At, At) -> bool,
+    ) -> (usize, MessageKey, &'r str) {
+        let (mut first, mut topic) = (message, here);
+        for domains in 0..MAX_DOMAINS {
+            topic = self.published.get(&first).map_or(topic, |(_, topic)| topic);
+            let sent = self.let_in.get(&first).and_then(|let_in| self.sending(let_in, is_before));
+            match sent {
+                Some(sent) => (first, topic) = (sent.message, sent.topic),
+                None => return (domains, first, topic),
+            }
+        }
+        (MAX_DOMAINS, first, topic)
+    }
+
+    /// Gives every hop of every message. `is_before` says whether the former was before the latter, as far as that is known.
+    pub fn hops(&self, is_before: &impl Fn(At, At) -> bool, sink: &mut impl FnMut(Hop<'r>)) {
+        for take in &self.taken {
+            // A mirror's subscription gets what the mirror itself publishes, and passes over it.
+            if self.let_in.get(&take.message).is_some_and(|let_in| let_in.place == take.at.place) {
+                continue;
+            }
+            let (domains_before, first, topic) = self.source(take.message, take.topic, is_before);
+            let published = |message| self.published.get(message).map(|(at, _)| *at);
+            let (from, to) = (published(&take.message), take.at);
+            sink(Hop { topic, domains_before, kind: HopKind::PublishToTake, from, to });
+            // Where it came into the first of the domains from elsewhere, its way began elsewhere.
+            let is_whole = domains_before > 0 && !self.let_in.contains_key(&first);
+            if is_whole && !self.of_mirrors.contains(&(to.place, take.subscription)) {
+                sink(Hop { topic, domains_before, kind: HopKind::WholeWay, from: published(&first), to });
+            }
+        }
+        for sent in self.sent.values().flatten() {
+            let (domains_before, _, topic) = self.source(sent.message, sent.topic, is_before);
+            sink(Hop { topic, domains_before, kind: HopKind::TakeToSend, from: sent.taken, to: sent.at });
+        }
+        for (message, let_in) in &self.let_in {
+            let (domains_before, _, topic) = self.source(*message, let_in.topic, is_before);
+            if let Some((to, _)) = self.published.get(message) {
+                let (from, kind) = (let_in.received, HopKind::ReceiveToPublish);
+                sink(Hop { topic, domains_before, kind, from, to: *to });
+            }
+            if let Some(to) = let_in.received {
+                let sent = self.sending(let_in, is_before);
+                let (from, kind) = (sent.map(|sent| sent.at), HopKind::SendToReceive);
+                sink(Hop { topic, domains_before: domains_before.saturating_sub(1), kind, from, to });
+            }
+        }
+    }
+}
