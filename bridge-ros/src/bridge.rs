@@ -9,14 +9,16 @@ use crate::rcl::{
 };
 use crate::ros::{Carriers, RosSide};
 use crate::ros_graph::BRIDGE_PREFIX;
-use crate::services::{Services, ServicesError};
+use crate::services::RosServices;
 use crate::stats::Stats;
 use crate::table::{self, OwnTable, Tables};
 use crate::threads;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
-use tautline_relay::{Budget, Control, Event, Guard, Office, Parts, RelayError, Rules, Seat, SeatError};
+use tautline_relay::{
+    Budget, Control, Event, Guard, Office, Parts, RelayError, Rules, Seat, SeatError, Services,
+};
 use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
 
@@ -113,15 +115,6 @@ impl From<IncomingError> for BridgeError {
     }
 }
 
-impl From<ServicesError> for BridgeError {
-    fn from(error: ServicesError) -> Self {
-        match error {
-            ServicesError::Rt(error) => error.into(),
-            ServicesError::Rcl(error) => error.into(),
-        }
-    }
-}
-
 /// A running bridge. Dropping it takes everything back: endpoints, nodes, threads.
 pub struct Bridge {
     events: mpsc::SyncSender<Event<()>>,
@@ -182,7 +175,8 @@ impl Bridge {
 
         let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"), Ros::new()?)?;
         let incoming = Incoming::start(&context, priorities.carrying("ros-in"))?;
-        let services = Services::start(&participant, &node, priorities.carrying("ros-services"))?;
+        let services = RosServices::new(&node)?;
+        let services = Services::start(&participant, services, priorities.carrying("ros-services"))?;
         let infos = [outgoing.info(), incoming.info(), services.info()];
         let info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
         let stats = Stats { domain: options.domain, ros_domain: context.domain(), rmw, ..Stats::default() };

@@ -6,9 +6,9 @@ use crate::incoming::{self, Incoming};
 use crate::outgoing::{Outbound, Ros, Writer};
 use crate::rcl::{Node, RosPublisher, RosSubscription};
 use crate::ros_graph::{self, RosGraph};
-use crate::services::{Routes, Services};
+use crate::services::RosServices;
 use crate::shown::ShownNodes;
-use crate::stats::{IncompatibleQos, TopicNames};
+use crate::stats::{IncompatibleQos, ServiceStats, TopicNames};
 use crate::table::{OwnTable, Table, Tables};
 use crate::types::Types;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::time::Instant;
 use tautline_relay::{
     Change, Counters, Direction, FarSide, FarWriter, FoundType, Here, InKey, Inlet, Inward, Limiter, Manner,
-    Publisher, Report, Rules, Side, There, TopicKey, Transit, Writers, process_node,
+    Publisher, Report, Routes, Rules, Services, Side, There, TopicKey, Transit, Writers, process_node,
 };
 use tautline_transport::{
     Claim, EndpointKind, Gid, Limits, NodeName, Participant, Qos, RawPublisher, RemoteGraph, RemoteNode,
@@ -32,7 +32,7 @@ pub(crate) struct RosSide {
     node: Arc<Node>,
     types: Types,
     incoming: Incoming,
-    services: Services,
+    services: Services<RosServices>,
     rules: Rules,
     service_rules: Rules,
     shared: Arc<Shared>,
@@ -48,7 +48,7 @@ pub(crate) struct RosSide {
 /// The threads that carry messages from ROS, requests and responses.
 pub(crate) struct Carriers {
     pub(crate) incoming: Incoming,
-    pub(crate) services: Services,
+    pub(crate) services: Services<RosServices>,
 }
 
 /// A publisher in ROS that stands for one here.
@@ -152,8 +152,10 @@ impl RosSide {
         let there = there.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
         let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
         let announced = |end: &ServiceEndpoint| transit.announced(&end.origin).is_some();
-        let routes = Routes::of(&self.service_rules, ends, &there, self.services.routes(), announced);
-        self.services.set_routes(routes, self.shown.by_name());
+        let routes =
+            Routes::of(Self::SIDE, &self.service_rules, ends, &there, self.services.routes(), announced);
+        // Nobody waits for it: clients in ROS ask when a server is there.
+        let _ = self.services.set_routes(routes, self.shown.by_name());
     }
 
     /// Other bridges of the ROS domain are told what this one's ends stand for.
@@ -301,7 +303,7 @@ impl FarSide for RosSide {
         stats.ros_endpoints = self.endpoint_count;
         stats.not_bridged = report.problems;
         stats.services_not_bridged = self.services.problems();
-        stats.services = self.services.stats();
+        stats.services = self.services.read().into_iter().map(ServiceStats::from).collect();
         let incompatible = writers.iter().filter_map(|(key, _, end)| Some((&*key.topic, end.incompatible?)));
         stats.incompatible_qos = by_topic(incompatible);
         let named = report.topics.into_iter().map(|topic| topic.named(TopicNames::of, Into::into));

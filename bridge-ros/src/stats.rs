@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the bridge says of itself.
 
-use crate::services::ServiceStats;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use tautline_relay::TopicKey;
+use tautline_relay::{ServiceReading, TopicKey};
 
 /// A topic in one direction.
 pub type TopicStats = tautline_relay::TopicStats<TopicNames, Direction>;
@@ -24,6 +23,42 @@ pub struct TopicNames {
 impl TopicNames {
     pub(crate) fn of(key: TopicKey) -> Self {
         TopicNames { topic: key.topic, ros_topic: key.far_topic, type_name: key.type_name }
+    }
+}
+
+/// A service, of which the bridge stands for the server.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ServiceStats {
+    /// Tautline's name of it.
+    pub service: String,
+    /// ROS's name of it.
+    pub ros_service: String,
+    /// Its type.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// To whom it is offered: `to_ros` is a service of Tautline's.
+    pub direction: Direction,
+    /// Whether it is offered now.
+    pub active: bool,
+    /// Requests that were answered.
+    pub answered: u64,
+    /// Requests that were not, by reason.
+    pub failed: BTreeMap<String, u64>,
+}
+
+impl From<ServiceReading> for ServiceStats {
+    fn from(reading: ServiceReading) -> Self {
+        let ServiceReading { key, direction, active, answered, failed } = reading;
+        let (service, ros_service, type_name) = (key.topic, key.far_topic, key.type_name);
+        ServiceStats {
+            service,
+            ros_service,
+            type_name,
+            direction: direction.into(),
+            active,
+            answered,
+            failed,
+        }
     }
 }
 

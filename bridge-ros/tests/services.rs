@@ -168,7 +168,7 @@ fn a_server_that_dies_ends_what_it_was_asked() {
     let error = here.wait("an error", pending).unwrap_err();
     assert!(matches!(error, tautline::Error::Service(ServiceError::ServerGone { .. })), "{error}");
     let failed = bridge.wait_for("it is counted", |stats| stats["services"][0]["failed"] != json!({}));
-    assert_eq!(failed["services"][0]["failed"], json!({ "its server in ROS has gone": 1 }));
+    assert_eq!(failed["services"][0]["failed"], json!({ "its server has gone": 1 }));
     let mut server = Peer::start_with_services(&venv, DOMAIN, "server");
     server.tell(json!({ "do": "service", "name": "/set", "type": SET_BOOL, "behaviour": "set_bool" }));
     available(&mut here, &client);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requests that a service of ROS's has not answered: which of its servers may still do so.
 
-use super::routes::ServerId;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
+use tautline_relay::ServerId;
 use tautline_transport::RequestId;
 
 /// After so long a request that is not answered makes way for another that has no place.

@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is known of the types of services: ROS's type support, and the definitions that what passes is checked against.
 
+use crate::outgoing::ENCAPSULATION;
 use crate::rcl::{RclError, RosStruct, SerializedMessage, ServiceSupport, TypeSupportError};
 use std::collections::HashMap;
 use std::sync::Arc;
 use tautline_schema::{DynamicMessage, Endian, Packages, Schema, SchemaError};
-use tautline_transport::{Claim, Limits, ServiceType, TransportError};
-
-/// XCDR1, little endian.
-const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+use tautline_transport::ServiceType;
 
 /// A type that both sides can carry. A clone is the same.
 #[derive(Clone)]
@@ -23,10 +21,6 @@ pub(super) struct BridgedService {
 /// Why a service is not bridged.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NotBridged {
-    #[error(transparent)]
-    Transport(#[from] TransportError),
-    #[error(transparent)]
-    Rcl(#[from] RclError),
     #[error(transparent)]
     Support(#[from] TypeSupportError),
     #[error("no definition is found, install the package's .srv or .action files: {0}")]
@@ -101,11 +95,6 @@ impl BridgedService {
     pub(super) fn service_type(&self) -> ServiceType {
         ServiceType::new(&self.name, Some(&self.hash))
     }
-}
-
-/// Of an end here: most services are asked seldom, and how long requests and responses are is not known before they come.
-pub(super) fn limits() -> Limits {
-    Limits { claim: Claim::OnUse, ..Limits::default() }
 }
 
 /// The struct as a body. What follows the last field is nobody's.

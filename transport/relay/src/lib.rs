@@ -19,6 +19,7 @@ mod relay;
 mod route;
 mod rules;
 mod seat;
+mod services;
 mod stats;
 #[cfg(test)]
 mod tests;
@@ -38,6 +39,10 @@ pub use relay::{PassedOver, Relay, RelayError};
 pub use route::{EarlyLimits, Last, Outlet, Taken};
 pub use rules::{Choice, Direction, QosOverride, Rule, Rules};
 pub use seat::{Office, Seat, SeatError};
+pub use services::{
+    Arrived, FarClient, FarServer, FarServices, Obeyed, OfferedService, Response, Routes, ServerId,
+    ServiceReading, Services, SoughtService,
+};
 pub use stats::{Book, Counters, Latency, Numbers, Reading, TopicStats, passing};
 pub use transit::{RELAYED_DEPTH, Transit};
 pub use writers::{FarWriter, Writers};

@@ -7,7 +7,7 @@ use crate::graph::GraphLimits;
 use crate::origin::ended_wildcard;
 use crate::outgoing::{self, THREADS};
 use crate::rules::Rule;
-use crate::services::Services;
+use crate::services::NetworkServices;
 use crate::session::{self, SessionError, network_threads};
 use crate::side::{Events, NetworkSide, ends_to, tokens_to};
 use crate::stats::Stats;
@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_relay::{
-    Budget, Control, Event, Filter, Guard, Office, Parts, RelayError, Rules, Seat, SeatError,
+    Budget, Control, Event, Filter, Guard, Office, Parts, RelayError, Rules, Seat, SeatError, Services,
 };
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
@@ -55,6 +55,10 @@ pub struct Options {
 impl Options {
     /// Default of [`Options::priority`].
     pub const PRIORITY: u8 = 80;
+
+    pub(crate) fn mirror_rules(&self) -> Rules {
+        Rules { auto: true, filter: self.filter.clone(), ..Rules::default() }
+    }
 
     pub(crate) fn domain_there(&self) -> u32 {
         self.network_domain.unwrap_or(self.domain)
@@ -206,10 +210,8 @@ impl Gateway {
             // Zenoh's calls are deep.
             builder.policy(policy).realtime(options.realtime).stack_bytes(2 << 20)
         };
-        let services = {
-            let (participant, session) = (participant.clone(), session.clone());
-            Services::start(thread("gw-services"), participant, session, options.max_message_bytes)?
-        };
+        let services = NetworkServices::new(&session, network_domain, options.max_message_bytes);
+        let services = Services::start(&participant, services, thread("gw-services"))?;
         let descriptions = Descriptions::new(SchemaStore::of_user(), events.clone())
             .map_err(|error| GatewayError::Definitions(error.into()))?;
         // From here on whatever fails ends what was started.
@@ -222,7 +224,7 @@ impl Gateway {
         };
         gateway.control = {
             let (session, shared) = (gateway.session.clone(), gateway.shared.clone());
-            let rules = Rules { auto: true, filter: options.filter.clone(), ..Rules::default() };
+            let rules = options.mirror_rules();
             let (far, transit) = NetworkSide::new(
                 options.clone(),
                 participant.clone(),

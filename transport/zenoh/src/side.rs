@@ -8,8 +8,8 @@ use crate::incoming::{self, Incoming};
 use crate::locals::{self, wire_node, wire_qos};
 use crate::origin::{ended, ended_tag};
 use crate::outgoing::{Network, Sender, Writer};
-use crate::services::{Routes, Services};
-use crate::stats::{TopicNames, refused_by_reason};
+use crate::services::NetworkServices;
+use crate::stats::{ServiceStats, TopicNames, refused_by_reason};
 use crate::tokens::{Tokens, Word};
 use crate::types::Types;
 use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
@@ -19,12 +19,12 @@ use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
     Change, Counters, Event, FarSide, FoundType, Here, InKey, Inlet, Inward, Limiter, Manner, Publisher,
-    Report, Side, There, Transit, Writers,
+    Report, Routes, Rules, Services, Side, There, Transit, Writers,
 };
 use tautline_schema::Packages;
 use tautline_transport::{
-    Claim, Durability, Limits, Participant, Qos, RawPublisher, SchemaStore, ServiceEndpoint, ServiceKind,
-    TopicType, TransportError,
+    Claim, Durability, Limits, Participant, Qos, RawPublisher, SchemaStore, ServiceEndpoint, TopicType,
+    TransportError,
 };
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Reply};
@@ -87,17 +87,21 @@ static MISSED: AtomicBool = AtomicBool::new(false);
 /// How long others are waited for when all tokens are asked for.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// How long it is waited for the thread to offer services.
+const PATIENCE: Duration = Duration::from_secs(1);
+
 /// How long it is said that a publisher has ended, and of how many.
 const ENDED_TIME: Duration = Duration::from_secs(10);
 const MOST_ENDED: usize = 4096;
 
 pub(crate) struct NetworkSide {
-    services: Services,
+    services: Services<NetworkServices>,
     incoming: BTreeMap<InKey, Incoming>,
     declared: HashMap<String, LivelinessToken>,
     /// The words that publishers have ended, for as long as it takes until they are heard everywhere.
     ended: VecDeque<(Instant, LivelinessToken)>,
     options: Options,
+    rules: Rules,
     participant: Participant,
     session: Session,
     shared: Arc<Shared>,
@@ -119,7 +123,7 @@ impl NetworkSide {
         options: Options,
         participant: Participant,
         session: Session,
-        services: Services,
+        services: Services<NetworkServices>,
         descriptions: Descriptions,
         shared: Arc<Shared>,
     ) -> (Self, Transit) {
@@ -129,7 +133,9 @@ impl NetworkSide {
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
         let (incoming, declared, ended, words, undescribed) = Default::default();
+        let rules = options.mirror_rules();
         let side = NetworkSide {
+            rules,
             services,
             incoming,
             declared,
@@ -149,34 +155,20 @@ impl NetworkSide {
         (side, transit)
     }
 
-    /// A topic as the network calls it.
     fn wire_key(&self, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
-        let type_id = || {
-            Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? })
-        };
-        let type_id = type_id().ok_or_else(|| format!("'{}' is no ROS 2 type name", key.type_name))?;
-        Ok(TopicKey { domain: self.options.domain_there(), topic: key.far_topic.clone(), type_id })
-    }
-
-    fn service_key(&self, end: &ServiceEndpoint) -> Option<TopicKey> {
-        let name = end.type_name.parse().ok()?;
-        let type_id = TypeId { name, hash: end.type_hash.as_ref()?.parse().ok()? };
-        Some(TopicKey { domain: self.options.domain_there(), topic: end.name.clone(), type_id })
+        wire_key(self.options.domain_there(), key)
     }
 
     fn route_services(&mut self, here: &Here, there: &[(ServiceEndpoint, u128)], transit: &Transit) {
-        let filter = &self.options.filter;
-        let local = here.services.iter().filter(|end| filter.allows(&end.name)).filter_map(|end| {
-            // What this host's nodes do not answer themselves the gateway answers.
-            let is_announced = transit.announced(&end.origin).is_some();
-            Some((end.kind, self.service_key(end)?, is_announced))
-        });
-        let servers = there
-            .iter()
-            .filter(|(end, teller)| end.kind == ServiceKind::Server && transit.carries(&end.origin, *teller));
-        let elsewhere = servers.filter_map(|(end, _)| self.service_key(end)).collect();
-        let routes = Routes::of(local.collect::<Vec<_>>().iter(), &elsewhere);
-        self.services.set_routes(routes);
+        let there = there.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
+        let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
+        let announced = |end: &ServiceEndpoint| transit.announced(&end.origin).is_some();
+        let ends = here.services.iter().map(AsRef::as_ref);
+        let routes = Routes::of(Self::SIDE, &self.rules, ends, &there, self.services.routes(), announced);
+        // Before they are announced: who hears of a service may ask at once.
+        if !self.services.set_routes(routes, ()).wait(PATIENCE) {
+            tracing::warn!("services change slowly: some are announced before they can be asked");
+        }
     }
 
     fn say(&mut self, word: Word) {
@@ -247,6 +239,14 @@ impl NetworkSide {
         }
         self.is_unseen = true;
     }
+}
+
+/// A topic or a service as the network of `domain` calls it.
+pub(crate) fn wire_key(domain: u32, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
+    let type_id =
+        || Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? });
+    let type_id = type_id().ok_or_else(|| format!("'{}' is no ROS 2 type name", key.type_name))?;
+    Ok(TopicKey { domain, topic: key.far_topic.clone(), type_id })
 }
 
 impl FarSide for NetworkSide {
@@ -337,7 +337,6 @@ impl FarSide for NetworkSide {
         transit: &Transit,
         _: &Writers<Writer>,
     ) {
-        // Before they are announced: who hears of a service may ask at once.
         self.route_services(here, services, transit);
         for word in std::mem::take(&mut self.words) {
             self.say(word);
@@ -349,7 +348,7 @@ impl FarSide for NetworkSide {
         if is_missed {
             self.resync();
         }
-        self.services.look();
+        self.services.try_again(|| ());
         self.incoming.values().for_each(Incoming::look);
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
         self.ask_for_types();
@@ -436,6 +435,8 @@ impl FarSide for NetworkSide {
         stats.type_descriptions = self.descriptions.counts().clone();
         stats.unauthorized = crate::access::refused();
         stats.not_mirrored = report.problems;
+        stats.not_mirrored.extend(self.services.problems());
+        stats.services = self.services.read().into_iter().map(ServiceStats::from).collect();
         stats.topics =
             report.topics.into_iter().map(|topic| topic.named(TopicNames::of, |way| way)).collect();
     }

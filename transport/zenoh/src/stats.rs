@@ -5,7 +5,7 @@ use crate::graph::Refused;
 use serde::Serialize;
 use std::collections::BTreeMap;
 pub use tautline_relay::Direction;
-use tautline_relay::TopicKey;
+use tautline_relay::{ServiceReading, TopicKey};
 
 /// What a topic is called.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -56,6 +56,33 @@ pub struct Stats {
     pub throttled: u64,
     /// Every topic that is or was mirrored.
     pub topics: Vec<TopicStats>,
+    /// Every service that is or was mirrored.
+    pub services: Vec<ServiceStats>,
+}
+
+/// A service, of which the gateway stands for the server.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ServiceStats {
+    /// The service.
+    pub service: String,
+    /// Its type.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// To whom it is offered: `out` is a service of this host.
+    pub direction: Direction,
+    /// Whether it is offered now.
+    pub active: bool,
+    /// Requests that were answered.
+    pub answered: u64,
+    /// Requests that were not, by reason.
+    pub failed: BTreeMap<String, u64>,
+}
+
+impl From<ServiceReading> for ServiceStats {
+    fn from(reading: ServiceReading) -> Self {
+        let ServiceReading { key, direction, active, answered, failed } = reading;
+        ServiceStats { service: key.topic, type_name: key.type_name, direction, active, answered, failed }
+    }
 }
 
 impl Stats {
@@ -74,6 +101,7 @@ impl Stats {
             unauthorized: BTreeMap::new(),
             throttled: 0,
             topics: Vec::new(),
+            services: Vec::new(),
         }
     }
 }

@@ -1,29 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What was answered through the bridge and what was not, per service.
+//! What was answered through a mirror and what was not, per service.
 
-use super::routes::ServiceKey;
-use crate::stats::Direction;
-use serde::Serialize;
+use crate::mirror::TopicKey;
+use crate::rules::Direction;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Reasons that are told apart; of more, all are one.
 const MOST_REASONS: usize = 16;
-/// Services that are counted; of more, those that are not bridged any more are forgotten.
+/// Services that are counted; of more, those that are not mirrored any more are forgotten.
 const MOST_SERVICES: usize = 1024;
 
-/// A service, of which the bridge stands for the server.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ServiceStats {
-    /// Tautline's name of it.
-    pub service: String,
-    /// ROS's name of it.
-    pub ros_service: String,
-    /// Its type.
-    #[serde(rename = "type")]
-    pub type_name: String,
-    /// To whom it is offered: `to_ros` is a service of Tautline's.
+/// A service, of which the mirror stands for the server.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceReading {
+    /// Which one.
+    pub key: TopicKey,
+    /// `Out` is a service of the domain's.
     pub direction: Direction,
     /// Whether it is offered now.
     pub active: bool,
@@ -68,10 +62,10 @@ impl Counters {
 
 /// The counters of all services.
 #[derive(Debug, Default)]
-pub(super) struct Book(Mutex<BTreeMap<(ServiceKey, Direction), Arc<Counters>>>);
+pub(super) struct Book(Mutex<BTreeMap<(TopicKey, Direction), Arc<Counters>>>);
 
 impl Book {
-    pub(super) fn counters(&self, key: &ServiceKey, direction: Direction) -> Arc<Counters> {
+    pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() >= MOST_SERVICES {
             all.retain(|_, counters| counters.active.load(Ordering::Relaxed));
@@ -79,12 +73,10 @@ impl Book {
         all.entry((key.clone(), direction)).or_default().clone()
     }
 
-    pub(super) fn read(&self) -> Vec<ServiceStats> {
+    pub(super) fn read(&self) -> Vec<ServiceReading> {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let stats = |((key, direction), counters): (&(ServiceKey, Direction), &Arc<Counters>)| ServiceStats {
-            service: key.service.clone(),
-            ros_service: key.ros_service.clone(),
-            type_name: key.type_name.clone(),
+        let stats = |((key, direction), counters): (&(TopicKey, Direction), &Arc<Counters>)| ServiceReading {
+            key: key.clone(),
             direction: *direction,
             active: counters.active.load(Ordering::Relaxed),
             answered: counters.answered.load(Ordering::Relaxed),
@@ -101,14 +93,15 @@ mod tests {
     #[test]
     fn reasons_do_not_grow_without_end() {
         let book = Book::default();
-        let key = ServiceKey { service: "/a".into(), ros_service: "/b".into(), type_name: "c/srv/D".into() };
-        let counters = book.counters(&key, Direction::ToRos);
+        let (topic, far_topic, type_name) = ("/a".into(), "/b".into(), "c/srv/D".into());
+        let key = TopicKey { topic, far_topic, type_name, type_hash: None };
+        let counters = book.counters(&key, Direction::Out);
         for index in 0..100 {
             counters.failed(index % 50);
         }
         counters.answered();
         let all = book.read();
-        let ServiceStats { answered, failed, active, .. } = &all[0];
+        let ServiceReading { answered, failed, active, .. } = &all[0];
         assert_eq!((all.len(), *answered, *active, failed.len()), (1, 1, false, MOST_REASONS + 1));
         assert_eq!((failed["0"], failed.values().sum::<u64>()), (2, 100));
     }

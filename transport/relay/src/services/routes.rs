@@ -1,50 +1,41 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which services go which way: decided here from what exists on both sides, done elsewhere.
 
+use crate::mirror::{Side, TopicKey};
+use crate::rules::{Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
-use tautline_relay::{Direction, Rules};
 use tautline_transport::{Gid, NodeName, ServiceEndpoint, ServiceKind};
 
-/// A service on both sides.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(crate) struct ServiceKey {
-    /// Tautline's name of it.
-    pub(crate) service: String,
-    /// ROS's name of it.
-    pub(crate) ros_service: String,
-    /// Its type.
-    pub(crate) type_name: String,
-}
-
-/// A service that Tautline has.
+/// A service that the domain has.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct OfferedService {
+pub struct OfferedService {
     /// What its server says of its type.
-    pub(crate) type_hash: Option<String>,
+    pub type_hash: Option<String>,
     /// The server's node.
-    pub(crate) node: Option<NodeName>,
+    pub node: Option<NodeName>,
 }
 
-/// A service that ROS has.
+/// A service that the far side has.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct SoughtService {
-    /// What Tautline's clients say of its type.
-    pub(crate) type_hash: Option<String>,
-    /// Its servers in ROS.
-    pub(crate) servers: BTreeSet<ServerId>,
+pub struct SoughtService {
+    /// What clients here say of its type.
+    pub type_hash: Option<String>,
+    /// Its servers there.
+    pub servers: BTreeSet<ServerId>,
 }
 
-/// A server in ROS.
+/// A server on the far side.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct ServerId {
-    pub(crate) node: Option<NodeName>,
+pub struct ServerId {
+    /// Its node.
+    pub node: Option<NodeName>,
     /// Where it takes requests; zero if that is not known (yet): not every RMW tells.
-    pub(crate) gid: Gid,
+    pub gid: Gid,
 }
 
 impl ServerId {
     /// Whether both may be the same one.
-    pub(crate) fn is(&self, other: &ServerId) -> bool {
+    pub fn is(&self, other: &ServerId) -> bool {
         let is_unknown = [self.gid, other.gid].contains(&Gid::default());
         self.node == other.node && (is_unknown || self.gid == other.gid)
     }
@@ -52,20 +43,21 @@ impl ServerId {
 
 /// Which services go which way.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Routes {
-    /// Tautline's: ROS may ask.
-    pub(crate) offered: BTreeMap<ServiceKey, OfferedService>,
-    /// Those that only ROS has, with clients here.
-    pub(crate) sought: BTreeMap<ServiceKey, SoughtService>,
-    /// Services that cannot be bridged, and why.
-    pub(crate) problems: BTreeMap<String, String>,
+pub struct Routes {
+    /// The domain's: the far side may ask.
+    pub offered: BTreeMap<TopicKey, OfferedService>,
+    /// Those that only the far side has, with clients here.
+    pub sought: BTreeMap<TopicKey, SoughtService>,
+    /// Services that cannot be mirrored, and why.
+    pub problems: BTreeMap<String, String>,
 }
 
 impl Routes {
-    /// What follows from what exists: `here` in the domain, `there` in ROS, both without what this bridge made. A server here that
+    /// What follows from what exists: `here` in the domain, `there` on the far side, both without what this mirror made. A server here that
     /// is not `announced` is left to somebody else. What was offered `before` stays so though ROS gets a server of it: two would make
     /// way for each other for ever.
-    pub(crate) fn of<'e>(
+    pub fn of<'e>(
+        side: Side,
         rules: &Rules,
         here: impl IntoIterator<Item = &'e ServiceEndpoint>,
         there: &[ServiceEndpoint],
@@ -78,12 +70,51 @@ impl Routes {
             services.entry(&end.name).or_default().push(end);
         }
         for (name, ends) in services {
-            routes.add(rules, name, &ends, there, before, &announced);
+            match side {
+                Side::Ros => routes.of_one_type(rules, name, &ends, there, before, &announced),
+                Side::Network => routes.of_each_type(rules, name, &ends, there, &announced),
+            }
         }
         routes
     }
 
-    fn add(
+    /// Each type of a service is one of its own, and servers of one name on several hosts are nobody's trouble.
+    fn of_each_type(
+        &mut self,
+        rules: &Rules,
+        service: &str,
+        here: &[&ServiceEndpoint],
+        there: &[ServiceEndpoint],
+        announced: &impl Fn(&ServiceEndpoint) -> bool,
+    ) {
+        let Some(choice) = rules.choice(service) else { return };
+        let mut types: BTreeMap<(&str, Option<&str>), Vec<&ServiceEndpoint>> = BTreeMap::new();
+        let type_of = |end: &ServiceEndpoint| (end.type_name.clone(), end.type_hash.clone());
+        for end in here {
+            types.entry((&end.type_name, end.type_hash.as_deref())).or_default().push(end);
+        }
+        for ((type_name, hash), ends) in types {
+            let type_hash = hash.map(str::to_owned);
+            let (topic, far_topic) = (service.to_owned(), choice.far_topic.clone());
+            let key =
+                TopicKey { topic, far_topic, type_name: type_name.to_owned(), type_hash: type_hash.clone() };
+            let servers: Vec<&&ServiceEndpoint> =
+                ends.iter().filter(|end| end.kind == ServiceKind::Server).collect();
+            let same =
+                there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.far_topic);
+            let same: Vec<&ServiceEndpoint> =
+                same.filter(|end| type_of(end) == (key.type_name.clone(), type_hash.clone())).collect();
+            if choice.goes(Direction::Out) && servers.iter().any(|end| announced(end)) {
+                self.offered.insert(key, OfferedService { type_hash, node: None });
+            } else if choice.goes(Direction::In) && servers.is_empty() && !same.is_empty() {
+                // Who is left is a client.
+                self.seek(key, ends[0], &same);
+            }
+        }
+    }
+
+    /// A service has one type, and one server.
+    fn of_one_type(
         &mut self,
         rules: &Rules,
         service: &str,
@@ -111,10 +142,11 @@ impl Routes {
             );
             return drop(self.problems.insert(service.to_owned(), reason));
         }
-        let key = ServiceKey {
-            service: service.to_owned(),
-            ros_service: choice.far_topic.clone(),
+        let key = TopicKey {
+            topic: service.to_owned(),
+            far_topic: choice.far_topic.clone(),
             type_name: end.type_name.clone(),
+            type_hash: None,
         };
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
             servers.partition(|server| server.type_name == end.type_name);
@@ -153,7 +185,7 @@ impl Routes {
     }
 
     /// For who asks as `end` does.
-    fn seek(&mut self, key: ServiceKey, end: &ServiceEndpoint, servers: &[&ServiceEndpoint]) {
+    fn seek(&mut self, key: TopicKey, end: &ServiceEndpoint, servers: &[&ServiceEndpoint]) {
         let id = |server: &&ServiceEndpoint| ServerId { node: server.node.clone(), gid: server.gid };
         let servers = servers.iter().map(id).collect();
         self.sought.insert(key, SoughtService { type_hash: end.type_hash.clone(), servers });
@@ -163,7 +195,7 @@ impl Routes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tautline_relay::Rule;
+    use crate::rules::Rule;
     use tautline_transport::Origin;
 
     const SET_BOOL: &str = "std_srvs/srv/SetBool";
@@ -191,12 +223,12 @@ mod tests {
         end(ServiceKind::Client, name, SET_BOOL)
     }
 
-    fn names<T>(keys: &BTreeMap<ServiceKey, T>) -> Vec<(&str, &str)> {
-        keys.keys().map(|key| (&*key.service, &*key.ros_service)).collect()
+    fn names<T>(keys: &BTreeMap<TopicKey, T>) -> Vec<(&str, &str)> {
+        keys.keys().map(|key| (&*key.topic, &*key.far_topic)).collect()
     }
 
     fn of(rules: &Rules, here: &[ServiceEndpoint], there: &[ServiceEndpoint]) -> Routes {
-        Routes::of(rules, here, there, &Routes::default(), |_| true)
+        Routes::of(Side::Ros, rules, here, there, &Routes::default(), |_| true)
     }
 
     #[test]
@@ -209,7 +241,7 @@ mod tests {
         assert_eq!(names(&routes.offered), [("/here", "/here")]);
         assert_eq!(names(&routes.sought), [("/there", "/there")]);
         assert_eq!(routes.sought.values().next().unwrap().servers.len(), 2);
-        assert!(routes.sought.keys().all(|key| key.service != "/both"));
+        assert!(routes.sought.keys().all(|key| key.topic != "/both"));
         assert!(routes.problems["/both"].contains("both Tautline and ROS"), "{:?}", routes.problems);
         assert_eq!(of(&Rules::default(), &here, &there), Routes::default());
     }
@@ -264,8 +296,34 @@ mod tests {
     fn what_is_offered_stays_so() {
         let rules = Rules { auto: true, ..Rules::default() };
         let first = of(&rules, &[server("/a")], &[]);
-        let second = Routes::of(&rules, &[server("/a")], &[server("/a")], &first, |_| true);
+        let second = Routes::of(Side::Ros, &rules, &[server("/a")], &[server("/a")], &first, |_| true);
         assert_eq!((names(&second.offered), second.problems.len()), (vec![("/a", "/a")], 1));
-        assert!(Routes::of(&rules, &[], &[server("/a")], &second, |_| true).offered.is_empty());
+        assert!(Routes::of(Side::Ros, &rules, &[], &[server("/a")], &second, |_| true).offered.is_empty());
+    }
+
+    #[test]
+    fn on_a_network_each_type_is_a_service_of_its_own() {
+        let rules = Rules { auto: true, ..Rules::default() };
+        let typed = |end: ServiceEndpoint, digit: &str| ServiceEndpoint {
+            type_hash: Some(format!("RIHS01_{digit}")),
+            ..end
+        };
+        let one = |end| typed(end, "1");
+        let here = [
+            one(server("/one")),
+            one(client("/one")),
+            one(client("/two")),
+            typed(server("/three"), "2"),
+            one(client("/three")),
+            // Somebody else announces what this domain has too.
+            one(server("/four")),
+            one(client("/four")),
+            one(client("/nowhere")),
+        ];
+        let there = ["/one", "/two", "/three", "/four"].map(|name| one(server(name)));
+        let announced = |end: &ServiceEndpoint| end.name != "/four";
+        let routes = Routes::of(Side::Network, &rules, &here, &there, &Routes::default(), announced);
+        assert_eq!(names(&routes.offered), [("/one", "/one"), ("/three", "/three")]);
+        assert_eq!(names(&routes.sought), [("/three", "/three"), ("/two", "/two")]);
     }
 }

@@ -1,0 +1,318 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The thread that carries requests and responses.
+
+use super::offered::{FarServer, Offered};
+use super::routes::{OfferedService, Routes, SoughtService};
+use super::sought::{FarClient, Sought};
+use super::stats::{Book, ServiceReading};
+use crate::mirror::TopicKey;
+use crate::rules::Direction;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::task::{Context, Waker};
+use std::time::Duration;
+use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
+use tautline_transport::{Participant, ServiceType};
+
+/// How often it is looked whether a server there is reached.
+const SEEK_PERIOD: Duration = Duration::from_millis(20);
+/// How often it is looked whether one that is reached still is, and whether requests have waited long enough.
+const LOOK_PERIOD: Duration = Duration::from_millis(500);
+
+/// The far side's part in services, which the thread has.
+pub trait FarServices: Send + Sized + 'static {
+    /// What takes requests there.
+    type Server: FarServer;
+    /// What asks there.
+    type Client: FarClient;
+    /// What ends there are made with.
+    type With: Send;
+
+    /// Finds the type of a service of the domain's, and makes what takes requests for it with the function returned.
+    ///
+    /// # Errors
+    /// Why it cannot be offered.
+    #[allow(clippy::type_complexity, reason = "named nowhere else")]
+    fn offer<'a>(
+        &'a mut self,
+        key: &'a TopicKey,
+        service: &'a OfferedService,
+        with: &'a Self::With,
+    ) -> Result<(ServiceType, Box<dyn FnOnce() -> Result<Self::Server, String> + 'a>), String>;
+
+    /// Makes what asks a service there.
+    ///
+    /// # Errors
+    /// Why it cannot be asked.
+    fn seek(
+        &mut self,
+        key: &TopicKey,
+        service: &SoughtService,
+    ) -> Result<(ServiceType, Self::Client), String>;
+
+    /// Ends the thread's [`wait`](Self::wait), or else the next one.
+    fn waker(&self) -> Waker;
+
+    /// Before anything else, in the thread.
+    fn begin(&mut self) {}
+
+    /// Waits until something comes there, or the waker woke, at most for `timeout` if there is one.
+    ///
+    /// # Errors
+    /// Why that is not possible.
+    fn wait(
+        &mut self,
+        servers: &[&Self::Server],
+        clients: &[&Self::Client],
+        timeout: Option<Duration>,
+    ) -> Result<Arrived, String>;
+}
+
+/// Which of the servers and clients have something to take, in their order.
+pub struct Arrived {
+    /// Servers.
+    pub requests: Vec<bool>,
+    /// Clients.
+    pub responses: Vec<bool>,
+}
+
+/// The thread; dropping it ends it.
+pub struct Services<F: FarServices> {
+    commands: Option<mpsc::Sender<Command<F>>>,
+    routes: Routes,
+    shared: Arc<Shared>,
+    waker: Waker,
+    thread: Option<JoinHandle<()>>,
+}
+
+struct Command<F: FarServices> {
+    routes: Routes,
+    with: F::With,
+    /// Dropped when it was obeyed.
+    _done: mpsc::Sender<()>,
+}
+
+/// Tells when services are offered as was said.
+pub struct Obeyed(Option<mpsc::Receiver<()>>);
+
+impl Obeyed {
+    /// Waits until then, at most so long. Whether it is so.
+    pub fn wait(self, timeout: Duration) -> bool {
+        let timed_out = Err(mpsc::RecvTimeoutError::Timeout);
+        self.0.is_none_or(|done| done.recv_timeout(timeout) != timed_out)
+    }
+}
+
+/// What the thread and its owner both have.
+#[derive(Default)]
+struct Shared {
+    stop: AtomicBool,
+    book: Book,
+    /// Services that could not be opened, and why.
+    problems: Mutex<BTreeMap<String, String>>,
+}
+
+impl Shared {
+    fn problems(&self) -> MutexGuard<'_, BTreeMap<String, String>> {
+        self.problems.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<F: FarServices> Services<F> {
+    /// Starts the thread. The participant's sampler, another thread, wakes it.
+    ///
+    /// # Errors
+    /// [`RtError`]: a missing privilege.
+    pub fn start(participant: &Participant, far: F, thread: ThreadBuilder) -> Result<Self, RtError> {
+        let (commands, received) = mpsc::channel();
+        let (shared, waker) = (Arc::<Shared>::default(), far.waker());
+        let (offered, sought, refused) = Default::default();
+        let exchange = Exchange {
+            commands: received,
+            offered,
+            sought,
+            participant: participant.clone(),
+            far,
+            waker: waker.clone(),
+            shared: shared.clone(),
+            refused,
+        };
+        let thread = thread.spawn(move || move || exchange.run())?;
+        let (commands, thread) = (Some(commands), Some(thread));
+        Ok(Services { commands, routes: Routes::default(), shared, waker, thread })
+    }
+
+    /// The thread, as it was read back.
+    pub fn info(&self) -> Option<&ThreadInfo> {
+        self.thread.as_ref().map(JoinHandle::info)
+    }
+
+    /// Which services go which way from now on, and what ends there are made with.
+    pub fn set_routes(&mut self, routes: Routes, with: F::With) -> Obeyed {
+        if routes == self.routes {
+            return Obeyed(None);
+        }
+        self.routes = routes.clone();
+        let (_done, obeyed) = mpsc::channel();
+        if let Some(commands) = &self.commands {
+            // Ignored: the thread ends when this does.
+            let _ = commands.send(Command { routes, with, _done });
+            self.waker.wake_by_ref();
+        }
+        Obeyed(Some(obeyed))
+    }
+
+    /// As they were set last.
+    pub fn routes(&self) -> &Routes {
+        &self.routes
+    }
+
+    /// Services that are not mirrored, and why.
+    pub fn problems(&self) -> BTreeMap<String, String> {
+        let mut problems = self.routes.problems.clone();
+        problems.extend(self.shared.problems().clone());
+        problems
+    }
+
+    /// What could not be opened may be possible now: there is memory, a package was installed.
+    pub fn try_again(&mut self, with: impl FnOnce() -> F::With) {
+        if !self.shared.problems().is_empty() {
+            let routes = std::mem::take(&mut self.routes);
+            self.set_routes(routes, with());
+        }
+    }
+
+    /// What was answered and what was not.
+    pub fn read(&self) -> Vec<ServiceReading> {
+        self.shared.book.read()
+    }
+}
+
+impl<F: FarServices> Drop for Services<F> {
+    fn drop(&mut self) {
+        self.commands = None;
+        self.shared.stop.store(true, Ordering::Release);
+        self.waker.wake_by_ref();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Exchange<F: FarServices> {
+    commands: mpsc::Receiver<Command<F>>,
+    offered: BTreeMap<TopicKey, Offered<F::Server>>,
+    sought: BTreeMap<TopicKey, Sought<F::Client>>,
+    participant: Participant,
+    far: F,
+    waker: Waker,
+    shared: Arc<Shared>,
+    /// Why those that are wanted could not be opened last.
+    refused: BTreeMap<TopicKey, String>,
+}
+
+impl<F: FarServices> Exchange<F> {
+    fn run(mut self) {
+        self.far.begin();
+        while !self.shared.stop.load(Ordering::Acquire) {
+            if let Some(command) = self.commands.try_iter().last() {
+                self.set_routes(&command.routes, &command.with);
+            }
+            let is_busy = self.poll();
+            if let Err(error) = self.wait(is_busy) {
+                // What was said once is enough; a thread of this priority must not spin.
+                tracing::error!("services are not mirrored: {error}");
+                std::thread::sleep(Duration::from_secs(1));
+            }
+        }
+    }
+
+    /// What happened in the domain. Says whether there may be more.
+    fn poll(&mut self) -> bool {
+        let mut context = Context::from_waker(&self.waker);
+        let mut is_busy = false;
+        let mut refused = Vec::new();
+        self.offered.values_mut().for_each(|offered| offered.poll(&mut context));
+        for (key, sought) in &mut self.sought {
+            match sought.poll(&mut context) {
+                Ok(has_more) => is_busy |= has_more,
+                Err(error) => refused.push((key.clone(), error.to_string())),
+            }
+        }
+        for (key, reason) in refused {
+            self.sought.remove(&key);
+            self.refuse(&key, reason);
+        }
+        is_busy
+    }
+
+    /// Waits, and takes what came there.
+    fn wait(&mut self, is_busy: bool) -> Result<(), String> {
+        let is_looked_at = F::Client::IS_LOOKED_AT && !self.sought.is_empty();
+        let timeout = match self.sought.values().any(Sought::is_seeking) {
+            _ if is_busy => Some(Duration::ZERO),
+            true => Some(SEEK_PERIOD),
+            false if !is_looked_at && !self.offered.values().any(Offered::is_waiting) => None,
+            false => Some(LOOK_PERIOD),
+        };
+        let servers: Vec<&F::Server> = self.offered.values().map(Offered::far).collect();
+        let clients: Vec<&F::Client> = self.sought.values().map(Sought::far).collect();
+        let Arrived { requests, responses } = self.far.wait(&servers, &clients, timeout)?;
+        let mut has_more = false;
+        for (offered, _) in self.offered.values_mut().zip(requests).filter(|(_, is_ready)| *is_ready) {
+            has_more |= offered.serve();
+        }
+        for (sought, _) in self.sought.values_mut().zip(responses).filter(|(_, is_ready)| *is_ready) {
+            has_more |= sought.serve();
+        }
+        if has_more {
+            self.waker.wake_by_ref();
+        }
+        Ok(())
+    }
+
+    fn set_routes(&mut self, routes: &Routes, with: &F::With) {
+        self.offered.retain(|key, _| routes.offered.contains_key(key));
+        self.sought.retain(|key, _| routes.sought.contains_key(key));
+        self.refused.retain(|key, _| routes.offered.contains_key(key) || routes.sought.contains_key(key));
+        self.shared.problems().clear();
+        for (key, service) in &routes.offered {
+            if !self.offered.contains_key(key) {
+                let counters = self.shared.book.counters(key, Direction::Out);
+                let participant = &self.participant;
+                let offered = self.far.offer(key, service, with).and_then(|(service_type, open)| {
+                    Offered::open(key, service_type, participant, counters, open)
+                });
+                match offered {
+                    Ok(offered) => drop(self.offered.insert(key.clone(), offered)),
+                    Err(reason) => self.refuse(key, reason),
+                }
+            }
+        }
+        for (key, service) in &routes.sought {
+            if !self.sought.contains_key(key) {
+                match self.far.seek(key, service) {
+                    Ok((service_type, client)) => {
+                        let counters = self.shared.book.counters(key, Direction::In);
+                        let sought = Sought::new(key, service_type, client, &self.participant, counters);
+                        self.sought.insert(key.clone(), sought);
+                    }
+                    Err(reason) => self.refuse(key, reason),
+                }
+            }
+            if let Some(sought) = self.sought.get_mut(key) {
+                sought.set_servers(&service.servers);
+            }
+        }
+    }
+
+    /// It is tried again now and then, and said when it is another reason.
+    fn refuse(&mut self, key: &TopicKey, reason: String) {
+        if self.refused.get(key) != Some(&reason) {
+            tracing::warn!("service '{}' is not mirrored: {reason}", key.topic);
+            self.refused.insert(key.clone(), reason.clone());
+        }
+        self.shared.problems().insert(key.topic.clone(), reason);
+    }
+}
