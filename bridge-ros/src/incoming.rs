@@ -20,11 +20,11 @@ const TURN: usize = 64;
 /// How messages come. Those of publishers that are not known yet are waited for longer than it takes to give up the name of a
 /// publisher's node, and the next look at the graph.
 pub(crate) const MANNER: Manner = Manner {
-    early: EarlyLimits {
+    early: Some(EarlyLimits {
         samples: 1000,
         bytes: 64 << 20,
         time: NAME_TIME.saturating_add(Duration::from_secs(3)),
-    },
+    }),
     is_ordered: true,
 };
 /// How often it is looked whether something has waited long enough.

@@ -149,8 +149,8 @@ pub struct Inlet {
 /// How messages of an inlet come.
 #[derive(Clone, Copy, Debug)]
 pub struct Manner {
-    /// How much waits until it is known whose it is.
-    pub early: EarlyLimits,
+    /// How much waits until it is known whose it is; `None`: what nobody tells of passes.
+    pub early: Option<EarlyLimits>,
     /// Whether a publisher's messages come in its order, so that one whose number has been came twice.
     pub is_ordered: bool,
 }
@@ -219,7 +219,10 @@ impl Inlet {
         match self.senders.find(&source.publisher) {
             Sender::Wanted(lifespan) => self.pass(body, source, lifespan),
             Sender::Other => {}
-            Sender::Unknown => self.keep_early(body, source),
+            Sender::Unknown => match self.manner.early {
+                Some(limits) => self.keep_early(body, source, limits),
+                None => self.pass(body, source, None),
+            },
         }
     }
 
@@ -281,8 +284,8 @@ impl Inlet {
         Ok(len_bytes)
     }
 
-    fn keep_early<B: Body + ?Sized>(&mut self, body: &B, source: Source) {
-        let (limits, len_bytes) = (self.manner.early, body.len_bytes());
+    fn keep_early<B: Body + ?Sized>(&mut self, body: &B, source: Source, limits: EarlyLimits) {
+        let len_bytes = body.len_bytes();
         if self.early.len() >= limits.samples || self.early_bytes + len_bytes > limits.bytes {
             return self.counters.dropped(Refused::Unknown);
         }
@@ -312,7 +315,7 @@ impl Inlet {
 
     /// What has waited long enough goes. To be called now and then.
     pub fn look(&mut self) {
-        let time = self.manner.early.time;
+        let Some(EarlyLimits { time, .. }) = self.manner.early else { return };
         let is_late = |early: &Early| early.since.elapsed() >= time;
         if self.early.first().is_some_and(is_late) {
             let (counters, bytes) = (&self.counters, &mut self.early_bytes);
@@ -354,7 +357,7 @@ mod tests {
 
     const NAMES: [Gid; 3] = [Gid([1; 16]), Gid([2; 16]), Gid([3; 16])];
     const MANNER: Manner = Manner {
-        early: EarlyLimits { samples: 2, bytes: 100, time: Duration::from_secs(3600) },
+        early: Some(EarlyLimits { samples: 2, bytes: 100, time: Duration::from_secs(3600) }),
         is_ordered: true,
     };
 
@@ -445,6 +448,11 @@ mod tests {
             |wanted: &[_]| Change { senders: senders(wanted), limiter: Limiter::new(None), port: None };
         inlet.change(change(&[(new, None)]));
         assert_eq!([take().is_some(), take().is_some(), take().is_some()], [true, true, false]);
+
+        // Where that is not told of everybody, they pass.
+        inlet.manner.early = None;
+        inlet.receive(&text[..], source(Gid([9; 16]), 1));
+        assert_eq!([take().is_some(), take().is_some()], [true, false]);
 
         // An hour is over, or not, by the stamp of the other host.
         const HOUR: Duration = Duration::from_secs(3600);

@@ -8,7 +8,7 @@
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
 use std::sync::Arc;
 use std::time::Duration;
-use tautline_relay::{Body, Change, Counters, EarlyLimits, Inlet, Inward, Manner, Source};
+use tautline_relay::{Body, Change, Counters, Inlet, Inward, Manner, Source};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
 use tautline_transport::{Durability, Reliability};
@@ -17,12 +17,9 @@ use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
 
-/// How messages come: from several links, and again those that are kept. Until the control thread has seen their publisher's token some
-/// of them wait.
-pub(crate) const MANNER: Manner = Manner {
-    early: EarlyLimits { samples: 64, bytes: 4 << 20, time: Duration::from_secs(2) },
-    is_ordered: false,
-};
+/// How messages come: from several links, and again those that are kept. Other implementations of the wire write gids that their tokens
+/// do not tell (hiroz, zenoh-ros2-sdk).
+pub(crate) const MANNER: Manner = Manner { early: None, is_ordered: false };
 /// A time stamp further ahead of this host's clock is no time.
 const FUTURE_NS: i64 = 3_600_000_000_000;
 /// How long a publisher is waited for that was asked for what it keeps.
@@ -87,11 +84,6 @@ impl Incoming {
     /// See [`Inlet::change`].
     pub(crate) fn change(&self, change: Change) {
         self.inlet.with(|inlet| inlet.change(change));
-    }
-
-    /// See [`Inlet::look`].
-    pub(crate) fn look(&self) {
-        self.inlet.with(Inlet::look);
     }
 
     /// What another one goes on with; nothing comes in here any more.

@@ -349,7 +349,6 @@ impl FarSide for NetworkSide {
             self.resync();
         }
         self.services.try_again(|| ());
-        self.incoming.values().for_each(Incoming::look);
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
         self.ask_for_types();
         is_missed
