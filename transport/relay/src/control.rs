@@ -109,6 +109,12 @@ pub trait FarSide: Sized {
     /// Why that is not possible.
     fn start_in(&mut self, key: &InKey, inward: &Inward, inlet: Inlet) -> Result<(), String>;
 
+    /// Whether messages of a class are being taken: one that could not be begun anew may have ended.
+    fn takes(&self, key: &InKey) -> bool {
+        let _ = key;
+        true
+    }
+
     /// What is otherwise with one that is being taken.
     fn change_in(&mut self, key: &InKey, change: Change);
 
@@ -213,6 +219,8 @@ const TICK: Duration = Duration::from_secs(1);
 const PAUSE: Duration = Duration::from_millis(2);
 /// The same for each time that a look took: however much changes, most of the time is left to others.
 const PAUSE_PER_LOOK: u32 = 4;
+/// Events that are heard before anything else has its turn.
+const EVENTS_AT_ONCE: usize = 1024;
 /// Between two looks whether a writer has found its subscriptions.
 const MATCH_LOOK: Duration = Duration::from_millis(2);
 
@@ -304,15 +312,20 @@ impl<F: FarSide> Control<F> {
             if self.is_matching() {
                 until = until.min(Instant::now() + MATCH_LOOK);
             }
-            let mut event = events.recv_timeout(until.saturating_duration_since(Instant::now())).ok();
+            let first = events.recv_timeout(until.saturating_duration_since(Instant::now()));
+            if matches!(first, Err(mpsc::RecvTimeoutError::Disconnected)) {
+                break;
+            }
             // One look for all that changed at once.
-            while let Some(heard) = event {
-                is_changed |= match heard {
+            for event in first.into_iter().chain(events.try_iter()).take(EVENTS_AT_ONCE) {
+                is_changed |= match event {
                     Event::Here => true,
                     Event::There(event) => self.far.hear(event),
-                    Event::Stop => return,
+                    Event::Stop => false,
                 };
-                event = events.try_recv().ok();
+            }
+            if stop.load(Ordering::Acquire) {
+                break;
             }
             // One, however long an update took.
             let elapsed = last_tick.elapsed();
@@ -330,6 +343,11 @@ impl<F: FarSide> Control<F> {
             }
             self.look_for_matches();
         }
+        if is_changed {
+            self.update();
+        }
+        // What was published still goes out.
+        self.out.keys().for_each(|key| self.relay.stop_topic(key.clone()));
     }
 
     /// Brings everything in line with what exists.
@@ -427,7 +445,9 @@ impl<F: FarSide> Control<F> {
     /// Publishers there come and go that a subscription gets messages of though they are none of its class.
     fn renew_senders(&mut self) {
         for (key, taken) in &mut self.inward {
-            let senders = senders(&self.publishers, key, &taken.inward, taken.has_port);
+            // Also of one that goes on as it was, for it could not be begun anew.
+            let Some(publishers) = self.mirror.publishers(key) else { continue };
+            let senders = senders(&self.publishers, key, publishers, taken.has_port);
             if senders != taken.senders {
                 taken.senders = senders.clone();
                 let limiter = Limiter::new(taken.inward.min_period);
@@ -457,9 +477,8 @@ impl<F: FarSide> Control<F> {
                 self.relay.close(key.clone(), *gid);
                 self.writers.remove(key, *gid);
             }
-            Action::StartOut(key, outward)
-                if key.is_of_action() || self.out.contains_key(key) || self.writers.is_matched(key) =>
-            {
+            Action::StartOut(key, outward) if key.is_of_action() || self.out.contains_key(key) => {
+                self.waiting.remove(key);
                 self.start_out(key, outward)?;
             }
             Action::StartOut(key, outward) => {
@@ -500,7 +519,7 @@ impl<F: FarSide> Control<F> {
         let had_port = self.inward.get(key).is_some_and(|taken| taken.has_port);
         let port = if had_port { None } else { self.port(key, inward)?.0 };
         let has_port = had_port || port.is_some();
-        let senders = senders(&self.publishers, key, inward, has_port);
+        let senders = senders(&self.publishers, key, &inward.publishers, has_port);
         let change = Change {
             senders: senders.clone(),
             limiter: Limiter::new(inward.min_period),
@@ -523,18 +542,21 @@ impl<F: FarSide> Control<F> {
         for (key, (outward, since)) in std::mem::take(&mut self.waiting) {
             if !self.writers.is_matched(&key) {
                 self.waiting.insert(key, (outward, since));
-            } else if let Err(reason) = self.start_out(&key, &outward) {
-                self.failed.note(Action::StartOut(key, outward), reason, None);
+                continue;
+            }
+            // Made ahead, so that what is kept finds them.
+            let made = made_senders(&mut self.far, &mut self.writers, |other| *other == key);
+            match self.start_out(&key, &outward) {
+                Ok(()) => made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender)),
+                Err(reason) => {
+                    self.writers.close(&key);
+                    self.failed.note(Action::StartOut(key, outward), reason, None);
+                }
             }
         }
-        let (out, far, relay) = (&self.out, &mut self.far, &self.relay);
-        self.writers.open_matched(
-            |key| out.contains_key(key),
-            |key, gid, writer| match far.sender(key, writer) {
-                Ok(sender) => relay.open(key.clone(), gid, sender),
-                Err(reason) => tracing::warn!("topic '{}' is not sent: {reason}", key.topic),
-            },
-        );
+        let out = &self.out;
+        let made = made_senders(&mut self.far, &mut self.writers, |key| out.contains_key(key));
+        made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender));
     }
 
     fn start_out(&mut self, key: &TopicKey, outward: &Outward) -> Result<(), String> {
@@ -570,10 +592,16 @@ impl<F: FarSide> Control<F> {
             }
         };
         let has_port = !matches!(port, Port::None);
-        let senders = senders(&self.publishers, key, inward, has_port);
+        let senders = senders(&self.publishers, key, &inward.publishers, has_port);
         let (counters, limiter) = (self.counters(&key.topic, Direction::In), Limiter::new(inward.min_period));
         let inlet = Inlet::new(port, schema, counters, limiter, senders.clone(), F::MANNER);
-        self.far.start_in(key, inward, inlet)?;
+        if let Err(reason) = self.far.start_in(key, inward, inlet) {
+            if !self.far.takes(key) {
+                // Begun without what it had, the next time.
+                self.inward.remove(key);
+            }
+            return Err(reason);
+        }
         self.inward.insert(key.clone(), Taken { inward: inward.clone(), has_port, senders });
         Ok(())
     }
@@ -601,18 +629,47 @@ impl<F: FarSide> Control<F> {
         let mut problems = self.problems.clone();
         problems.extend(self.mirror.problems().clone());
         problems.extend(self.failed.reasons());
-        let (out, inward) = (&self.out, &self.inward);
-        let topics =
-            self.book.read(elapsed, TopicKey::clone, |key, direction| is_active(out, inward, key, direction));
+        let out = &self.out;
+        let inward: BTreeSet<&TopicKey> = self.inward.keys().map(|key| &key.topic).collect();
+        let is_active = |key: &TopicKey, direction| match direction {
+            Direction::Out => out.contains_key(key),
+            Direction::In => inward.contains(key),
+        };
+        let topics = self.book.read(elapsed, TopicKey::clone, is_active);
         let uptime_s = self.started.elapsed().as_secs_f64();
         self.far.report(Report { uptime_s, problems, topics }, &self.writers);
     }
 }
 
+/// What passes on the samples of writers of topics that are taken, as far as these have found somebody.
+fn made_senders<F: FarSide>(
+    far: &mut F,
+    writers: &mut Writers<F::Writer>,
+    is_taken: impl Fn(&TopicKey) -> bool,
+) -> Vec<(TopicKey, Gid, <F::Outlet as Outlet>::Sender)> {
+    let mut made = Vec::new();
+    writers.open_matched(is_taken, |key, gid, writer| match far.sender(key, writer) {
+        Ok(sender) => {
+            made.push((key.clone(), gid, sender));
+            true
+        }
+        Err(reason) => {
+            tracing::warn!("topic '{}' is not sent, which is tried again: {reason}", key.topic);
+            false
+        }
+    });
+    made
+}
+
 /// Of the publishers that are known.
-fn senders(known: &HashMap<String, BTreeSet<Gid>>, key: &InKey, inward: &Inward, has_port: bool) -> Senders {
+fn senders(
+    known: &HashMap<String, BTreeSet<Gid>>,
+    key: &InKey,
+    publishers: &BTreeMap<Gid, Option<Duration>>,
+    has_port: bool,
+) -> Senders {
     let none = BTreeSet::new();
-    Senders::of(known.get(&key.topic.far_topic).unwrap_or(&none), &inward.publishers, has_port)
+    Senders::of(known.get(&key.topic.far_topic).unwrap_or(&none), publishers, has_port)
 }
 
 fn is_active(

@@ -41,7 +41,7 @@ pub use rules::{Choice, Direction, QosOverride, Rule, Rules};
 pub use seat::{Office, Seat, SeatError};
 pub use services::{
     Arrived, FarClient, FarServer, FarServices, Obeyed, OfferedService, Response, Routes, ServerId,
-    ServiceReading, Services, SoughtService,
+    ServiceReading, Services, SoughtService, TakenRequest,
 };
 pub use stats::{Book, Counters, Latency, Numbers, Reading, TopicStats, passing};
 pub use transit::{RELAYED_DEPTH, Transit};

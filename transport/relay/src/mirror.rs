@@ -227,6 +227,8 @@ pub struct Mirror {
     writers: BTreeMap<(TopicKey, Gid), Qos>,
     out: BTreeMap<TopicKey, Outward>,
     inward: BTreeMap<InKey, Inward>,
+    /// Topics of which a writer was ended from outside: what it kept has gone with it.
+    forgotten: BTreeSet<TopicKey>,
     problems: BTreeMap<String, String>,
 }
 
@@ -249,8 +251,8 @@ struct WantedWriter {
 impl Mirror {
     /// Nothing exists yet.
     pub fn new(side: Side, rules: Rules) -> Self {
-        let (writers, out, inward, problems) = Default::default();
-        Mirror { side, rules, writers, out, inward, problems }
+        let (writers, out, inward, forgotten, problems) = Default::default();
+        Mirror { side, rules, writers, out, inward, forgotten, problems }
     }
 
     /// What the rules say.
@@ -281,14 +283,18 @@ impl Mirror {
         for key in self.inward.keys().filter(|key| !wanted.inward.contains_key(*key)) {
             actions.push(Action::StopIn(key.clone()));
         }
-        // Topics with a publisher of elsewhere that was not announced before and keeps samples: these were passed over, maybe.
+        // Topics with a publisher that keeps samples which were passed over, maybe, for it is elsewhere, or went with its writer.
         let mut regained = BTreeSet::new();
+        let forgotten = std::mem::take(&mut self.forgotten);
         for (writer, WantedWriter { qos, hash, is_here }) in &wanted.writers {
             if self.writers.get(writer) != Some(qos) {
                 let (key, gid) = writer.clone();
-                if self.writers.contains_key(writer) {
+                let is_made_anew = self.writers.contains_key(writer);
+                if is_made_anew {
                     actions.push(Action::CloseWriter(key.clone(), gid));
-                } else if !is_here && qos.durability == Durability::TransientLocal {
+                }
+                let is_again = is_made_anew || forgotten.contains(&key) || !is_here;
+                if is_again && qos.durability == Durability::TransientLocal {
                     regained.insert(key.clone());
                 }
                 actions.push(Action::OpenWriter(key, gid, *qos, hash.clone()));
@@ -363,6 +369,12 @@ impl Mirror {
     /// What stands for this publisher has been ended: it is made anew, if it is still wanted.
     pub fn forget_writer(&mut self, key: &TopicKey, gid: Gid) {
         self.writers.remove(&(key.clone(), gid));
+        self.forgotten.insert(key.clone());
+    }
+
+    /// The publishers of a class whose messages come in here, each with its lifespan.
+    pub fn publishers(&self, key: &InKey) -> Option<&BTreeMap<Gid, Option<Duration>>> {
+        self.inward.get(key).map(|inward| &inward.publishers)
     }
 
     /// Whether a topic exists in ROS for the ends here with this type.

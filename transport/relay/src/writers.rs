@@ -17,6 +17,17 @@ struct Held<W> {
     opened: Instant,
     /// Whether samples go through it.
     is_open: bool,
+    /// If they cannot: when that is tried again.
+    later: Option<Instant>,
+}
+
+/// How long after a failure it is tried again.
+const LATER: Duration = Duration::from_secs(1);
+
+impl<W: FarWriter> Held<W> {
+    fn is_due(&self, now: Instant) -> bool {
+        !self.is_open && self.later.is_none_or(|later| now >= later)
+    }
 }
 
 /// What stands for a publisher here.
@@ -33,7 +44,7 @@ impl<W> Default for Writers<W> {
 
 impl<W: FarWriter> Writers<W> {
     pub(crate) fn insert(&mut self, key: TopicKey, gid: Gid, writer: W) {
-        self.0.insert((key, gid), Held { writer, opened: Instant::now(), is_open: false });
+        self.0.insert((key, gid), Held { writer, opened: Instant::now(), is_open: false, later: None });
     }
 
     pub(crate) fn remove(&mut self, key: &TopicKey, gid: Gid) {
@@ -69,22 +80,24 @@ impl<W: FarWriter> Writers<W> {
 
     /// Whether samples are to go through one soon, of topics that are taken.
     pub(crate) fn is_opening(&self, is_taken: impl Fn(&TopicKey) -> bool) -> bool {
-        self.0.iter().any(|((key, _), held)| !held.is_open && is_taken(key))
+        let now = Instant::now();
+        self.0.iter().any(|((key, _), held)| held.is_due(now) && is_taken(key))
     }
 
     /// Opens those of topics that are taken once they have found somebody: what was sent before would be lost. One that finds
-    /// nobody, while others do, does not keep its samples waiting for ever.
+    /// nobody, while others do, does not keep its samples waiting for ever. `open` says whether that was possible, which it is tried
+    /// again.
     pub(crate) fn open_matched(
         &mut self,
         is_taken: impl Fn(&TopicKey) -> bool,
-        mut open: impl FnMut(&TopicKey, Gid, &W),
+        mut open: impl FnMut(&TopicKey, Gid, &W) -> bool,
     ) {
         let now = Instant::now();
         for ((key, gid), held) in &mut self.0 {
             let is_ready = || held.writer.is_matched() || now >= held.opened + MATCH_TIME;
-            if !held.is_open && is_taken(key) && is_ready() {
-                held.is_open = true;
-                open(key, *gid, &held.writer);
+            if held.is_due(now) && is_taken(key) && is_ready() {
+                held.is_open = open(key, *gid, &held.writer);
+                held.later = (!held.is_open).then_some(now + LATER);
             }
         }
     }

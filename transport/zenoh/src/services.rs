@@ -5,11 +5,11 @@
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey, check_encapsulation};
 use futures::task::{ArcWake, waker};
 use std::collections::{BTreeSet, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::task::Waker;
 use std::thread::Thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tautline_relay::{
     Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, SoughtService,
 };
@@ -20,8 +20,8 @@ use zenoh::bytes::ZBytes;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
 use zenoh::{Session, Wait};
 
-/// Queries, or answers, of one service that wait for the thread: of more, each ends without an answer.
-const MOST_WAITING: usize = 1024;
+/// Queries and answers that wait for the thread: of more, each ends without an answer.
+const MOST_WAITING: usize = 4096;
 /// When Zenoh gives up: a client's own limit comes before. An action's result may take as long as it likes.
 const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
 
@@ -36,10 +36,29 @@ pub(crate) struct NetworkServices {
 #[derive(Default)]
 struct Bell {
     thread: OnceLock<Thread>,
+    is_rung: AtomicBool,
+    /// Queries and answers of all services that wait for the thread.
+    waiting: AtomicUsize,
+}
+
+impl Bell {
+    /// Until it was rung, at most so long.
+    fn sleep(&self, timeout: Option<Duration>) {
+        let end = timeout.map(|timeout| Instant::now() + timeout);
+        // Whatever else the thread calls may have taken what unparks it.
+        while !self.is_rung.swap(false, Ordering::SeqCst) {
+            match end.map(|end| end.saturating_duration_since(Instant::now())) {
+                Some(Duration::ZERO) => return,
+                Some(left) => std::thread::park_timeout(left),
+                None => std::thread::park(),
+            }
+        }
+    }
 }
 
 impl ArcWake for Bell {
     fn wake_by_ref(bell: &Arc<Self>) {
+        bell.is_rung.store(true, Ordering::SeqCst);
         // Before it has begun it waits for nothing.
         if let Some(thread) = bell.thread.get() {
             thread.unpark();
@@ -60,24 +79,29 @@ impl<T> Inbox<T> {
 
     /// Whether there is room for it.
     fn push(&self, item: T, most: usize) -> bool {
-        let has_room = {
-            let mut waiting = self.waiting.lock();
-            let has_room = waiting.len() < most;
-            if has_room {
-                waiting.push_back(item);
-            }
-            has_room
-        };
-        Bell::wake_by_ref(&self.bell);
+        let room = |waiting: usize| (waiting < most).then_some(waiting + 1);
+        let has_room = self.bell.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok();
+        if has_room {
+            self.waiting.lock().push_back(item);
+            Bell::wake_by_ref(&self.bell);
+        }
         has_room
     }
 
     fn pop(&self) -> Option<T> {
-        self.waiting.lock().pop_front()
+        let item = self.waiting.lock().pop_front()?;
+        self.bell.waiting.fetch_sub(1, Ordering::Relaxed);
+        Some(item)
     }
 
     fn is_empty(&self) -> bool {
         self.waiting.lock().is_empty()
+    }
+}
+
+impl<T> Drop for Inbox<T> {
+    fn drop(&mut self) {
+        while self.pop().is_some() {}
     }
 }
 
@@ -152,10 +176,7 @@ impl FarServices for NetworkServices {
         if now.requests.iter().chain(&now.responses).any(|has| *has) {
             return Ok(now);
         }
-        match timeout {
-            Some(timeout) => std::thread::park_timeout(timeout),
-            None => std::thread::park(),
-        }
+        self.bell.sleep(timeout);
         Ok(arrived())
     }
 }
@@ -227,8 +248,6 @@ pub(crate) struct Client {
 enum Outcome {
     /// As much of it as is one.
     Reply(RequestId, ZBytes),
-    /// Another host says why it does not answer.
-    Error(String),
     /// No more answers come, and none has come.
     Unanswered(RequestId),
 }
@@ -236,6 +255,7 @@ enum Outcome {
 /// A request that others were asked. Dropped with the query, when no more answers come.
 struct Asked {
     outcomes: Arc<Inbox<Outcome>>,
+    key: String,
     id: RequestId,
     is_answered: AtomicBool,
 }
@@ -249,8 +269,8 @@ impl Asked {
                 }
             }
             Err(error) => {
-                let reason = error.payload().try_to_string().unwrap_or_default().into_owned();
-                self.outcomes.push(Outcome::Error(reason), MOST_WAITING);
+                let reason = error.payload().try_to_string().unwrap_or_default();
+                tracing::warn!("{}: another host does not answer: {reason:.200}", self.key);
             }
         }
     }
@@ -288,7 +308,8 @@ impl FarClient for Client {
             source_timestamp_ns: request.info().source_timestamp_ns,
             gid: id.client,
         };
-        let asked = Asked { outcomes: self.outcomes.clone(), id, is_answered: AtomicBool::new(false) };
+        let (outcomes, key, is_answered) = (self.outcomes.clone(), self.key.clone(), AtomicBool::new(false));
+        let asked = Asked { outcomes, key, id, is_answered };
         let query = self
             .session
             .get(&self.key)
@@ -311,7 +332,6 @@ impl FarClient for Client {
                 Ok(body) => Response::Answer(id, body.to_vec()),
                 Err(reason) => Response::None(id, reason),
             },
-            Outcome::Error(reason) => Response::Wrong(format!("another host does not answer: {reason}")),
             Outcome::Unanswered(id) => Response::None(id, "no answer".to_owned()),
         })
     }

@@ -262,7 +262,8 @@ impl FarSide for NetworkSide {
             Heard::TokenDown(key) => {
                 let was_there = self.graph.remove(&key);
                 if self.graph.wants_resync() {
-                    self.resync();
+                    // With the next tick: it takes a while.
+                    MISSED.store(true, Ordering::Relaxed);
                 }
                 was_there
             }
@@ -408,6 +409,10 @@ impl FarSide for NetworkSide {
         let started = Incoming::start(&self.session, &wire_key, inward, inlet, max_bytes);
         self.incoming.insert(key.clone(), started.map_err(|error| error.to_string())?);
         Ok(())
+    }
+
+    fn takes(&self, key: &InKey) -> bool {
+        self.incoming.contains_key(key)
     }
 
     fn change_in(&mut self, key: &InKey, change: Change) {

@@ -372,7 +372,13 @@ fn a_network_is_given_what_is_kept_before_anybody_listens() {
     let depth = RELAYED_DEPTH;
     assert_eq!(net.here(&[map.clone(), far.clone()]), ["open /map 3", &format!("take /map {depth}, kept")]);
     assert_eq!(net.here(std::slice::from_ref(&map)), ["close /map 3"]);
-    assert_eq!(net.here(&[map, far]), ["open /map 3", &format!("take /map {depth}, kept")]);
+    let again = format!("take /map {depth}, kept");
+    assert_eq!(net.here(&[map.clone(), far]), ["open /map 3", &again]);
+    // And one whose writer was ended, with what that kept.
+    let key = net.mirror.out.keys().next().unwrap().clone();
+    net.mirror.forget_writer(&key, map.gid);
+    assert_eq!(net.look(), ["open /map 1", &again]);
+    assert_eq!(net.look(), NOTHING);
 }
 
 #[test]

@@ -250,10 +250,12 @@ impl<F: FarServices> Exchange<F> {
     /// Waits, and takes what came there.
     fn wait(&mut self, is_busy: bool) -> Result<(), String> {
         let is_looked_at = F::Client::IS_LOOKED_AT && !self.sought.is_empty();
+        let is_waiting =
+            self.offered.values().any(Offered::is_waiting) || self.sought.values().any(Sought::is_waiting);
         let timeout = match self.sought.values().any(Sought::is_seeking) {
             _ if is_busy => Some(Duration::ZERO),
             true => Some(SEEK_PERIOD),
-            false if !is_looked_at && !self.offered.values().any(Offered::is_waiting) => None,
+            false if !is_looked_at && !is_waiting => None,
             false => Some(LOOK_PERIOD),
         };
         let servers: Vec<&F::Server> = self.offered.values().map(Offered::far).collect();

@@ -16,7 +16,7 @@ mod sought;
 mod stats;
 
 pub use exchange::{Arrived, FarServices, Obeyed, Services};
-pub use offered::FarServer;
+pub use offered::{FarServer, TakenRequest};
 pub use routes::{OfferedService, Routes, ServerId, SoughtService};
 pub use sought::{FarClient, Response};
 pub use stats::ServiceReading;

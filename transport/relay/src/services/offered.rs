@@ -26,6 +26,9 @@ const SERVER_TIME: Duration = Duration::from_secs(10);
 /// Clients here of one service on behalf of the far side, when each has as many requests pending as it can.
 const MOST_CLIENTS: usize = 16;
 
+/// By which an answer finds who asked, and the body; or why it cannot be passed on.
+pub type TakenRequest<R> = Result<(R, Vec<u8>), String>;
+
 /// What takes requests on the far side for a service of the domain. Dropped when there is no such service any more.
 pub trait FarServer: Send {
     /// By which an answer finds who asked.
@@ -35,7 +38,7 @@ pub trait FarServer: Send {
     ///
     /// # Errors
     /// One came that cannot be passed on, and why.
-    fn take(&mut self) -> Option<Result<(Self::Request, Vec<u8>), String>>;
+    fn take(&mut self) -> Option<TakenRequest<Self::Request>>;
 
     /// The answer to a request, or why there is none.
     ///
@@ -94,9 +97,9 @@ impl<S: FarServer> Offered<S> {
         })
     }
 
-    /// Whether requests wait for a server here.
+    /// Whether requests wait for a server here, or for room at it.
     pub(super) fn is_waiting(&self) -> bool {
-        self.availability.is_some()
+        !self.waiting.is_empty()
     }
 
     pub(super) fn far(&self) -> &S {
@@ -144,9 +147,12 @@ impl<S: FarServer> Offered<S> {
                 ServiceError::TooManyPending { .. } => {
                     let make =
                         || self.participant.create_raw_client(&self.key.topic, &self.service_type, limits());
-                    let one_more = (self.clients.len() < MOST_CLIENTS).then(make).and_then(Result::ok);
-                    if let Some(client) = one_more {
-                        self.clients.push(client);
+                    if self.clients.len() < MOST_CLIENTS {
+                        match make() {
+                            Ok(client) => self.clients.push(client),
+                            // Until something is answered.
+                            Err(_) => return,
+                        }
                         continue;
                     }
                     // The oldest makes way, whose asker may have gone long ago; until it has, it has its place.

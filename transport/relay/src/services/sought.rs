@@ -6,7 +6,7 @@ use super::offered::TURN;
 use super::routes::ServerId;
 use super::stats::Counters;
 use crate::mirror::TopicKey;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_transport::{
@@ -15,6 +15,9 @@ use tautline_transport::{
 
 /// Requests of one client here that wait to be passed on.
 const DEPTH: usize = 100;
+
+/// Clients of one service that wait to be told that there is no answer.
+const MOST_UNTOLD: usize = 1024;
 
 const SERVER_GONE: &str = "its server has gone";
 
@@ -61,6 +64,8 @@ pub(super) struct Sought<C: FarClient> {
     server: Option<RawServer>,
     /// A request that has no place there yet.
     next: Option<RawSample>,
+    /// Clients that could not be told yet that there is no answer.
+    untold: VecDeque<RequestId>,
     service: String,
     service_type: ServiceType,
     participant: Participant,
@@ -76,7 +81,16 @@ impl<C: FarClient> Sought<C> {
         counters: Arc<Counters>,
     ) -> Self {
         let (service, participant) = (key.topic.clone(), participant.clone());
-        Sought { far, server: None, next: None, service, service_type, participant, counters }
+        Sought {
+            far,
+            server: None,
+            next: None,
+            untold: VecDeque::new(),
+            service,
+            service_type,
+            participant,
+            counters,
+        }
     }
 
     pub(super) fn far(&self) -> &C {
@@ -98,12 +112,23 @@ impl<C: FarClient> Sought<C> {
     /// Who asked gets an error instead of an answer.
     fn refuse(&mut self, id: RequestId, reason: impl ToString) {
         self.counters.failed(reason);
+        self.tell(id);
+    }
+
+    fn tell(&mut self, id: RequestId) {
         let Some(server) = &self.server else { return };
         match server.refuse(id) {
             Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
+            // Its queue is full, or there is no memory: later.
+            Err(_) if self.untold.len() < MOST_UNTOLD => self.untold.push_back(id),
             // With its server it ends in any case.
             Err(_) => self.let_go(),
         }
+    }
+
+    /// Whether clients wait to be told.
+    pub(super) fn is_waiting(&self) -> bool {
+        !self.untold.is_empty()
     }
 
     /// Whoever waits for an answer gets an error: its server here has gone.
@@ -111,6 +136,7 @@ impl<C: FarClient> Sought<C> {
         self.counters.set_active(false);
         self.counters.failed_times(self.far.forget(), SERVER_GONE);
         (self.server, self.next) = (None, None);
+        self.untold.clear();
     }
 
     /// Passes requests of clients here on, at most a turn of them. Says whether there may be more.
@@ -126,6 +152,10 @@ impl<C: FarClient> Sought<C> {
             let (service, service_type) = (&self.service, &self.service_type);
             self.server = Some(self.participant.create_raw_server(service, service_type, DEPTH, limits())?);
             self.counters.set_active(true);
+        }
+        for _ in 0..self.untold.len() {
+            let id = self.untold.pop_front();
+            id.into_iter().for_each(|id| self.tell(id));
         }
         for _ in 0..TURN {
             let Some(request) = self.next.take().or_else(|| self.take(context)) else { return Ok(false) };
