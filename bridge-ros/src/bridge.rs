@@ -7,7 +7,7 @@ use crate::rcl::{
     Context, GraphGuard, GuardCondition, Node, RclError, RosSubscription, SerializedMessage, WaitSet,
     Waitable, rmw_implementation,
 };
-use crate::ros::{Carriers, RosSide};
+use crate::ros::RosSide;
 use crate::ros_graph::BRIDGE_PREFIX;
 use crate::services::RosServices;
 use crate::stats::Stats;
@@ -205,12 +205,13 @@ impl Bridge {
         };
         let control = {
             let shared = bridge.shared.clone();
-            let (carriers, tables) = (Carriers { incoming, services }, (tables.clone(), own_table));
+            let tables = (tables.clone(), own_table);
             let (far, transit) =
-                RosSide::new(&options, &participant, node.clone(), carriers, tables, shared.clone());
-            let (rules, services) = (options.rules, options.services);
-            let participant = participant.clone();
-            let control = Control::new(Parts { participant, far, relay: outgoing, transit, rules, services });
+                RosSide::new(&options, &participant, node.clone(), incoming, tables, shared.clone());
+            let (participant, relay) = (participant.clone(), outgoing);
+            let (rules, service_rules) = (options.rules, options.services);
+            let parts = Parts { participant, far, relay, services, transit, rules, service_rules };
+            let control = Control::new(parts);
             priorities.other("ros-control").spawn(move || move || control.run(&received, &shared.stop))?
         };
         bridge.hold(control);

@@ -29,7 +29,7 @@ pub use bridge::{Bridge, BridgeError, Options};
 pub use config::{Config, ConfigError, Problem};
 pub use rcl::RclError;
 pub use ros_graph::BRIDGE_PREFIX;
-pub use stats::{Direction, IncompatibleQos, ServiceStats, Stats, TopicNames, TopicStats};
+pub use stats::{Direction, IncompatibleQos, ServiceNames, ServiceStats, Stats, TopicNames, TopicStats};
 pub use tautline_relay::{
     Budget, Filter, Latency, Office, Pattern, PatternError, QosOverride, Reading, Rule, Rules, Seat,
     SeatError,

@@ -6,7 +6,7 @@
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tautline_relay::{Counters, EarlyLimits, Last, Limiter, Outlet, Relay, Taken, TopicKey};
+use tautline_relay::{EarlyLimits, Last, Outbound, Outlet, Relay, Taken, TopicKey};
 use tautline_rt::clock::monotonic_ns;
 
 /// XCDR1, little endian.
@@ -18,12 +18,6 @@ pub(crate) type Outgoing = Relay<Ros>;
 /// What becomes of samples that were taken.
 pub(crate) struct Ros {
     buffer: SerializedMessage,
-}
-
-/// What is kept for a topic.
-pub(crate) struct Outbound {
-    pub(crate) counters: Arc<Counters>,
-    pub(crate) limiter: Limiter,
 }
 
 /// A publisher in ROS that stands for one here.

@@ -3,20 +3,20 @@
 
 use crate::bridge::{Options, Shared};
 use crate::incoming::{self, Incoming};
-use crate::outgoing::{Outbound, Ros, Writer};
+use crate::outgoing::{Ros, Writer};
 use crate::rcl::{Node, RosPublisher, RosSubscription};
 use crate::ros_graph::{self, RosGraph};
-use crate::services::RosServices;
+use crate::services::{Nodes, RosServices};
 use crate::shown::ShownNodes;
-use crate::stats::{IncompatibleQos, ServiceStats, TopicNames};
+use crate::stats::{IncompatibleQos, ServiceNames, TopicNames};
 use crate::table::{OwnTable, Table, Tables};
 use crate::types::Types;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tautline_relay::{
-    Change, Counters, Direction, FarSide, FarWriter, FoundType, Here, InKey, Inlet, Inward, Limiter, Manner,
-    Publisher, Report, Routes, Rules, Services, Side, There, TopicKey, Transit, Writers, process_node,
+    Change, Direction, FarSide, FarWriter, FoundType, Here, InKey, Inlet, Inward, Manner, Publisher, Report,
+    Rules, Side, There, TopicKey, Transit, Writers, process_node,
 };
 use tautline_transport::{
     Claim, EndpointKind, Gid, Limits, NodeName, Participant, Qos, RawPublisher, RemoteGraph, RemoteNode,
@@ -32,7 +32,6 @@ pub(crate) struct RosSide {
     node: Arc<Node>,
     types: Types,
     incoming: Incoming,
-    services: Services<RosServices>,
     rules: Rules,
     service_rules: Rules,
     shared: Arc<Shared>,
@@ -43,12 +42,6 @@ pub(crate) struct RosSide {
     /// What the ROS domain is called where people read it.
     place: String,
     shown: ShownNodes,
-}
-
-/// The threads that carry messages from ROS, requests and responses.
-pub(crate) struct Carriers {
-    pub(crate) incoming: Incoming,
-    pub(crate) services: Services<RosServices>,
 }
 
 /// A publisher in ROS that stands for one here.
@@ -77,11 +70,10 @@ impl RosSide {
         options: &Options,
         participant: &Participant,
         node: Arc<Node>,
-        carriers: Carriers,
+        incoming: Incoming,
         (tables, own_table): (Tables, OwnTable),
         shared: Arc<Shared>,
     ) -> (Self, Transit) {
-        let Carriers { incoming, services } = carriers;
         let (domain, own) = (participant.domain_id(), participant.id());
         let host = tautline_rt::host::name();
         let place = format!("ros{}_{host}", node.context().domain());
@@ -91,7 +83,6 @@ impl RosSide {
             node,
             types: Types::new(),
             incoming,
-            services,
             rules: options.rules.clone(),
             service_rules: options.services.clone(),
             shared,
@@ -138,24 +129,6 @@ impl RosSide {
         ros_graph::mark(&mut ends, self.domain, self.graph.tables.is_empty());
         let told = told().map(|(end, bridge)| (end.clone(), bridge));
         ends.into_iter().map(|end| (end, 0)).chain(told).collect()
-    }
-
-    fn show_nodes(&mut self, here: &Here, transit: &Transit) {
-        let announced = here.nodes.iter().filter(|node| transit.announced(&node.origin).is_some());
-        let (own, others): (Vec<_>, Vec<_>) = announced.partition(|node| node.origin.is_here());
-        let shown = own.into_iter().chain(others.into_iter().take(MOST_SHOWN));
-        self.shown.update(&self.node, shown.map(|node| &node.name));
-    }
-
-    fn route_services(&mut self, here: &Here, there: &[(ServiceEndpoint, u128)], transit: &Transit) {
-        let ends = here.services.iter().map(AsRef::as_ref);
-        let there = there.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
-        let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
-        let announced = |end: &ServiceEndpoint| transit.announced(&end.origin).is_some();
-        let routes =
-            Routes::of(Self::SIDE, &self.service_rules, ends, &there, self.services.routes(), announced);
-        // Nobody waits for it: clients in ROS ask when a server is there.
-        let _ = self.services.set_routes(routes, self.shown.by_name());
     }
 
     /// Other bridges of the ROS domain are told what this one's ends stand for.
@@ -206,6 +179,8 @@ impl FarSide for RosSide {
     type Event = ();
     type Outlet = Ros;
     type Writer = StandIn;
+    type Services = RosServices;
+    const PATIENCE: Option<Duration> = None;
 
     fn hear(&mut self, (): ()) -> bool {
         true
@@ -225,21 +200,23 @@ impl FarSide for RosSide {
 
     fn prepare(&mut self, _: &mut Here, _: &Transit) {}
 
-    fn tell(
-        &mut self,
-        here: &Here,
-        services: &[(ServiceEndpoint, u128)],
-        transit: &Transit,
-        writers: &Writers<StandIn>,
-    ) {
-        self.show_nodes(here, transit);
-        // After the topics: an action's feedback has its way before goals have.
-        self.route_services(here, services, transit);
+    fn show(&mut self, here: &Here, transit: &Transit) -> Nodes {
+        let announced = here.nodes.iter().filter(|node| transit.announced(&node.origin).is_some());
+        let (own, others): (Vec<_>, Vec<_>) = announced.partition(|node| node.origin.is_here());
+        let shown = own.into_iter().chain(others.into_iter().take(MOST_SHOWN));
+        self.shown.update(&self.node, shown.map(|node| &node.name));
+        self.shown()
+    }
+
+    fn shown(&self) -> Nodes {
+        self.shown.by_name()
+    }
+
+    fn tell(&mut self, here: &Here, transit: &Transit, writers: &Writers<StandIn>) {
         self.tell_bridges(here, transit, writers);
     }
 
     fn tick(&mut self, writers: &mut Writers<StandIn>) -> bool {
-        self.services.try_again(|| self.shown.by_name());
         look_for_incompatible(writers);
         self.graph.has_unknown()
     }
@@ -259,10 +236,6 @@ impl FarSide for RosSide {
 
     fn sender(&mut self, _: &TopicKey, stand_in: &StandIn) -> Result<Writer, String> {
         Ok(stand_in.writer.clone())
-    }
-
-    fn outbound(counters: Arc<Counters>, limiter: Limiter) -> Outbound {
-        Outbound { counters, limiter }
     }
 
     fn port(
@@ -302,8 +275,9 @@ impl FarSide for RosSide {
         stats.ros_nodes = self.graph.nodes.len();
         stats.ros_endpoints = self.endpoint_count;
         stats.not_bridged = report.problems;
-        stats.services_not_bridged = self.services.problems();
-        stats.services = self.services.read().into_iter().map(ServiceStats::from).collect();
+        stats.services_not_bridged = report.service_problems;
+        let named = report.services.into_iter().map(|service| service.named(ServiceNames::of, Into::into));
+        stats.services = named.collect();
         let incompatible = writers.iter().filter_map(|(key, _, end)| Some((&*key.topic, end.incompatible?)));
         stats.incompatible_qos = by_topic(incompatible);
         let named = report.topics.into_iter().map(|topic| topic.named(TopicNames::of, Into::into));
@@ -343,7 +317,6 @@ fn by_topic<'t>(ends: impl Iterator<Item = (&'t str, Incompatible)>) -> BTreeMap
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     #[test]
     fn ends_that_do_not_fit_are_those_of_all_publishers_of_a_topic() {

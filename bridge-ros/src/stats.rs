@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 use std::collections::BTreeMap;
-use tautline_relay::{ServiceReading, TopicKey};
+use tautline_relay::TopicKey;
 
 /// A topic in one direction.
 pub type TopicStats = tautline_relay::TopicStats<TopicNames, Direction>;
@@ -27,8 +27,11 @@ impl TopicNames {
 }
 
 /// A service, of which the bridge stands for the server.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ServiceStats {
+pub type ServiceStats = tautline_relay::ServiceStats<ServiceNames, Direction>;
+
+/// What a service is called.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct ServiceNames {
     /// Tautline's name of it.
     pub service: String,
     /// ROS's name of it.
@@ -36,29 +39,11 @@ pub struct ServiceStats {
     /// Its type.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// To whom it is offered: `to_ros` is a service of Tautline's.
-    pub direction: Direction,
-    /// Whether it is offered now.
-    pub active: bool,
-    /// Requests that were answered.
-    pub answered: u64,
-    /// Requests that were not, by reason.
-    pub failed: BTreeMap<String, u64>,
 }
 
-impl From<ServiceReading> for ServiceStats {
-    fn from(reading: ServiceReading) -> Self {
-        let ServiceReading { key, direction, active, answered, failed } = reading;
-        let (service, ros_service, type_name) = (key.topic, key.far_topic, key.type_name);
-        ServiceStats {
-            service,
-            ros_service,
-            type_name,
-            direction: direction.into(),
-            active,
-            answered,
-            failed,
-        }
+impl ServiceNames {
+    pub(crate) fn of(key: TopicKey) -> Self {
+        ServiceNames { service: key.topic, ros_service: key.far_topic, type_name: key.type_name }
     }
 }
 

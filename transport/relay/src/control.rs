@@ -7,9 +7,10 @@ use crate::inlet::{Change, Inlet, Manner, Port, Senders};
 use crate::limiter::Limiter;
 use crate::mirror::{Action, Far, InKey, Inward, Mirror, Outward, Side, TopicKey};
 use crate::relay::Relay;
-use crate::route::Outlet;
+use crate::route::{Outbound, Outlet};
 use crate::rules::{Direction, Rules};
-use crate::stats::{Book, Counters, TopicStats};
+use crate::services::{FarServices, Routes, ServiceStats, Services};
+use crate::stats::{Book, TopicStats};
 use crate::transit::Transit;
 use crate::writers::{FarWriter, MATCH_TIME, Writers};
 use failed::Failed;
@@ -32,9 +33,13 @@ pub trait FarSide: Sized {
     /// What it is told of by others than this thread.
     type Event: Send;
     /// What takes samples from here.
-    type Outlet: Outlet<Key = TopicKey>;
+    type Outlet: Outlet<Key = TopicKey, Topic = Outbound>;
     /// What stands there for a publisher here.
     type Writer: FarWriter;
+    /// Its part in services.
+    type Services: FarServices;
+    /// How long others are told of nothing new until services can be asked; `None`: clients there look for them anyway.
+    const PATIENCE: Option<Duration>;
 
     /// Something happened. Whether what exists there is otherwise.
     fn hear(&mut self, event: Self::Event) -> bool;
@@ -48,15 +53,14 @@ pub trait FarSide: Sized {
     /// Before anything is done: `here` is in terms of the domain, and some of it can perhaps not be told there.
     fn prepare(&mut self, here: &mut Here, transit: &Transit);
 
-    /// After topics are in line with what exists: nodes, services, and what else others there are told. `services` are those there that
-    /// the domain is told of, as they are there.
-    fn tell(
-        &mut self,
-        here: &Here,
-        services: &[(ServiceEndpoint, u128)],
-        transit: &Transit,
-        writers: &Writers<Self::Writer>,
-    );
+    /// After topics are in line with what exists: what services are made with there.
+    fn show(&mut self, here: &Here, transit: &Transit) -> <Self::Services as FarServices>::With;
+
+    /// The same again, as it was last.
+    fn shown(&self) -> <Self::Services as FarServices>::With;
+
+    /// After services, too: others there are told of what is here.
+    fn tell(&mut self, here: &Here, transit: &Transit, writers: &Writers<Self::Writer>);
 
     /// A second has gone by. Whether it is to be looked anew what exists.
     fn tick(&mut self, writers: &mut Writers<Self::Writer>) -> bool;
@@ -88,9 +92,6 @@ pub trait FarSide: Sized {
         key: &TopicKey,
         writer: &Self::Writer,
     ) -> Result<<Self::Outlet as Outlet>::Sender, String>;
-
-    /// What is kept for a topic whose samples go out.
-    fn outbound(counters: Arc<Counters>, limiter: Limiter) -> <Self::Outlet as Outlet>::Topic;
 
     /// A port of the domain for messages from there.
     ///
@@ -201,6 +202,10 @@ pub struct Report {
     pub problems: BTreeMap<String, String>,
     /// Every topic that is or was mirrored.
     pub topics: Vec<TopicStats<TopicKey, Direction>>,
+    /// Services that cannot be mirrored, and why.
+    pub service_problems: BTreeMap<String, String>,
+    /// Every service that is or was mirrored.
+    pub services: Vec<ServiceStats<TopicKey, Direction>>,
 }
 
 /// What the control thread is told.
@@ -232,23 +237,25 @@ pub struct Parts<F: FarSide> {
     pub far: F,
     /// The thread that takes samples.
     pub relay: Relay<F::Outlet>,
+    /// The thread that carries requests and responses.
+    pub services: Services<F::Services>,
     /// What is told and carried.
     pub transit: Transit,
     /// Which topics.
     pub rules: Rules,
     /// Which services.
-    pub services: Rules,
+    pub service_rules: Rules,
 }
 
 /// Keeps both sides of a mirror in line.
 pub struct Control<F: FarSide> {
+    services: Services<F::Services>,
     relay: Relay<F::Outlet>,
     writers: Writers<F::Writer>,
     far: F,
     participant: Participant,
     transit: Transit,
     mirror: Mirror,
-    rules: Rules,
     service_rules: Rules,
     /// Whether the last look at what exists failed.
     is_stale: bool,
@@ -276,18 +283,18 @@ struct Taken {
 impl<F: FarSide> Control<F> {
     /// Of these parts; nothing is done yet.
     pub fn new(parts: Parts<F>) -> Self {
-        let Parts { participant, far, relay, transit, rules, services } = parts;
+        let Parts { participant, far, relay, services, transit, rules, service_rules } = parts;
         let (book, out, waiting, inward) = Default::default();
         let (failed, publishers, problems) = Default::default();
         Control {
+            services,
             relay,
             writers: Writers::default(),
             far,
             participant,
             transit,
-            mirror: Mirror::new(F::SIDE, rules.clone()),
-            rules,
-            service_rules: services,
+            mirror: Mirror::new(F::SIDE, rules),
+            service_rules,
             is_stale: false,
             book,
             out,
@@ -324,15 +331,13 @@ impl<F: FarSide> Control<F> {
                     Event::Stop => false,
                 };
             }
-            if stop.load(Ordering::Acquire) {
-                break;
-            }
             // One, however long an update took.
             let elapsed = last_tick.elapsed();
             if elapsed >= TICK {
                 last_tick += elapsed;
                 is_changed |= self.far.tick(&mut self.writers) || self.is_stale;
                 self.try_again();
+                self.services.try_again(|| self.far.shown());
                 self.report(elapsed);
             }
             if is_changed && Instant::now() >= next_update {
@@ -374,7 +379,9 @@ impl<F: FarSide> Control<F> {
             self.writers.remove(&key, gid);
         }
         self.mirror_topics(&here, &there);
-        self.far.tell(&here, &there.services, &self.transit, &self.writers);
+        // After the topics: an action's feedback has its way before goals have.
+        self.route_services(&here, &there);
+        self.far.tell(&here, &self.transit, &self.writers);
         if let Err(error) = self.participant.set_remote(&self.remote(there)) {
             tracing::warn!("nodes and tools of this host do not see what is elsewhere: {error}");
         }
@@ -393,13 +400,11 @@ impl<F: FarSide> Control<F> {
         // What was there before is dropped after the lock: the thread that sends may wait for it.
         std::mem::swap(&mut *before, &mut passed_over);
         drop(before);
-        let comes_in = |(end, teller): &(TopicEndpoint, u128)| match end.kind {
-            EndpointKind::Publisher => transit.carries(&end.origin, *teller),
-            EndpointKind::Subscription => transit.told(&end.origin, *teller).is_some(),
-        };
-        let far: Vec<Far> = there.endpoints.iter().map(|end| (&end.0, comes_in(end))).collect();
-        let far: Vec<Far> =
-            far.into_iter().filter(|(end, comes_in)| *comes_in || is_publisher(end)).collect();
+        let far = there.endpoints.iter().filter_map(|(end, teller)| match end.kind {
+            EndpointKind::Publisher => Some((end, transit.carries(&end.origin, *teller))),
+            EndpointKind::Subscription => transit.told(&end.origin, *teller).map(|_| (end, true)),
+        });
+        let far: Vec<Far> = far.collect();
         let actions = self.mirror.update(told, &far);
         self.publishers.clone_from(&there.publishers);
         for action in actions {
@@ -410,21 +415,37 @@ impl<F: FarSide> Control<F> {
         self.renew_senders();
     }
 
+    fn route_services(&mut self, here: &Here, there: &There) {
+        let with = self.far.show(here, &self.transit);
+        let transit = &self.transit;
+        let there = there.services.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
+        let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
+        let announced = |end: &ServiceEndpoint| transit.announced(&end.origin).is_some();
+        let (ends, before) = (here.services.iter().map(AsRef::as_ref), self.services.routes());
+        let routes = Routes::of(F::SIDE, &self.service_rules, ends, &there, before, announced);
+        let obeyed = self.services.set_routes(routes, with);
+        // Who hears of a service may ask at once.
+        if F::PATIENCE.is_some_and(|patience| !obeyed.wait(patience)) {
+            tracing::warn!("services change slowly: some are announced before they can be asked");
+        }
+    }
+
     /// What the domain is told of, by its own names. The same graph is the same list.
     fn remote(&self, there: There) -> RemoteGraph {
+        let rules = self.mirror.rules();
         let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
         for (RemoteNode { name, origin }, teller) in there.nodes {
             let told = self.transit.told(&origin, teller);
             remote.nodes.extend(told.map(|origin| RemoteNode { name, origin }));
         }
         for (end, teller) in there.endpoints {
-            let Some(topic) = self.rules.here_name(&end.topic) else { continue };
+            let Some(topic) = rules.here_name(&end.topic) else { continue };
             // What is not let through is not told: somebody else may have a way.
             let way = match end.kind {
                 EndpointKind::Publisher => Direction::In,
                 EndpointKind::Subscription => Direction::Out,
             };
-            let goes = self.rules.choice(&topic).is_some_and(|choice| choice.goes(way));
+            let goes = rules.choice(&topic).is_some_and(|choice| choice.goes(way));
             let told = self.transit.told(&end.origin, teller).filter(|_| goes);
             remote.endpoints.extend(told.map(|origin| TopicEndpoint { topic, origin, ..end }));
         }
@@ -533,8 +554,7 @@ impl<F: FarSide> Control<F> {
     /// Whether writers are about to find their subscriptions.
     fn is_matching(&self) -> bool {
         let now = Instant::now();
-        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME)
-            || self.writers.is_opening(|key| self.out.contains_key(key))
+        self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME) || self.writers.is_opening()
     }
 
     /// Samples are taken once a writer has somebody to send them to.
@@ -545,7 +565,10 @@ impl<F: FarSide> Control<F> {
                 continue;
             }
             // Made ahead, so that what is kept finds them.
-            let made = made_senders(&mut self.far, &mut self.writers, |other| *other == key);
+            let mut made = Vec::new();
+            self.writers.open_of(&key, &mut |_, gid, writer| {
+                made_sender(&mut self.far, &key, gid, writer, &mut made)
+            });
             match self.start_out(&key, &outward) {
                 Ok(()) => made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender)),
                 Err(reason) => {
@@ -554,17 +577,20 @@ impl<F: FarSide> Control<F> {
                 }
             }
         }
-        let out = &self.out;
-        let made = made_senders(&mut self.far, &mut self.writers, |key| out.contains_key(key));
+        let (out, mut made) = (&self.out, Vec::new());
+        self.writers.open_taken(|key| out.contains_key(key), &mut |key, gid, writer| {
+            made_sender(&mut self.far, key, gid, writer, &mut made)
+        });
         made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender));
     }
 
     fn start_out(&mut self, key: &TopicKey, outward: &Outward) -> Result<(), String> {
         let subscription = self.subscribe(key, outward).map_err(|error| error.to_string())?;
-        let counters = self.counters(key, Direction::Out);
-        let outbound = F::outbound(counters, Limiter::new(outward.min_period));
-        self.relay.start_topic(key.clone(), subscription, outbound);
+        let counters = self.book.counters(key.clone(), Direction::Out);
+        let limiter = Limiter::new(outward.min_period);
+        self.relay.start_topic(key.clone(), subscription, Outbound { counters, limiter });
         self.out.insert(key.clone(), outward.clone());
+        self.writers.take();
         Ok(())
     }
 
@@ -593,7 +619,8 @@ impl<F: FarSide> Control<F> {
         };
         let has_port = !matches!(port, Port::None);
         let senders = senders(&self.publishers, key, &inward.publishers, has_port);
-        let (counters, limiter) = (self.counters(&key.topic, Direction::In), Limiter::new(inward.min_period));
+        let counters = self.book.counters(key.topic.clone(), Direction::In);
+        let limiter = Limiter::new(inward.min_period);
         let inlet = Inlet::new(port, schema, counters, limiter, senders.clone(), F::MANNER);
         if let Err(reason) = self.far.start_in(key, inward, inlet) {
             if !self.far.takes(key) {
@@ -620,45 +647,39 @@ impl<F: FarSide> Control<F> {
         Ok((Some(port.map_err(|error| error.to_string())?), schema))
     }
 
-    fn counters(&mut self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
-        let (out, inward) = (&self.out, &self.inward);
-        self.book.counters(key.clone(), direction, |key, direction| is_active(out, inward, key, direction))
-    }
-
     fn report(&mut self, elapsed: Duration) {
         let mut problems = self.problems.clone();
         problems.extend(self.mirror.problems().clone());
         problems.extend(self.failed.reasons());
-        let out = &self.out;
-        let inward: BTreeSet<&TopicKey> = self.inward.keys().map(|key| &key.topic).collect();
-        let is_active = |key: &TopicKey, direction| match direction {
-            Direction::Out => out.contains_key(key),
-            Direction::In => inward.contains(key),
+        let report = Report {
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            problems,
+            topics: self.book.read(elapsed),
+            service_problems: self.services.problems(),
+            services: self.services.read(),
         };
-        let topics = self.book.read(elapsed, TopicKey::clone, is_active);
-        let uptime_s = self.started.elapsed().as_secs_f64();
-        self.far.report(Report { uptime_s, problems, topics }, &self.writers);
+        self.far.report(report, &self.writers);
     }
 }
 
-/// What passes on the samples of writers of topics that are taken, as far as these have found somebody.
-fn made_senders<F: FarSide>(
+type Made<F> = (TopicKey, Gid, <<F as FarSide>::Outlet as Outlet>::Sender);
+
+/// Makes what passes on the samples of a writer's publisher. Whether it is possible.
+fn made_sender<F: FarSide>(
     far: &mut F,
-    writers: &mut Writers<F::Writer>,
-    is_taken: impl Fn(&TopicKey) -> bool,
-) -> Vec<(TopicKey, Gid, <F::Outlet as Outlet>::Sender)> {
-    let mut made = Vec::new();
-    writers.open_matched(is_taken, |key, gid, writer| match far.sender(key, writer) {
-        Ok(sender) => {
-            made.push((key.clone(), gid, sender));
-            true
-        }
+    key: &TopicKey,
+    gid: Gid,
+    writer: &F::Writer,
+    made: &mut Vec<Made<F>>,
+) -> bool {
+    match far.sender(key, writer) {
+        Ok(sender) => made.push((key.clone(), gid, sender)),
         Err(reason) => {
             tracing::warn!("topic '{}' is not sent, which is tried again: {reason}", key.topic);
-            false
+            return false;
         }
-    });
-    made
+    }
+    true
 }
 
 /// Of the publishers that are known.
@@ -670,16 +691,4 @@ fn senders(
 ) -> Senders {
     let none = BTreeSet::new();
     Senders::of(known.get(&key.topic.far_topic).unwrap_or(&none), publishers, has_port)
-}
-
-fn is_active(
-    out: &BTreeMap<TopicKey, Outward>,
-    inward: &BTreeMap<InKey, Taken>,
-    key: &TopicKey,
-    direction: Direction,
-) -> bool {
-    match direction {
-        Direction::Out => out.contains_key(key),
-        Direction::In => inward.keys().any(|other| other.topic == *key),
-    }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the gateway and the bridge to ROS 2 are: mirrors between a domain and what is on the other side, a [`FarSide`].
 //!
-//! [`Mirror`] decides what is mirrored from what exists on both sides, [`Transit`] what is told and carried, so that nothing comes twice
+//! The mirror decides what is mirrored from what exists on both sides, [`Transit`] what is told and carried, so that nothing comes twice
 //! or goes in circles: both are pure. [`Control`] is the thread that does it. A [`Relay`] is the thread that takes the samples of all
 //! topics, waiting on the doorbell as a sampler does, and gives each to an [`Outlet`]; what a publisher sent before its counterpart
 //! elsewhere was known waits for it. What comes from elsewhere goes through an [`Inlet`]. A local publisher notices nothing of it.
@@ -29,20 +29,20 @@ mod writers;
 
 pub use budget::{Budget, Guard, WatchedThreads};
 pub use control::{Control, Event, FarSide, FoundType, Here, Parts, Publisher, Report, There};
-pub use inlet::{Body, Change, Inlet, Manner, Port, Refused, Senders, Source};
+pub use inlet::{Body, Change, Inlet, Manner, Source};
 pub use limiter::Limiter;
-pub use mirror::{Action, Class, Far, InKey, Inward, Mirror, Outward, Side, TopicKey};
+pub use mirror::{InKey, Inward, Side, TopicKey};
 pub use pattern::{Filter, Pattern, PatternError};
 pub use process::process_node;
 pub use program::{counted, parse_interval, show_until, stop_on_signals};
-pub use relay::{PassedOver, Relay, RelayError};
-pub use route::{EarlyLimits, Last, Outlet, Taken};
-pub use rules::{Choice, Direction, QosOverride, Rule, Rules};
+pub use relay::{Relay, RelayError};
+pub use route::{EarlyLimits, Last, Outbound, Outlet, Taken};
+pub use rules::{Direction, QosOverride, Rule, Rules};
 pub use seat::{Office, Seat, SeatError};
 pub use services::{
-    Arrived, FarClient, FarServer, FarServices, Obeyed, OfferedService, Response, Routes, ServerId,
-    ServiceReading, Services, SoughtService, TakenRequest,
+    Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, ServiceStats, Services,
+    SoughtService, TakenRequest,
 };
-pub use stats::{Book, Counters, Latency, Numbers, Reading, TopicStats, passing};
-pub use transit::{RELAYED_DEPTH, Transit};
+pub use stats::{Counters, Latency, Reading, TopicStats, passing};
+pub use transit::Transit;
 pub use writers::{FarWriter, Writers};

@@ -384,6 +384,16 @@ impl Mirror {
     }
 }
 
+/// The ends of one type of a topic, on both sides.
+struct Ends<'e> {
+    key: &'e TopicKey,
+    here: &'e [&'e TopicEndpoint],
+    there: &'e [Far<'e>],
+    choice: &'e Choice,
+    /// Of the definition that they go by, if one is stated.
+    hash: Option<&'e str>,
+}
+
 impl Wanted {
     /// Adds what is to be done of a topic, of which `here` and `there` are the ends and each type is one of its own.
     fn of_each_type(
@@ -406,7 +416,7 @@ impl Wanted {
             };
             let same: Vec<Far> =
                 there.iter().copied().filter(|(end, _)| type_of(end) == (type_name, *hash)).collect();
-            self.both_ways(Side::Network, &key, here, &same, choice, *hash);
+            self.both_ways(Side::Network, &Ends { key: &key, here, there: &same, choice, hash: *hash });
         }
         let other = there.iter().map(|(end, _)| type_of(end)).find(|other| !types.contains_key(other));
         let (Some((there, their_hash)), Some((here, _))) = (other, types.keys().next()) else {
@@ -421,22 +431,14 @@ impl Wanted {
         })
     }
 
-    fn both_ways(
-        &mut self,
-        side: Side,
-        key: &TopicKey,
-        here: &[&TopicEndpoint],
-        there: &[Far],
-        choice: &Choice,
-        hash: Option<&str>,
-    ) {
-        if choice.goes(Direction::Out) {
-            self.out(side, key, here, there, choice, hash);
+    fn both_ways(&mut self, side: Side, ends: &Ends) {
+        if ends.choice.goes(Direction::Out) {
+            self.out(side, ends);
         }
-        if choice.goes(Direction::In) {
+        if ends.choice.goes(Direction::In) {
             match side {
-                Side::Ros => self.by_class(key, here, there, choice, hash),
-                Side::Network => self.all_in_one(key, here, there, choice, hash),
+                Side::Ros => self.by_class(ends),
+                Side::Network => self.all_in_one(ends),
             }
         }
     }
@@ -477,7 +479,7 @@ impl Wanted {
             type_name: type_name.to_owned(),
             type_hash: None,
         };
-        self.both_ways(Side::Ros, &key, &here, &same, choice, hash);
+        self.both_ways(Side::Ros, &Ends { key: &key, here: &here, there: &same, choice, hash });
         // Of the types that ROS has, this is one: those that nobody has here are none of ours.
         let also = others.iter().map(|end| &*end.topic_type.name).find(is_there);
         match (same.is_empty(), changed.first(), other.first()) {
@@ -499,15 +501,8 @@ impl Wanted {
         }
     }
 
-    fn out(
-        &mut self,
-        side: Side,
-        key: &TopicKey,
-        here: &[&TopicEndpoint],
-        there: &[Far],
-        choice: &Choice,
-        hash: Option<&str>,
-    ) {
+    fn out(&mut self, side: Side, ends: &Ends) {
+        let Ends { key, here, there, choice, hash } = *ends;
         let hash = hash.map(str::to_owned);
         let writers = || here.iter().filter(|end| end.kind == EndpointKind::Publisher);
         for end in writers() {
@@ -535,14 +530,8 @@ impl Wanted {
     }
 
     /// Of all publishers, whatever they offer.
-    fn all_in_one(
-        &mut self,
-        key: &TopicKey,
-        here: &[&TopicEndpoint],
-        there: &[Far],
-        choice: &Choice,
-        hash: Option<&str>,
-    ) {
+    fn all_in_one(&mut self, ends: &Ends) {
+        let Ends { key, here, there, choice, hash } = *ends;
         let publishers = || there.iter().filter(|(end, _)| end.kind == EndpointKind::Publisher);
         let carried = || publishers().filter(|(_, comes_in)| *comes_in).map(|(end, _)| *end);
         let mut readers = here.iter().filter(|end| end.kind == EndpointKind::Subscription).peekable();
@@ -551,8 +540,9 @@ impl Wanted {
         }
         let is_kept = |end: &&&TopicEndpoint| end.qos.durability == Durability::TransientLocal;
         // None of the subscriptions here gets more than its depth, whatever others claim to keep; and what others keep together comes and
-        // goes, while a change of the port costs who listens what it gets twice.
-        let asked = readers.filter(is_kept).map(|end| end.qos.depth).max();
+        // goes, while a change of the port costs who listens what it gets twice. What others elsewhere ask for is a claim, too.
+        let most = |end: &TopicEndpoint| if end.origin.is_here() { usize::MAX } else { RELAYED_DEPTH };
+        let asked = readers.filter(is_kept).map(|end| end.qos.depth.min(most(end))).max();
         let kept = asked.filter(|_| carried().any(|end| is_kept(&&end)));
         let is_reliable = carried().any(|end| end.qos.reliability == Reliability::Reliable);
         let class = Class { is_reliable, is_kept: kept.is_some() };
@@ -569,14 +559,8 @@ impl Wanted {
     }
 
     /// Of the publishers of each class.
-    fn by_class(
-        &mut self,
-        key: &TopicKey,
-        here: &[&TopicEndpoint],
-        there: &[Far],
-        choice: &Choice,
-        hash: Option<&str>,
-    ) {
+    fn by_class(&mut self, ends: &Ends) {
+        let Ends { key, here, there, choice, hash } = *ends;
         let readers = || here.iter().filter(|end| end.kind == EndpointKind::Subscription);
         let Some(deepest) = readers().map(|end| end.qos.depth).max() else { return };
         let mut classes: BTreeMap<Class, Vec<&TopicEndpoint>> = BTreeMap::new();

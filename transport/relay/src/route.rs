@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One topic's way: from its subscription, and from what waited, to the counterparts of its publishers.
 
+use crate::limiter::Limiter;
 use crate::relay::PassedOver;
+use crate::stats::Counters;
 use crate::waker::{Bell, Flag};
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::hash::Hash;
@@ -30,6 +32,14 @@ pub trait Outlet: Send + 'static {
 
     /// So many samples more were overwritten before they were taken.
     fn lost(topic: &Self::Topic, samples: u64);
+}
+
+/// What is kept for a topic of a mirror.
+pub struct Outbound {
+    /// What goes through, and what does not.
+    pub counters: Arc<Counters>,
+    /// How often.
+    pub limiter: Limiter,
 }
 
 /// Samples of publishers whose counterpart is not known yet: so many wait per topic.

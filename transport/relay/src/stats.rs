@@ -199,21 +199,16 @@ impl<N: Clone + Ord, D: Copy + Ord> Book<N, D> {
     /// Topics that are counted; of more, those that are not passed on any more are forgotten.
     const MOST: usize = 4096;
 
-    /// Those of a topic, from now on or as they were.
-    pub fn counters(&mut self, name: N, direction: D, is_active: impl Fn(&N, D) -> bool) -> Arc<Counters> {
+    /// Those of a topic, from now on or as they were: it is passed on as long as somebody has them.
+    pub fn counters(&mut self, name: N, direction: D) -> Arc<Counters> {
         if self.0.len() >= Self::MOST {
-            self.0.retain(|(name, direction), _| is_active(name, *direction));
+            self.0.retain(|_, counted| counted.is_active());
         }
         self.0.entry((name, direction)).or_default().counters.clone()
     }
 
-    /// What all of them say, with rates since the last time, which is so long ago; `named` is what each is called there.
-    pub fn read<M>(
-        &mut self,
-        elapsed: Duration,
-        named: impl Fn(&N) -> M,
-        is_active: impl Fn(&N, D) -> bool,
-    ) -> Vec<TopicStats<M, D>> {
+    /// What all of them say, with rates since the last time, which is so long ago.
+    pub fn read(&mut self, elapsed: Duration) -> Vec<TopicStats<N, D>> {
         let read = |((name, direction), counted): (&(N, D), &mut Counted)| {
             let mut reading = counted.counters.read();
             let (messages, bytes) = std::mem::replace(&mut counted.before, (reading.messages, reading.bytes));
@@ -222,10 +217,15 @@ impl<N: Clone + Ord, D: Copy + Ord> Book<N, D> {
                 reading.messages_per_s = (reading.messages - messages) as f64 / seconds;
                 reading.bytes_per_s = (reading.bytes - bytes) as f64 / seconds;
             }
-            let active = is_active(name, *direction);
-            TopicStats { name: named(name), direction: *direction, active, reading }
+            TopicStats { name: name.clone(), direction: *direction, active: counted.is_active(), reading }
         };
         self.0.iter_mut().map(read).collect()
+    }
+}
+
+impl Counted {
+    fn is_active(&self) -> bool {
+        Arc::strong_count(&self.counters) > 1
     }
 }
 
@@ -292,14 +292,14 @@ mod tests {
     #[test]
     fn rates_the_line_and_json() {
         let mut book = Book::default();
-        let counters = book.counters("/x", "in", |_, _| true);
+        let counters = book.counters("/x", "in");
         counters.passed(100, 0);
-        book.read(Duration::ZERO, |name| *name, |_, _| true);
+        book.read(Duration::ZERO);
         counters.passed(100, 0);
         counters.passed(100, 0);
         counters.lost(2);
         counters.dropped("rate limit");
-        let after = book.read(Duration::from_millis(500), |name| *name, |_, _| true);
+        let after = book.read(Duration::from_millis(500));
         let reading = &after[0].reading;
         assert_eq!((reading.messages, reading.messages_per_s, reading.bytes_per_s), (3, 4.0, 400.0));
         let line = passing(&after, [("out", "to ROS"), ("in", "from ROS")]).to_string();
@@ -320,14 +320,11 @@ mod tests {
     #[test]
     fn of_too_many_topics_those_that_go_on_are_counted() {
         let mut book = Book::default();
-        for topic in 0..=Book::<usize, ()>::MOST {
-            book.counters(topic, (), |topic, ()| *topic == 7);
-        }
-        let left: Vec<usize> = book
-            .read(Duration::ZERO, |topic| *topic, |_, ()| true)
-            .into_iter()
-            .map(|topic| topic.name)
-            .collect();
-        assert_eq!(left, [7, Book::<usize, ()>::MOST]);
+        let goes_on = book.counters(7, ());
+        (0..=Book::<usize, ()>::MOST).for_each(|topic| drop(book.counters(topic, ())));
+        let left: Vec<_> =
+            book.read(Duration::ZERO).into_iter().map(|topic| (topic.name, topic.active)).collect();
+        assert_eq!(left, [(7, true), (Book::<usize, ()>::MOST, false)]);
+        drop(goes_on);
     }
 }

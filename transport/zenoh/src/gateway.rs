@@ -56,10 +56,6 @@ impl Options {
     /// Default of [`Options::priority`].
     pub const PRIORITY: u8 = 80;
 
-    pub(crate) fn mirror_rules(&self) -> Rules {
-        Rules { auto: true, filter: self.filter.clone(), ..Rules::default() }
-    }
-
     pub(crate) fn domain_there(&self) -> u32 {
         self.network_domain.unwrap_or(self.domain)
     }
@@ -224,17 +220,12 @@ impl Gateway {
         };
         gateway.control = {
             let (session, shared) = (gateway.session.clone(), gateway.shared.clone());
-            let rules = options.mirror_rules();
-            let (far, transit) = NetworkSide::new(
-                options.clone(),
-                participant.clone(),
-                session,
-                services,
-                descriptions,
-                shared.clone(),
-            );
-            let services = rules.clone();
-            let control = Control::new(Parts { participant, far, relay: outgoing, transit, rules, services });
+            let rules = Rules { auto: true, filter: options.filter.clone(), ..Rules::default() };
+            let (far, transit) =
+                NetworkSide::new(options.clone(), participant.clone(), session, descriptions, shared.clone());
+            let (participant, service_rules) = (participant.clone(), rules.clone());
+            let parts = Parts { participant, far, relay: outgoing, services, transit, rules, service_rules };
+            let control = Control::new(parts);
             Some(thread("gw-control").spawn(move || {
                 move || {
                     let _heard = (tokens, ends);

@@ -77,6 +77,11 @@ pub(crate) fn list(
         }
     }
     let (mut processes, mut problems) = (HashMap::new(), BTreeMap::new());
+    // Once for all ends of a topic: it is a long look.
+    let mut found = HashMap::<(String, TypeName), Option<TypeHash>>::new();
+    let mut hash_of = |topic: &str, name: &TypeName| {
+        *found.entry((topic.to_owned(), name.clone())).or_insert_with(|| hash_of(topic, name))
+    };
     let mut listed: Vec<Option<LocalEndpoint>> = Vec::with_capacity(ends.len());
     for end in ends {
         let hash = end.hash.or_else(|| stated.get(&(end.name, end.type_name)).copied().flatten());

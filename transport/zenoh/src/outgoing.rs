@@ -11,7 +11,8 @@ use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
 use std::any::Any;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
-use tautline_relay::{Counters, EarlyLimits, FarWriter, Last, Outlet, Relay, RelayError, Taken};
+use tautline_relay::{Counters, EarlyLimits, FarWriter, Last, Outbound, Outlet, Relay, RelayError, Taken};
+use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
 use tautline_transport::{
     Durability, Gid, History, MessageInfo, Participant, Passage, RawSample, Reliability, TracedSender,
@@ -77,16 +78,19 @@ pub(crate) struct Network {
 
 impl Outlet for Network {
     type Key = tautline_relay::TopicKey;
-    type Topic = Arc<Counters>;
+    type Topic = Outbound;
     type Sender = Sender;
 
     // Until the control thread has seen the publisher.
     const EARLY: EarlyLimits = EarlyLimits { samples: 64, bytes: 4 << 20, time: Duration::from_secs(2) };
 
-    fn pass(&mut self, counters: &mut Arc<Counters>, sender: &mut Sender, sample: Taken) {
+    fn pass(&mut self, topic: &mut Outbound, sender: &mut Sender, sample: Taken) {
         let (info, len_bytes) = (sample.info(), sample.body().len());
         if !sender.last.admits(&sample) {
             return;
+        }
+        if !topic.limiter.admits(monotonic_ns()) {
+            return topic.counters.dropped("rate limit");
         }
         sender.settle(len_bytes);
         let passage = sender.traced.passage(sample.port(), info.sequence_number);
@@ -95,15 +99,15 @@ impl Outlet for Network {
             Taken::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => in_place(sample),
             sample => copied(sample.body()),
         };
-        self.put(sender, payload, &info, len_bytes, passage, counters);
+        self.put(sender, payload, &info, len_bytes, passage, &topic.counters);
     }
 
-    fn dropped(counters: &Arc<Counters>) {
-        counters.dropped("publisher not announced yet");
+    fn dropped(topic: &Outbound) {
+        topic.counters.dropped("publisher not announced yet");
     }
 
-    fn lost(counters: &Arc<Counters>, samples: u64) {
-        counters.lost(samples);
+    fn lost(topic: &Outbound, samples: u64) {
+        topic.counters.lost(samples);
     }
 }
 

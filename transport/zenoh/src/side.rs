@@ -9,7 +9,7 @@ use crate::locals::{self, wire_node, wire_qos};
 use crate::origin::{ended, ended_tag};
 use crate::outgoing::{Network, Sender, Writer};
 use crate::services::NetworkServices;
-use crate::stats::{ServiceStats, TopicNames, refused_by_reason};
+use crate::stats::{ServiceNames, TopicNames, refused_by_reason};
 use crate::tokens::{Tokens, Word};
 use crate::types::Types;
 use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
@@ -18,13 +18,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    Change, Counters, Event, FarSide, FoundType, Here, InKey, Inlet, Inward, Limiter, Manner, Publisher,
-    Report, Routes, Rules, Services, Side, There, Transit, Writers,
+    Change, Event, FarSide, FoundType, Here, InKey, Inlet, Inward, Manner, Publisher, Report, Side, There,
+    Transit, Writers,
 };
 use tautline_schema::Packages;
 use tautline_transport::{
-    Claim, Durability, Limits, Participant, Qos, RawPublisher, SchemaStore, ServiceEndpoint, TopicType,
-    TransportError,
+    Claim, Durability, Limits, Participant, Qos, RawPublisher, SchemaStore, TopicType, TransportError,
 };
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Reply};
@@ -87,21 +86,16 @@ static MISSED: AtomicBool = AtomicBool::new(false);
 /// How long others are waited for when all tokens are asked for.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long it is waited for the thread to offer services.
-const PATIENCE: Duration = Duration::from_secs(1);
-
 /// How long it is said that a publisher has ended, and of how many.
 const ENDED_TIME: Duration = Duration::from_secs(10);
 const MOST_ENDED: usize = 4096;
 
 pub(crate) struct NetworkSide {
-    services: Services<NetworkServices>,
     incoming: BTreeMap<InKey, Incoming>,
     declared: HashMap<String, LivelinessToken>,
     /// The words that publishers have ended, for as long as it takes until they are heard everywhere.
     ended: VecDeque<(Instant, LivelinessToken)>,
     options: Options,
-    rules: Rules,
     participant: Participant,
     session: Session,
     shared: Arc<Shared>,
@@ -123,7 +117,6 @@ impl NetworkSide {
         options: Options,
         participant: Participant,
         session: Session,
-        services: Services<NetworkServices>,
         descriptions: Descriptions,
         shared: Arc<Shared>,
     ) -> (Self, Transit) {
@@ -133,10 +126,7 @@ impl NetworkSide {
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
         let (incoming, declared, ended, words, undescribed) = Default::default();
-        let rules = options.mirror_rules();
         let side = NetworkSide {
-            rules,
-            services,
             incoming,
             declared,
             ended,
@@ -157,18 +147,6 @@ impl NetworkSide {
 
     fn wire_key(&self, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
         wire_key(self.options.domain_there(), key)
-    }
-
-    fn route_services(&mut self, here: &Here, there: &[(ServiceEndpoint, u128)], transit: &Transit) {
-        let there = there.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
-        let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
-        let announced = |end: &ServiceEndpoint| transit.announced(&end.origin).is_some();
-        let ends = here.services.iter().map(AsRef::as_ref);
-        let routes = Routes::of(Self::SIDE, &self.rules, ends, &there, self.services.routes(), announced);
-        // Before they are announced: who hears of a service may ask at once.
-        if !self.services.set_routes(routes, ()).wait(PATIENCE) {
-            tracing::warn!("services change slowly: some are announced before they can be asked");
-        }
     }
 
     fn say(&mut self, word: Word) {
@@ -255,6 +233,8 @@ impl FarSide for NetworkSide {
     type Event = Heard;
     type Outlet = Network;
     type Writer = Writer;
+    type Services = NetworkServices;
+    const PATIENCE: Option<Duration> = Some(Duration::from_secs(1));
 
     fn hear(&mut self, heard: Heard) -> bool {
         let is_changed = match heard {
@@ -331,14 +311,11 @@ impl FarSide for NetworkSide {
         self.words.append(&mut self.tokens.tell(&nodes, ends, &ended));
     }
 
-    fn tell(
-        &mut self,
-        here: &Here,
-        services: &[(ServiceEndpoint, u128)],
-        transit: &Transit,
-        _: &Writers<Writer>,
-    ) {
-        self.route_services(here, services, transit);
+    fn show(&mut self, _: &Here, _: &Transit) {}
+
+    fn shown(&self) {}
+
+    fn tell(&mut self, _: &Here, _: &Transit, _: &Writers<Writer>) {
         for word in std::mem::take(&mut self.words) {
             self.say(word);
         }
@@ -349,7 +326,6 @@ impl FarSide for NetworkSide {
         if is_missed {
             self.resync();
         }
-        self.services.try_again(|| ());
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
         self.ask_for_types();
         is_missed
@@ -377,10 +353,6 @@ impl FarSide for NetworkSide {
     fn sender(&mut self, key: &tautline_relay::TopicKey, writer: &Writer) -> Result<Sender, String> {
         let sender = Sender::declare(&self.session, &self.wire_key(key)?, writer, &self.options.rules);
         sender.map_err(|error| error.to_string())
-    }
-
-    fn outbound(counters: Arc<Counters>, _: Limiter) -> Arc<Counters> {
-        counters
     }
 
     fn port(
@@ -439,8 +411,9 @@ impl FarSide for NetworkSide {
         stats.type_descriptions = self.descriptions.counts().clone();
         stats.unauthorized = crate::access::refused();
         stats.not_mirrored = report.problems;
-        stats.not_mirrored.extend(self.services.problems());
-        stats.services = self.services.read().into_iter().map(ServiceStats::from).collect();
+        stats.not_mirrored.extend(report.service_problems);
+        let named = report.services.into_iter().map(|service| service.named(ServiceNames::of, |way| way));
+        stats.services = named.collect();
         stats.topics =
             report.topics.into_iter().map(|topic| topic.named(TopicNames::of, |way| way)).collect();
     }

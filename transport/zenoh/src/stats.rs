@@ -5,7 +5,7 @@ use crate::graph::Refused;
 use serde::Serialize;
 use std::collections::BTreeMap;
 pub use tautline_relay::Direction;
-use tautline_relay::{ServiceReading, TopicKey};
+use tautline_relay::TopicKey;
 
 /// What a topic is called.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -61,27 +61,21 @@ pub struct Stats {
 }
 
 /// A service, of which the gateway stands for the server.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ServiceStats {
+pub type ServiceStats = tautline_relay::ServiceStats<ServiceNames, Direction>;
+
+/// What a service is called.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct ServiceNames {
     /// The service.
     pub service: String,
     /// Its type.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// To whom it is offered: `out` is a service of this host.
-    pub direction: Direction,
-    /// Whether it is offered now.
-    pub active: bool,
-    /// Requests that were answered.
-    pub answered: u64,
-    /// Requests that were not, by reason.
-    pub failed: BTreeMap<String, u64>,
 }
 
-impl From<ServiceReading> for ServiceStats {
-    fn from(reading: ServiceReading) -> Self {
-        let ServiceReading { key, direction, active, answered, failed } = reading;
-        ServiceStats { service: key.topic, type_name: key.type_name, direction, active, answered, failed }
+impl ServiceNames {
+    pub(crate) fn of(key: TopicKey) -> Self {
+        ServiceNames { service: key.topic, type_name: key.type_name }
     }
 }
 

@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that carries requests and responses.
 
+use super::flag::Flag;
 use super::offered::{FarServer, Offered};
 use super::routes::{OfferedService, Routes, SoughtService};
 use super::sought::{FarClient, Sought};
-use super::stats::{Book, ServiceReading};
+use super::stats::{Book, ServiceStats};
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
-use std::task::{Context, Waker};
-use std::time::Duration;
+use std::task::Waker;
+use std::time::{Duration, Instant};
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Participant, ServiceType};
 
@@ -137,6 +138,7 @@ impl<F: FarServices> Services<F> {
             waker: waker.clone(),
             shared: shared.clone(),
             refused,
+            looked: Instant::now(),
         };
         let thread = thread.spawn(move || move || exchange.run())?;
         let (commands, thread) = (Some(commands), Some(thread));
@@ -184,7 +186,7 @@ impl<F: FarServices> Services<F> {
     }
 
     /// What was answered and what was not.
-    pub fn read(&self) -> Vec<ServiceReading> {
+    pub fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
         self.shared.book.read()
     }
 }
@@ -210,6 +212,8 @@ struct Exchange<F: FarServices> {
     shared: Arc<Shared>,
     /// Why those that are wanted could not be opened last.
     refused: BTreeMap<TopicKey, String>,
+    /// When all were looked at last, whether or not something happened to them.
+    looked: Instant,
 }
 
 impl<F: FarServices> Exchange<F> {
@@ -219,7 +223,8 @@ impl<F: FarServices> Exchange<F> {
             if let Some(command) = self.commands.try_iter().last() {
                 self.set_routes(&command.routes, &command.with);
             }
-            let is_busy = self.poll();
+            let is_time = self.next_look().is_some_and(|next| next <= Instant::now());
+            let is_busy = self.poll(is_time);
             if let Err(error) = self.wait(is_busy) {
                 // What was said once is enough; a thread of this priority must not spin.
                 tracing::error!("services are not mirrored: {error}");
@@ -228,14 +233,28 @@ impl<F: FarServices> Exchange<F> {
         }
     }
 
+    /// When it is to be looked at what nothing tells of.
+    fn next_look(&self) -> Option<Instant> {
+        let is_seeking = self.sought.values().any(Sought::is_seeking);
+        let is_waiting = || {
+            (F::Client::IS_LOOKED_AT && !self.sought.is_empty())
+                || self.offered.values().any(Offered::is_waiting)
+                || self.sought.values().any(Sought::is_waiting)
+        };
+        let period = if is_seeking { Some(SEEK_PERIOD) } else { is_waiting().then_some(LOOK_PERIOD) };
+        Some(self.looked + period?)
+    }
+
     /// What happened in the domain. Says whether there may be more.
-    fn poll(&mut self) -> bool {
-        let mut context = Context::from_waker(&self.waker);
+    fn poll(&mut self, is_time: bool) -> bool {
+        if is_time {
+            self.looked = Instant::now();
+        }
         let mut is_busy = false;
         let mut refused = Vec::new();
-        self.offered.values_mut().for_each(|offered| offered.poll(&mut context));
+        self.offered.values_mut().for_each(|offered| offered.poll(is_time));
         for (key, sought) in &mut self.sought {
-            match sought.poll(&mut context) {
+            match sought.poll(is_time) {
                 Ok(has_more) => is_busy |= has_more,
                 Err(error) => refused.push((key.clone(), error.to_string())),
             }
@@ -249,27 +268,18 @@ impl<F: FarServices> Exchange<F> {
 
     /// Waits, and takes what came there.
     fn wait(&mut self, is_busy: bool) -> Result<(), String> {
-        let is_looked_at = F::Client::IS_LOOKED_AT && !self.sought.is_empty();
-        let is_waiting =
-            self.offered.values().any(Offered::is_waiting) || self.sought.values().any(Sought::is_waiting);
-        let timeout = match self.sought.values().any(Sought::is_seeking) {
-            _ if is_busy => Some(Duration::ZERO),
-            true => Some(SEEK_PERIOD),
-            false if !is_looked_at && !is_waiting => None,
-            false => Some(LOOK_PERIOD),
+        let timeout = match is_busy {
+            true => Some(Duration::ZERO),
+            false => self.next_look().map(|next| next.saturating_duration_since(Instant::now())),
         };
         let servers: Vec<&F::Server> = self.offered.values().map(Offered::far).collect();
         let clients: Vec<&F::Client> = self.sought.values().map(Sought::far).collect();
         let Arrived { requests, responses } = self.far.wait(&servers, &clients, timeout)?;
-        let mut has_more = false;
         for (offered, _) in self.offered.values_mut().zip(requests).filter(|(_, is_ready)| *is_ready) {
-            has_more |= offered.serve();
+            offered.serve();
         }
         for (sought, _) in self.sought.values_mut().zip(responses).filter(|(_, is_ready)| *is_ready) {
-            has_more |= sought.serve();
-        }
-        if has_more {
-            self.waker.wake_by_ref();
+            sought.serve();
         }
         Ok(())
     }
@@ -282,9 +292,9 @@ impl<F: FarServices> Exchange<F> {
         for (key, service) in &routes.offered {
             if !self.offered.contains_key(key) {
                 let counters = self.shared.book.counters(key, Direction::Out);
-                let participant = &self.participant;
+                let (participant, flag) = (&self.participant, Flag::new(&self.waker));
                 let offered = self.far.offer(key, service, with).and_then(|(service_type, open)| {
-                    Offered::open(key, service_type, participant, counters, open)
+                    Offered::open(key, service_type, participant, counters, flag, open)
                 });
                 match offered {
                     Ok(offered) => drop(self.offered.insert(key.clone(), offered)),
@@ -297,7 +307,9 @@ impl<F: FarServices> Exchange<F> {
                 match self.far.seek(key, service) {
                     Ok((service_type, client)) => {
                         let counters = self.shared.book.counters(key, Direction::In);
-                        let sought = Sought::new(key, service_type, client, &self.participant, counters);
+                        let flag = Flag::new(&self.waker);
+                        let sought =
+                            Sought::new(key, service_type, client, &self.participant, counters, flag);
                         self.sought.insert(key.clone(), sought);
                     }
                     Err(reason) => self.refuse(key, reason),

@@ -10,16 +10,17 @@
 //! far side is a [`FarServices`].
 
 mod exchange;
+mod flag;
 mod offered;
 mod routes;
 mod sought;
 mod stats;
 
-pub use exchange::{Arrived, FarServices, Obeyed, Services};
+pub use exchange::{Arrived, FarServices, Services};
 pub use offered::{FarServer, TakenRequest};
 pub use routes::{OfferedService, Routes, ServerId, SoughtService};
 pub use sought::{FarClient, Response};
-pub use stats::ServiceReading;
+pub use stats::ServiceStats;
 
 use tautline_transport::{Claim, Limits};
 

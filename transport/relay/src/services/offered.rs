@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A service of the domain's that the far side may ask.
 
+use super::flag::Flag;
 use super::limits;
 use super::stats::Counters;
 use crate::mirror::TopicKey;
 use futures::future::{AbortHandle, Aborted, BoxFuture, abortable};
 use futures::stream::FuturesUnordered;
+use futures::task::waker;
 use futures::{FutureExt, StreamExt};
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
@@ -51,6 +53,7 @@ pub(super) struct Offered<S: FarServer> {
     /// One, and more while many requests wait for answers.
     clients: Vec<RawClient>,
     far: S,
+    flag: Arc<Flag>,
     key: TopicKey,
     service_type: ServiceType,
     participant: Participant,
@@ -74,6 +77,7 @@ impl<S: FarServer> Offered<S> {
         service_type: ServiceType,
         participant: &Participant,
         counters: Arc<Counters>,
+        flag: Arc<Flag>,
         open: impl FnOnce() -> Result<S, String>,
     ) -> Result<Self, String> {
         let client = participant.create_raw_client(&key.topic, &service_type, limits());
@@ -85,6 +89,7 @@ impl<S: FarServer> Offered<S> {
         Ok(Offered {
             clients,
             far,
+            flag,
             key,
             service_type,
             participant,
@@ -106,16 +111,16 @@ impl<S: FarServer> Offered<S> {
         &self.far
     }
 
-    /// The far side has requests: takes them, at most a turn of them. Says whether there may be more.
-    pub(super) fn serve(&mut self) -> bool {
+    /// The far side has requests: takes them, at most a turn of them. What is left ends the next wait.
+    pub(super) fn serve(&mut self) {
+        self.flag.set();
         for _ in 0..TURN {
             match self.far.take() {
                 Some(Ok((request, body))) => self.receive(request, body),
                 Some(Err(reason)) => self.counters.failed(reason),
-                None => return false,
+                None => return,
             }
         }
-        true
     }
 
     fn receive(&mut self, request: S::Request, body: Vec<u8>) {
@@ -202,8 +207,13 @@ impl<S: FarServer> Offered<S> {
         self.pending.push(answer.boxed());
     }
 
-    /// Carries on with what happened here: answers go to whoever asked there.
-    pub(super) fn poll(&mut self, context: &mut Context<'_>) {
+    /// Carries on with what happened here, if something did or it is time to look: answers go to whoever asked there.
+    pub(super) fn poll(&mut self, is_time: bool) {
+        if !self.flag.take() && !is_time {
+            return;
+        }
+        let waker = waker(self.flag.clone());
+        let context = &mut Context::from_waker(&waker);
         loop {
             self.pass_on();
             if self.availability.as_mut().is_some_and(|wait| wait.poll_unpin(context).is_ready()) {

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A service of the far side's that clients here ask.
 
+use super::flag::Flag;
 use super::limits;
 use super::offered::TURN;
 use super::routes::ServerId;
 use super::stats::Counters;
 use crate::mirror::TopicKey;
+use futures::task::waker;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -60,6 +62,7 @@ pub enum Response {
 
 pub(super) struct Sought<C: FarClient> {
     far: C,
+    flag: Arc<Flag>,
     /// While requests reach the one there.
     server: Option<RawServer>,
     /// A request that has no place there yet.
@@ -79,6 +82,7 @@ impl<C: FarClient> Sought<C> {
         far: C,
         participant: &Participant,
         counters: Arc<Counters>,
+        flag: Arc<Flag>,
     ) -> Self {
         let (service, participant) = (key.topic.clone(), participant.clone());
         Sought {
@@ -86,6 +90,7 @@ impl<C: FarClient> Sought<C> {
             server: None,
             next: None,
             untold: VecDeque::new(),
+            flag,
             service,
             service_type,
             participant,
@@ -139,11 +144,17 @@ impl<C: FarClient> Sought<C> {
         self.untold.clear();
     }
 
-    /// Passes requests of clients here on, at most a turn of them. Says whether there may be more.
+    /// Passes requests of clients here on, at most a turn of them, if something happened or it is time to look. Says whether there may be
+    /// more.
     ///
     /// # Errors
     /// The server here cannot be made.
-    pub(super) fn poll(&mut self, context: &mut Context<'_>) -> Result<bool, TransportError> {
+    pub(super) fn poll(&mut self, is_time: bool) -> Result<bool, TransportError> {
+        if !self.flag.take() && !is_time {
+            return Ok(false);
+        }
+        let waker = waker(self.flag.clone());
+        let context = &mut Context::from_waker(&waker);
         let is_available = self.far.is_available();
         if !is_available {
             self.let_go();
@@ -168,6 +179,7 @@ impl<C: FarClient> Sought<C> {
                 self.refuse(id, reason);
             }
         }
+        self.flag.set();
         Ok(true)
     }
 
@@ -188,8 +200,10 @@ impl<C: FarClient> Sought<C> {
         has_room
     }
 
-    /// The far side has responses: passes them on, at most a turn of them. Says whether there may be more.
-    pub(super) fn serve(&mut self) -> bool {
+    /// The far side has responses: passes them on, at most a turn of them. What is left ends the next wait.
+    pub(super) fn serve(&mut self) {
+        // There may be room for requests.
+        self.flag.set();
         for _ in 0..TURN {
             match self.far.take() {
                 Some(Response::Answer(id, body)) => match self.answer(id, &body) {
@@ -198,10 +212,9 @@ impl<C: FarClient> Sought<C> {
                 },
                 Some(Response::None(id, reason)) => self.refuse(id, reason),
                 Some(Response::Wrong(reason)) => self.counters.failed(reason),
-                None => return false,
+                None => return,
             }
         }
-        true
     }
 
     fn answer(&mut self, id: RequestId, body: &[u8]) -> Result<(), String> {

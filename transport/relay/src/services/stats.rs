@@ -3,6 +3,7 @@
 
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,18 +14,27 @@ const MOST_REASONS: usize = 16;
 const MOST_SERVICES: usize = 1024;
 
 /// A service, of which the mirror stands for the server.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ServiceReading {
-    /// Which one.
-    pub key: TopicKey,
-    /// `Out` is a service of the domain's.
-    pub direction: Direction,
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ServiceStats<N, D> {
+    /// Which service.
+    #[serde(flatten)]
+    pub name: N,
+    /// To whom it is offered: out is one of the domain's.
+    pub direction: D,
     /// Whether it is offered now.
     pub active: bool,
     /// Requests that were answered.
     pub answered: u64,
     /// Requests that were not, by reason.
     pub failed: BTreeMap<String, u64>,
+}
+
+impl<N, D> ServiceStats<N, D> {
+    /// In other words.
+    pub fn named<M, E>(self, named: impl Fn(N) -> M, way: impl Fn(D) -> E) -> ServiceStats<M, E> {
+        let ServiceStats { name, direction, active, answered, failed } = self;
+        ServiceStats { name: named(name), direction: way(direction), active, answered, failed }
+    }
 }
 
 /// Counters of one service.
@@ -73,10 +83,10 @@ impl Book {
         all.entry((key.clone(), direction)).or_default().clone()
     }
 
-    pub(super) fn read(&self) -> Vec<ServiceReading> {
+    pub(super) fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let stats = |((key, direction), counters): (&(TopicKey, Direction), &Arc<Counters>)| ServiceReading {
-            key: key.clone(),
+        let stats = |((key, direction), counters): (&(TopicKey, Direction), &Arc<Counters>)| ServiceStats {
+            name: key.clone(),
             direction: *direction,
             active: counters.active.load(Ordering::Relaxed),
             answered: counters.answered.load(Ordering::Relaxed),
@@ -101,7 +111,7 @@ mod tests {
         }
         counters.answered();
         let all = book.read();
-        let ServiceReading { answered, failed, active, .. } = &all[0];
+        let ServiceStats { answered, failed, active, .. } = &all[0];
         assert_eq!((all.len(), *answered, *active, failed.len()), (1, 1, false, MOST_REASONS + 1));
         assert_eq!((failed["0"], failed.values().sum::<u64>()), (2, 100));
     }
