@@ -74,15 +74,6 @@ pub enum BridgeError {
     /// There is one, which carries what this one would, or its lock cannot be had.
     #[error(transparent)]
     Seat(#[from] SeatError),
-    /// An RMW that does not tell whose a message is.
-    #[error(
-        "with {rmw} the bridge cannot know whose a message is: set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for it (nodes on other DDS \
-         implementations may keep theirs)"
-    )]
-    Rmw {
-        /// Its name.
-        rmw: String,
-    },
     /// What bridges of one ROS domain tell each other cannot be made.
     #[error("bridges cannot tell each other what they carry: {0}")]
     Table(String),
@@ -161,7 +152,7 @@ impl Bridge {
     /// # Errors
     /// [`BridgeError`].
     pub fn spawn_in(options: Options, seat: Option<Seat>) -> Result<Self, BridgeError> {
-        let rmw = known_rmw(rmw_implementation())?;
+        let rmw = rmw_implementation();
         let participant = Participant::new(options.domain)?;
         // From the first port on it is known that they stand for others.
         participant.set_remote(&RemoteGraph::default())?;
@@ -171,7 +162,8 @@ impl Bridge {
         let seat = seat.map_or_else(|| office.take(), Ok)?;
         let node = Node::new(&context, &node_name(options.domain), "/")?;
         let priorities = threads::Priorities::new(options.priority, options.realtime)?;
-        priorities.set(&threads::started_since(&before)?)?;
+        let rmw_threads = threads::started_since(&before)?;
+        priorities.set(&rmw_threads)?;
 
         let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"), Ros::new()?)?;
         let incoming = Incoming::start(&context, priorities.carrying("ros-in"))?;
@@ -190,7 +182,7 @@ impl Bridge {
         let threads = Vec::new();
         // From here on what was started ends if something fails.
         let guard = match (options.realtime, options.budget) {
-            (Realtime::Required, Some(budget)) => Some(priorities.watch(budget)?),
+            (Realtime::Required, Some(budget)) => Some(priorities.watch(budget, &rmw_threads)?),
             _ => None,
         };
         let mut bridge = Bridge {
@@ -266,12 +258,6 @@ impl Drop for Bridge {
     }
 }
 
-/// A message must carry the identifier by which its publisher is listed.
-fn known_rmw(rmw: String) -> Result<String, BridgeError> {
-    // Its messages carry an instance handle.
-    if rmw == "rmw_cyclonedds_cpp" { Err(BridgeError::Rmw { rmw }) } else { Ok(rmw) }
-}
-
 /// Begins as all bridges' do: what is left of one in ROS after it was killed is known by it.
 fn node_name(domain: u32) -> String {
     format!("{BRIDGE_PREFIX}{domain}_{}", std::process::id())
@@ -319,17 +305,5 @@ fn watch_ros(
                 std::thread::sleep(Duration::from_secs(1));
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_rmw_that_does_not_tell_whose_a_message_is_is_refused_with_the_fix() {
-        let error = known_rmw("rmw_cyclonedds_cpp".into()).unwrap_err().to_string();
-        assert!(error.contains("with rmw_cyclonedds_cpp") && error.contains("=rmw_fastrtps_cpp"), "{error}");
-        assert_eq!(known_rmw("rmw_fastrtps_cpp".into()).unwrap(), "rmw_fastrtps_cpp");
     }
 }

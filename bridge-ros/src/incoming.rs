@@ -9,11 +9,13 @@ use crate::rcl::{
     Context, GuardCondition, RclError, RosMessageInfo, RosSubscription, SerializedMessage, WaitSet, Waitable,
 };
 use crate::ros_graph::NAME_TIME;
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{Change, EarlyLimits, InKey, Inlet, Manner, Source};
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
+use tautline_transport::Gid;
 
 /// Messages taken of one topic before the next topic has its turn.
 const TURN: usize = 64;
@@ -32,6 +34,9 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// How long a subscription is kept beside the one that replaces it: publishers have found that by then, which they tell nobody.
 const RENEWAL_TIME: Duration = Duration::from_secs(3);
+
+/// Publishers of a topic whose last time is remembered, of an RMW that gives no numbers.
+const MOST_PUBLISHERS: usize = 4096;
 
 enum Command {
     Start(InKey, Box<(RosSubscription, Inlet)>),
@@ -124,6 +129,8 @@ struct Route {
     /// Subscriptions before this one, the oldest first, and until when they are taken from: who keeps nothing for late joiners
     /// does not send to the new one before they have found each other.
     previous: Vec<(RosSubscription, Instant)>,
+    /// Of an RMW that gives no numbers: when each publisher's last message was published.
+    last: HashMap<Gid, i64>,
     /// Whether a turn ended before the queue was empty.
     has_more: bool,
 }
@@ -169,7 +176,8 @@ impl Loop {
         match command {
             Command::Start(key, start) => {
                 let (subscription, inlet) = *start;
-                let mut route = Route { subscription, inlet, previous: Vec::new(), has_more: true };
+                let mut route =
+                    Route { subscription, inlet, previous: Vec::new(), last: HashMap::new(), has_more: true };
                 if let Some(old) = self.end(&key) {
                     route.take_over(old, key.is_kept());
                 }
@@ -210,6 +218,7 @@ impl Route {
         if !is_kept {
             self.previous = old.previous;
             self.previous.push((old.subscription, Instant::now() + RENEWAL_TIME));
+            self.last = old.last;
         }
         self.inlet.take_over(old.inlet, is_kept);
     }
@@ -229,8 +238,8 @@ impl Route {
         self.has_more = true;
     }
 
-    /// From previous subscriptions first: what the new one has follows on it. What both get is told by its number; of an RMW that
-    /// gives none, both copies are passed on.
+    /// From previous subscriptions first: what the new one has follows on it. What both get is told by its number, or by when it was
+    /// published if the RMW gives none.
     fn take(&mut self, buffer: &mut SerializedMessage) -> Result<Option<RosMessageInfo>, RclError> {
         for (previous, _) in &mut self.previous {
             if let Some(info) = previous.take(buffer)? {
@@ -243,6 +252,17 @@ impl Route {
     fn receive(&mut self, bytes: &[u8], info: RosMessageInfo) {
         if info.is_own || self.inlet.leaves(&info.gid) {
             return;
+        }
+        if info.sequence_number.is_none() {
+            // Of publishers that have gone, most of them.
+            if self.last.len() >= MOST_PUBLISHERS {
+                self.last.clear();
+            }
+            let last = self.last.entry(info.gid).or_insert(i64::MIN);
+            if !self.previous.is_empty() && info.source_timestamp_ns <= *last {
+                return;
+            }
+            *last = info.source_timestamp_ns;
         }
         let source = Source {
             publisher: info.gid,

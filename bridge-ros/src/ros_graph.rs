@@ -40,6 +40,7 @@ impl RosGraph {
     pub(crate) fn read(&mut self, node: &Node, place: &str, tables: &Tables) -> Result<(), RclError> {
         let (mut endpoints, mut publishers) = (Vec::new(), HashMap::<String, BTreeSet<Gid>>::new());
         let before = std::mem::take(&mut self.unknown);
+        node.context().refresh();
         let tellers = node.endpoints(table::TOPIC, EndpointKind::Publisher)?;
         self.tables = tables.of(&tellers.iter().map(|end| end.gid).collect());
         let told = self

@@ -66,14 +66,17 @@ const OWN: [(&str, u8); 6] = [
 ];
 
 impl Priorities {
-    /// Watches the bridge's threads and Fast DDS's, all of which a flood keeps busy.
-    pub(crate) fn watch(self, budget: Budget) -> Result<Guard, RtError> {
+    /// Watches the bridge's threads and the RMW's, all of which a flood keeps busy: those that it `began` with, and more of Fast DDS's.
+    pub(crate) fn watch(self, budget: Budget, began: &[ThreadInfo]) -> Result<Guard, RtError> {
+        let began: HashSet<(u32, String)> =
+            began.iter().map(|thread| (thread.tid, thread.name.clone())).collect();
         let list = move || {
-            let below = |name: &str| match name.starts_with("dds.") {
-                true => Some(1),
-                false => OWN.iter().find(|(own, _)| *own == name).map(|(_, below)| *below),
+            let below = |thread: &ThreadInfo| match OWN.iter().find(|(own, _)| *own == thread.name) {
+                Some((_, below)) => Some(*below),
+                None if thread.name.starts_with("dds.") => Some(1),
+                None => began.contains(&(thread.tid, thread.name.clone())).then_some(1),
             };
-            let watched = |thread: ThreadInfo| Some((thread.tid, self.policy(below(&thread.name)?).ok()?));
+            let watched = |thread: ThreadInfo| Some((thread.tid, self.policy(below(&thread)?).ok()?));
             Ok(tautline_rt::threads()?.into_iter().filter_map(watched).collect())
         };
         Guard::start("ros-budget", budget, self.policy(0)?, Box::new(list))

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::{fs, io};
 
-const WHEELS: [&str; 7] = [
+const WHEELS: [&str; 8] = [
     "ros-jazzy-rclpy==7.1.6",
     "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
     "ros-jazzy-common-interfaces==5.3.6",
@@ -15,6 +15,8 @@ const WHEELS: [&str; 7] = [
     "ros-jazzy-std-srvs==5.3.6",
     "ros-jazzy-lifecycle-msgs==2.0.3",
     "ros-jazzy-test-msgs==2.0.3",
+    // Not ROS's: what the bridge asks Cyclone DDS is asked of it in a test.
+    "cyclonedds==11.0.1",
 ];
 
 /// Makes the environment and says how to use it.

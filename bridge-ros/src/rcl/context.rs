@@ -2,9 +2,11 @@
 //! Membership of a ROS domain, and its nodes.
 
 use super::error::{RclError, check};
+use super::publications::{self, Publications};
 use r2r_rcl::*;
 use std::ffi::{CStr, CString};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use tautline_rt::PiMutex;
 use tautline_transport::Gid;
 
 /// Membership of a ROS domain. With Fast DDS: one participant, whose threads start here.
@@ -13,6 +15,8 @@ pub struct Context {
     domain: u32,
     /// What the gids of its participant begin with, once it has a publisher.
     own: OnceLock<[u8; PREFIX]>,
+    /// For an RMW whose messages do not tell their publishers' gids.
+    publications: OnceLock<PiMutex<Publications>>,
 }
 
 /// Bytes of a DDS gid that are the participant's.
@@ -48,7 +52,7 @@ impl Context {
             let started =
                 set.and_then(|()| check("starting ROS 2", rcl_init(0, std::ptr::null(), &options, raw)));
             let _ = rcl_init_options_fini(&mut options);
-            let mut context = Context { raw, domain: 0, own: OnceLock::new() };
+            let mut context = Context { raw, domain: 0, own: OnceLock::new(), publications: OnceLock::new() };
             if let Err(error) = started {
                 drop(Box::from_raw(raw));
                 std::mem::forget(context);
@@ -76,6 +80,23 @@ impl Context {
         self.own.get() == Some(&prefix(publisher))
     }
 
+    /// The gid of a message's publisher, from what the RMW says of it.
+    ///
+    /// # Real-time
+    /// With Cyclone DDS a look-up under a lock that inherits priority; before the first message of a publisher its list of changed
+    /// publications is read, which allocates.
+    pub(super) fn publisher(&self, said: Gid) -> Gid {
+        let [handle @ .., _, _, _, _, _, _, _, _] = said.0;
+        self.publications.get().map_or(said, |all| all.lock().gid(u64::from_ne_bytes(handle)))
+    }
+
+    /// Takes what changed of what that is found by.
+    pub(crate) fn refresh(&self) {
+        if let Some(publications) = self.publications.get() {
+            publications.lock().read();
+        }
+    }
+
     pub(crate) fn raw(&self) -> *mut rcl_context_t {
         self.raw
     }
@@ -83,6 +104,8 @@ impl Context {
 
 impl Drop for Context {
     fn drop(&mut self) {
+        // Before the RMW's own participant.
+        drop(self.publications.take());
         // SAFETY: nobody else has it: what uses it holds an `Arc` of it.
         unsafe {
             let _ = rcl_shutdown(self.raw);
@@ -134,7 +157,13 @@ impl Node {
                 drop(Box::from_raw(raw));
                 return Err(error);
             }
-            Ok(Arc::new(Node { raw, making: Mutex::new(()), context: context.clone() }))
+            let node = Node { raw, making: Mutex::new(()), context: context.clone() };
+            // Not before: it is the first node that makes the RMW's participant.
+            if context.publications.get().is_none() && rmw_implementation() == publications::RMW {
+                let publications = Publications::new(context.domain).inspect_err(|_| drop(_making))?;
+                let _ = context.publications.set(PiMutex::new(publications));
+            }
+            Ok(Arc::new(node))
         }
     }
 

@@ -11,6 +11,7 @@ mod error;
 mod events;
 mod graph;
 mod guard;
+mod publications;
 mod publisher;
 mod serialized;
 mod service;

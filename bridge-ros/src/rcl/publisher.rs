@@ -49,7 +49,7 @@ impl RosPublisher {
             }
             let mut gid = rmw_gid_t { implementation_identifier: std::ptr::null(), data: [0; 16] };
             let known = rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(raw), &mut gid);
-            let gid = super::graph::gid(&gid.data);
+            let gid = node.context().publisher(super::graph::gid(&gid.data));
             if check("reading a publisher's gid", known).is_ok() {
                 node.context().learn_own(&gid);
             }

@@ -76,7 +76,7 @@ impl RosSubscription {
             return Ok(None);
         }
         check("taking a message", code)?;
-        let gid = super::graph::gid(&info.publisher_gid.data);
+        let gid = self.node.context().publisher(super::graph::gid(&info.publisher_gid.data));
         Ok(Some(RosMessageInfo {
             source_timestamp_ns: info.source_timestamp,
             sequence_number: Some(info.publication_sequence_number).filter(|number| *number != u64::MAX),
