@@ -116,7 +116,7 @@ pub struct Inward {
     pub publishers: BTreeMap<Gid, Option<Duration>>,
     /// Publishers of the class whose messages come into the domain another way.
     pub passed_over: BTreeSet<Gid>,
-    /// See [`Choice::min_period`].
+    /// See [`Rule::min_period`](crate::Rule::min_period).
     pub min_period: Option<Duration>,
     /// What the topic says of its type.
     pub type_hash: Option<String>,
@@ -154,7 +154,7 @@ pub struct Outward {
     pub depth: usize,
     /// Whether any publisher serves late joiners.
     pub is_kept: bool,
-    /// See [`Choice::min_period`].
+    /// See [`Rule::min_period`](crate::Rule::min_period).
     pub min_period: Option<Duration>,
     /// What the topic says of its type.
     pub type_hash: Option<String>,
