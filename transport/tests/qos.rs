@@ -288,6 +288,28 @@ fn losses_are_told() {
     }
 }
 
+/// Whoever comes later calls the other's process, though nothing is connected.
+#[test]
+fn who_was_there_first_is_told_of_what_does_not_fit() {
+    let [early, late] = [(); 2].map(|()| Participant::new(domain(113)).unwrap());
+    let events = early.claim_slot().unwrap();
+    let wanted = Qos::default().transient_local();
+    let publisher = publisher(&early, "/offered", Qos::default());
+    let mut monitor = publisher.raw().monitor(&events);
+    assert_eq!(monitor.look(), Default::default());
+    let _strict = subscription(&late, "/offered", wanted);
+    let policy = |found: Option<IncompatibleQos>| found.map(|found| found.last_policy_kind);
+    wait_for("the subscription", || {
+        policy(monitor.look().incompatible_qos) == Some(QosPolicyKind::Durability)
+    });
+    let strict = subscription(&early, "/requested", wanted);
+    let mut monitor = strict.raw().monitor(&events);
+    let _loose = self::publisher(&late, "/requested", Qos::default());
+    let found =
+        |monitor: &mut tautline_transport::SubscriptionMonitor| policy(monitor.look(0).incompatible_qos);
+    wait_for("the publisher", || found(&mut monitor) == Some(QosPolicyKind::Durability));
+}
+
 #[test]
 fn a_lease_is_kept_by_publishing_or_by_word() {
     let participant = Participant::new(domain(113)).unwrap();

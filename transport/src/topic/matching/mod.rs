@@ -351,6 +351,8 @@ impl State {
             self.connect_own((core, &port), (&subscription, requested), work)?;
         }
         for (gid, port) in peers {
+            // Also of one that does not fit: its monitor tells of it.
+            work.calls.extend((port.topic == core.topic.name).then_some(gid.participant()));
             self.connect_peer(core, gid, port, work)?;
         }
         let told = self.index.remote(core.hash(), PortKind::Subscription, &core.topic).unwrap_or_default();
@@ -369,6 +371,7 @@ impl State {
             self.connect_own((&publisher, &port), (core, requested.clone()), work)?;
         }
         for (gid, port) in self.index.ports(core.hash(), PortKind::Publisher) {
+            work.calls.extend((port.topic == core.topic.name).then_some(gid.participant()));
             if let Err(error) = self.expect_peer(core, gid, port, work) {
                 self.index.try_again((gid, core.hash()));
                 complain(&error);
