@@ -494,7 +494,7 @@ fn a_flood_of_events_keeps_nobody_from_ending() {
 #[test]
 fn more_requests_go_on_than_a_client_has_places() {
     isolated();
-    const REQUESTS: u32 = 300;
+    const REQUESTS: u32 = 1024;
     const DOMAIN_HERE: u32 = DOMAIN + 5;
     let participant = Participant::new(DOMAIN_HERE).unwrap();
     let server =

@@ -300,14 +300,6 @@ impl RawServer {
 }
 
 impl RawResponse<'_> {
-    /// As [`RawLoan::truncate`].
-    ///
-    /// # Real-time
-    /// As [`RawLoan::truncate`].
-    pub fn truncate(&mut self, len_bytes: usize) {
-        self.loan.truncate(len_bytes);
-    }
-
     /// Sends the response to the client that asked.
     ///
     /// # Real-time

@@ -23,7 +23,6 @@ use receiver::{Held, Live, Receiver};
 use std::cell::{Cell, RefCell};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
-use std::task::Waker;
 use tautline_doorbell::{Joined, Slot, ThreadBell};
 
 /// Receives bodies of CDR from one topic, of whatever type. A stream of [`RawSample`]s, or
@@ -212,22 +211,12 @@ impl RawSubscription {
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions of the thread); no allocation; no syscall. If the bell's 63 places are taken, or if it is another
-    /// participant's, the sampler is rung as before. Says whether publishers wake that thread.
-    pub fn wake_thread(&self, bell: Option<&Arc<ThreadBell>>) -> bool {
+    /// participant's, the sampler is rung as before.
+    pub fn wake_thread(&self, bell: Option<&Arc<ThreadBell>>) {
         let mut thread = self.thread.borrow_mut();
         // Left before it is joined anew: both set the route.
         *thread = None;
         *thread = bell.and_then(|bell| bell.join(self.slot()));
-        thread.is_some()
-    }
-
-    /// What who drains the doorbell wakes, once, when something comes: for one that is not [polled](Self::poll_take). The caller looks
-    /// into the queue after this.
-    ///
-    /// # Real-time
-    /// Wait-free; no allocation; no syscall.
-    pub fn wake_once(&self, waker: &Waker) {
-        self.slot().waker().register(waker);
     }
 
     /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback). If it no longer does, its
