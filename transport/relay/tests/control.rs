@@ -37,6 +37,8 @@ struct World {
     bell: Arc<Bell>,
     requests: VecDeque<u32>,
     answers: Vec<Result<Vec<u8>, String>>,
+    /// Whether the thread that carries requests has ended: what takes samples is about to.
+    is_ending: bool,
 }
 
 type Shared = Arc<Mutex<World>>;
@@ -183,6 +185,12 @@ impl std::task::Wake for Bell {
 struct PlayServices(Shared);
 struct Server(Shared);
 struct Client;
+
+impl Drop for PlayServices {
+    fn drop(&mut self) {
+        of(&self.0).is_ending = true;
+    }
+}
 
 impl FarServices for PlayServices {
     type Server = Server;
@@ -428,13 +436,14 @@ fn what_was_published_last_goes_out() {
     });
     let gate = mirroring.gate.clone();
     let shut = gate.lock().unwrap();
-    (0..MANY / 2).for_each(|n| publish(&publisher, &[n]));
+    (0..MANY).for_each(|n| publish(&publisher, &[n]));
     mirroring.stop.store(true, Ordering::Release);
     mirroring.events.send(Event::Stop).unwrap();
+    until("its end", || mirroring.world().is_ending);
     drop(shut);
     mirroring.thread.join().unwrap();
     let passed: Vec<Vec<u8>> = mirroring.passed.try_iter().filter(|body| *body != [255]).collect();
-    assert_eq!(passed, (0..MANY / 2).map(|n| [n]).collect::<Vec<_>>());
+    assert_eq!(passed, (0..MANY).map(|n| [n]).collect::<Vec<_>>());
 }
 
 /// The port for late joiners cannot be made deeper; who listens goes on hearing, also those who come now.
