@@ -83,8 +83,7 @@ impl Context {
     /// The gid of a message's publisher, from what the RMW says of it.
     ///
     /// # Real-time
-    /// With Cyclone DDS a look-up under a lock that inherits priority; before the first message of a publisher its list of changed
-    /// publications is read, which allocates.
+    /// With Cyclone DDS [`Publications::gid`] under a lock that inherits priority.
     pub(super) fn publisher(&self, said: Gid) -> Gid {
         let [handle @ .., _, _, _, _, _, _, _, _] = said.0;
         self.publications.get().map_or(said, |all| all.lock().gid(u64::from_ne_bytes(handle)))
@@ -93,8 +92,16 @@ impl Context {
     /// Takes what changed of what that is found by.
     pub(crate) fn refresh(&self) {
         if let Some(publications) = self.publications.get() {
-            publications.lock().read();
+            publications.lock().refresh();
         }
+    }
+
+    /// What that is found by, once there is a node: the first one makes the RMW's participant.
+    fn find_publications(&self) -> Result<(), RclError> {
+        if self.publications.get().is_none() && rmw_implementation() == publications::RMW {
+            let _ = self.publications.set(PiMutex::new(Publications::new(self.domain)?));
+        }
+        Ok(())
     }
 
     pub(crate) fn raw(&self) -> *mut rcl_context_t {
@@ -144,26 +151,26 @@ impl Node {
     /// [`RclError`]: a name that cannot be one.
     pub fn new(context: &Arc<Context>, name: &str, namespace: &str) -> Result<Arc<Self>, RclError> {
         let (c_name, c_namespace) = (text(name)?, text(namespace)?);
+        let node = Self::make(context, &c_name, &c_namespace)?;
+        context.find_publications()?;
+        Ok(Arc::new(node))
+    }
+
+    fn make(context: &Arc<Context>, name: &CStr, namespace: &CStr) -> Result<Self, RclError> {
         let _making = NODES.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: rcl's protocol; the node is boxed, for publishers keep its address, and freed by `drop`.
         unsafe {
             let mut options = rcl_node_get_default_options();
             options.enable_rosout = false;
             let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_node()));
-            let made = rcl_node_init(raw, c_name.as_ptr(), c_namespace.as_ptr(), context.raw(), &options);
+            let made = rcl_node_init(raw, name.as_ptr(), namespace.as_ptr(), context.raw(), &options);
             let made = check("making a node", made);
             let _ = rcl_node_options_fini(&mut options);
             if let Err(error) = made {
                 drop(Box::from_raw(raw));
                 return Err(error);
             }
-            let node = Node { raw, making: Mutex::new(()), context: context.clone() };
-            // Not before: it is the first node that makes the RMW's participant.
-            if context.publications.get().is_none() && rmw_implementation() == publications::RMW {
-                let publications = Publications::new(context.domain).inspect_err(|_| drop(_making))?;
-                let _ = context.publications.set(PiMutex::new(publications));
-            }
-            Ok(Arc::new(node))
+            Ok(Node { raw, making: Mutex::new(()), context: context.clone() })
         }
     }
 

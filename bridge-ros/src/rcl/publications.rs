@@ -116,37 +116,41 @@ impl Publications {
     }
 
     /// The identifier of a message's publisher; the default one, which nobody has, if the list has none of that handle.
+    ///
+    /// # Real-time
+    /// A look-up. Before the first message of a publisher: O(changes of the list), and allocates.
     pub(super) fn gid(&mut self, handle: u64) -> Gid {
-        if !self.known.contains_key(&handle) {
-            self.read();
-        }
+        while !self.known.contains_key(&handle) && self.read() == TURN {}
         self.known.get(&handle).map(|(gid, _)| *gid).unwrap_or_default()
     }
 
-    /// Takes what changed.
-    pub(super) fn read(&mut self) {
-        loop {
-            let mut samples = [std::ptr::null_mut::<c_void>(); TURN];
-            let mut infos = [SampleInfo::default(); TURN];
-            // SAFETY: as many as said; of null pointers DDS lends the samples, until they are given back below.
-            let taken = unsafe {
-                (self.dds.take)(self.reader, samples.as_mut_ptr(), infos.as_mut_ptr(), TURN, TURN as u32)
-            };
-            for (sample, info) in samples.iter().zip(&infos).take(usize::try_from(taken).unwrap_or(0)) {
-                // SAFETY: `dds_builtintopic_endpoint_t` begins with the identifier, and has it also when nothing else is valid.
-                let gid = Gid(unsafe { sample.cast::<[u8; 16]>().read_unaligned() });
-                let gone = (info.instance_state != ALIVE).then(Instant::now);
-                self.known.insert(info.instance_handle, (gid, gone));
-            }
-            if taken > 0 {
-                // SAFETY: what was lent.
-                unsafe { (self.dds.return_loan)(self.reader, samples.as_mut_ptr(), taken) };
-            }
-            if taken < TURN as i32 {
-                break;
-            }
-        }
+    /// Takes what changed, and forgets who went long ago.
+    pub(super) fn refresh(&mut self) {
+        while self.read() == TURN {}
         self.known.retain(|_, (_, gone)| gone.is_none_or(|since| since.elapsed() < GONE_TIME));
+    }
+
+    /// Takes a turn of what changed. Returns how many changes that were.
+    fn read(&mut self) -> usize {
+        let mut samples = [std::ptr::null_mut::<c_void>(); TURN];
+        let mut infos = [SampleInfo::default(); TURN];
+        // SAFETY: as many as said; of null pointers DDS lends the samples, until they are given back below.
+        let lent = unsafe {
+            (self.dds.take)(self.reader, samples.as_mut_ptr(), infos.as_mut_ptr(), TURN, TURN as u32)
+        };
+        // An error is less than none.
+        let count = usize::try_from(lent).unwrap_or(0);
+        for (sample, info) in samples.iter().zip(&infos).take(count) {
+            // SAFETY: `dds_builtintopic_endpoint_t` begins with the identifier, and has it also when nothing else is valid.
+            let gid = Gid(unsafe { sample.cast::<[u8; 16]>().read_unaligned() });
+            let gone = (info.instance_state != ALIVE).then(Instant::now);
+            self.known.insert(info.instance_handle, (gid, gone));
+        }
+        if count > 0 {
+            // SAFETY: what was lent.
+            unsafe { (self.dds.return_loan)(self.reader, samples.as_mut_ptr(), lent) };
+        }
+        count
     }
 }
 
@@ -190,7 +194,7 @@ sys.stdin.read()
     ) {
         let end = Instant::now() + Duration::from_secs(60);
         loop {
-            publications.read();
+            publications.refresh();
             if is_so(publications.known.values().find(|(known, _)| *known == gid)) {
                 return;
             }
