@@ -127,6 +127,34 @@ fn a_body_has_its_length_its_alignment_and_a_zeroed_tail() {
     }
 }
 
+/// A take that comes before the janitor has mapped a new segment has the sample out of the queue, and it is there nevertheless.
+#[test]
+fn a_sample_that_could_not_be_reached_yet_is_seen_to_be_there() {
+    let domain = domain(172);
+    let (here, there) = (Participant::new(domain).unwrap(), Participant::new(domain).unwrap());
+    let text = TopicType::new(TEXT);
+    let publisher = here.create_raw_publisher("/seen", &text, Qos::default(), limits(64)).unwrap();
+    let subscription = there.create_raw_subscription("/seen", &text, Qos::default(), limits(64)).unwrap();
+    wait_for("a connection", || publisher.subscription_count() == 1 && subscription.publisher_count() == 1);
+    let mut unreached = 0;
+    for n in 0..12 {
+        publisher.publish(&body(100 << n, n)).unwrap();
+        let mut sample = take(&subscription);
+        unreached += u32::from(sample.is_none());
+        while sample.is_none() {
+            wait_for("a sample that is seen", || subscription.has_samples());
+            sample = take(&subscription);
+        }
+        assert_eq!(sample.unwrap().body(), body(100 << n, n));
+        assert!(!subscription.has_samples() && subscription.waiting() == 0);
+        let waiting = u64::from(n) % 3;
+        (0..waiting).for_each(|_| publisher.publish(&[1]).unwrap());
+        assert_eq!(subscription.waiting(), waiting);
+        (0..waiting).for_each(|_| assert!(take(&subscription).is_some()));
+    }
+    println!("{unreached} of 12 could not be reached at first");
+}
+
 #[test]
 fn samples_stay_readable_while_the_memory_grows() {
     const DOMAIN: u32 = 172;

@@ -114,6 +114,16 @@ impl RawSubscription {
         live.has_samples()
     }
 
+    /// How many messages came that were neither taken nor counted as lost: at most the depth of them can still be taken.
+    ///
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall.
+    pub fn waiting(&self) -> u64 {
+        let mut live = self.live.borrow_mut();
+        live.refresh();
+        live.waiting()
+    }
+
     /// Whether this publisher is connected, and has not ended.
     pub(crate) fn has_publisher(&self, publisher: Gid) -> bool {
         let mut live = self.live.borrow_mut();

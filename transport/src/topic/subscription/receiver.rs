@@ -217,6 +217,36 @@ impl Receiver {
         Look::Taken(Taken { held, header, payload, lost, waiting })
     }
 
+    /// Whether there is something to take: in the queue, or out of it before, and to be reached by now.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For the thread that takes, of a live receiver.
+    unsafe fn is_ready(&self, segments: &SegmentViews, has_ended: bool) -> bool {
+        // SAFETY: as the caller promises.
+        match unsafe { (*self.half.get()).parked } {
+            Some(chunk) => has_ended || locate(chunk, segments).is_some(),
+            None => self.has_samples(),
+        }
+    }
+
+    /// How many samples came that were neither taken nor found to be lost.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    ///
+    /// # Safety
+    /// For the thread that takes, of a live receiver.
+    unsafe fn waiting(&self) -> u64 {
+        // SAFETY: as the caller promises.
+        match unsafe { (*self.half.get()).next } {
+            0 => self.unseen(),
+            next => self.block().out.sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(next),
+        }
+    }
+
     /// The queue of an ended publisher is empty: what it sent and never came is lost.
     fn settle(&self, half: &Half) -> Look {
         let sent = self.block().out.sent.load(Ordering::Relaxed);
@@ -328,14 +358,24 @@ impl Live {
         self.table.current().entries().any(|entry| entry.receiver.publisher == publisher && !entry.has_ended)
     }
 
-    /// Whether a publisher has something queued.
+    /// How many samples of all publishers came that were neither taken nor found to be lost.
+    ///
+    /// # Real-time
+    /// O(publishers); no allocation; no syscall.
+    pub(crate) fn waiting(&self) -> u64 {
+        let live = self.table.current().entries().filter(|entry| entry.receiver.turn.is_live());
+        // SAFETY: it is live, and this is the thread that takes.
+        live.map(|entry| unsafe { entry.receiver.waiting() }).fold(0, u64::saturating_add)
+    }
+
+    /// Whether a publisher has something to be taken.
     ///
     /// # Real-time
     /// O(publishers); no allocation; no syscall.
     pub(crate) fn has_samples(&self) -> bool {
-        self.table
-            .current()
-            .entries()
-            .any(|entry| entry.receiver.turn.is_live() && entry.receiver.has_samples())
+        self.table.current().entries().any(|Entry { receiver, segments, has_ended }| {
+            // SAFETY: it is live, and this is the thread that takes.
+            receiver.turn.is_live() && unsafe { receiver.is_ready(segments, *has_ended) }
+        })
     }
 }
