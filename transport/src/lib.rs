@@ -58,8 +58,9 @@ pub use participant::{MAX_DOMAIN, Participant};
 pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};
 pub use schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
 pub use service::{
-    Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, RawClient, RawPending, RawResponse,
-    RawServer, Request, RequestId, Response, Server, ServiceError, ServiceType, Unsent, UnwrittenResponse,
+    Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, QueuedClient, RawClient, RawPending,
+    RawResponse, RawServer, Request, RequestId, Response, Server, ServiceError, ServiceType, Unsent,
+    UnwrittenResponse,
 };
 pub use tautline_doorbell::{Doorbell, DoorbellError, Pulse, PulseOf, SamplerSeat, Slot, ThreadBell};
 pub use topic::compatibility::QosPolicyKind;

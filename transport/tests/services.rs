@@ -4,6 +4,9 @@
 mod support;
 
 use futures::FutureExt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::task::{Wake, Waker};
 use support::{Part, clean, domain, folder, participants, say, wait_for, wait_for_some, wait_for_the_end};
 use tautline_transport::{
     Limits, Participant, RawClient, RawPending, RawSample, RawServer, RequestId, ServiceError, ServiceType,
@@ -241,4 +244,58 @@ fn what_no_service_can_be_called_is_refused() {
         assert!(errors.iter().all(is_type), "{errors:?}");
     }
     assert!(participant.graph().unwrap().services.iter().all(|end| end.name != "/refused"));
+}
+
+/// More than a table of pending requests has room for, of two servers, one of which refuses; each response with its request's number.
+#[test]
+fn responses_are_taken_as_they_come_from_every_server() {
+    let [here, there] = [(); 2].map(|()| Participant::new(domain(64)).unwrap());
+    let service_type = ServiceType::new("test_srvs/srv/Bytes", None);
+    let client = here.create_queued_client("/queued", &service_type, 200, Limits::default()).unwrap();
+    let woken = Arc::new(AtomicUsize::new(0));
+    client.wake_once(&Waker::from(Arc::new(Woken(woken.clone()))));
+    let first = client.reserve();
+    let unsent = client.send(first, client.loan(0).unwrap()).unwrap_err();
+    assert!(matches!(unsent.error, ServiceError::NoServer { .. }) && unsent.loan.is_some());
+    drop(unsent);
+    let seat = here.doorbell().claim_sampler().unwrap();
+    let service = || there.create_raw_server("/queued", &service_type, 200, Limits::default()).unwrap();
+    let servers = [service(), service()];
+    wait_for("both servers", || {
+        seat.drain(|_| {});
+        client.server_count() == 2
+    });
+    assert!(woken.load(Ordering::Relaxed) > 0, "it was told of a server");
+    let ask = |number, body: &[u8]| {
+        let mut loan = client.loan(body.len()).unwrap();
+        loan.copy_from_slice(body);
+        client.send(number, loan).unwrap();
+    };
+    ask(first, &[0]);
+    (1..150).for_each(|n| ask(client.reserve(), &[n]));
+    for (place, server) in servers.iter().enumerate() {
+        for n in 0..150 {
+            let request = take(server);
+            assert_eq!((request.body(), request.info().sequence_number), (&[n][..], first + u64::from(n)));
+            match place {
+                0 => respond(server, &request, &[n, 7]),
+                _ => server.refuse(RequestId::of(request.info())).unwrap(),
+            }
+        }
+    }
+    for n in 0..150 {
+        let response = wait_for_some("a response", || client.try_take().unwrap());
+        assert_eq!((response.body(), response.info().sequence_number), (&[n, 7][..], first + u64::from(n)));
+    }
+    assert!(client.try_take().unwrap().is_none(), "what was refused is passed over");
+    drop(servers);
+    wait_for("their ends", || client.server_count() == 0);
+}
+
+struct Woken(Arc<AtomicUsize>);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
 }

@@ -69,17 +69,40 @@ impl ThreadBell {
     /// before `spin` is over.
     pub fn wait(&self, spin: Duration) {
         let Some(bell) = self.bell() else { return };
-        let wake = |bit: usize| match self.slots.get(bit).map(|slot| slot.load(Ordering::Relaxed)) {
-            None | Some(FREE) => {}
-            Some(slot) => self.doorbell.wake(slot),
-        };
-        while bell.drain(wake) == 0 {
+        while !self.take(bell) {
             if !is_rung_within(bell, spin) {
                 bell.sleep(None);
             }
         }
+    }
+
+    /// As [`wait`](Self::wait), at most until the `CLOCK_MONOTONIC` time `deadline_ns`. Whether something rang.
+    ///
+    /// # Real-time
+    /// As [`wait`](Self::wait).
+    pub fn wait_until(&self, deadline_ns: Option<u64>) -> bool {
+        let Some(bell) = self.bell() else { return false };
+        while !self.take(bell) {
+            if deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns) {
+                return false;
+            }
+            bell.sleep(deadline_ns);
+        }
+        true
+    }
+
+    /// Wakes the tasks that were rung for. Whether something rang.
+    fn take(&self, bell: &Bell<1>) -> bool {
+        let wake = |bit: usize| match self.slots.get(bit).map(|slot| slot.load(Ordering::Relaxed)) {
+            None | Some(FREE) => {}
+            Some(slot) => self.doorbell.wake(slot),
+        };
+        if bell.drain(wake) == 0 {
+            return false;
+        }
         // The tasks just woken have rung, too; they will be polled, and so will whoever rings from here on.
         bell.take(OTHERS);
+        true
     }
 
     /// Leads the rings for `slot` here. `None`: all bits are taken, or the slot is of another arena, whose publishers know nothing

@@ -181,9 +181,52 @@ impl Servers {
         self.change = Some((gone, alive));
     }
 
+    /// Those that there are.
+    pub(super) fn count(&self) -> usize {
+        self.known.len()
+    }
+
     /// The bits of the servers that went, and of all that are there, if that changed.
     pub(super) fn take_change(&mut self) -> Option<(u64, u64)> {
         self.change.take()
+    }
+}
+
+/// The ends of a client's two topics, and who has the others of both.
+pub(super) struct Ends {
+    pub(super) publisher: RawPublisher,
+    pub(super) responses: RawSubscription,
+    pub(super) servers: Servers,
+}
+
+impl Ends {
+    /// `depth` responses of each server can wait.
+    pub(super) fn create(
+        participant: &Participant,
+        service: &str,
+        service_type: &ServiceType,
+        depth: usize,
+        of_responses: Limits,
+        of_requests: Limits,
+    ) -> Result<Self, TransportError> {
+        let [requests, responses] = topics(service)?;
+        let number = Some(participant.shared.record.number());
+        let qos = Qos::keep_all(depth);
+        let role = SubscriptionRole { partner: number, ..SubscriptionRole::default() };
+        // First: whoever gets a request can answer it.
+        let responses = RawSubscription::create(
+            participant,
+            &responses,
+            &service_type.response,
+            qos,
+            of_responses,
+            role,
+        )?;
+        let (qos, role) = (Qos::keep_all(1), PublisherRole { number, ..PublisherRole::default() });
+        let publisher =
+            RawPublisher::create(participant, &requests, &service_type.request, qos, of_requests, role)?;
+        let servers = Servers::new(publisher.core().monitor(), responses.core().monitor());
+        Ok(Ends { publisher, responses, servers })
     }
 }
 
@@ -202,20 +245,10 @@ impl Participant {
         service_type: &ServiceType,
         limits: Limits,
     ) -> Result<RawClient, TransportError> {
-        let [requests, responses] = topics(service)?;
-        let number = Some(self.shared.record.number());
-        let qos = Qos::keep_all(RESPONSES_DEPTH);
-        let role = SubscriptionRole { partner: number, ..SubscriptionRole::default() };
-        let response_limits = response_limits(limits);
-        // First: whoever gets a request can answer it.
-        let responses =
-            RawSubscription::create(self, &responses, &service_type.response, qos, response_limits, role)?;
-        let qos = Qos::keep_all(1);
-        let role = PublisherRole { number, ..PublisherRole::default() };
-        let publisher = RawPublisher::create(self, &requests, &service_type.request, qos, limits, role)?;
+        let Ends { publisher, responses, servers } =
+            Ends::create(self, service, service_type, RESPONSES_DEPTH, response_limits(limits), limits)?;
         let table = Table::new();
         let waker = Waker::from(table.waiters().clone());
-        let servers = Servers::new(publisher.core().monitor(), responses.core().monitor());
         let shared = Shared {
             service: service.into(),
             publisher: OfClient(publisher),

@@ -78,7 +78,7 @@ impl RawClient {
 }
 
 /// What a request and its response say of themselves.
-fn stamped(sequence_number: u64, client: Gid) -> MessageInfo {
+pub(super) fn stamped(sequence_number: u64, client: Gid) -> MessageInfo {
     MessageInfo { sequence_number, source_timestamp_ns: wall_ns(), released_ns: 0, publisher_gid: client }
 }
 
@@ -300,6 +300,14 @@ impl RawServer {
 }
 
 impl RawResponse<'_> {
+    /// As [`RawLoan::truncate`].
+    ///
+    /// # Real-time
+    /// As [`RawLoan::truncate`].
+    pub fn truncate(&mut self, len_bytes: usize) {
+        self.loan.truncate(len_bytes);
+    }
+
     /// Sends the response to the client that asked.
     ///
     /// # Real-time

@@ -12,11 +12,13 @@
 mod client;
 mod hot;
 mod pending;
+mod queued;
 mod server;
 mod typed;
 
 pub use client::{Availability, RawClient, RawPending, Unsent};
 pub use pending::MAX_PENDING_REQUESTS;
+pub use queued::QueuedClient;
 pub use server::{RawResponse, RawServer, RequestId};
 pub use typed::{Client, PendingResponse, Request, Response, Server, UnwrittenResponse};
 

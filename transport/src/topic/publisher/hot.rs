@@ -408,6 +408,20 @@ impl<'p> RawLoan<'p> {
         unsafe { self.payload.as_mut() }
     }
 
+    /// Shortens the body to its first bytes, if it is longer: for who loaned as much as a message can take.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn truncate(&mut self, len_bytes: usize) {
+        if len_bytes < self.len_bytes {
+            self.len_bytes = len_bytes;
+            // What is not the body's is zero.
+            if let Some(rest) = self.payload_mut().get_mut(len_bytes..) {
+                rest.fill(0);
+            }
+        }
+    }
+
     /// The sample, which has one reference.
     fn into_sample(self) -> (NonNull<Segment>, usize) {
         let loan = ManuallyDrop::new(self);

@@ -23,6 +23,7 @@ use receiver::{Held, Live, Receiver};
 use std::cell::{Cell, RefCell};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
+use std::task::Waker;
 use tautline_doorbell::{Joined, Slot, ThreadBell};
 
 /// Receives bodies of CDR from one topic, of whatever type. A stream of [`RawSample`]s, or
@@ -217,6 +218,15 @@ impl RawSubscription {
         // Left before it is joined anew: both set the route.
         *thread = None;
         *thread = bell.and_then(|bell| bell.join(self.slot()));
+    }
+
+    /// What who drains the doorbell wakes, once, when something comes: for one that is not [polled](Self::poll_take). The caller looks
+    /// into the queue after this.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn wake_once(&self, waker: &Waker) {
+        self.slot().waker().register(waker);
     }
 
     /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback). If it no longer does, its

@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Clients that take responses in the order in which they come, for who keeps the account of its requests itself.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use super::client::{Ends, Servers, Unsent};
+use super::hot::stamped;
+use super::{ServiceError, ServiceType};
+use crate::error::{LoanError, TakeError, TransportError};
+use crate::participant::Participant;
+use crate::qos::Limits;
+use crate::topic::header::{Gid, SampleKind};
+use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, Unpublished, WhenFull};
+use crate::topic::subscription::{RawSample, RawSubscription};
+use core::cell::{Cell, RefCell};
+use core::fmt;
+use core::task::Waker;
+use std::sync::Arc;
+use tautline_doorbell::Slot;
+
+/// Sends requests of bytes to a service and takes the responses as they come, whichever request they answer and whoever answers it:
+/// the response of each server. Any number of requests may wait.
+///
+/// May be moved to another thread, and is used by one at a time.
+pub struct QueuedClient {
+    service: Arc<str>,
+    publisher: RawPublisher,
+    responses: RawSubscription,
+    servers: RefCell<Servers>,
+    /// Rung when servers appear or go.
+    changes: Slot,
+    /// Of the last request.
+    sequence_number: Cell<u64>,
+}
+
+impl Participant {
+    /// Creates a client of `service`, a fully qualified name. Of each server `depth` responses can wait here; a server that has more
+    /// is told ([`ServiceError::ResponsesFull`]).
+    ///
+    /// # Real-time
+    /// Setup only. Waits up to 100 ms for the processes of servers that are there, of which one may be stopped.
+    ///
+    /// # Errors
+    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
+    pub fn create_queued_client(
+        &self,
+        service: &str,
+        service_type: &ServiceType,
+        depth: usize,
+        limits: Limits,
+    ) -> Result<QueuedClient, TransportError> {
+        let Ends { publisher, responses, servers } =
+            Ends::create(self, service, service_type, depth, limits, limits)?;
+        let changes = self.claim_slot()?;
+        for end in [publisher.slot(), &responses.core().slot] {
+            changes.doorbell().arena().set_events(end.index(), changes.index());
+        }
+        Ok(QueuedClient {
+            service: service.into(),
+            publisher,
+            responses,
+            servers: RefCell::new(servers),
+            changes,
+            sequence_number: Cell::new(0),
+        })
+    }
+}
+
+impl QueuedClient {
+    /// The service's fully qualified name.
+    pub fn service(&self) -> &str {
+        &self.service
+    }
+
+    /// This client's identifier: that of its requests' publisher.
+    pub fn gid(&self) -> Gid {
+        self.publisher.gid()
+    }
+
+    /// The subscription to the responses.
+    pub fn responses(&self) -> &RawSubscription {
+        &self.responses
+    }
+
+    /// Number of servers, 64 at most: those that requests go to and whose responses come here.
+    ///
+    /// # Real-time
+    /// Two loads if nothing changed, else O(servers x log servers); no allocation; no syscall.
+    pub fn server_count(&self) -> usize {
+        let mut servers = self.servers.borrow_mut();
+        servers.update();
+        let _ = servers.take_change();
+        servers.count()
+    }
+
+    /// What is woken, once, when servers appear or go, or have room for requests again. The caller looks after this.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn wake_once(&self, waker: &Waker) {
+        self.changes.waker().register(waker);
+        self.publisher.slot().waker().register(waker);
+    }
+
+    /// Loans memory for a request of `len_bytes`. See [`RawPublisher::loan`].
+    ///
+    /// # Real-time
+    /// As [`RawPublisher::loan`].
+    ///
+    /// # Errors
+    /// [`ServiceError::Loan`].
+    pub fn loan(&self, len_bytes: usize) -> Result<RawLoan<'_>, ServiceError> {
+        self.publisher.loan(len_bytes).map_err(|source| self.loan_error(source))
+    }
+
+    /// The number that the next request gets unless it was reserved before: for who sends later what it has told the number of.
+    pub fn reserve(&self) -> u64 {
+        let number = self.sequence_number.get() + 1;
+        self.sequence_number.set(number);
+        number
+    }
+
+    /// Sends a request to every server, under a number from [`reserve`](Self::reserve), which its responses repeat.
+    ///
+    /// # Real-time
+    /// As [`RawPublisher::loan`], O(servers); no allocation; at most one futex wake per sampler that sleeps, and per callback thread of
+    /// a server that sleeps and is woken directly.
+    ///
+    /// # Errors
+    /// [`Unsent`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::Loan`].
+    pub fn send<'c>(&'c self, number: u64, request: RawLoan<'c>) -> Result<(), Unsent<RawLoan<'c>>> {
+        if self.server_count() == 0 {
+            let error = ServiceError::NoServer { service: self.service.clone() };
+            return Err(Unsent { error, loan: Some(request) });
+        }
+        let stamp = Stamp::OfRequest(stamped(number, self.gid()));
+        let sending = Sending { stamp, when_full: WhenFull::Ask, kind: SampleKind::Message, to: None };
+        request.publish_with(sending).map_err(|unpublished| {
+            let error = match &unpublished {
+                Unpublished::Full(_) => ServiceError::RequestsFull { service: self.service.clone() },
+                Unpublished::OutOfMemory(_) => self.loan_error(LoanError::OutOfMemory),
+            };
+            Unsent { error, loan: Some(unpublished.into_loan()) }
+        })
+    }
+
+    /// Takes the oldest response of a server, if there is one. Its information has the number of its request; that nobody answers one
+    /// is passed over.
+    ///
+    /// # Real-time
+    /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid), for each that is passed over.
+    ///
+    /// # Errors
+    /// [`TakeError`].
+    pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
+        loop {
+            match self.responses.try_take_valid()? {
+                Some(response) if response.kind() != SampleKind::Message => {}
+                taken => return Ok(taken),
+            }
+        }
+    }
+
+    fn loan_error(&self, source: LoanError) -> ServiceError {
+        ServiceError::Loan { service: self.service.clone(), source }
+    }
+}
+
+impl fmt::Debug for QueuedClient {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("QueuedClient")
+            .field("service", &self.service())
+            .field("gid", &self.gid())
+            .finish_non_exhaustive()
+    }
+}
