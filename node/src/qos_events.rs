@@ -1,26 +1,63 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What happens to a publisher or a subscription besides its messages, as streams.
 
-mod event;
-mod publisher;
-mod subscription;
-
-pub use event::{DeadlineMissed, LivelinessLost, PublisherEvent, SubscriptionEvent};
-pub use publisher::PublisherEvents;
-pub use subscription::SubscriptionEvents;
+pub use tautline_sampler::{DeadlineMissed, LivelinessLost, PublisherEvent, SubscriptionEvent};
 
 use crate::error::Result;
 use crate::node::Node;
-use std::time::Duration;
+use futures::{Stream, StreamExt};
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use tautline_executor::stop_requested;
 use tautline_transport::{RawPublisher, RawSubscription};
 
-/// Shorter deadlines and leases are watched as if they were this long. No thread could keep one, and each that is missed again and
-/// again would keep the sampler, which nothing may wait for, busy with nothing else.
-const SHORTEST: Duration = Duration::from_micros(50);
+/// What happens to a publisher: a stream. See [`Node::publisher_events`].
+#[must_use = "nothing is told unless it is polled"]
+#[derive(Debug)]
+pub struct PublisherEvents(tautline_sampler::PublisherEvents);
 
-/// How long a deadline or a lease is watched for.
-fn watched(period: Duration) -> Duration {
-    period.max(SHORTEST)
+/// What happens to a subscription: a stream. See [`Node::subscription_events`].
+#[must_use = "nothing is told unless it is polled"]
+#[derive(Debug)]
+pub struct SubscriptionEvents(tautline_sampler::SubscriptionEvents);
+
+impl PublisherEvents {
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.0.topic()
+    }
+}
+
+impl SubscriptionEvents {
+    /// The topic's fully qualified name.
+    pub fn topic(&self) -> &str {
+        self.0.topic()
+    }
+}
+
+/// Nothing is given out any more once the callback is to stop.
+fn unless_stopped<S: Stream + Unpin>(stream: &mut S, context: &mut Context<'_>) -> Poll<Option<S::Item>> {
+    if stop_requested() { Poll::Pending } else { stream.poll_next_unpin(context) }
+}
+
+impl Stream for PublisherEvents {
+    type Item = PublisherEvent;
+
+    /// # Real-time
+    /// As [`tautline_sampler::PublisherEvents`].
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<PublisherEvent>> {
+        unless_stopped(&mut self.0, context)
+    }
+}
+
+impl Stream for SubscriptionEvents {
+    type Item = SubscriptionEvent;
+
+    /// # Real-time
+    /// As [`tautline_sampler::SubscriptionEvents`].
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<SubscriptionEvent>> {
+        unless_stopped(&mut self.0, context)
+    }
 }
 
 impl Node {
@@ -34,7 +71,10 @@ impl Node {
     /// # Errors
     /// [`Error::Transport`](crate::Error::Transport) if the context has no slot left; it takes up to three.
     pub fn publisher_events(&self, publisher: &impl AsRef<RawPublisher>) -> Result<PublisherEvents> {
-        PublisherEvents::new(self.context.events(), publisher.as_ref())
+        Ok(PublisherEvents(tautline_sampler::PublisherEvents::new(
+            self.context.events(),
+            publisher.as_ref(),
+        )?))
     }
 
     /// What happens to a subscription: publishers that come, go or do not fit, that come to life or die; its deadline missed;
@@ -63,6 +103,9 @@ impl Node {
         &self,
         subscription: &impl AsRef<RawSubscription>,
     ) -> Result<SubscriptionEvents> {
-        SubscriptionEvents::new(self.context.events(), subscription.as_ref())
+        Ok(SubscriptionEvents(tautline_sampler::SubscriptionEvents::new(
+            self.context.events(),
+            subscription.as_ref(),
+        )?))
     }
 }

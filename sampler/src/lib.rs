@@ -11,6 +11,7 @@
 //! - A [`Watchdog`] wakes a task when something did not happen in time; each time that it does costs its doer one store.
 //! - An [`Alarm`] wakes a task once, when it was set to.
 //! - A [`GuardCondition`] wakes a task from any thread.
+//! - [`PublisherEvents`] and [`SubscriptionEvents`] are what else happens to an end of a topic: matches, leases, losses.
 //! - [`Wait::Adaptive`] spins a while before it sleeps: wake-ups are cheaper while messages come often.
 //!
 //! ```
@@ -36,6 +37,7 @@
 mod alarm;
 mod events;
 mod hot;
+mod qos_events;
 mod sampler;
 mod timer;
 mod timers;
@@ -43,6 +45,9 @@ mod watchdog;
 
 pub use alarm::Alarm;
 pub use events::{Events, GuardCondition};
+pub use qos_events::{
+    DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
+};
 pub use sampler::{Sampler, SamplerThread, Wait};
 pub use timer::{Tick, Timer};
 pub use watchdog::{Expiry, Watchdog};

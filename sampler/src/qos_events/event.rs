@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use crate::Expiry;
 use std::collections::VecDeque;
-use tautline_sampler::Expiry;
 use tautline_transport::{IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost};
 
 /// What happens to a publisher.

@@ -2,15 +2,14 @@
 
 use super::event::{DeadlineMissed, LivelinessLost, PublisherEvent, Ready};
 use super::watched;
-use crate::error::Result;
+use crate::{Alarm, Events, Watchdog};
 use futures::Stream;
 use std::pin::Pin;
 use std::task::{Context, Poll};
-use tautline_executor::stop_requested;
-use tautline_sampler::{Alarm, Events, Watchdog};
-use tautline_transport::{PublisherMonitor, RawPublisher};
+use tautline_transport::{PublisherMonitor, RawPublisher, TransportError};
 
-/// What happens to a publisher: a stream. See [`Node::publisher_events`](crate::Node::publisher_events).
+/// What happens to a publisher: subscriptions that come, go or do not fit, its deadline missed, its liveliness lost. A stream for
+/// any task, that ends with the publisher. The sampler wakes it; the publisher does nothing more for it than to store a time.
 #[must_use = "nothing is told unless it is polled"]
 pub struct PublisherEvents {
     // Before what is rung for it.
@@ -47,7 +46,14 @@ impl Lease {
 }
 
 impl PublisherEvents {
-    pub(super) fn new(events: &Events, publisher: &RawPublisher) -> Result<Self> {
+    /// Those of `publisher`, which has one such stream: a second one takes the first one's place.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Doorbell`] if there is no memory for its slots, three at most.
+    pub fn new(events: &Events, publisher: &RawPublisher) -> Result<Self, TransportError> {
         let alarm = events.alarm()?;
         let monitor = publisher.monitor(alarm.slot());
         let watchdog = |(pulse, period)| events.watchdog(pulse, watched(period));
@@ -90,9 +96,6 @@ impl Stream for PublisherEvents {
     /// # Real-time
     /// No allocation; no syscall. When subscriptions came or went: O(subscriptions), allocates. Ends with the publisher.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<PublisherEvent>> {
-        if stop_requested() {
-            return Poll::Pending;
-        }
         if let Some(event) = self.ready.next() {
             return Poll::Ready(Some(event));
         }

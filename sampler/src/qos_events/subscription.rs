@@ -2,16 +2,15 @@
 
 use super::event::{DeadlineMissed, Ready, SubscriptionEvent};
 use super::watched;
-use crate::error::Result;
+use crate::{Alarm, Events, Watchdog};
 use futures::Stream;
 use std::pin::Pin;
 use std::task::{Context, Poll};
-use tautline_executor::stop_requested;
 use tautline_rt::clock::monotonic_ns;
-use tautline_sampler::{Alarm, Events, Watchdog};
-use tautline_transport::{RawSubscription, SubscriptionMonitor};
+use tautline_transport::{RawSubscription, SubscriptionMonitor, TransportError};
 
-/// What happens to a subscription: a stream. See [`Node::subscription_events`](crate::Node::subscription_events).
+/// What happens to a subscription: publishers that come, go or do not fit, that come to life or die; its deadline missed; messages
+/// lost. As [`PublisherEvents`](crate::PublisherEvents).
 #[must_use = "nothing is told unless it is polled"]
 pub struct SubscriptionEvents {
     // Before what is rung for it.
@@ -23,7 +22,14 @@ pub struct SubscriptionEvents {
 }
 
 impl SubscriptionEvents {
-    pub(super) fn new(events: &Events, subscription: &RawSubscription) -> Result<Self> {
+    /// Those of `subscription`, which has one such stream: a second one takes the first one's place.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Doorbell`] if there is no memory for its slots, two at most.
+    pub fn new(events: &Events, subscription: &RawSubscription) -> Result<Self, TransportError> {
         let alarm = events.alarm()?;
         let monitor = subscription.monitor(alarm.slot());
         let watchdog = |(pulse, period)| events.watchdog(pulse, watched(period));
@@ -59,9 +65,6 @@ impl Stream for SubscriptionEvents {
     /// O(publishers); no allocation, unless publishers came or went; no syscall, but for at most one futex wake when publishers have
     /// leases. Ends with the subscription.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<SubscriptionEvent>> {
-        if stop_requested() {
-            return Poll::Pending;
-        }
         if let Some(event) = self.ready.next() {
             return Poll::Ready(Some(event));
         }
