@@ -7,18 +7,8 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use support::gateway::{GatewayProcess, link};
-use support::{BridgeProcess, Peer, STRING, ros, wait_until};
+use support::{BridgeProcess, Peer, STRING, TYPES, Values, ros, wait_until};
 use tautline_schema::{DynamicMessage, Packages};
-
-/// Messages per type.
-const COUNT: usize = 1000;
-/// Published at once: what is on its way fits into every queue.
-const AT_ONCE: usize = 50;
-/// The same of images and point clouds.
-const AT_ONCE_OF_LARGE: usize = 8;
-/// How much data they have at most.
-const DATA_BYTES: usize = 10 << 10;
-const DEPTH: usize = 1000;
 
 /// Two hosts, each with a ROS graph of its own.
 struct Chain {
@@ -73,9 +63,6 @@ fn connect(from: &mut Peer, to: &mut Peer, publisher: u64, subscription: u64) {
 
 fn values_cross(domains: [u32; 2], types: &[&str]) {
     let Some(venv) = ros() else { return };
-    let seed = std::env::var("TAUT_SEED")
-        .map_or_else(|_| rand::random::<u32>().into(), |seed| seed.parse::<u64>().unwrap());
-    println!("TAUT_SEED={seed}");
     let mut packages = Packages::new();
     packages.add_folder(&venv);
     let Some(_chain) = Chain::new(domains) else { return };
@@ -85,23 +72,21 @@ fn values_cross(domains: [u32; 2], types: &[&str]) {
         let schema = Arc::new(packages.schema(&name.parse().unwrap()).unwrap());
         let text = |value: &Value| DynamicMessage::from_json(&schema, &value.to_string()).unwrap().to_json();
         let topic = format!("/{}", name.replace('/', "_").to_lowercase());
-        let is_large = ["Image", "PointCloud2"].iter().any(|large| name.ends_with(large));
-        let (at_once, data_bytes) = if is_large { (AT_ONCE_OF_LARGE, DATA_BYTES) } else { (AT_ONCE, 0) };
-        let prepare = |count: usize| json!({ "do": "prepare_random", "type": name, "count": count, "seed": seed, "data_bytes": data_bytes });
-        let qos = json!({ "depth": DEPTH });
+        let values = Values::new(name);
+        let qos = json!({ "depth": values.depth });
         let subscription = right.subscription(&topic, name, qos.clone());
         let publisher = left.publisher(&topic, name, qos);
-        left.tell(prepare(300));
+        left.tell(values.prepare(name, 300));
         connect(&mut left, &mut right, publisher, subscription);
-        let said = left.tell(prepare(COUNT));
+        let said = left.tell(values.prepare(name, values.count));
         let said = said.as_array().unwrap();
         let mut received = Vec::new();
-        while received.len() < COUNT {
-            let count = at_once.min(COUNT - received.len());
+        while received.len() < values.count {
+            let count = values.at_once.min(values.count - received.len());
             left.tell(json!({ "do": "publish_prepared", "end": publisher, "count": count }));
             received.extend(right.take(subscription, count));
         }
-        assert_eq!((received.len(), said.len()), (COUNT, COUNT), "{name}");
+        assert_eq!((received.len(), said.len()), (values.count, values.count), "{name}");
         for (received, said) in received.iter().zip(said) {
             assert_eq!(text(received), text(said), "{name}");
         }
@@ -111,72 +96,22 @@ fn values_cross(domains: [u32; 2], types: &[&str]) {
 
 #[test]
 fn of_test_messages() {
-    let names = [
-        "Arrays",
-        "BasicTypes",
-        "BoundedPlainSequences",
-        "BoundedSequences",
-        "Builtins",
-        "Constants",
-        "Defaults",
-        "Empty",
-        "MultiNested",
-    ];
-    let names = names.map(|name| format!("test_msgs/msg/{name}"));
-    values_cross([24, 25], &names.each_ref().map(String::as_str));
+    values_cross([24, 25], TYPES[0]);
 }
 
 #[test]
 fn of_texts_and_plain_values() {
-    values_cross(
-        [26, 27],
-        &[
-            "test_msgs/msg/Nested",
-            "test_msgs/msg/Strings",
-            "test_msgs/msg/UnboundedSequences",
-            "test_msgs/msg/WStrings",
-            "std_msgs/msg/String",
-            "std_msgs/msg/Bool",
-            "std_msgs/msg/Header",
-            "std_msgs/msg/ColorRGBA",
-            "std_msgs/msg/Float64",
-        ],
-    );
+    values_cross([26, 27], TYPES[1]);
 }
 
 #[test]
 fn of_geometry_and_navigation() {
-    values_cross(
-        [28, 29],
-        &[
-            "std_msgs/msg/Int64",
-            "std_msgs/msg/UInt8MultiArray",
-            "geometry_msgs/msg/Twist",
-            "geometry_msgs/msg/Pose",
-            "geometry_msgs/msg/PoseWithCovarianceStamped",
-            "geometry_msgs/msg/TransformStamped",
-            "geometry_msgs/msg/Polygon",
-            "nav_msgs/msg/Odometry",
-            "nav_msgs/msg/Path",
-        ],
-    );
+    values_cross([28, 29], TYPES[2]);
 }
 
 #[test]
 fn of_sensors_and_joints() {
-    values_cross(
-        [30, 31],
-        &[
-            "sensor_msgs/msg/Image",
-            "sensor_msgs/msg/PointCloud2",
-            "sensor_msgs/msg/LaserScan",
-            "sensor_msgs/msg/Imu",
-            "sensor_msgs/msg/JointState",
-            "sensor_msgs/msg/CompressedImage",
-            "diagnostic_msgs/msg/DiagnosticArray",
-            "trajectory_msgs/msg/JointTrajectory",
-        ],
-    );
+    values_cross([30, 31], TYPES[3]);
 }
 
 /// Whichever of the four ends, by `kill -9` or in order: what is published then is lost or arrives, once and in order, and what is
@@ -188,7 +123,7 @@ fn whoever_ends_on_the_way_comes_back_and_nothing_comes_twice() {
     let Some(mut chain) = Chain::new(domains) else { return };
     let mut left = Peer::start(&venv, domains[0], "left");
     let mut right = Peer::start(&venv, domains[1], "right");
-    let qos = json!({ "depth": DEPTH });
+    let qos = json!({ "depth": 1000 });
     let subscription = right.subscription("/numbers", STRING, qos.clone());
     let publisher = left.publisher("/numbers", STRING, qos);
     let (mut next, mut heard) = (0_u64, Vec::<u64>::new());

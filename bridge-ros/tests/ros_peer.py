@@ -13,6 +13,7 @@ import sys
 import threading
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -41,9 +42,9 @@ class Peer:
         self.received = {}
         self.incompatible = {}
         self.changed = threading.Condition()
-        executor = self.executor()
-        executor.add_node(self.node)
-        self.spinner = threading.Thread(target=executor.spin, daemon=True)
+        self.spinning = self.executor()
+        self.spinning.add_node(self.node)
+        self.spinner = threading.Thread(target=self.spinning.spin, daemon=True)
         self.spinner.start()
 
     def note_incompatible(self, index):
@@ -73,6 +74,56 @@ class Peer:
         callbacks = SubscriptionEventCallbacks(incompatible_qos=self.note_incompatible(index))
         self.ends.append(self.node.create_subscription(cls, topic, receive, profile(qos), event_callbacks=callbacks))
         return index
+
+    def watched_subscription(self, topic, deadline_ms):
+        """Of texts, one message deep; what happens to it is kept, and asked for with `happened`."""
+        index = len(self.ends)
+        self.received[index], self.events = [], {}
+        self.going = threading.Event()
+        self.going.set()
+
+        def note(what):
+            def note_it(event):
+                with self.changed:
+                    self.events[what] = {name: getattr(event, name) for name in dir(event) if not name.startswith("_")}
+                    self.changed.notify_all()
+            return note_it
+
+        def receive(message):
+            self.received[index].append(message.data)
+
+        callbacks = SubscriptionEventCallbacks(**{what: note(what) for what in ["deadline", "liveliness", "message_lost", "matched"]})
+        qos = QoSProfile(depth=1, deadline=Duration(nanoseconds=deadline_ms * 1_000_000))
+        cls = ros_values.find("std_msgs/msg/String")
+        self.ends.append(self.node.create_subscription(cls, topic, receive, qos, event_callbacks=callbacks))
+        return index
+
+    def happened(self, end, what):
+        """Waits until it has happened; what was told of it last."""
+        self.wait(lambda: what in self.events)
+        return self.events[what]
+
+    def liveliness(self, end, alive):
+        """Waits until so many publishers are alive."""
+        self.wait(lambda: self.events.get("liveliness", {}).get("alive_count") == alive)
+        return self.events["liveliness"]
+
+    def hold(self):
+        """Has the executor do nothing until `go_on`."""
+        held = threading.Event()
+
+        def wait():
+            held.set()
+            self.going.wait()
+
+        self.going.clear()
+        self.spinning.create_task(wait)
+        held.wait()
+        return True
+
+    def go_on(self):
+        self.going.set()
+        return True
 
     def destroy(self, end):
         one = self.ends[end]

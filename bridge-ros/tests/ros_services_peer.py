@@ -4,12 +4,16 @@
 import threading
 import time
 
+import rclpy
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.parameter_service import ParameterService
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.lifecycle import LifecycleNode
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
@@ -89,6 +93,15 @@ class Peer(ros_peer.Peer):
 
     def answered(self):
         return self.asked.done()
+
+    def ask_all(self, end, requests):
+        """Sends requests, whether there is a service or not; `all_answered` waits for the responses."""
+        client = self.ends[end]
+        self.asked = [client.call_async(fill(client.srv_type.Request(), request)) for request in requests]
+        return True
+
+    def all_answered(self):
+        return [ros_values.plain_message(self.done(future)) for future in self.asked]
 
     def action_server(self, name):
         """Fibonacci, slowly; negative orders are rejected."""
@@ -178,6 +191,45 @@ class Peer(ros_peer.Peer):
         message.child_frame_id, message.transform.translation.x = child, x
         self.ends[end].publish(message)
         return True
+
+    def lifecycle_node(self, name):
+        self.living = LifecycleNode(name)
+        self.spinning.add_node(self.living)
+        return True
+
+    def change_state(self, node, transition):
+        """Asks a lifecycle node to change its state: whether it did, and which it has."""
+        change = self.node.create_client(ChangeState, f"{node}/change_state", callback_group=self.group)
+        state = self.node.create_client(GetState, f"{node}/get_state", callback_group=self.group)
+        self.wait(lambda: change.service_is_ready() and state.service_is_ready())
+        request = ChangeState.Request()
+        request.transition.id = transition
+        is_changed = self.done(change.call_async(request)).success
+        return [is_changed, self.done(state.call_async(GetState.Request())).current_state.label]
+
+    def simulated_node(self, name):
+        self.simulated = rclpy.create_node(name, parameter_overrides=[Parameter("use_sim_time", value=True)])
+        self.spinning.add_node(self.simulated)
+        return True
+
+    def simulated_time(self, at_least):
+        """The simulated node's time, once it is that late."""
+        now = lambda: self.simulated.get_clock().now().nanoseconds
+        self.wait(lambda: now() >= at_least)
+        return now()
+
+    def nodes(self, name, count):
+        """So many nodes as rclpy makes them by default, each with a subscription to /all."""
+        self.heard = []
+        self.many = [rclpy.create_node(f"{name}_{n}") for n in range(count)]
+        for node in self.many:
+            node.create_subscription(String, "/all", lambda message: self.heard.append(message.data), 10)
+            self.spinning.add_node(node)
+        return True
+
+    def all_heard(self, text):
+        """Waits until each of these nodes has heard it."""
+        return self.wait(lambda: self.heard.count(text) == len(self.many))
 
     def services_of(self, node, namespace="/"):
         return sorted(name for name, _ in self.node.get_service_names_and_types_by_node(node, namespace))

@@ -46,7 +46,7 @@ pub fn bench(options: &Options) -> ExitCode {
 }
 
 /// What its programs need to be built and to run.
-type Environment = Vec<(&'static str, String)>;
+pub type Environment = Vec<(&'static str, String)>;
 
 /// Some minutes from cold. Returns what its programs need to run as well.
 fn build() -> Result<Environment, String> {
@@ -92,17 +92,20 @@ pub fn test(steps: &mut Steps) {
     // another host. With the features of the workspace's tests, by which nothing is built twice.
     let programs = "build --locked --workspace --features tautline/ros_all --bin taut --bin taut-gateway";
     steps.command("bridge-ros: taut and the gateway", &mut cargo(programs));
-    // Of processes, several of which at once find each other late on a small machine: what fails once is tried again, and named.
-    let tests = if machine::cargo_has("nextest --version").is_ok() {
-        let profile = if machine::is_ci() { "ci" } else { "default" };
-        format!(
-            "nextest run {WHOLE} --config-file .config/nextest.toml --profile {profile} --no-fail-fast --test-threads 2"
-        )
-    } else {
-        format!("test {WHOLE} --lib --bins --tests --no-fail-fast -- --test-threads 2")
-    };
+    let tests = nextest(WHOLE);
     steps.command("bridge-ros: tests", &mut bridge_cargo(&environment, &tests));
     steps.command("bridge-ros: doc tests", &mut bridge_cargo(&environment, &format!("test {WHOLE} --doc")));
+}
+
+/// Tests of processes, several of which at once find each other late on a small machine: what fails once is tried again, and named.
+pub fn nextest(whole: &str) -> String {
+    if machine::cargo_has("nextest --version").is_err() {
+        return format!("test {whole} --lib --bins --tests --no-fail-fast -- --test-threads 2");
+    }
+    let profile = if machine::is_ci() { "ci" } else { "default" };
+    format!(
+        "nextest run {whole} --config-file .config/nextest.toml --profile {profile} --no-fail-fast --test-threads 2"
+    )
 }
 
 /// All of it, the bench included.
@@ -118,7 +121,7 @@ fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
 }
 
 /// For a build: r2r's build script needs the libraries too, and has no rpath.
-fn with_libraries(environment: &Environment, arguments: &str) -> Command {
+pub fn with_libraries(environment: &Environment, arguments: &str) -> Command {
     let mut command = bridge_cargo(environment, arguments);
     if let Some((_, lib)) = environment.iter().find(|(name, _)| *name == r2r::RPATH) {
         command.env("LD_LIBRARY_PATH", lib);

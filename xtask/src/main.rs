@@ -20,6 +20,7 @@
 //! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
 //! | `r2r_tests` | r2r's own tests and examples, on Tautline |
+//! | `rmw` | builds rmw_tautline, and tests it |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
@@ -40,6 +41,7 @@ mod r2r_tests;
 mod readme;
 mod reference;
 mod reports;
+mod rmw;
 mod ros;
 mod services;
 mod steps;
@@ -76,6 +78,12 @@ enum Verb {
     Ros,
     /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
     Bridge,
+    /// Builds rmw_tautline for the ROS 2 that is sourced, else for that of `cargo xtask ros`, and says how nodes run on it
+    Rmw {
+        /// Run its lints and tests instead
+        #[arg(long)]
+        test: bool,
+    },
     /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
     /// Runs the programs of the test r2r_programs on r2r, with the ROS 2 that is sourced or that under target/ros
@@ -232,6 +240,12 @@ fn main() -> ExitCode {
         }
         Verb::Ros => ros::run(),
         Verb::Bridge => bridge::run(),
+        Verb::Rmw { test: false } => rmw::run(),
+        Verb::Rmw { test: true } => {
+            let mut steps = Steps::new();
+            rmw::test(&mut steps);
+            steps.finish()
+        }
         Verb::Peers => peers::run(),
         Verb::R2r => programs::run(),
         Verb::R2rTests => r2r_tests::run(),

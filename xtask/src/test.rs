@@ -9,7 +9,8 @@ use crate::reports::{
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
     bench, bench_domain, bridge, compare as comparison, examples, fuzz, lttng, packages, paper as evaluation,
-    peers, programs, r2r, r2r_tests, reference, ros, services as round_trips, stress_doorbell, stress_kills,
+    peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips, stress_doorbell,
+    stress_kills,
 };
 use std::process::{Command, ExitCode};
 
@@ -26,6 +27,7 @@ pub fn run(scope: &Scope, quick: bool) -> ExitCode {
     ros(&mut steps);
     tests(&mut steps);
     bridge::test(&mut steps);
+    rmw::test(&mut steps);
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
@@ -111,6 +113,7 @@ fn lints(steps: &mut Steps) {
         steps.command(&format!("lock: {name}"), &mut cargo(&format!("fetch --quiet --locked {manifest}")));
     }
     steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
+    steps.command("fmt: rmw", &mut cargo("fmt --manifest-path rmw/Cargo.toml --check"));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
     steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
     steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));

@@ -1,0 +1,346 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Clients of services. What is asked before there is a server waits for one.
+
+use crate::bindings::*;
+use crate::context::Watchers;
+use crate::error::{Error, Result, answer, made};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
+use crate::node::Node;
+use crate::qos;
+use crate::service::{LEAST_DEPTH, info_of, name_of, profile_of};
+use crate::signal::Waiter;
+use crate::source::{self, OnNew, Receives, Route, Side, set_on_new};
+use crate::types::ServiceSupport;
+use std::collections::VecDeque;
+use std::ffi::{c_char, c_void};
+use std::future::poll_fn;
+use std::sync::{Arc, Weak};
+use std::task::{Poll, Waker};
+use tautline_rt::PiMutex;
+use tautline_transport::{Gid, QueuedClient, RawSubscription, ServiceError};
+
+pub(crate) struct Client {
+    node: *const Node,
+    of: ServiceSupport,
+    qos: rmw_qos_profile_t,
+    gid: Gid,
+    end: Arc<End>,
+}
+
+/// What several threads use, one at a time.
+pub(crate) struct End {
+    side: PiMutex<Asking>,
+    on_new: OnNew,
+}
+
+struct Asking {
+    raw: QueuedClient,
+    route: Route,
+    /// Requests by their numbers, that no server had room for, or that there was no server for.
+    unsent: VecDeque<(u64, Vec<u8>)>,
+}
+
+/// Requests of one client that wait for a server. What is asked beyond that is refused.
+const MOST_UNSENT: usize = LEAST_DEPTH;
+
+impl Side for Asking {
+    fn parts(&mut self) -> (&RawSubscription, &mut Route) {
+        (self.raw.responses(), &mut self.route)
+    }
+}
+
+impl Receives for End {
+    fn on_new(&self) -> &OnNew {
+        &self.on_new
+    }
+
+    fn look(&self, waker: &Waker) -> (u64, u64) {
+        source::look(&mut *self.side.lock(), waker)
+    }
+}
+
+/// Whether a request that was not sent waits for another time.
+fn is_to_wait(error: &ServiceError) -> bool {
+    matches!(error, ServiceError::NoServer { .. } | ServiceError::RequestsFull { .. })
+}
+
+impl Asking {
+    /// Sends what waits, in the order of the numbers, as far as there is a server with room for it.
+    fn flush(&mut self) -> Result {
+        while let Some((number, body)) = self.unsent.front() {
+            let mut loan = self.raw.loan(body.len())?;
+            loan.copy_from_slice(body);
+            match self.raw.send(*number, loan) {
+                Ok(()) => {}
+                Err(unsent) if is_to_wait(&unsent.error) => return Ok(()),
+                Err(unsent) => return Err(unsent.error.into()),
+            }
+            self.unsent.pop_front();
+        }
+        Ok(())
+    }
+
+    /// Sends the request that `write` writes, of at most `len_bytes`, or has it wait. Returns its number.
+    fn ask(&mut self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result<u64> {
+        self.flush()?;
+        if self.unsent.len() >= MOST_UNSENT {
+            let service = self.raw.service();
+            return Err(Error::other(format!(
+                "service '{service}': {MOST_UNSENT} requests wait for a server already, which is the limit"
+            )));
+        }
+        let mut loan = self.raw.loan(len_bytes)?;
+        let written = write(&mut loan)?;
+        loan.truncate(written);
+        let number = self.raw.reserve();
+        if !self.unsent.is_empty() {
+            let body = loan.to_vec();
+            drop(loan);
+            self.unsent.push_back((number, body));
+            return Ok(number);
+        }
+        match self.raw.send(number, loan) {
+            Ok(()) => Ok(number),
+            Err(unsent) if is_to_wait(&unsent.error) => {
+                let body = unsent.loan.as_ref().map(|loan| loan.to_vec()).unwrap_or_default();
+                drop(unsent);
+                self.unsent.push_back((number, body));
+                Ok(number)
+            }
+            Err(unsent) => Err(unsent.error.into()),
+        }
+    }
+}
+
+impl Client {
+    fn node(&self) -> &Node {
+        // SAFETY: rmw's word: a node lives longer than what is its.
+        unsafe { &*self.node }
+    }
+
+    pub(crate) fn has_data(&self) -> bool {
+        self.end.side.lock().raw.responses().has_samples()
+    }
+
+    pub(crate) fn lead(&self, waiter: &Arc<Waiter>) {
+        let Asking { raw, route, .. } = &mut *self.end.side.lock();
+        route.lead(raw.responses(), waiter);
+    }
+}
+
+/// Sends what waits when a server appears or has room, and tells who waits for one, until the client has gone.
+async fn serve(end: Weak<End>, watchers: Arc<Watchers>) {
+    let mut servers = 0;
+    poll_fn(|context| {
+        let Some(end) = end.upgrade() else { return Poll::Ready(()) };
+        let mut side = end.side.lock();
+        side.raw.wake_once(context.waker());
+        if let Err(error) = side.flush() {
+            tracing::warn!("a request waits on: {error:?}");
+        }
+        let found = side.raw.server_count();
+        drop(side);
+        // The graph had it before: only now it can be asked.
+        if std::mem::replace(&mut servers, found) != found {
+            watchers.trigger();
+        }
+        Poll::Pending
+    })
+    .await;
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_create_client(
+    node: *const rmw_node_t,
+    support: *const rosidl_service_type_support_t,
+    name: *const c_char,
+    profile: *const rmw_qos_profile_t,
+) -> *mut rmw_client_t {
+    made(|| {
+        // SAFETY: rmw's word.
+        let (node, of, name) = unsafe {
+            let node = behind(node)?;
+            (node, ServiceSupport::of(support)?, name_of(name, profile)?)
+        };
+        let wanted = profile_of(profile)?;
+        let (limits, depth) = (of.request.limits(), wanted.depth.max(LEAST_DEPTH));
+        let raw = node.participant.create_queued_client(name, &of.service_type, depth, limits)?;
+        let gid = raw.gid();
+        let side = PiMutex::new(Asking { raw, route: Route::default(), unsent: VecDeque::new() });
+        let end = Arc::new(End { side, on_new: OnNew::default() });
+        let (served, watchers) = (Arc::downgrade(&end), node.context().watchers().clone());
+        node.context().helper.run(move || serve(served, watchers));
+        let client = Client { node, of, qos: qos::to_ros(&wanted, false), gid, end };
+        let service_name = copy_text(name)?;
+        // SAFETY: rmw's own memory, written before anybody sees it.
+        unsafe {
+            let handle = rmw_client_allocate();
+            if handle.is_null() {
+                free_text(service_name);
+                return Err(Error::new(RET_BAD_ALLOC, "no memory for a client"));
+            }
+            handle.write(rmw_client_t {
+                implementation_identifier: IDENTIFIER.as_ptr(),
+                data: Box::into_raw(Box::new(client)).cast(),
+                service_name,
+            });
+            Ok(handle)
+        }
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_destroy_client(node: *mut rmw_node_t, handle: *mut rmw_client_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word; checked to be ours, so made above.
+        unsafe {
+            behind(node)?;
+            behind(handle)?;
+            drop(take_back::<Client>((*handle).data));
+            free_text((*handle).service_name);
+            rmw_client_free(handle);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_send_request(
+    handle: *const rmw_client_t,
+    request: *const c_void,
+    number: *mut i64,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (client, number) = unsafe { (behind(handle)?, place(number, "the sequence number")?) };
+        if request.is_null() {
+            return Err(Error::null("the request"));
+        }
+        let callbacks = client.of.request.callbacks;
+        // SAFETY: rmw's word: a request of this type.
+        let estimate = unsafe { callbacks.estimate(request)? };
+        let mut side = client.end.side.lock();
+        // SAFETY: as above.
+        let sent = side.ask(estimate, |body| unsafe { callbacks.write(request, body) })?;
+        *number = i64::try_from(sent).unwrap_or(i64::MAX);
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_response(
+    handle: *const rmw_client_t,
+    header: *mut rmw_service_info_t,
+    response: *mut c_void,
+    taken: *mut bool,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (client, header, taken) =
+            unsafe { (behind(handle)?, place(header, "the header")?, place(taken, "taken")?) };
+        if response.is_null() {
+            return Err(Error::null("the response"));
+        }
+        *taken = false;
+        let Some(sample) = client.end.side.lock().raw.try_take().map_err(Error::other)? else {
+            return Ok(());
+        };
+        // SAFETY: rmw's word: a response of this type.
+        unsafe { client.of.response.callbacks.read(sample.body(), true, response)? };
+        *header = info_of(sample.info());
+        *taken = true;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_service_server_is_available(
+    node: *const rmw_node_t,
+    handle: *const rmw_client_t,
+    is_available: *mut bool,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (client, is_available) = unsafe {
+            behind(node)?;
+            (behind(handle)?, place(is_available, "the answer")?)
+        };
+        *is_available = client.end.side.lock().raw.server_count() > 0;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_get_gid_for_client(
+    handle: *const rmw_client_t,
+    gid: *mut rmw_gid_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (client, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
+        *gid = rmw_gid_t { implementation_identifier: IDENTIFIER.as_ptr(), data: client.gid.0 };
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+unsafe fn actual_qos(handle: *const rmw_client_t, profile: *mut rmw_qos_profile_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (client, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
+        *profile = client.qos;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_client_request_publisher_get_actual_qos(
+    handle: *const rmw_client_t,
+    profile: *mut rmw_qos_profile_t,
+) -> rmw_ret_t {
+    // SAFETY: rmw's word.
+    unsafe { actual_qos(handle, profile) }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_client_response_subscription_get_actual_qos(
+    handle: *const rmw_client_t,
+    profile: *mut rmw_qos_profile_t,
+) -> rmw_ret_t {
+    // SAFETY: rmw's word.
+    unsafe { actual_qos(handle, profile) }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_client_set_on_new_response_callback(
+    handle: *mut rmw_client_t,
+    callback: rmw_event_callback_t,
+    data: *const c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let client = unsafe { behind(handle)? };
+        let helper = &client.node().context().helper;
+        set_on_new(&client.end, helper, callback.map(|function| (function, data)));
+        Ok(())
+    })
+}

@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A context: one membership of a domain, its helper thread, and what its wait sets sleep on.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer};
+use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back};
+use crate::helper::{Helper, Ring};
+use crate::log;
+use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
+use crate::signal::{Signal, Waiter};
+use futures::StreamExt;
+use std::future::poll_fn;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::task::{Context as TaskContext, Waker};
+use tautline_rt::FutexWord;
+use tautline_transport::{GraphEvents, Participant, Slot};
+
+pub(crate) struct Context {
+    // Dropped in this order: what the helper serves is the participant's.
+    pub(crate) helper: Helper,
+    pub(crate) participant: Participant,
+    is_shut_down: AtomicBool,
+    /// Nodes that live.
+    pub(crate) nodes: AtomicUsize,
+    watchers: Arc<Watchers>,
+    waiters: Mutex<Waiters>,
+}
+
+/// What is triggered when the graph changes.
+#[derive(Default)]
+pub(crate) struct Watchers(Mutex<Vec<Weak<Signal>>>);
+
+impl Watchers {
+    pub(crate) fn trigger(&self) {
+        let mut signals = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        signals.retain(|signal| {
+            signal.upgrade().is_some_and(|signal| {
+                signal.set();
+                true
+            })
+        });
+    }
+}
+
+/// What wait sets sleep on. None is dropped before its context: who triggers a guard condition may be on the way to it.
+#[derive(Default)]
+struct Waiters {
+    all: Vec<Arc<Waiter>>,
+    free: Vec<Arc<Waiter>>,
+}
+
+impl Context {
+    fn join(domain: u32) -> Result<Self> {
+        let participant = Participant::new(domain)?;
+        let helper = Helper::start(&participant)?;
+        let watchers = Arc::<Watchers>::default();
+        let (events, slot) = (participant.graph_events()?, Arc::new(participant.claim_slot()?));
+        let watched = watchers.clone();
+        helper.run(move || tell_of_changes(events, slot, watched));
+        let (is_shut_down, nodes, waiters) = Default::default();
+        Ok(Context { helper, participant, is_shut_down, nodes, watchers, waiters })
+    }
+
+    /// For who knows of a change before the graph tells.
+    pub(crate) fn watchers(&self) -> &Arc<Watchers> {
+        &self.watchers
+    }
+
+    /// Has a signal set when the graph changes, as long as it lives.
+    pub(crate) fn watch_graph(&self, signal: &Arc<Signal>) {
+        self.watchers.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(signal));
+    }
+
+    fn waiters(&self) -> MutexGuard<'_, Waiters> {
+        self.waiters.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Something to sleep on, for one wait set until it [gives it back](Self::give_back).
+    pub(crate) fn waiter(&self) -> Arc<Waiter> {
+        let mut waiters = self.waiters();
+        waiters.free.pop().unwrap_or_else(|| {
+            // Without a bell it is slower, but nothing is missed.
+            let bell = self.participant.doorbell().claim_thread_bell();
+            let waiter = Arc::new(bell.map_or_else(|_| Waiter::Word(FutexWord::new(0)), Waiter::Bell));
+            waiters.all.push(waiter.clone());
+            waiter
+        })
+    }
+
+    pub(crate) fn give_back(&self, waiter: &Arc<Waiter>) {
+        self.waiters().free.push(waiter.clone());
+    }
+
+    /// Whether it is still to be used: an error if it was shut down.
+    pub(crate) fn check(&self) -> Result {
+        match self.is_shut_down.load(Ordering::Acquire) {
+            false => Ok(()),
+            true => Err(Error::invalid("the context was shut down")),
+        }
+    }
+}
+
+async fn tell_of_changes(mut events: GraphEvents, slot: Arc<Slot>, watchers: Arc<Watchers>) {
+    // The graph's thread wakes by a ring what sleeps on the doorbell.
+    let ring = Waker::from(Arc::new(Ring(slot.clone())));
+    loop {
+        let event = poll_fn(|context| {
+            slot.waker().register(context.waker());
+            events.poll_next_unpin(&mut TaskContext::from_waker(&ring))
+        });
+        if event.await.is_none() {
+            return;
+        }
+        watchers.trigger();
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_init(
+    options: *const rmw_init_options_t,
+    context: *mut rmw_context_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word: both are null or valid.
+        let (options, context) = unsafe {
+            let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
+            (options, context.as_mut().ok_or_else(|| Error::null("the context"))?)
+        };
+        if options.implementation_identifier.is_null() {
+            return Err(Error::invalid("the options are not initialised"));
+        }
+        check_identifier(options.implementation_identifier, "the options")?;
+        if !context.implementation_identifier.is_null() {
+            return Err(Error::invalid("the context is initialised already"));
+        }
+        let domain = options::check(options)?;
+        log::start();
+        let made = Context::join(domain)?;
+        context.instance_id = options.instance_id;
+        context.actual_domain_id = domain as usize;
+        // SAFETY: zero-initialised, as the context is.
+        options::copied(unsafe { rmw_init_options_copy(options, &mut context.options) })?;
+        context.implementation_identifier = IDENTIFIER.as_ptr();
+        context.impl_ = Box::into_raw(Box::new(made)).cast();
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_shutdown(context: *mut rmw_context_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let context = unsafe { behind_context(context)? };
+        context.is_shut_down.store(true, Ordering::Release);
+        // Nothing of it is waited for any more.
+        context.waiters().all.iter().for_each(|waiter| waiter.wake());
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_context_fini(context: *mut rmw_context_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let behind = unsafe { behind_context(context)? };
+        if !behind.is_shut_down.load(Ordering::Acquire) {
+            return Err(Error::invalid("the context is not shut down"));
+        }
+        let nodes = behind.nodes.load(Ordering::Acquire);
+        if nodes != 0 {
+            return Err(Error::other(format!("the context has {nodes} nodes still: destroy them first")));
+        }
+        // SAFETY: rmw's word: nobody uses it any more. It was made by `rmw_init`.
+        unsafe {
+            drop(take_back::<Context>((*context).impl_.cast()));
+            let finished = rmw_init_options_fini(&mut (*context).options);
+            context.write(rmw_get_zero_initialized_context());
+            options::copied(finished)
+        }
+    })
+}

@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a function of an RMW answers: a code, and a text that rcutils keeps for who asks.
+
+use crate::bindings::*;
+use std::any::Any;
+use std::ffi::CString;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use tautline_transport::{DoorbellError, LoanError, ServiceError, TransportError};
+
+/// Why a call failed.
+#[derive(Debug)]
+pub(crate) struct Error {
+    pub(crate) code: rmw_ret_t,
+    text: String,
+}
+
+pub(crate) type Result<T = ()> = std::result::Result<T, Error>;
+
+impl Error {
+    pub(crate) fn new(code: rmw_ret_t, text: impl Into<String>) -> Self {
+        Error { code, text: text.into() }
+    }
+
+    pub(crate) fn other(text: impl ToString) -> Self {
+        Self::new(RET_ERROR, text.to_string())
+    }
+
+    pub(crate) fn invalid(text: impl Into<String>) -> Self {
+        Self::new(RET_INVALID_ARGUMENT, text)
+    }
+
+    pub(crate) fn null(what: &str) -> Self {
+        Self::invalid(format!("{what} is null"))
+    }
+
+    pub(crate) fn unsupported(text: impl Into<String>) -> Self {
+        Self::new(RET_UNSUPPORTED, text)
+    }
+
+    fn set(&self) {
+        let text = CString::new(self.text.replace('\0', " ")).unwrap_or_default();
+        // SAFETY: texts that end with a zero and live through the call, which copies them.
+        unsafe {
+            rcutils_reset_error();
+            rcutils_set_error_state(text.as_ptr(), c"rmw_tautline".as_ptr(), 0);
+        }
+    }
+}
+
+impl From<TransportError> for Error {
+    fn from(error: TransportError) -> Self {
+        let code = match &error {
+            TransportError::Memory { .. } | TransportError::Doorbell(DoorbellError::Memory { .. }) => {
+                RET_BAD_ALLOC
+            }
+            TransportError::TopicName { .. }
+            | TransportError::ServiceName { .. }
+            | TransportError::NodeName { .. }
+            | TransportError::ZeroDuration { .. }
+            | TransportError::LimitRange { .. } => RET_INVALID_ARGUMENT,
+            _ => RET_ERROR,
+        };
+        Error::new(code, error.to_string())
+    }
+}
+
+impl From<LoanError> for Error {
+    fn from(error: LoanError) -> Self {
+        let code = if error == LoanError::OutOfMemory { RET_BAD_ALLOC } else { RET_ERROR };
+        Error::new(code, error.to_string())
+    }
+}
+
+impl From<ServiceError> for Error {
+    fn from(error: ServiceError) -> Self {
+        match error {
+            ServiceError::Loan { source, .. } => source.into(),
+            error => Error::other(error),
+        }
+    }
+}
+
+/// Runs a function's body. A panic of ours is an error of the caller's, not its end.
+fn guarded<T>(body: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|panic| Err(Error::other(said(&*panic))))
+}
+
+fn said(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().copied();
+    let text =
+        text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason is told");
+    format!("rmw_tautline has a defect, please report it: {text}")
+}
+
+/// What a function answers whose answer is a code.
+pub(crate) fn answer(body: impl FnOnce() -> Result) -> rmw_ret_t {
+    match guarded(body) {
+        Ok(()) => RET_OK,
+        Err(error) => {
+            error.set();
+            error.code
+        }
+    }
+}
+
+/// What a function answers that makes something; null if it could not.
+pub(crate) fn made<T>(body: impl FnOnce() -> Result<*mut T>) -> *mut T {
+    guarded(body).unwrap_or_else(|error| {
+        error.set();
+        std::ptr::null_mut()
+    })
+}
+
+/// What librmw and librcutils answer, which keep a text themselves.
+pub(crate) fn checked(code: rmw_ret_t, what: &str) -> Result {
+    if code == RET_OK { Ok(()) } else { Err(Error::new(code, format!("{what} failed"))) }
+}

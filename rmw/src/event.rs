@@ -1,0 +1,391 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! QoS events: the helper hears what happens to an end, adds it up, and wakes who waits or calls who asked to be called.
+
+use crate::bindings::*;
+use crate::callback::Callback;
+use crate::error::{Error, Result, answer};
+use crate::handle::{IDENTIFIER, behind, check_identifier, place};
+use crate::helper::Helper;
+use crate::qos::policy_to_ros;
+use crate::signal::Signal;
+use futures::{Stream, StreamExt};
+use std::ffi::c_void;
+use std::pin::pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use tautline_sampler::{PublisherEvent, SubscriptionEvent};
+
+/// Of both kinds of ends: `rmw_event_type_t` counts them from 0.
+const KINDS: usize = RMW_EVENT_INVALID as usize;
+
+/// What happened to one end, by the number of each kind of event.
+#[derive(Default)]
+pub(crate) struct Happened {
+    kinds: [Kind; KINDS],
+    is_served: AtomicBool,
+}
+
+#[derive(Default)]
+struct Kind {
+    /// Set while something was not taken.
+    signal: Signal,
+    state: Mutex<State>,
+    callback: Callback,
+}
+
+#[derive(Default)]
+struct State {
+    counts: Counts,
+    /// Since the last take, which nobody was called for.
+    untold: usize,
+}
+
+/// The numbers of an event of any kind, so far and since the last take.
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    total: u64,
+    total_change: u64,
+    current: u64,
+    current_change: i64,
+    not_alive: u64,
+    not_alive_change: i64,
+    policy: rmw_qos_policy_kind_t,
+}
+
+/// What an `rmw_event_t` points to: of an end that lives as long.
+pub(crate) struct Source {
+    happened: Arc<Happened>,
+    kind: usize,
+}
+
+impl Happened {
+    /// Has the helper listen to `events`, once: an end whose events nobody asks for costs nothing.
+    pub(crate) fn listen<S, E>(
+        self: &Arc<Self>,
+        helper: &Helper,
+        events: impl FnOnce() -> Result<S>,
+    ) -> Result
+    where
+        S: Stream<Item = E> + Send + 'static,
+        E: Into<Event>,
+    {
+        if self.is_served.swap(true, Ordering::AcqRel) {
+            return Ok(());
+        }
+        let events = events().inspect_err(|_| self.is_served.store(false, Ordering::Release))?;
+        let happened = self.clone();
+        helper.run(move || async move {
+            let mut events = pin!(events);
+            while let Some(event) = events.next().await {
+                happened.add(event.into());
+            }
+        });
+        Ok(())
+    }
+
+    fn add(&self, Event { kind, counts }: Event) {
+        let Some(kind) = self.kinds.get(kind as usize) else { return };
+        {
+            let mut state = kind.state.lock().unwrap_or_else(PoisonError::into_inner);
+            let before = state.counts;
+            state.counts = Counts {
+                total_change: before.total_change + counts.total_change,
+                current_change: before.current_change + counts.current_change,
+                not_alive_change: before.not_alive_change + counts.not_alive_change,
+                ..counts
+            };
+            state.untold += 1;
+            kind.signal.set();
+        }
+        kind.tell();
+    }
+}
+
+impl Kind {
+    /// Calls who asked to be called, for what nobody was called for.
+    fn tell(&self) {
+        let state = || self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let untold = std::mem::take(&mut state().untold);
+        if !self.callback.call(untold) {
+            state().untold += untold;
+        }
+    }
+}
+
+/// An event of either end, as rmw counts them.
+pub(crate) struct Event {
+    kind: rmw_event_type_t,
+    counts: Counts,
+}
+
+impl From<PublisherEvent> for Event {
+    fn from(event: PublisherEvent) -> Self {
+        match event {
+            PublisherEvent::Matched(matched) => Event::matched(RMW_EVENT_PUBLICATION_MATCHED, matched),
+            PublisherEvent::OfferedIncompatibleQos(qos) => {
+                Event::incompatible(RMW_EVENT_OFFERED_QOS_INCOMPATIBLE, qos)
+            }
+            PublisherEvent::IncompatibleType(of) => {
+                Event::total(RMW_EVENT_PUBLISHER_INCOMPATIBLE_TYPE, of.total_count, of.total_count_change)
+            }
+            PublisherEvent::OfferedDeadlineMissed(missed) => {
+                Event::total(RMW_EVENT_OFFERED_DEADLINE_MISSED, missed.total_count, missed.total_count_change)
+            }
+            PublisherEvent::LivelinessLost(lost) => {
+                Event::total(RMW_EVENT_LIVELINESS_LOST, lost.total_count, lost.total_count_change)
+            }
+            _ => Event { kind: RMW_EVENT_INVALID, counts: Counts::default() },
+        }
+    }
+}
+
+impl From<SubscriptionEvent> for Event {
+    fn from(event: SubscriptionEvent) -> Self {
+        match event {
+            SubscriptionEvent::Matched(matched) => Event::matched(RMW_EVENT_SUBSCRIPTION_MATCHED, matched),
+            SubscriptionEvent::RequestedIncompatibleQos(qos) => {
+                Event::incompatible(RMW_EVENT_REQUESTED_QOS_INCOMPATIBLE, qos)
+            }
+            SubscriptionEvent::IncompatibleType(of) => {
+                Event::total(RMW_EVENT_SUBSCRIPTION_INCOMPATIBLE_TYPE, of.total_count, of.total_count_change)
+            }
+            SubscriptionEvent::RequestedDeadlineMissed(missed) => Event::total(
+                RMW_EVENT_REQUESTED_DEADLINE_MISSED,
+                missed.total_count,
+                missed.total_count_change,
+            ),
+            SubscriptionEvent::MessageLost(lost) => {
+                Event::total(RMW_EVENT_MESSAGE_LOST, lost.total_count, lost.total_count_change)
+            }
+            SubscriptionEvent::LivelinessChanged(changed) => {
+                let counts = Counts {
+                    current: changed.alive_count,
+                    current_change: changed.alive_count_change,
+                    not_alive: changed.not_alive_count,
+                    not_alive_change: changed.not_alive_count_change,
+                    ..Counts::default()
+                };
+                Event { kind: RMW_EVENT_LIVELINESS_CHANGED, counts }
+            }
+            _ => Event { kind: RMW_EVENT_INVALID, counts: Counts::default() },
+        }
+    }
+}
+
+impl Event {
+    fn total(kind: rmw_event_type_t, total: u64, total_change: u64) -> Self {
+        Event { kind, counts: Counts { total, total_change, ..Counts::default() } }
+    }
+
+    fn matched(kind: rmw_event_type_t, matched: tautline_transport::Matched) -> Self {
+        let counts = Counts {
+            total: matched.total_count,
+            total_change: matched.total_count_change,
+            current: matched.current_count,
+            current_change: matched.current_count_change,
+            ..Counts::default()
+        };
+        Event { kind, counts }
+    }
+
+    fn incompatible(kind: rmw_event_type_t, qos: tautline_transport::IncompatibleQos) -> Self {
+        let counts = Counts {
+            total: qos.total_count,
+            total_change: qos.total_count_change,
+            policy: policy_to_ros(qos.last_policy_kind),
+            ..Counts::default()
+        };
+        Event { kind, counts }
+    }
+}
+
+/// The flag of an event that is waited for.
+pub(crate) fn signal_of(event: &rmw_event_t) -> Option<&Signal> {
+    // SAFETY: null, or what `init` put there, which its end keeps.
+    let source = unsafe { event.data.cast::<Source>().as_ref() }?;
+    source.happened.kinds.get(source.kind).map(|kind| &kind.signal)
+}
+
+/// What its events point to, one of each kind: an end keeps them, for rmw frees no event.
+pub(crate) struct Sources(Vec<Source>);
+
+impl Sources {
+    pub(crate) fn new(happened: &Arc<Happened>) -> Self {
+        Sources((0..KINDS).map(|kind| Source { happened: happened.clone(), kind }).collect())
+    }
+}
+
+/// Makes `event` one of those of an end; `kinds` can happen to it.
+fn init(
+    event: *mut rmw_event_t,
+    sources: &Sources,
+    kind: rmw_event_type_t,
+    kinds: std::ops::RangeInclusive<rmw_event_type_t>,
+) -> Result {
+    // SAFETY: rmw's word.
+    let event = unsafe { place(event, "the event")? };
+    if !event.implementation_identifier.is_null() {
+        return Err(Error::invalid("the event is initialised already"));
+    }
+    let source = sources.0.get(kind as usize).filter(|_| kinds.contains(&kind));
+    let source = source.ok_or_else(|| {
+        Error::unsupported(format!("event type {kind} does not happen to this kind of end"))
+    })?;
+    *event = rmw_event_t {
+        implementation_identifier: IDENTIFIER.as_ptr(),
+        data: std::ptr::from_ref(source).cast_mut().cast(),
+        event_type: kind,
+    };
+    Ok(())
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publisher_event_init(
+    event: *mut rmw_event_t,
+    publisher: *const rmw_publisher_t,
+    kind: rmw_event_type_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let publisher = unsafe { behind(publisher)? };
+        init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=RMW_EVENT_PUBLICATION_MATCHED)?;
+        publisher.listen()
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_subscription_event_init(
+    event: *mut rmw_event_t,
+    subscription: *const rmw_subscription_t,
+    kind: rmw_event_type_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let subscription = unsafe { behind(subscription)? };
+        init(
+            event,
+            &subscription.events,
+            kind,
+            RMW_EVENT_LIVELINESS_CHANGED..=RMW_EVENT_SUBSCRIPTION_MATCHED,
+        )?;
+        subscription.listen()
+    })
+}
+
+#[unsafe(no_mangle)]
+/// Whether there are events of this kind.
+pub extern "C" fn rmw_event_type_is_supported(kind: rmw_event_type_t) -> bool {
+    (kind as usize) < KINDS
+}
+
+/// The source of an event that is given.
+unsafe fn source_of<'s>(event: *const rmw_event_t) -> Result<&'s Source> {
+    // SAFETY: rmw's word.
+    let event = unsafe { event.as_ref() }.ok_or_else(|| Error::null("the event"))?;
+    check_identifier(event.implementation_identifier, "the event")?;
+    // SAFETY: it is ours.
+    unsafe { event.data.cast::<Source>().as_ref() }.ok_or_else(|| Error::null("the event's data"))
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_event(
+    event: *const rmw_event_t,
+    info: *mut c_void,
+    taken: *mut bool,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (source, taken) = unsafe { (source_of(event)?, place(taken, "taken")?) };
+        *taken = false;
+        if info.is_null() {
+            return Err(Error::null("the event's information"));
+        }
+        let Some(kind) = source.happened.kinds.get(source.kind) else {
+            return Err(Error::invalid("there is no such kind of event"));
+        };
+        let mut state = kind.state.lock().unwrap_or_else(PoisonError::into_inner);
+        kind.signal.take();
+        let counts = state.counts;
+        (state.counts.total_change, state.counts.current_change, state.counts.not_alive_change) = (0, 0, 0);
+        state.untold = 0;
+        drop(state);
+        // SAFETY: rmw's word: it is the struct of this kind of event.
+        unsafe { write(source.kind as rmw_event_type_t, &counts, info) };
+        *taken = true;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// `info` is valid for the struct that `kind` has.
+unsafe fn write(kind: rmw_event_type_t, counts: &Counts, info: *mut c_void) {
+    let number = |count: u64| i32::try_from(count).unwrap_or(i32::MAX);
+    let change = |change: i64| i32::try_from(change).unwrap_or(i32::MAX);
+    let (total_count, total_count_change) = (number(counts.total), number(counts.total_change));
+    // SAFETY: the caller's word.
+    unsafe {
+        match kind {
+            RMW_EVENT_LIVELINESS_CHANGED => {
+                info.cast::<rmw_liveliness_changed_status_t>().write(rmw_liveliness_changed_status_t {
+                    alive_count: number(counts.current),
+                    not_alive_count: number(counts.not_alive),
+                    alive_count_change: change(counts.current_change),
+                    not_alive_count_change: change(counts.not_alive_change),
+                })
+            }
+            RMW_EVENT_REQUESTED_QOS_INCOMPATIBLE | RMW_EVENT_OFFERED_QOS_INCOMPATIBLE => {
+                info.cast::<rmw_qos_incompatible_event_status_t>().write(
+                    rmw_qos_incompatible_event_status_t {
+                        total_count,
+                        total_count_change,
+                        last_policy_kind: counts.policy.max(RMW_QOS_POLICY_INVALID),
+                    },
+                );
+            }
+            RMW_EVENT_SUBSCRIPTION_MATCHED | RMW_EVENT_PUBLICATION_MATCHED => {
+                info.cast::<rmw_matched_status_t>().write(rmw_matched_status_t {
+                    total_count: counts.total as usize,
+                    total_count_change: counts.total_change as usize,
+                    current_count: counts.current as usize,
+                    current_count_change: change(counts.current_change),
+                });
+            }
+            RMW_EVENT_MESSAGE_LOST => {
+                info.cast::<rmw_message_lost_status_t>().write(rmw_message_lost_status_t {
+                    total_count: counts.total as usize,
+                    total_count_change: counts.total_change as usize,
+                })
+            }
+            // The structs of the rest are alike.
+            _ => info
+                .cast::<rmw_liveliness_lost_status_t>()
+                .write(rmw_liveliness_lost_status_t { total_count, total_count_change }),
+        }
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_event_set_callback(
+    event: *mut rmw_event_t,
+    callback: rmw_event_callback_t,
+    data: *const c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let source = unsafe { source_of(event)? };
+        let Some(kind) = source.happened.kinds.get(source.kind) else {
+            return Err(Error::invalid("there is no such kind of event"));
+        };
+        kind.callback.set(callback.map(|function| (function, data)));
+        kind.tell();
+        Ok(())
+    })
+}

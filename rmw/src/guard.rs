@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Guard conditions.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer, made};
+use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
+use crate::signal::Signal;
+use std::sync::Arc;
+
+/// A flag that any thread sets, and a wait set waits for.
+pub(crate) struct GuardCondition {
+    pub(crate) signal: Arc<Signal>,
+}
+
+/// A guard condition that ROS sees.
+pub(crate) fn create(context: *mut rmw_context_t, signal: Arc<Signal>) -> Result<*mut rmw_guard_condition_t> {
+    // SAFETY: rmw's own memory, written before anybody sees it.
+    unsafe {
+        let handle = rmw_guard_condition_allocate();
+        if handle.is_null() {
+            return Err(Error::new(RET_BAD_ALLOC, "no memory for a guard condition"));
+        }
+        let data = Box::into_raw(Box::new(GuardCondition { signal })).cast();
+        handle.write(rmw_guard_condition_t { implementation_identifier: IDENTIFIER.as_ptr(), data, context });
+        Ok(handle)
+    }
+}
+
+/// # Safety
+/// Made by [`create`], and not used any more.
+pub(crate) unsafe fn destroy(handle: *mut rmw_guard_condition_t) {
+    // SAFETY: the caller's word.
+    unsafe {
+        drop(take_back::<GuardCondition>((*handle).data));
+        rmw_guard_condition_free(handle);
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_create_guard_condition(
+    context: *mut rmw_context_t,
+) -> *mut rmw_guard_condition_t {
+    made(|| {
+        // SAFETY: rmw's word.
+        unsafe { behind_context(context)? };
+        create(context, Arc::default())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_destroy_guard_condition(handle: *mut rmw_guard_condition_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word; checked to be ours.
+        unsafe {
+            behind(handle)?;
+            destroy(handle);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says. Without an error: may be called in a signal handler.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_trigger_guard_condition(handle: *const rmw_guard_condition_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        unsafe { behind(handle)? }.signal.set();
+        Ok(())
+    })
+}

@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What ROS holds of ours: structs of librmw with a pointer to what is behind them.
+
+use crate::bindings::*;
+use crate::client::Client;
+use crate::context::Context;
+use crate::error::{Error, Result};
+use crate::guard::GuardCondition;
+use crate::node::Node;
+use crate::publisher::Publisher;
+use crate::service::Service;
+use crate::subscription::Subscription;
+use crate::wait::WaitSet;
+use std::ffi::{CStr, c_char, c_void};
+
+/// `rmw_get_implementation_identifier`.
+pub(crate) const IDENTIFIER: &CStr = c"rmw_tautline";
+
+/// Whether something was made by this implementation.
+pub(crate) fn check_identifier(identifier: *const c_char, what: &str) -> Result {
+    // SAFETY: null, or a text of the implementation that made it.
+    let found = (!identifier.is_null()).then(|| unsafe { CStr::from_ptr(identifier) });
+    if found == Some(IDENTIFIER) {
+        return Ok(());
+    }
+    let found = found.map_or("none".into(), CStr::to_string_lossy);
+    let text = format!("{what} was made by {found}, not by rmw_tautline");
+    Err(Error::new(RET_INCORRECT_RMW_IMPLEMENTATION, text))
+}
+
+/// A struct of librmw behind whose `data` is a `Data` of ours.
+pub(crate) trait Handle {
+    type Data: 'static;
+    const WHAT: &'static str;
+    fn identifier(&self) -> *const c_char;
+    fn data(&self) -> *mut c_void;
+}
+
+macro_rules! handles {
+    ($($handle:ty, $data:ty, $what:literal;)*) => {$(
+        impl Handle for $handle {
+            type Data = $data;
+            const WHAT: &'static str = $what;
+            fn identifier(&self) -> *const c_char {
+                self.implementation_identifier
+            }
+            fn data(&self) -> *mut c_void {
+                self.data.cast()
+            }
+        }
+    )*};
+}
+
+handles! {
+    rmw_node_t, Node, "the node";
+    rmw_publisher_t, Publisher, "the publisher";
+    rmw_subscription_t, Subscription, "the subscription";
+    rmw_service_t, Service, "the service";
+    rmw_client_t, Client, "the client";
+    rmw_guard_condition_t, GuardCondition, "the guard condition";
+    rmw_wait_set_t, WaitSet, "the wait set";
+}
+
+/// What is behind a handle.
+///
+/// # Safety
+/// `handle` is null, or points to what was made by an RMW and not destroyed.
+pub(crate) unsafe fn behind<'h, H: Handle>(handle: *const H) -> Result<&'h H::Data> {
+    // SAFETY: the caller's word.
+    let handle = unsafe { handle.as_ref() }.ok_or_else(|| Error::null(H::WHAT))?;
+    check_identifier(handle.identifier(), H::WHAT)?;
+    // SAFETY: it is ours, so behind it is what we made.
+    unsafe { handle.data().cast::<H::Data>().as_ref() }.ok_or_else(|| Error::null(H::WHAT))
+}
+
+/// What is behind a context.
+///
+/// # Safety
+/// As [`behind`].
+pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result<&'h Context> {
+    let what = "the context";
+    // SAFETY: the caller's word.
+    let context = unsafe { context.as_ref() }.ok_or_else(|| Error::null(what))?;
+    check_identifier(context.implementation_identifier, what)?;
+    // SAFETY: it is ours, so behind it is what we made.
+    let behind = unsafe { context.impl_.cast::<Context>().as_ref() };
+    behind.ok_or_else(|| Error::invalid("the context has not been initialised, or was finalised"))
+}
+
+/// Takes the data back that a handle of ours points to.
+///
+/// # Safety
+/// It was made with `Box::into_raw`, and nobody uses it any more.
+pub(crate) unsafe fn take_back<T>(data: *mut c_void) -> Box<T> {
+    // SAFETY: the caller's word.
+    unsafe { Box::from_raw(data.cast()) }
+}
+
+/// A place to write an answer to.
+///
+/// # Safety
+/// `place` is null or valid for writes.
+pub(crate) unsafe fn place<'p, T>(place: *mut T, what: &str) -> Result<&'p mut T> {
+    // SAFETY: the caller's word.
+    unsafe { place.as_mut() }.ok_or_else(|| Error::null(what))
+}
+
+/// A text that is given.
+///
+/// # Safety
+/// `text` is null, or ends with a zero and lives as long as it is used.
+pub(crate) unsafe fn text<'t>(text: *const c_char, what: &str) -> Result<&'t str> {
+    if text.is_null() {
+        return Err(Error::null(what));
+    }
+    // SAFETY: the caller's word.
+    let text = unsafe { CStr::from_ptr(text) };
+    text.to_str().map_err(|_| Error::invalid(format!("{what} is no UTF-8")))
+}
+
+/// A copy of a text in memory of rmw's, which [`free_text`] gives back.
+pub(crate) fn copy_text(text: &str) -> Result<*const c_char> {
+    let bytes = text.len();
+    // SAFETY: as long as is written below; `text` has no zero, for it comes from one that ended there.
+    unsafe {
+        let copy = rmw_allocate(bytes + 1).cast::<u8>();
+        if copy.is_null() {
+            return Err(Error::new(RET_BAD_ALLOC, "no memory for a name"));
+        }
+        copy.copy_from_nonoverlapping(text.as_ptr(), bytes);
+        copy.add(bytes).write(0);
+        Ok(copy.cast())
+    }
+}
+
+/// # Safety
+/// It was made by [`copy_text`], and is not used any more.
+pub(crate) unsafe fn free_text(text: *const c_char) {
+    // SAFETY: the caller's word.
+    unsafe { rmw_free(text.cast_mut().cast()) };
+}

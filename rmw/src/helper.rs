@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A context's helper thread: at the sampler's place, it serves what is not data. QoS events, changes of the graph, requests that wait
+//! for a server and callbacks for new messages are tasks of its pool.
+
+use crate::error::{Error, Result};
+use futures::executor::LocalPool;
+use futures::future::LocalBoxFuture;
+use futures::task::LocalSpawnExt;
+use std::sync::Mutex;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, PoisonError};
+use std::task::Wake;
+use tautline_rt::{JoinHandle, Realtime, ThreadBuilder};
+use tautline_sampler::{Events, Sampler};
+use tautline_transport::{Participant, Slot};
+
+type Task = Box<dyn FnOnce() -> LocalBoxFuture<'static, ()> + Send>;
+
+/// The thread, and what others give it.
+pub(crate) struct Helper {
+    events: Events,
+    tasks: Mutex<Sender<Task>>,
+    /// Rung when there is a task.
+    door: Arc<Slot>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Wakes a task of the helper's from any thread: by a ring, for the thread sleeps on the doorbell alone.
+pub(crate) struct Ring(pub(crate) Arc<Slot>);
+
+impl Wake for Ring {
+    fn wake(self: Arc<Self>) {
+        self.0.ring();
+    }
+
+    fn wake_by_ref(self: &Arc<Self>) {
+        self.0.ring();
+    }
+}
+
+impl Helper {
+    /// Starts the thread, an ordinary one.
+    pub(crate) fn start(participant: &Participant) -> Result<Self> {
+        let sampler = Sampler::new(participant)?;
+        let (events, door) = (sampler.events().clone(), Arc::new(participant.claim_slot()?));
+        let (tasks, given) = channel();
+        let thread = ThreadBuilder::new("rmw_helper").realtime(Realtime::Off);
+        let thread = thread.spawn(move || move || serve(sampler, &given)).map_err(Error::other)?;
+        Ok(Helper { events, tasks: Mutex::new(tasks), door, thread: Some(thread) })
+    }
+
+    /// What its tasks are woken by.
+    pub(crate) fn events(&self) -> &Events {
+        &self.events
+    }
+
+    /// Has the thread make a task, and run it.
+    pub(crate) fn run<F: Future<Output = ()> + 'static>(&self, make: impl FnOnce() -> F + Send + 'static) {
+        let task: Task = Box::new(move || Box::pin(make()));
+        let tasks = self.tasks.lock().unwrap_or_else(PoisonError::into_inner);
+        // Nobody receives it once the thread has ended, and then nothing is to be served any more.
+        let _ = tasks.send(task);
+        self.door.ring();
+    }
+}
+
+impl Drop for Helper {
+    fn drop(&mut self) {
+        self.events.stop();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn serve(mut sampler: Sampler, given: &Receiver<Task>) {
+    let events = sampler.events().clone();
+    let mut pool = LocalPool::new();
+    let spawner = pool.spawner();
+    while !events.is_stopped() {
+        for task in given.try_iter() {
+            let _ = spawner.spawn_local(task());
+        }
+        pool.run_until_stalled();
+        sampler.spin_once(None);
+    }
+}

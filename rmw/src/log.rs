@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What Tautline logs goes to ROS's own log, as logger `rmw_tautline`.
+
+use crate::bindings::*;
+use crate::error::answer;
+use std::ffi::CString;
+use std::fmt::{self, Write};
+use std::sync::Once;
+use std::sync::atomic::{AtomicU32, Ordering};
+use tracing::field::{Field, Visit};
+use tracing::span::{Attributes, Id, Record};
+use tracing::{Event, Level, Metadata, Subscriber};
+
+/// The least severity that is passed on.
+static LEAST: AtomicU32 = AtomicU32::new(RMW_LOG_SEVERITY_INFO);
+
+/// Passes on what is logged from now on, unless the process has somebody who takes it.
+pub(crate) fn start() {
+    static STARTED: Once = Once::new();
+    STARTED.call_once(|| drop(tracing::subscriber::set_global_default(ToRos)));
+}
+
+struct ToRos;
+
+fn severity(level: &Level) -> u32 {
+    match *level {
+        Level::ERROR => RMW_LOG_SEVERITY_ERROR,
+        Level::WARN => RMW_LOG_SEVERITY_WARN,
+        Level::INFO => RMW_LOG_SEVERITY_INFO,
+        _ => RMW_LOG_SEVERITY_DEBUG,
+    }
+}
+
+impl Subscriber for ToRos {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        metadata.is_event() && severity(metadata.level()) >= LEAST.load(Ordering::Relaxed)
+    }
+
+    fn event(&self, event: &Event<'_>) {
+        let mut line = Line::default();
+        event.record(&mut line);
+        let text = CString::new(line.0.replace('\0', " ")).unwrap_or_default();
+        // SAFETY: texts that end with a zero and live through the call; the format takes one.
+        unsafe {
+            let severity = severity(event.metadata().level());
+            rcutils_log(
+                std::ptr::null(),
+                severity as i32,
+                c"rmw_tautline".as_ptr(),
+                c"%s".as_ptr(),
+                text.as_ptr(),
+            );
+        }
+    }
+
+    fn new_span(&self, _: &Attributes<'_>) -> Id {
+        Id::from_u64(1)
+    }
+
+    fn record(&self, _: &Id, _: &Record<'_>) {}
+    fn record_follows_from(&self, _: &Id, _: &Id) {}
+    fn enter(&self, _: &Id) {}
+    fn exit(&self, _: &Id) {}
+}
+
+/// An event's text, and its fields after it.
+#[derive(Default)]
+struct Line(String);
+
+impl Visit for Line {
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        // Writing to a string does not fail.
+        let _ = match field.name() {
+            "message" => write!(self.0, "{value:?}"),
+            name => write!(self.0, " {name}={value:?}"),
+        };
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_set_log_severity(severity: rmw_log_severity_t) -> rmw_ret_t {
+    answer(|| {
+        if !(RMW_LOG_SEVERITY_DEBUG..=RMW_LOG_SEVERITY_FATAL).contains(&severity) {
+            return Err(crate::error::Error::invalid(format!("{severity} is no severity of rmw's")));
+        }
+        LEAST.store(severity, Ordering::Relaxed);
+        tracing::callsite::rebuild_interest_cache();
+        Ok(())
+    })
+}

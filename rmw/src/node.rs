@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Nodes.
+
+use crate::bindings::*;
+use crate::context::Context;
+use crate::error::{Error, Result, answer, checked, made};
+use crate::guard;
+use crate::handle::{IDENTIFIER, behind, behind_context, copy_text, free_text, take_back, text};
+use crate::signal::Signal;
+use std::ffi::{CStr, c_char, c_int};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use tautline_transport::{NodeHandle, Participant};
+
+pub(crate) struct Node {
+    context: *const Context,
+    /// Makes what is the node's.
+    pub(crate) participant: Participant,
+    _handle: NodeHandle,
+    graph_guard: *mut rmw_guard_condition_t,
+}
+
+impl Node {
+    /// Its context, which lives as long as a node of it.
+    pub(crate) fn context(&self) -> &Context {
+        // SAFETY: `rmw_context_fini` refuses to end a context that has nodes.
+        unsafe { &*self.context }
+    }
+}
+
+type Validate = unsafe extern "C" fn(*const c_char, *mut c_int, *mut usize) -> rmw_ret_t;
+type Explain = unsafe extern "C" fn(c_int) -> *const c_char;
+
+/// Whether a name keeps the rules of its kind.
+///
+/// # Safety
+/// `name` is null, or ends with a zero.
+unsafe fn check_name(name: *const c_char, what: &str, validate: Validate, explain: Explain) -> Result {
+    if name.is_null() {
+        return Err(Error::null(what));
+    }
+    let (mut found, mut at) = (0, 0);
+    // SAFETY: the caller's word; the places are valid; what is wrong is explained by a constant, null if nothing is.
+    let explained = unsafe {
+        checked(validate(name, &mut found, &mut at), "checking a name")?;
+        let explained = explain(found);
+        (!explained.is_null()).then(|| CStr::from_ptr(explained).to_string_lossy())
+    };
+    match explained {
+        // Zero is a valid name.
+        Some(reason) if found != 0 => Err(Error::invalid(format!("{what}: {reason} (at byte {at})"))),
+        _ => Ok(()),
+    }
+}
+
+/// # Safety
+/// As [`check_name`].
+pub(crate) unsafe fn check_node_name(name: *const c_char) -> Result {
+    // SAFETY: the caller's word.
+    unsafe {
+        check_name(name, "the node's name", rmw_validate_node_name, rmw_node_name_validation_result_string)
+    }
+}
+
+/// # Safety
+/// As [`check_name`].
+pub(crate) unsafe fn check_namespace(name: *const c_char) -> Result {
+    // SAFETY: the caller's word.
+    unsafe {
+        check_name(name, "the namespace", rmw_validate_namespace, rmw_namespace_validation_result_string)
+    }
+}
+
+/// Of a topic or a service.
+///
+/// # Safety
+/// As [`check_name`].
+pub(crate) unsafe fn check_full_name(name: *const c_char, what: &str) -> Result {
+    // SAFETY: the caller's word.
+    unsafe {
+        check_name(name, what, rmw_validate_full_topic_name, rmw_full_topic_name_validation_result_string)
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_create_node(
+    context: *mut rmw_context_t,
+    name: *const c_char,
+    namespace: *const c_char,
+) -> *mut rmw_node_t {
+    made(|| {
+        // SAFETY: rmw's word.
+        let (behind, name, namespace) = unsafe {
+            let behind = behind_context(context)?;
+            behind.check()?;
+            check_node_name(name)?;
+            check_namespace(namespace)?;
+            (behind, text(name, "the node's name")?, text(namespace, "the namespace")?)
+        };
+        let handle = behind.participant.create_node(name, namespace)?;
+        let participant = behind.participant.for_node(&handle);
+        let signal = Arc::<Signal>::default();
+        behind.watch_graph(&signal);
+        let graph_guard = guard::create(context, signal)?;
+        let node = Node { context: behind, participant, _handle: handle, graph_guard };
+        // SAFETY: rmw's own memory, written before anybody sees it.
+        unsafe {
+            let handle = rmw_node_allocate();
+            if handle.is_null() {
+                guard::destroy(graph_guard);
+                return Err(Error::new(RET_BAD_ALLOC, "no memory for a node"));
+            }
+            behind.nodes.fetch_add(1, Ordering::AcqRel);
+            handle.write(rmw_node_t {
+                implementation_identifier: IDENTIFIER.as_ptr(),
+                data: Box::into_raw(Box::new(node)).cast(),
+                name: copy_text(name)?,
+                namespace_: copy_text(namespace)?,
+                context,
+            });
+            Ok(handle)
+        }
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_destroy_node(handle: *mut rmw_node_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word; checked to be ours, so made above.
+        unsafe {
+            behind(handle)?;
+            let node = take_back::<Node>((*handle).data);
+            guard::destroy(node.graph_guard);
+            node.context().nodes.fetch_sub(1, Ordering::AcqRel);
+            drop(node);
+            free_text((*handle).name);
+            free_text((*handle).namespace_);
+            rmw_node_free(handle);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_node_get_graph_guard_condition(
+    handle: *const rmw_node_t,
+) -> *const rmw_guard_condition_t {
+    // SAFETY: rmw's word.
+    made(|| Ok(unsafe { behind(handle)? }.graph_guard))
+}

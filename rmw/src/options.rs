@@ -1,0 +1,184 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a context is to be like.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer, checked};
+use crate::handle::{IDENTIFIER, check_identifier, place};
+use tautline_transport::MAX_DOMAIN;
+
+/// `RMW_DEFAULT_DOMAIN_ID`: rcl reads ROS_DOMAIN_ID before it comes here.
+const DEFAULT_DOMAIN: usize = usize::MAX;
+
+/// What can be done of what the options ask for. Returns the domain.
+pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
+    if options.enclave.is_null() {
+        return Err(Error::invalid("the options have no enclave"));
+    }
+    if options.security_options.enforce_security == RMW_SECURITY_ENFORCEMENT_ENFORCE {
+        return Err(Error::unsupported(
+            "ROS_SECURITY_STRATEGY=Enforce: rmw_tautline has no SROS 2. On one host /dev/shm's files are this user's alone; between \
+             hosts `taut gateway` has TLS. Unset ROS_SECURITY_ENABLE, or use another RMW",
+        ));
+    }
+    let discovery = &options.discovery_options;
+    if discovery.automatic_discovery_range == RMW_AUTOMATIC_DISCOVERY_RANGE_OFF {
+        return Err(Error::unsupported(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: rmw_tautline has no context that nobody sees. Set TAUT_SCOPE to a name of your own, \
+             or use another domain",
+        ));
+    }
+    if discovery.static_peers_count != 0 {
+        return Err(Error::unsupported(
+            "ROS_STATIC_PEERS is set: rmw_tautline reaches other hosts by `taut gateway --connect tcp/HOST:PORT`. Unset it",
+        ));
+    }
+    match options.domain_id {
+        DEFAULT_DOMAIN => Ok(0),
+        domain => u32::try_from(domain).ok().filter(|domain| *domain <= MAX_DOMAIN).ok_or_else(|| {
+            Error::invalid(format!("domain {domain} does not exist: domains go from 0 to {MAX_DOMAIN}"))
+        }),
+    }
+}
+
+/// What copying or finalising options answered, which have set the error's text.
+pub(crate) fn copied(code: rmw_ret_t) -> Result {
+    checked(code, "copying the options")
+}
+
+fn is_valid(allocator: &rcutils_allocator_t) -> bool {
+    allocator.allocate.is_some()
+        && allocator.deallocate.is_some()
+        && allocator.reallocate.is_some()
+        && allocator.zero_allocate.is_some()
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_init_options_init(
+    options: *mut rmw_init_options_t,
+    allocator: rcutils_allocator_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let options = unsafe { place(options, "the options")? };
+        if !is_valid(&allocator) {
+            return Err(Error::invalid("the allocator is none"));
+        }
+        if !options.implementation_identifier.is_null() {
+            return Err(Error::invalid("the options are initialised already"));
+        }
+        // SAFETY: no conditions.
+        let (security_options, discovery_options) = unsafe {
+            (rmw_get_zero_initialized_security_options(), rmw_get_zero_initialized_discovery_options())
+        };
+        *options = rmw_init_options_t {
+            instance_id: 0,
+            implementation_identifier: IDENTIFIER.as_ptr(),
+            domain_id: DEFAULT_DOMAIN,
+            security_options,
+            localhost_only: RMW_LOCALHOST_ONLY_DEFAULT,
+            discovery_options,
+            enclave: std::ptr::null_mut(),
+            allocator,
+            impl_: std::ptr::null_mut(),
+        };
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_init_options_copy(
+    source: *const rmw_init_options_t,
+    destination: *mut rmw_init_options_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (source, destination) = unsafe {
+            let source = source.as_ref().ok_or_else(|| Error::null("the source"))?;
+            (source, place(destination, "the destination")?)
+        };
+        if source.implementation_identifier.is_null() {
+            return Err(Error::invalid("the source is not initialised"));
+        }
+        check_identifier(source.implementation_identifier, "the source")?;
+        if !destination.implementation_identifier.is_null() {
+            return Err(Error::invalid("the destination is initialised already"));
+        }
+        let mut allocator = source.allocator;
+        // SAFETY: what is copied is initialised; what is copied to is zero.
+        unsafe {
+            let mut copy = rmw_init_options_t {
+                enclave: std::ptr::null_mut(),
+                security_options: rmw_get_zero_initialized_security_options(),
+                discovery_options: rmw_get_zero_initialized_discovery_options(),
+                ..*source
+            };
+            let security =
+                rmw_security_options_copy(&source.security_options, &allocator, &mut copy.security_options);
+            let copied = checked(security, "copying the security options").and_then(|()| {
+                let from = &source.discovery_options;
+                let discovery = rmw_discovery_options_copy(from, &mut allocator, &mut copy.discovery_options);
+                checked(discovery, "copying the discovery options")
+            });
+            let copied = copied.and_then(|()| {
+                if source.enclave.is_null() {
+                    return Ok(());
+                }
+                copy.enclave = rcutils_strdup(source.enclave, allocator);
+                match copy.enclave.is_null() {
+                    false => Ok(()),
+                    true => Err(Error::new(RET_BAD_ALLOC, "no memory for the enclave")),
+                }
+            });
+            if copied.is_err() {
+                finish(&mut copy);
+                return copied;
+            }
+            *destination = copy;
+        }
+        Ok(())
+    })
+}
+
+/// Gives back what options own.
+///
+/// # Safety
+/// They are initialised.
+unsafe fn finish(options: &mut rmw_init_options_t) {
+    let allocator = options.allocator;
+    // SAFETY: the caller's word: each is initialised or zero.
+    unsafe {
+        if let Some(deallocate) = allocator.deallocate
+            && !options.enclave.is_null()
+        {
+            deallocate(options.enclave.cast(), allocator.state);
+        }
+        let _ = rmw_security_options_fini(&mut options.security_options, &allocator);
+        let _ = rmw_discovery_options_fini(&mut options.discovery_options);
+        rcutils_reset_error();
+        *options = rmw_get_zero_initialized_init_options();
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_init_options_fini(options: *mut rmw_init_options_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let options = unsafe { place(options, "the options")? };
+        if options.implementation_identifier.is_null() {
+            return Err(Error::invalid("the options are not initialised"));
+        }
+        check_identifier(options.implementation_identifier, "the options")?;
+        if !is_valid(&options.allocator) {
+            return Err(Error::invalid("the allocator is none"));
+        }
+        // SAFETY: initialised.
+        unsafe { finish(options) };
+        Ok(())
+    })
+}

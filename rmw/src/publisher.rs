@@ -1,0 +1,295 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Publishers: ROS's struct is written into shared memory, once.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer, made};
+use crate::event::{Happened, Sources};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
+use crate::node::{Node, check_full_name};
+use crate::qos::{self, Role};
+use crate::serialization::little_body;
+use crate::signal::deadline_ns;
+use crate::types::MessageType;
+use std::ffi::{c_char, c_void};
+use std::sync::Arc;
+use std::time::Duration;
+use tautline_rt::PiMutex;
+use tautline_rt::clock::monotonic_ns;
+use tautline_sampler::PublisherEvents;
+use tautline_transport::{Gid, MatchedCount, RawLoan, RawPublisher, Reliability, Unpublished};
+
+pub(crate) struct Publisher {
+    pub(crate) events: Sources,
+    happened: Arc<Happened>,
+    node: *const Node,
+    of_messages: MessageType,
+    qos: rmw_qos_profile_t,
+    is_reliable: bool,
+    gid: Gid,
+    matched: MatchedCount,
+    /// Used by one thread at a time.
+    raw: PiMutex<RawPublisher>,
+}
+
+/// How long a publisher that keeps all waits for room, as one of DDS does.
+const FULL_NS: u64 = 100_000_000;
+/// How often who waits looks again.
+const LOOK: Duration = Duration::from_micros(200);
+
+impl Publisher {
+    fn node(&self) -> &Node {
+        // SAFETY: rmw's word: a node lives longer than what is its.
+        unsafe { &*self.node }
+    }
+
+    pub(crate) fn listen(&self) -> Result {
+        let helper = &self.node().context().helper;
+        let events = || Ok(PublisherEvents::new(helper.events(), &self.raw.lock())?);
+        self.happened.listen(helper, events)
+    }
+
+    /// Publishes what `write` writes: at most `len_bytes`, and as many as it says.
+    ///
+    /// # Real-time
+    /// As [`RawPublisher::loan`] of a publisher that claims memory on use, and [`RawLoan::publish`]: once as many samples have been
+    /// in flight as ever are, no allocation and no syscall but futex wakes. Waits for who publishes here right now, and lends it this
+    /// thread's priority. One that keeps all waits up to 100 ms for room.
+    fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
+        let raw = self.raw.lock();
+        let mut loan = raw.loan(len_bytes)?;
+        let written = write(&mut loan)?;
+        loan.truncate(written);
+        let mut unpublished = match loan.publish() {
+            Ok(()) => return Ok(()),
+            Err(unpublished) => unpublished,
+        };
+        let give_up_ns = monotonic_ns().saturating_add(FULL_NS);
+        while matches!(unpublished, Unpublished::Full(_)) && monotonic_ns() < give_up_ns {
+            std::thread::sleep(LOOK);
+            unpublished = match RawLoan::publish(unpublished.into_loan()) {
+                Ok(()) => return Ok(()),
+                Err(unpublished) => unpublished,
+            };
+        }
+        let code = if matches!(unpublished, Unpublished::Full(_)) { RET_TIMEOUT } else { RET_BAD_ALLOC };
+        Err(Error::new(code, unpublished.to_string()))
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_create_publisher(
+    node: *const rmw_node_t,
+    support: *const rosidl_message_type_support_t,
+    topic: *const c_char,
+    profile: *const rmw_qos_profile_t,
+    options: *const rmw_publisher_options_t,
+) -> *mut rmw_publisher_t {
+    made(|| {
+        // SAFETY: rmw's word.
+        let (node, of_messages, name, profile, options) = unsafe {
+            let node = behind(node)?;
+            let of_messages = MessageType::of(support)?;
+            let name = text(topic, "the topic's name")?;
+            let profile = profile.as_ref().ok_or_else(|| Error::null("the QoS profile"))?;
+            (node, of_messages, name, profile, options.as_ref().ok_or_else(|| Error::null("the options"))?)
+        };
+        if name.is_empty() {
+            return Err(Error::invalid("the topic's name is empty"));
+        }
+        if !profile.avoid_ros_namespace_conventions {
+            // SAFETY: rmw's word.
+            unsafe { check_full_name(topic, "the topic's name")? };
+        }
+        if options.require_unique_network_flow_endpoints
+            == RMW_UNIQUE_NETWORK_FLOW_ENDPOINTS_STRICTLY_REQUIRED
+        {
+            return Err(Error::unsupported(
+                "unique network flow endpoints: there is no network flow in shared memory",
+            ));
+        }
+        let wanted = qos::from_ros(profile, Role::Publisher, std::iter::empty())?;
+        let raw = node.participant.create_raw_publisher(
+            name,
+            &of_messages.topic_type,
+            wanted,
+            of_messages.limits(),
+        )?;
+        let happened = Arc::<Happened>::default();
+        let publisher = Publisher {
+            events: Sources::new(&happened),
+            happened,
+            node,
+            of_messages,
+            qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
+            is_reliable: wanted.reliability == Reliability::Reliable,
+            gid: raw.gid(),
+            matched: raw.matched(),
+            raw: PiMutex::new(raw),
+        };
+        let topic_name = copy_text(name)?;
+        // SAFETY: rmw's own memory, written before anybody sees it.
+        unsafe {
+            let handle = rmw_publisher_allocate();
+            if handle.is_null() {
+                free_text(topic_name);
+                return Err(Error::new(RET_BAD_ALLOC, "no memory for a publisher"));
+            }
+            handle.write(rmw_publisher_t {
+                implementation_identifier: IDENTIFIER.as_ptr(),
+                data: Box::into_raw(Box::new(publisher)).cast(),
+                topic_name,
+                options: *options,
+                can_loan_messages: false,
+            });
+            Ok(handle)
+        }
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_destroy_publisher(
+    node: *mut rmw_node_t,
+    handle: *mut rmw_publisher_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word; checked to be ours, so made above.
+        unsafe {
+            behind(node)?;
+            behind(handle)?;
+            drop(take_back::<Publisher>((*handle).data));
+            free_text((*handle).topic_name);
+            rmw_publisher_free(handle);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publish(
+    handle: *const rmw_publisher_t,
+    message: *const c_void,
+    _allocation: *mut rmw_publisher_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let publisher = unsafe { behind(handle)? };
+        if message.is_null() {
+            return Err(Error::null("the message"));
+        }
+        let callbacks = publisher.of_messages.callbacks;
+        // SAFETY: rmw's word: a message of this type.
+        let estimate = unsafe { callbacks.estimate(message)? };
+        // SAFETY: as above.
+        publisher.publish(estimate, |body| unsafe { callbacks.write(message, body) })
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publish_serialized_message(
+    handle: *const rmw_publisher_t,
+    message: *const rmw_serialized_message_t,
+    _allocation: *mut rmw_publisher_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (publisher, message) = unsafe {
+            let message = message.as_ref().ok_or_else(|| Error::null("the serialized message"))?;
+            (behind(handle)?, message)
+        };
+        // SAFETY: rmw's word.
+        let body = unsafe { little_body(message, &publisher.of_messages)? };
+        publisher.publish(body.len(), |loan| {
+            loan.copy_from_slice(&body);
+            Ok(body.len())
+        })
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publisher_count_matched_subscriptions(
+    handle: *const rmw_publisher_t,
+    count: *mut usize,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (publisher, count) = unsafe { (behind(handle)?, place(count, "the count")?) };
+        *count = publisher.matched.get();
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publisher_get_actual_qos(
+    handle: *const rmw_publisher_t,
+    profile: *mut rmw_qos_profile_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (publisher, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
+        *profile = publisher.qos;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publisher_assert_liveliness(handle: *const rmw_publisher_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        unsafe { behind(handle)? }.raw.lock().assert_liveliness();
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publisher_wait_for_all_acked(
+    handle: *const rmw_publisher_t,
+    timeout: rmw_time_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let publisher = unsafe { behind(handle)? };
+        // Nobody acknowledges what is best effort.
+        if !publisher.is_reliable {
+            return Ok(());
+        }
+        let give_up_ns = deadline_ns(timeout.sec, timeout.nsec);
+        while !publisher.raw.lock().is_taken() {
+            if monotonic_ns() >= give_up_ns {
+                return Err(Error::new(RET_TIMEOUT, "a subscription has not taken all of it in that time"));
+            }
+            std::thread::sleep(LOOK);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_get_gid_for_publisher(
+    handle: *const rmw_publisher_t,
+    gid: *mut rmw_gid_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (publisher, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
+        *gid = rmw_gid_t { implementation_identifier: IDENTIFIER.as_ptr(), data: publisher.gid.0 };
+        Ok(())
+    })
+}

@@ -1,0 +1,263 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Quality of service: ROS's profile, what it leaves open filled in, and Tautline's.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer};
+use crate::handle::place;
+use std::ffi::c_char;
+use std::time::Duration;
+use tautline_transport::{
+    Durability, EndpointKind, History, Limits, Liveliness, Qos, QosPolicyKind, Reliability, TopicEndpoint,
+};
+
+/// `RMW_DURATION_INFINITE`, and `RMW_QOS_DEADLINE_BEST_AVAILABLE`, which are of the same seconds.
+const ENDLESS_SECONDS: u64 = 9_223_372_036;
+const BEST_AVAILABLE_NANOSECONDS: u64 = 854_775_806;
+
+/// What an end that keeps all can have waiting; Fast DDS has room for as many.
+const ALL: usize = 5_000;
+
+/// For whom a profile is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Role {
+    Publisher,
+    Subscription,
+    Service,
+}
+
+fn refuse<T>(policy: &str, value: u32) -> Result<T> {
+    Err(Error::invalid(format!(
+        "the QoS profile's {policy} is {value}, which is no value of a profile to be kept"
+    )))
+}
+
+fn duration(time: &rmw_time_s) -> Option<Duration> {
+    let is_endless = time.sec >= ENDLESS_SECONDS;
+    let length = Duration::from_secs(time.sec).saturating_add(Duration::from_nanos(time.nsec));
+    (!is_endless && !length.is_zero()).then_some(length)
+}
+
+fn time(duration: Option<Duration>) -> rmw_time_s {
+    // What is not limited is said as DDS says it: nodes compare it.
+    duration.map_or(rmw_time_s { sec: ENDLESS_SECONDS, nsec: 854_775_807 }, |length| rmw_time_s {
+        sec: length.as_secs(),
+        nsec: length.subsec_nanos().into(),
+    })
+}
+
+fn is_best_available(time: &rmw_time_s) -> bool {
+    (time.sec, time.nsec) == (ENDLESS_SECONDS, BEST_AVAILABLE_NANOSECONDS)
+}
+
+/// Tautline's of ROS's: what the profile leaves to the system is reliable, volatile, keep last 1, as Fast DDS has it. What it
+/// wants as good as available follows from the ends that there are, as rmw_dds_common has it: `others` of the topic.
+pub(crate) fn from_ros<'e>(
+    profile: &rmw_qos_profile_t,
+    role: Role,
+    others: impl Iterator<Item = &'e TopicEndpoint> + Clone,
+) -> Result<Qos> {
+    // A subscription adapts to the publishers there are; a publisher offers the most; a service is as services are.
+    let publishers = others.filter(|end| end.kind == EndpointKind::Publisher && role == Role::Subscription);
+    let all = |fits: fn(&TopicEndpoint) -> bool| publishers.clone().all(fits);
+    let reliability = match profile.reliability {
+        RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT | RMW_QOS_POLICY_RELIABILITY_RELIABLE => {
+            Reliability::Reliable
+        }
+        RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT => Reliability::BestEffort,
+        RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE
+            if all(|end| end.qos.reliability == Reliability::Reliable) =>
+        {
+            Reliability::Reliable
+        }
+        RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE => Reliability::BestEffort,
+        other => return refuse("reliability", other),
+    };
+    let durability = match profile.durability {
+        RMW_QOS_POLICY_DURABILITY_SYSTEM_DEFAULT | RMW_QOS_POLICY_DURABILITY_VOLATILE => Durability::Volatile,
+        RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL => Durability::TransientLocal,
+        RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE if role == Role::Service => Durability::Volatile,
+        RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE
+            if all(|end| end.qos.durability == Durability::TransientLocal) =>
+        {
+            Durability::TransientLocal
+        }
+        RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE => Durability::Volatile,
+        other => return refuse("durability", other),
+    };
+    let liveliness = match profile.liveliness {
+        RMW_QOS_POLICY_LIVELINESS_SYSTEM_DEFAULT | RMW_QOS_POLICY_LIVELINESS_AUTOMATIC => {
+            Liveliness::Automatic
+        }
+        RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC => Liveliness::ManualByTopic,
+        RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE
+            if publishers.clone().next().is_some()
+                && all(|end| end.qos.liveliness == Liveliness::ManualByTopic) =>
+        {
+            Liveliness::ManualByTopic
+        }
+        RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE => Liveliness::Automatic,
+        other => return refuse("liveliness", other),
+    };
+    let (history, depth) = match profile.history {
+        RMW_QOS_POLICY_HISTORY_SYSTEM_DEFAULT | RMW_QOS_POLICY_HISTORY_KEEP_LAST => {
+            (History::KeepLast, profile.depth.clamp(1, Limits::MAX_DEPTH))
+        }
+        RMW_QOS_POLICY_HISTORY_KEEP_ALL => (History::KeepAll, ALL),
+        other => return refuse("history", other),
+    };
+    // The longest of the publishers', none if one has none.
+    let longest = |of: fn(&TopicEndpoint) -> Option<Duration>| {
+        publishers.clone().map(of).try_fold(Duration::ZERO, |longest, one| Some(longest.max(one?)))
+    };
+    let available = |time: &rmw_time_s, of| match is_best_available(time) {
+        true => longest(of).filter(|length| !length.is_zero()),
+        false => duration(time),
+    };
+    Ok(Qos {
+        history,
+        depth,
+        reliability,
+        durability,
+        deadline: available(&profile.deadline, |end| end.qos.deadline),
+        lifespan: duration(&profile.lifespan),
+        liveliness,
+        liveliness_lease_duration: available(&profile.liveliness_lease_duration, |end| {
+            end.qos.liveliness_lease_duration
+        }),
+    })
+}
+
+/// ROS's of Tautline's: nothing is left open.
+pub(crate) fn to_ros(qos: &Qos, avoid_ros_namespace_conventions: bool) -> rmw_qos_profile_t {
+    rmw_qos_profile_t {
+        history: match qos.history {
+            History::KeepLast => RMW_QOS_POLICY_HISTORY_KEEP_LAST,
+            History::KeepAll => RMW_QOS_POLICY_HISTORY_KEEP_ALL,
+        },
+        depth: qos.depth,
+        reliability: match qos.reliability {
+            Reliability::Reliable => RMW_QOS_POLICY_RELIABILITY_RELIABLE,
+            Reliability::BestEffort => RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT,
+        },
+        durability: match qos.durability {
+            Durability::TransientLocal => RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL,
+            Durability::Volatile => RMW_QOS_POLICY_DURABILITY_VOLATILE,
+        },
+        deadline: time(qos.deadline),
+        lifespan: time(qos.lifespan),
+        liveliness: match qos.liveliness {
+            Liveliness::Automatic => RMW_QOS_POLICY_LIVELINESS_AUTOMATIC,
+            Liveliness::ManualByTopic => RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC,
+        },
+        liveliness_lease_duration: time(qos.liveliness_lease_duration),
+        avoid_ros_namespace_conventions,
+    }
+}
+
+pub(crate) fn policy_to_ros(policy: QosPolicyKind) -> rmw_qos_policy_kind_t {
+    match policy {
+        QosPolicyKind::Reliability => RMW_QOS_POLICY_RELIABILITY,
+        QosPolicyKind::Durability => RMW_QOS_POLICY_DURABILITY,
+        QosPolicyKind::Deadline => RMW_QOS_POLICY_DEADLINE,
+        QosPolicyKind::Liveliness => RMW_QOS_POLICY_LIVELINESS,
+        QosPolicyKind::LivelinessLeaseDuration => RMW_QOS_POLICY_LIVELINESS_LEASE_DURATION,
+    }
+}
+
+/// Whether a policy is left to the system, by which nobody can tell whether it fits.
+fn is_open(profile: &rmw_qos_profile_t) -> bool {
+    let is_one_of = |value: u32, open: [u32; 3]| open.contains(&value);
+    is_one_of(
+        profile.reliability,
+        [
+            RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT,
+            RMW_QOS_POLICY_RELIABILITY_UNKNOWN,
+            RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE,
+        ],
+    ) || is_one_of(
+        profile.durability,
+        [
+            RMW_QOS_POLICY_DURABILITY_SYSTEM_DEFAULT,
+            RMW_QOS_POLICY_DURABILITY_UNKNOWN,
+            RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE,
+        ],
+    ) || is_one_of(
+        profile.liveliness,
+        [
+            RMW_QOS_POLICY_LIVELINESS_SYSTEM_DEFAULT,
+            RMW_QOS_POLICY_LIVELINESS_UNKNOWN,
+            RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE,
+        ],
+    )
+}
+
+/// The profile with what is open as if it fitted whatever it meets.
+fn settled(profile: &rmw_qos_profile_t, other: &rmw_qos_profile_t) -> rmw_qos_profile_t {
+    let pick = |value: u32, open: [u32; 3], other: u32, else_: u32| match open.contains(&value) {
+        false => value,
+        true if open.contains(&other) => else_,
+        true => other,
+    };
+    rmw_qos_profile_t {
+        history: RMW_QOS_POLICY_HISTORY_KEEP_LAST,
+        reliability: pick(
+            profile.reliability,
+            [0, 3, 4],
+            other.reliability,
+            RMW_QOS_POLICY_RELIABILITY_RELIABLE,
+        ),
+        durability: pick(profile.durability, [0, 3, 4], other.durability, RMW_QOS_POLICY_DURABILITY_VOLATILE),
+        liveliness: pick(
+            profile.liveliness,
+            [0, 4, 5],
+            other.liveliness,
+            RMW_QOS_POLICY_LIVELINESS_AUTOMATIC,
+        ),
+        ..*profile
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
+    publisher: rmw_qos_profile_t,
+    subscription: rmw_qos_profile_t,
+    compatibility: *mut rmw_qos_compatibility_type_t,
+    reason: *mut c_char,
+    reason_size: usize,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let compatibility = unsafe { place(compatibility, "compatibility")? };
+        if reason.is_null() && reason_size != 0 {
+            return Err(Error::invalid("reason is null, and its size is not zero"));
+        }
+        let none = std::iter::empty();
+        let offered = from_ros(&settled(&publisher, &subscription), Role::Publisher, none.clone())?;
+        let requested = from_ros(&settled(&subscription, &publisher), Role::Subscription, none)?;
+        let text = match offered.incompatibility(&requested) {
+            Some(policy) => {
+                *compatibility = RMW_QOS_COMPATIBILITY_ERROR;
+                format!("ERROR: the {policy} that is offered does not meet the one that is requested;")
+            }
+            None if is_open(&publisher) || is_open(&subscription) => {
+                *compatibility = RMW_QOS_COMPATIBILITY_WARNING;
+                "WARNING: a policy is left to the system, and may not fit;".to_owned()
+            }
+            None => {
+                *compatibility = RMW_QOS_COMPATIBILITY_OK;
+                String::new()
+            }
+        };
+        if reason_size > 0 {
+            let length = text.len().min(reason_size - 1);
+            // SAFETY: rmw's word: as long as it says.
+            unsafe {
+                reason.cast::<u8>().copy_from_nonoverlapping(text.as_ptr(), length);
+                reason.add(length).write(0);
+            }
+        }
+        Ok(())
+    })
+}

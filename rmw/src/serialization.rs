@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Serialized messages: a body of CDR behind the four bytes that say how it is encoded.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer};
+use crate::handle::place;
+use crate::types::MessageType;
+use std::borrow::Cow;
+use std::ffi::c_void;
+use tautline_schema::{DynamicMessage, Endian};
+
+/// Plain CDR, little-endian.
+const LITTLE: [u8; 4] = [0, 1, 0, 0];
+/// Bytes of the encapsulation.
+const HEADER_BYTES: usize = LITTLE.len();
+
+/// What a serialized message has.
+///
+/// # Safety
+/// It is initialised.
+unsafe fn bytes(message: &rmw_serialized_message_t) -> &[u8] {
+    match message.buffer.is_null() {
+        true => &[],
+        // SAFETY: the caller's word.
+        false => unsafe { std::slice::from_raw_parts(message.buffer, message.buffer_length) },
+    }
+}
+
+/// The body, and whether it is little-endian.
+fn body(bytes: &[u8]) -> Result<(&[u8], bool)> {
+    match bytes {
+        [0, 1, _, _, body @ ..] => Ok((body, true)),
+        [0, 0, _, _, body @ ..] => Ok((body, false)),
+        _ => Err(Error::other(
+            "the serialized message does not begin as plain CDR does: 00 00 or 00 01, and two bytes",
+        )),
+    }
+}
+
+/// The little-endian body of a serialized message of this type.
+///
+/// # Safety
+/// It is initialised.
+pub(crate) unsafe fn little_body<'m>(
+    message: &'m rmw_serialized_message_t,
+    of: &MessageType,
+) -> Result<Cow<'m, [u8]>> {
+    // SAFETY: the caller's word.
+    let (body, is_little) = body(unsafe { bytes(message) })?;
+    if is_little {
+        return Ok(Cow::Borrowed(body));
+    }
+    let message = DynamicMessage::from_body(&of.schema, body, Endian::Big).map_err(Error::other)?;
+    Ok(Cow::Owned(message.to_body()))
+}
+
+/// Makes room for as many bytes, the header included.
+fn resize(message: &mut rmw_serialized_message_t, len_bytes: usize) -> Result {
+    if message.buffer_capacity < len_bytes {
+        // SAFETY: rmw's word: initialised.
+        if unsafe { rcutils_uint8_array_resize(message, len_bytes) } != RET_OK {
+            return Err(Error::new(
+                RET_BAD_ALLOC,
+                format!("no memory for a serialized message of {len_bytes} bytes"),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Writes a body behind its header.
+pub(crate) fn write_serialized(body: &[u8], message: &mut rmw_serialized_message_t) -> Result {
+    resize(message, HEADER_BYTES + body.len())?;
+    // SAFETY: there is room.
+    unsafe {
+        message.buffer.copy_from_nonoverlapping(LITTLE.as_ptr(), HEADER_BYTES);
+        message.buffer.add(HEADER_BYTES).copy_from_nonoverlapping(body.as_ptr(), body.len());
+    }
+    message.buffer_length = HEADER_BYTES + body.len();
+    Ok(())
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_serialize(
+    message: *const c_void,
+    support: *const rosidl_message_type_support_t,
+    serialized: *mut rmw_serialized_message_t,
+) -> rmw_ret_t {
+    answer(|| {
+        if message.is_null() {
+            return Err(Error::null("the message"));
+        }
+        // SAFETY: rmw's word.
+        unsafe {
+            let of = MessageType::of(support)?;
+            let serialized = place(serialized, "the serialized message")?;
+            let estimate = of.callbacks.estimate(message)?;
+            resize(serialized, HEADER_BYTES + estimate)?;
+            // Memory that nobody has written yet is no slice.
+            serialized.buffer.write_bytes(0, HEADER_BYTES + estimate);
+            let all = std::slice::from_raw_parts_mut(serialized.buffer, HEADER_BYTES + estimate);
+            let (header, body) = all.split_at_mut(HEADER_BYTES);
+            header.copy_from_slice(&LITTLE);
+            serialized.buffer_length = HEADER_BYTES + of.callbacks.write(message, body)?;
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_deserialize(
+    serialized: *const rmw_serialized_message_t,
+    support: *const rosidl_message_type_support_t,
+    message: *mut c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        if message.is_null() {
+            return Err(Error::null("the message"));
+        }
+        // SAFETY: rmw's word.
+        unsafe {
+            let of = MessageType::of(support)?;
+            let serialized = serialized.as_ref().ok_or_else(|| Error::null("the serialized message"))?;
+            let (body, is_little) = body(bytes(serialized))?;
+            of.callbacks.read(body, is_little, message)
+        }
+    })
+}

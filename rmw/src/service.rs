@@ -1,0 +1,301 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Servers of services.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer, made};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
+use crate::node::{Node, check_full_name};
+use crate::qos::{self, Role};
+use crate::signal::Waiter;
+use crate::source::{self, OnNew, Receives, Route, Side, set_on_new};
+use crate::subscription::received_ns;
+use crate::types::ServiceSupport;
+use std::ffi::{c_char, c_void};
+use std::sync::Arc;
+use std::task::Waker;
+use tautline_rt::PiMutex;
+use tautline_transport::{Gid, MessageInfo, Qos, RawServer, RawSubscription, RequestId, ServiceError};
+
+pub(crate) struct Service {
+    node: *const Node,
+    of: ServiceSupport,
+    qos: rmw_qos_profile_t,
+    end: Arc<End>,
+}
+
+/// What several threads use, one at a time.
+pub(crate) struct End {
+    side: PiMutex<Serving>,
+    on_new: OnNew,
+}
+
+struct Serving {
+    raw: RawServer,
+    route: Route,
+}
+
+impl Side for Serving {
+    fn parts(&mut self) -> (&RawSubscription, &mut Route) {
+        (self.raw.requests(), &mut self.route)
+    }
+}
+
+impl Receives for End {
+    fn on_new(&self) -> &OnNew {
+        &self.on_new
+    }
+
+    fn look(&self, waker: &Waker) -> (u64, u64) {
+        source::look(&mut *self.side.lock(), waker)
+    }
+}
+
+impl Service {
+    fn node(&self) -> &Node {
+        // SAFETY: rmw's word: a node lives longer than what is its.
+        unsafe { &*self.node }
+    }
+
+    pub(crate) fn has_data(&self) -> bool {
+        self.end.side.lock().raw.requests().has_samples()
+    }
+
+    pub(crate) fn lead(&self, waiter: &Arc<Waiter>) {
+        let Serving { raw, route } = &mut *self.end.side.lock();
+        route.lead(raw.requests(), waiter);
+    }
+}
+
+/// What services and clients agree on; a queue of requests or responses keeps all that its depth has room for.
+pub(crate) fn profile_of(profile: *const rmw_qos_profile_t) -> Result<Qos> {
+    // SAFETY: rmw's word.
+    let profile = unsafe { profile.as_ref() }.ok_or_else(|| Error::null("the QoS profile"))?;
+    qos::from_ros(profile, Role::Service, std::iter::empty())
+}
+
+/// A service's name, which keeps the rules unless the profile says that it need not.
+///
+/// # Safety
+/// As rmw says.
+pub(crate) unsafe fn name_of<'n>(name: *const c_char, profile: *const rmw_qos_profile_t) -> Result<&'n str> {
+    // SAFETY: the caller's word.
+    let (read, profile) = unsafe { (text(name, "the service's name")?, profile.as_ref()) };
+    if read.is_empty() {
+        return Err(Error::invalid("the service's name is empty"));
+    }
+    if !profile.is_some_and(|profile| profile.avoid_ros_namespace_conventions) {
+        // SAFETY: the caller's word.
+        unsafe { check_full_name(name, "the service's name")? };
+    }
+    Ok(read)
+}
+
+/// Requests that can wait: ROS's services ask for 10, of all clients; what comes in a burst is to be kept, and costs nothing before.
+pub(crate) const LEAST_DEPTH: usize = 1_000;
+
+/// What tells a request or a response apart.
+pub(crate) fn info_of(info: MessageInfo) -> rmw_service_info_t {
+    rmw_service_info_t {
+        source_timestamp: info.source_timestamp_ns,
+        received_timestamp: received_ns(&info),
+        request_id: rmw_request_id_t {
+            writer_guid: info.publisher_gid.0,
+            sequence_number: i64::try_from(info.sequence_number).unwrap_or(i64::MAX),
+        },
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_create_service(
+    node: *const rmw_node_t,
+    support: *const rosidl_service_type_support_t,
+    name: *const c_char,
+    profile: *const rmw_qos_profile_t,
+) -> *mut rmw_service_t {
+    made(|| {
+        // SAFETY: rmw's word.
+        let (node, of, name) = unsafe {
+            let node = behind(node)?;
+            (node, ServiceSupport::of(support)?, name_of(name, profile)?)
+        };
+        let wanted = profile_of(profile)?;
+        let limits = of.response.limits();
+        let depth = wanted.depth.max(LEAST_DEPTH);
+        let raw = node.participant.create_raw_server(name, &of.service_type, depth, limits)?;
+        let side = PiMutex::new(Serving { raw, route: Route::default() });
+        let end = Arc::new(End { side, on_new: OnNew::default() });
+        let service = Service { node, of, qos: qos::to_ros(&wanted, false), end };
+        let service_name = copy_text(name)?;
+        // SAFETY: rmw's own memory, written before anybody sees it.
+        unsafe {
+            let handle = rmw_service_allocate();
+            if handle.is_null() {
+                free_text(service_name);
+                return Err(Error::new(RET_BAD_ALLOC, "no memory for a service"));
+            }
+            handle.write(rmw_service_t {
+                implementation_identifier: IDENTIFIER.as_ptr(),
+                data: Box::into_raw(Box::new(service)).cast(),
+                service_name,
+            });
+            Ok(handle)
+        }
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_destroy_service(node: *mut rmw_node_t, handle: *mut rmw_service_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word; checked to be ours, so made above.
+        unsafe {
+            behind(node)?;
+            behind(handle)?;
+            drop(take_back::<Service>((*handle).data));
+            free_text((*handle).service_name);
+            rmw_service_free(handle);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_request(
+    handle: *const rmw_service_t,
+    header: *mut rmw_service_info_t,
+    request: *mut c_void,
+    taken: *mut bool,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (service, header, taken) =
+            unsafe { (behind(handle)?, place(header, "the header")?, place(taken, "taken")?) };
+        if request.is_null() {
+            return Err(Error::null("the request"));
+        }
+        *taken = false;
+        let Some(sample) = service.end.side.lock().raw.try_take().map_err(Error::other)? else {
+            return Ok(());
+        };
+        // SAFETY: rmw's word: a request of this type.
+        if let Err(error) = unsafe { service.of.request.callbacks.read(sample.body(), true, request) } {
+            // Its client is told that there is no answer; ours has nothing to do with it.
+            let refused = service.end.side.lock().raw.refuse(RequestId::of(sample.info()));
+            tracing::warn!(
+                "a request was refused, for it is none of {}: {error:?} {}",
+                service.of.service_type.request.name,
+                refused.map_or_else(|error| error.to_string(), |()| String::new())
+            );
+            return Ok(());
+        }
+        *header = info_of(sample.info());
+        *taken = true;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_send_response(
+    handle: *const rmw_service_t,
+    header: *mut rmw_request_id_t,
+    response: *mut c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (service, header) = unsafe { (behind(handle)?, place(header, "the header")?) };
+        if response.is_null() {
+            return Err(Error::null("the response"));
+        }
+        let sequence_number = u64::try_from(header.sequence_number)
+            .map_err(|_| Error::invalid("the request's number is below zero"))?;
+        let id = RequestId { client: Gid(header.writer_guid), sequence_number };
+        let callbacks = service.of.response.callbacks;
+        // SAFETY: rmw's word: a response of this type.
+        let estimate = unsafe { callbacks.estimate(response)? };
+        let side = service.end.side.lock();
+        let sent = side.raw.loan(id, estimate).map_err(Failed::from).and_then(|mut loan| {
+            // SAFETY: as above.
+            let written = unsafe { callbacks.write(response, &mut loan) }.map_err(Failed::Write)?;
+            loan.truncate(written);
+            loan.send().map_err(|unsent| Failed::from(unsent.error))
+        });
+        match sent {
+            // Who asked has gone: that is no error of the server's.
+            Ok(()) | Err(Failed::Send(ServiceError::ClientGone { .. })) => Ok(()),
+            Err(Failed::Send(
+                error @ (ServiceError::ClientUnreachable { .. } | ServiceError::ResponsesFull { .. }),
+            )) => Err(Error::new(RET_TIMEOUT, error.to_string())),
+            Err(Failed::Send(error)) => Err(error.into()),
+            Err(Failed::Write(error)) => Err(error),
+        }
+    })
+}
+
+/// Why a response was not sent.
+enum Failed {
+    Write(Error),
+    Send(ServiceError),
+}
+
+impl From<ServiceError> for Failed {
+    fn from(error: ServiceError) -> Self {
+        Failed::Send(error)
+    }
+}
+
+/// # Safety
+/// As rmw says.
+unsafe fn actual_qos(handle: *const rmw_service_t, profile: *mut rmw_qos_profile_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (service, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
+        *profile = service.qos;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_service_request_subscription_get_actual_qos(
+    handle: *const rmw_service_t,
+    profile: *mut rmw_qos_profile_t,
+) -> rmw_ret_t {
+    // SAFETY: rmw's word.
+    unsafe { actual_qos(handle, profile) }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_service_response_publisher_get_actual_qos(
+    handle: *const rmw_service_t,
+    profile: *mut rmw_qos_profile_t,
+) -> rmw_ret_t {
+    // SAFETY: rmw's word.
+    unsafe { actual_qos(handle, profile) }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_service_set_on_new_request_callback(
+    handle: *mut rmw_service_t,
+    callback: rmw_event_callback_t,
+    data: *const c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let service = unsafe { behind(handle)? };
+        let helper = &service.node().context().helper;
+        set_on_new(&service.end, helper, callback.map(|function| (function, data)));
+        Ok(())
+    })
+}

@@ -1,0 +1,421 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Subscriptions: what is taken is read from shared memory into ROS's struct, once.
+
+use crate::bindings::*;
+use crate::error::{Error, Result, answer, made};
+use crate::event::{Happened, Sources};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
+use crate::node::{Node, check_full_name};
+use crate::qos::{self, Role};
+use crate::serialization::write_serialized;
+use crate::signal::Waiter;
+use crate::source::{self, OnNew, Receives, Route, Side, set_on_new};
+use crate::types::MessageType;
+use std::ffi::{c_char, c_void};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::Waker;
+use tautline_rt::PiMutex;
+use tautline_rt::clock::{monotonic_ns, wall_ns};
+use tautline_sampler::SubscriptionEvents;
+use tautline_transport::{MatchedCount, MessageInfo, RawSample, RawSubscription, TakeError};
+
+pub(crate) struct Subscription {
+    pub(crate) events: Sources,
+    happened: Arc<Happened>,
+    node: *const Node,
+    of_messages: MessageType,
+    qos: rmw_qos_profile_t,
+    /// The participant whose publishers it does not hear.
+    deaf_to: Option<u64>,
+    matched: MatchedCount,
+    /// Counts what was taken.
+    received: AtomicU64,
+    end: Arc<End>,
+}
+
+/// What several threads use, one at a time.
+pub(crate) struct End {
+    side: PiMutex<Taking>,
+    on_new: OnNew,
+}
+
+struct Taking {
+    raw: RawSubscription,
+    route: Route,
+}
+
+impl Side for Taking {
+    fn parts(&mut self) -> (&RawSubscription, &mut Route) {
+        (&self.raw, &mut self.route)
+    }
+}
+
+impl Receives for End {
+    fn on_new(&self) -> &OnNew {
+        &self.on_new
+    }
+
+    fn look(&self, waker: &Waker) -> (u64, u64) {
+        source::look(&mut *self.side.lock(), waker)
+    }
+}
+
+/// Invalid samples, and those of publishers it does not hear, that one take passes over: the queue has more, and is ready still.
+const PASSED_OVER: usize = 16;
+
+impl Subscription {
+    fn node(&self) -> &Node {
+        // SAFETY: rmw's word: a node lives longer than what is its.
+        unsafe { &*self.node }
+    }
+
+    pub(crate) fn has_data(&self) -> bool {
+        self.end.side.lock().raw.has_samples()
+    }
+
+    pub(crate) fn lead(&self, waiter: &Arc<Waiter>) {
+        let Taking { raw, route } = &mut *self.end.side.lock();
+        route.lead(raw, waiter);
+    }
+
+    pub(crate) fn listen(&self) -> Result {
+        let helper = &self.node().context().helper;
+        let events = || Ok(SubscriptionEvents::new(helper.events(), &self.end.side.lock().raw)?);
+        self.happened.listen(helper, events)
+    }
+
+    /// Takes the next sample, and its message with `read`. What is no message of this type is passed over, and said.
+    fn take<T>(
+        &self,
+        mut read: impl FnMut(&RawSample) -> Result<T>,
+    ) -> Result<Option<(T, rmw_message_info_t)>> {
+        for _ in 0..PASSED_OVER {
+            let taken = self.end.side.lock().raw.try_take();
+            let sample = match taken {
+                Ok(Some(sample)) => sample,
+                // With as many threads in a take as samples can be held: one of them makes room.
+                Ok(None) | Err(TakeError::TooManyHeld) => return Ok(None),
+                Err(TakeError::Invalid(error)) => {
+                    self.warn(&error.to_string());
+                    continue;
+                }
+            };
+            if self.deaf_to == Some(sample.port_gid().participant()) {
+                continue;
+            }
+            match read(&sample) {
+                Ok(message) => return Ok(Some((message, self.info(sample.info())))),
+                // Not an error of the caller's: executors end by those, and anybody can publish.
+                Err(error) if error.code == RET_ERROR => self.warn(&format!("{error:?}")),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(None)
+    }
+
+    fn warn(&self, reason: &str) {
+        let name = self.of_messages.name();
+        tracing::warn!("a message of a topic was dropped, for it is none of {name}: {reason}");
+    }
+
+    fn info(&self, info: MessageInfo) -> rmw_message_info_t {
+        rmw_message_info_t {
+            source_timestamp: info.source_timestamp_ns,
+            received_timestamp: received_ns(&info),
+            publication_sequence_number: info.sequence_number,
+            reception_sequence_number: self.received.fetch_add(1, Ordering::Relaxed) + 1,
+            publisher_gid: rmw_gid_t {
+                implementation_identifier: IDENTIFIER.as_ptr(),
+                data: info.publisher_gid.0,
+            },
+            from_intra_process: false,
+        }
+    }
+
+    /// # Safety
+    /// `message` is null or a message of this type, initialised.
+    unsafe fn take_message(&self, message: *mut c_void) -> Result<Option<rmw_message_info_t>> {
+        if message.is_null() {
+            return Err(Error::null("the message"));
+        }
+        let callbacks = self.of_messages.callbacks;
+        // SAFETY: the caller's word.
+        let taken = self.take(|sample| unsafe { callbacks.read(sample.body(), true, message) })?;
+        Ok(taken.map(|((), info)| info))
+    }
+}
+
+/// When it appeared on this host, by the system's clock, in nanoseconds.
+pub(crate) fn received_ns(info: &MessageInfo) -> i64 {
+    let age_ns = monotonic_ns().saturating_sub(info.released_ns);
+    wall_ns().saturating_sub(i64::try_from(age_ns).unwrap_or(0))
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_create_subscription(
+    node: *const rmw_node_t,
+    support: *const rosidl_message_type_support_t,
+    topic: *const c_char,
+    profile: *const rmw_qos_profile_t,
+    options: *const rmw_subscription_options_t,
+) -> *mut rmw_subscription_t {
+    made(|| {
+        // SAFETY: rmw's word.
+        let (node, of_messages, name, profile, options) = unsafe {
+            let node = behind(node)?;
+            let of_messages = MessageType::of(support)?;
+            let name = text(topic, "the topic's name")?;
+            let profile = profile.as_ref().ok_or_else(|| Error::null("the QoS profile"))?;
+            (node, of_messages, name, profile, options.as_ref().ok_or_else(|| Error::null("the options"))?)
+        };
+        if name.is_empty() {
+            return Err(Error::invalid("the topic's name is empty"));
+        }
+        if !profile.avoid_ros_namespace_conventions {
+            // SAFETY: rmw's word.
+            unsafe { check_full_name(topic, "the topic's name")? };
+        }
+        if options.require_unique_network_flow_endpoints
+            == RMW_UNIQUE_NETWORK_FLOW_ENDPOINTS_STRICTLY_REQUIRED
+        {
+            return Err(Error::unsupported(
+                "unique network flow endpoints: there is no network flow in shared memory",
+            ));
+        }
+        let graph = node.participant.graph()?;
+        let of_topic = graph.endpoints.iter().filter(|end| end.topic == name).map(|end| &**end);
+        let wanted = qos::from_ros(profile, Role::Subscription, of_topic)?;
+        let raw = node.participant.create_raw_subscription(
+            name,
+            &of_messages.topic_type,
+            wanted,
+            of_messages.limits(),
+        )?;
+        let (happened, matched) = (Arc::<Happened>::default(), raw.matched());
+        let side = PiMutex::new(Taking { raw, route: Route::default() });
+        let subscription = Subscription {
+            events: Sources::new(&happened),
+            happened,
+            node,
+            of_messages,
+            qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
+            deaf_to: options.ignore_local_publications.then(|| node.participant.id()),
+            matched,
+            received: AtomicU64::new(0),
+            end: Arc::new(End { side, on_new: OnNew::default() }),
+        };
+        let topic_name = copy_text(name)?;
+        // SAFETY: rmw's own memory, written before anybody sees it.
+        unsafe {
+            let handle = rmw_subscription_allocate();
+            if handle.is_null() {
+                free_text(topic_name);
+                return Err(Error::new(RET_BAD_ALLOC, "no memory for a subscription"));
+            }
+            handle.write(rmw_subscription_t {
+                implementation_identifier: IDENTIFIER.as_ptr(),
+                data: Box::into_raw(Box::new(subscription)).cast(),
+                topic_name,
+                options: *options,
+                can_loan_messages: false,
+                is_cft_enabled: false,
+            });
+            Ok(handle)
+        }
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_destroy_subscription(
+    node: *mut rmw_node_t,
+    handle: *mut rmw_subscription_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word; checked to be ours, so made above.
+        unsafe {
+            behind(node)?;
+            behind(handle)?;
+            drop(take_back::<Subscription>((*handle).data));
+            free_text((*handle).topic_name);
+            rmw_subscription_free(handle);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_subscription_count_matched_publishers(
+    handle: *const rmw_subscription_t,
+    count: *mut usize,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (subscription, count) = unsafe { (behind(handle)?, place(count, "the count")?) };
+        *count = subscription.matched.get();
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_subscription_get_actual_qos(
+    handle: *const rmw_subscription_t,
+    profile: *mut rmw_qos_profile_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (subscription, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
+        *profile = subscription.qos;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take(
+    handle: *const rmw_subscription_t,
+    message: *mut c_void,
+    taken: *mut bool,
+    _allocation: *mut rmw_subscription_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (subscription, taken) = unsafe { (behind(handle)?, place(taken, "taken")?) };
+        // SAFETY: rmw's word.
+        *taken = unsafe { subscription.take_message(message)? }.is_some();
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_with_info(
+    handle: *const rmw_subscription_t,
+    message: *mut c_void,
+    taken: *mut bool,
+    info: *mut rmw_message_info_t,
+    _allocation: *mut rmw_subscription_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (subscription, taken, info) =
+            unsafe { (behind(handle)?, place(taken, "taken")?, place(info, "the information")?) };
+        // SAFETY: rmw's word.
+        let found = unsafe { subscription.take_message(message)? };
+        *taken = found.is_some();
+        *info = found.unwrap_or(*info);
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_sequence(
+    handle: *const rmw_subscription_t,
+    count: usize,
+    messages: *mut rmw_message_sequence_t,
+    infos: *mut rmw_message_info_sequence_t,
+    taken: *mut usize,
+    _allocation: *mut rmw_subscription_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (subscription, messages, infos, taken) = unsafe {
+            let subscription = behind(handle)?;
+            let (messages, infos) = (place(messages, "the messages")?, place(infos, "the information")?);
+            (subscription, messages, infos, place(taken, "taken")?)
+        };
+        if count == 0 || count > messages.capacity || count > infos.capacity {
+            return Err(Error::invalid(format!(
+                "{count} messages are asked for, with room for {} and for the information of {}",
+                messages.capacity, infos.capacity
+            )));
+        }
+        *taken = 0;
+        while *taken < count {
+            // SAFETY: rmw's word: as much room as it says, with messages of this type.
+            let found = unsafe { subscription.take_message(*messages.data.add(*taken))? };
+            let Some(info) = found else { break };
+            // SAFETY: as above.
+            unsafe { infos.data.add(*taken).write(info) };
+            *taken += 1;
+        }
+        (messages.size, infos.size) = (*taken, *taken);
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+unsafe fn take_serialized(
+    handle: *const rmw_subscription_t,
+    message: *mut rmw_serialized_message_t,
+    taken: *mut bool,
+) -> Result<Option<rmw_message_info_t>> {
+    // SAFETY: the caller's word.
+    let (subscription, message, taken) =
+        unsafe { (behind(handle)?, place(message, "the message")?, place(taken, "taken")?) };
+    let found = subscription.take(|sample| write_serialized(sample.body(), message))?;
+    *taken = found.is_some();
+    Ok(found.map(|((), info)| info))
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_serialized_message(
+    handle: *const rmw_subscription_t,
+    message: *mut rmw_serialized_message_t,
+    taken: *mut bool,
+    _allocation: *mut rmw_subscription_allocation_t,
+) -> rmw_ret_t {
+    // SAFETY: rmw's word.
+    answer(|| unsafe { take_serialized(handle, message, taken) }.map(drop))
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_serialized_message_with_info(
+    handle: *const rmw_subscription_t,
+    message: *mut rmw_serialized_message_t,
+    taken: *mut bool,
+    info: *mut rmw_message_info_t,
+    _allocation: *mut rmw_subscription_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let info = unsafe { place(info, "the information")? };
+        // SAFETY: rmw's word.
+        *info = unsafe { take_serialized(handle, message, taken)? }.unwrap_or(*info);
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_subscription_set_on_new_message_callback(
+    handle: *mut rmw_subscription_t,
+    callback: rmw_event_callback_t,
+    data: *const c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let subscription = unsafe { behind(handle)? };
+        let helper = &subscription.node().context().helper;
+        set_on_new(&subscription.end, helper, callback.map(|function| (function, data)));
+        Ok(())
+    })
+}

@@ -1,0 +1,257 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Wait sets: `rmw_wait` looks at everything, sleeps until something rings, and looks at everything again.
+
+use crate::bindings::*;
+use crate::client::Client;
+use crate::context::Context;
+use crate::error::{Error, Result, answer, made};
+use crate::event;
+use crate::guard::GuardCondition;
+use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
+use crate::service::Service;
+use crate::signal::{Signal, Waiter, deadline_ns};
+use crate::subscription::Subscription;
+use std::ffi::c_void;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use tautline_rt::clock::monotonic_ns;
+
+pub(crate) struct WaitSet {
+    context: *const Context,
+    waiter: Arc<Waiter>,
+    in_use: AtomicBool,
+}
+
+/// Pointers that rmw_wait is given, which it makes null where nothing is ready.
+struct Array<'a>(&'a mut [*mut c_void]);
+
+impl Array<'_> {
+    /// # Safety
+    /// `data` is null or has `count` elements, which nobody else uses meanwhile.
+    unsafe fn new(data: *mut *mut c_void, count: usize) -> Self {
+        // SAFETY: the caller's word.
+        Array(if data.is_null() { &mut [] } else { unsafe { std::slice::from_raw_parts_mut(data, count) } })
+    }
+
+    /// # Safety
+    /// Each is null or a `T` that lives.
+    unsafe fn all<'t, T: 't>(&self) -> impl Iterator<Item = &'t T> {
+        // SAFETY: the caller's word.
+        self.0.iter().filter_map(|one| unsafe { one.cast::<T>().as_ref() })
+    }
+
+    /// Makes those null that are not ready.
+    ///
+    /// # Safety
+    /// As [`all`](Self::all).
+    unsafe fn keep<T>(&mut self, is_ready: impl Fn(&T) -> bool) {
+        for one in &mut *self.0 {
+            // SAFETY: the caller's word.
+            if !unsafe { one.cast::<T>().as_ref() }.is_some_and(&is_ready) {
+                *one = std::ptr::null_mut();
+            }
+        }
+    }
+}
+
+/// What is waited for.
+struct Wanted<'a> {
+    subscriptions: Array<'a>,
+    guards: Array<'a>,
+    services: Array<'a>,
+    clients: Array<'a>,
+    events: Array<'a>,
+}
+
+impl Wanted<'_> {
+    fn subscriptions(&self) -> impl Iterator<Item = &Subscription> {
+        // SAFETY: rmw's word, as it came to `rmw_wait`: what it gives is what we put behind such handles, and lives. Also below.
+        unsafe { self.subscriptions.all() }
+    }
+
+    fn services(&self) -> impl Iterator<Item = &Service> {
+        // SAFETY: as above.
+        unsafe { self.services.all() }
+    }
+
+    fn clients(&self) -> impl Iterator<Item = &Client> {
+        // SAFETY: as above.
+        unsafe { self.clients.all() }
+    }
+
+    fn guards(&self) -> impl Iterator<Item = &GuardCondition> {
+        // SAFETY: as above.
+        unsafe { self.guards.all() }
+    }
+
+    fn signals(&self) -> impl Iterator<Item = &Signal> {
+        // SAFETY: as above; of events the handles themselves are given.
+        let events = unsafe { self.events.all::<rmw_event_t>() }.filter_map(event::signal_of);
+        self.guards().map(|guard| &*guard.signal).chain(events)
+    }
+
+    /// # Real-time
+    /// O(what is waited for); no allocation; no syscall. Waits for whoever takes from, or publishes on, one of these right now, and
+    /// lends it this thread's priority.
+    fn is_something_ready(&self) -> bool {
+        self.signals().any(Signal::is_set)
+            || self.subscriptions().any(Subscription::has_data)
+            || self.services().any(Service::has_data)
+            || self.clients().any(Client::has_data)
+    }
+
+    /// Has flags wake `waiter`.
+    fn attach(&self, waiter: &Waiter) -> Result {
+        for signal in self.signals() {
+            // SAFETY: a waiter lives as long as its context, which lives as long as its guard conditions and ends are used.
+            if !unsafe { signal.attach(waiter) } {
+                return Err(Error::other(
+                    "a guard condition or an event is waited for in 8 wait sets at once, which is the limit",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Has data wake `waiter`, once.
+    ///
+    /// # Real-time
+    /// As [`is_something_ready`](Self::is_something_ready).
+    fn lead(&self, waiter: &Arc<Waiter>) {
+        self.subscriptions().for_each(|subscription| subscription.lead(waiter));
+        self.services().for_each(|service| service.lead(waiter));
+        self.clients().for_each(|client| client.lead(waiter));
+    }
+
+    fn detach(&self, waiter: &Waiter) {
+        self.signals().for_each(|signal| signal.detach(waiter));
+    }
+
+    /// Waits until something is ready, or until `deadline_ns`.
+    ///
+    /// # Real-time
+    /// As [`is_something_ready`](Self::is_something_ready) for each ring, and a syscall to sleep.
+    fn wait(&self, waiter: &Arc<Waiter>, deadline_ns: Option<u64>) {
+        loop {
+            let count = waiter.count();
+            self.lead(waiter);
+            let is_over = deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns);
+            if self.is_something_ready() || is_over {
+                return;
+            }
+            waiter.sleep(count, deadline_ns);
+        }
+    }
+
+    /// Leaves what is ready; guard conditions are reset by that. Returns whether something was left.
+    fn report(&mut self) -> bool {
+        // SAFETY: as above.
+        unsafe {
+            self.subscriptions.keep(Subscription::has_data);
+            self.services.keep(Service::has_data);
+            self.clients.keep(Client::has_data);
+            self.guards.keep(|guard: &GuardCondition| guard.signal.take());
+            self.events.keep(|event| event::signal_of(event).is_some_and(Signal::is_set));
+        }
+        let all = [&self.subscriptions, &self.services, &self.clients, &self.guards, &self.events];
+        all.iter().any(|array| array.0.iter().any(|one| !one.is_null()))
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_create_wait_set(
+    context: *mut rmw_context_t,
+    _max_conditions: usize,
+) -> *mut rmw_wait_set_t {
+    made(|| {
+        // SAFETY: rmw's word; its own memory, written before anybody sees it.
+        unsafe {
+            let context = behind_context(context)?;
+            let handle = rmw_wait_set_allocate();
+            if handle.is_null() {
+                return Err(Error::new(RET_BAD_ALLOC, "no memory for a wait set"));
+            }
+            let wait_set = WaitSet { context, waiter: context.waiter(), in_use: AtomicBool::new(false) };
+            handle.write(rmw_wait_set_t {
+                implementation_identifier: IDENTIFIER.as_ptr(),
+                guard_conditions: std::ptr::null_mut(),
+                data: Box::into_raw(Box::new(wait_set)).cast(),
+            });
+            Ok(handle)
+        }
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word; checked to be ours; its context lives.
+        unsafe {
+            behind(handle)?;
+            let wait_set = take_back::<WaitSet>((*handle).data);
+            (*wait_set.context).give_back(&wait_set.waiter);
+            rmw_wait_set_free(handle);
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_wait(
+    subscriptions: *mut rmw_subscriptions_t,
+    guard_conditions: *mut rmw_guard_conditions_t,
+    services: *mut rmw_services_t,
+    clients: *mut rmw_clients_t,
+    events: *mut rmw_events_t,
+    wait_set: *mut rmw_wait_set_t,
+    timeout: *const rmw_time_t,
+) -> rmw_ret_t {
+    let mut is_over = false;
+    let answered = answer(|| {
+        // SAFETY: rmw's word: each is null or valid.
+        let (wait_set, timeout, mut wanted) = unsafe {
+            let none = || (std::ptr::null_mut(), 0);
+            let array = |(data, count)| Array::new(data, count);
+            let wanted = Wanted {
+                subscriptions: array(
+                    subscriptions.as_ref().map_or_else(none, |all| (all.subscribers, all.subscriber_count)),
+                ),
+                guards: array(
+                    guard_conditions
+                        .as_ref()
+                        .map_or_else(none, |all| (all.guard_conditions, all.guard_condition_count)),
+                ),
+                services: array(services.as_ref().map_or_else(none, |all| (all.services, all.service_count))),
+                clients: array(clients.as_ref().map_or_else(none, |all| (all.clients, all.client_count))),
+                events: array(events.as_ref().map_or_else(none, |all| (all.events, all.event_count))),
+            };
+            (behind(wait_set)?, timeout.as_ref(), wanted)
+        };
+        if wait_set.in_use.swap(true, Ordering::Acquire) {
+            return Err(Error::other("two threads wait with one wait set"));
+        }
+        let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
+        let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
+        // Mostly something is there already, and nothing has to be attached for it.
+        let waited = if wanted.is_something_ready() || is_look_only {
+            Ok(())
+        } else {
+            let attached = wanted.attach(&wait_set.waiter);
+            let waited = attached.map(|()| wanted.wait(&wait_set.waiter, deadline));
+            wanted.detach(&wait_set.waiter);
+            waited
+        };
+        wait_set.in_use.store(false, Ordering::Release);
+        waited?;
+        // Somebody else may have taken what was there; without a time limit that is nothing's end.
+        is_over = !wanted.report() && timeout.is_some();
+        Ok(())
+    });
+    if answered == RET_OK && is_over { RET_TIMEOUT } else { answered }
+}

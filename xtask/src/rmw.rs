@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! rmw_tautline: built for use, and its lints and tests.
+
+use crate::bridge::{Environment, nextest, with_libraries};
+use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::{machine, r2r, ros};
+use std::env;
+use std::process::ExitCode;
+
+const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked";
+
+/// Builds the library for use, a minute from cold, and says how it is used.
+pub fn run() -> ExitCode {
+    match build() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(reason) => {
+            eprintln!("rmw_tautline is not built: {reason}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn build() -> Result<(), String> {
+    let environment = r2r::environment()?;
+    match execute(&mut with_libraries(&environment, &format!("build --release {WHOLE}"))) {
+        Outcome::Ok => {}
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => return Err(reason),
+    }
+    let folder = machine::target_dir().join("release");
+    println!("\nTo run a node of ROS 2 on it:");
+    if env::var_os("ROS_DISTRO").is_some() {
+        println!("  export LD_LIBRARY_PATH={}:$LD_LIBRARY_PATH", folder.display());
+        println!("  export RMW_IMPLEMENTATION=rmw_tautline");
+    } else {
+        println!("  . {}", ros::venv().join("bin/activate").display());
+        // rcl of these packages is linked to another RMW, whose place it takes.
+        let library = folder.join("librmw_tautline.so");
+        println!("  export RMW_IMPLEMENTATION=rmw_tautline LD_PRELOAD={}", library.display());
+    }
+    println!("What differs from other RMWs: docs/rmw.md");
+    Ok(())
+}
+
+/// Without a ROS 2 it is left out, which is said; but not in CI.
+pub fn test(steps: &mut Steps) {
+    let mut environment = Environment::new();
+    let prepared = steps.step("rmw: ROS 2", || match r2r::environment() {
+        Ok(variables) => {
+            environment = variables;
+            Outcome::Ok
+        }
+        Err(reason) if machine::is_ci() => Outcome::Failed(reason),
+        Err(reason) => Outcome::Skipped(reason),
+    });
+    if !prepared {
+        return steps.skip("rmw", "there is no ROS 2 to build it with: source one, or run `cargo xtask ros`");
+    }
+    let building = |arguments: &str| with_libraries(&environment, arguments);
+    steps.command("rmw: clippy", &mut building(&format!("clippy {WHOLE} --all-targets -- -D warnings")));
+    // Cargo builds no library of this kind for its tests.
+    steps.command("rmw: build", &mut building(&format!("build {WHOLE}")));
+    let programs = "build --locked --workspace --features tautline/ros_all --bin taut --bin taut-gateway";
+    steps.command("rmw: the gateway", &mut cargo(programs));
+    steps.command("rmw: tests", &mut building(&nextest(WHOLE)));
+}
