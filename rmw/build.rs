@@ -5,9 +5,9 @@ use std::env;
 use std::path::{Path, PathBuf};
 
 /// What an RMW calls of librmw, librcutils and the type supports' dispatch.
-const FUNCTIONS: &str = "rmw_(allocate|free|.*_allocate|.*_free|.*_zero_initialized_.*|discovery_options_(copy|fini)\
+const FUNCTIONS: &str = "rmw_(allocate|free|get_default_.*_options|.*_allocate|.*_free|.*_zero_initialized_.*|discovery_options_(copy|fini)\
     |security_options_(copy|fini)|names_and_types_.*|topic_endpoint_info_.*|validate_.*|.*_validation_result_string)\
-    |rcutils_(get_default_allocator|reset_error|set_error_state|string_array_(init|fini)|strdup|uint8_array_resize|log)\
+    |rcutils_(get_default_allocator|error_is_set|get_error_string|reset_error|set_error_state|string_array_(init|fini)|strdup|uint8_array_resize|log)\
     |get_(message|service)_typesupport_handle";
 
 const TYPES: &str =
@@ -53,6 +53,10 @@ fn main() {
     }
     for library in ["rmw", "rcutils", "rosidl_runtime_c", "fastcdr"] {
         println!("cargo:rustc-link-lib=dylib={library}");
+    }
+    // The bench's program calls these two itself, and an RMW by name.
+    for library in ["rmw", "rcutils"] {
+        println!("cargo:rustc-link-arg-bins=-Wl,--no-as-needed,-l{library}");
     }
     if let Ok(lib) = env::var("TAUT_ROS_RPATH") {
         println!("cargo:rustc-link-arg=-Wl,--disable-new-dtags,-rpath,{lib}");

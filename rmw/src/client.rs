@@ -250,9 +250,8 @@ pub unsafe extern "C" fn rmw_take_response(
             return Err(Error::null("the response"));
         }
         *taken = false;
-        let Some(sample) = client.end.side.lock().raw.try_take().map_err(Error::other)? else {
-            return Ok(());
-        };
+        let found = source::take(&client.end.side, |side| side.raw.try_take()).map_err(Error::other)?;
+        let Some(sample) = found else { return Ok(()) };
         // SAFETY: rmw's word: a response of this type.
         unsafe { client.of.response.callbacks.read(sample.body(), true, response)? };
         *header = info_of(sample.info());
@@ -270,6 +269,10 @@ pub unsafe extern "C" fn rmw_service_server_is_available(
     is_available: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
+        // As rmw documents this one.
+        if node.is_null() || handle.is_null() || is_available.is_null() {
+            return Err(Error::other("the node, the client or the place for the answer is null"));
+        }
         // SAFETY: rmw's word.
         let (client, is_available) = unsafe {
             behind(node)?;

@@ -3,7 +3,7 @@
 
 use crate::bindings::*;
 use crate::error::{Error, Result, answer};
-use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back};
+use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back, text};
 use crate::helper::{Helper, Ring};
 use crate::log;
 use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
@@ -20,6 +20,8 @@ pub(crate) struct Context {
     // Dropped in this order: what the helper serves is the participant's.
     pub(crate) helper: Helper,
     pub(crate) participant: Participant,
+    /// Of its nodes.
+    pub(crate) enclave: String,
     is_shut_down: AtomicBool,
     /// Nodes that live.
     pub(crate) nodes: AtomicUsize,
@@ -51,7 +53,7 @@ struct Waiters {
 }
 
 impl Context {
-    fn join(domain: u32) -> Result<Self> {
+    fn join(domain: u32, enclave: &str) -> Result<Self> {
         let participant = Participant::new(domain)?;
         let helper = Helper::start(&participant)?;
         let watchers = Arc::<Watchers>::default();
@@ -59,7 +61,15 @@ impl Context {
         let watched = watchers.clone();
         helper.run(move || tell_of_changes(events, slot, watched));
         let (is_shut_down, nodes, waiters) = Default::default();
-        Ok(Context { helper, participant, is_shut_down, nodes, watchers, waiters })
+        Ok(Context {
+            helper,
+            participant,
+            enclave: enclave.to_owned(),
+            is_shut_down,
+            nodes,
+            watchers,
+            waiters,
+        })
     }
 
     /// For who knows of a change before the graph tells.
@@ -136,9 +146,10 @@ pub unsafe extern "C" fn rmw_init(
         if !context.implementation_identifier.is_null() {
             return Err(Error::invalid("the context is initialised already"));
         }
-        let domain = options::check(options)?;
         log::start();
-        let made = Context::join(domain)?;
+        let domain = options::check(options)?;
+        // SAFETY: rmw's word; checked not to be null.
+        let made = Context::join(domain, unsafe { text(options.enclave, "the enclave")? })?;
         context.instance_id = options.instance_id;
         context.actual_domain_id = domain as usize;
         // SAFETY: zero-initialised, as the context is.

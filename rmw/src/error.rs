@@ -111,6 +111,18 @@ pub(crate) fn made<T>(body: impl FnOnce() -> Result<*mut T>) -> *mut T {
     })
 }
 
+/// Runs what may fail on the way to a success. Its texts are nobody's, but one that was there before is kept.
+pub(crate) fn without_text<T>(body: impl FnOnce() -> T) -> T {
+    // SAFETY: no conditions.
+    let was_set = unsafe { rcutils_error_is_set() };
+    let done = body();
+    if !was_set {
+        // SAFETY: no conditions.
+        unsafe { rcutils_reset_error() };
+    }
+    done
+}
+
 /// What librmw and librcutils answer, which keep a text themselves.
 pub(crate) fn checked(code: rmw_ret_t, what: &str) -> Result {
     if code == RET_OK { Ok(()) } else { Err(Error::new(code, format!("{what} failed"))) }

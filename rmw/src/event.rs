@@ -38,6 +38,8 @@ struct State {
     counts: Counts,
     /// Since the last take, which nobody was called for.
     untold: usize,
+    /// Something happened since the last take.
+    is_untaken: bool,
 }
 
 /// The numbers of an event of any kind, so far and since the last take.
@@ -95,9 +97,14 @@ impl Happened {
                 ..counts
             };
             state.untold += 1;
+            state.is_untaken = true;
+        }
+        // First: who takes it has been called for it.
+        kind.tell();
+        let state = kind.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if state.is_untaken {
             kind.signal.set();
         }
-        kind.tell();
     }
 }
 
@@ -313,7 +320,7 @@ pub unsafe extern "C" fn rmw_take_event(
         kind.signal.take();
         let counts = state.counts;
         (state.counts.total_change, state.counts.current_change, state.counts.not_alive_change) = (0, 0, 0);
-        state.untold = 0;
+        (state.untold, state.is_untaken) = (0, false);
         drop(state);
         // SAFETY: rmw's word: it is the struct of this kind of event.
         unsafe { write(source.kind as rmw_event_type_t, &counts, info) };

@@ -9,7 +9,7 @@ use crate::qos;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{CString, c_char};
 use std::sync::Arc;
-use tautline_transport::{EndpointKind, GraphSnapshot, NodeName, ServiceKind, TopicEndpoint};
+use tautline_transport::{EndpointKind, GraphSnapshot, NodeInfo, NodeName, ServiceKind, TopicEndpoint};
 
 /// Names, each with its types.
 type Names<'g> = BTreeMap<&'g str, BTreeSet<&'g str>>;
@@ -137,8 +137,13 @@ unsafe fn node_names(
     fill(names, nodes.iter().map(|node| node.name.name.as_str()), &allocator)?;
     let mut filled = fill(namespaces, nodes.iter().map(|node| node.name.namespace.as_str()), &allocator);
     if let (Ok(()), Some(enclaves)) = (&filled, enclaves) {
-        // There are none: all are in the root.
-        filled = fill(enclaves, nodes.iter().map(|_| "/"), &allocator);
+        // The graph has none: those of other processes are in the root.
+        // SAFETY: rmw's word.
+        let own = &unsafe { behind(node)? }.context().enclave;
+        let pid = Some(std::process::id());
+        let enclave = |node: &Arc<NodeInfo>| if node.pid == pid { own.clone() } else { "/".to_owned() };
+        let of_nodes: Vec<String> = nodes.iter().map(enclave).collect();
+        filled = fill(enclaves, of_nodes.iter().map(String::as_str), &allocator);
         if filled.is_err() {
             // SAFETY: filled above.
             let _ = unsafe { rcutils_string_array_fini(namespaces) };

@@ -81,10 +81,13 @@ pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result
     let what = "the context";
     // SAFETY: the caller's word.
     let context = unsafe { context.as_ref() }.ok_or_else(|| Error::null(what))?;
+    let is_none = || Error::invalid("the context has not been initialised, or was finalised");
+    if context.implementation_identifier.is_null() {
+        return Err(is_none());
+    }
     check_identifier(context.implementation_identifier, what)?;
     // SAFETY: it is ours, so behind it is what we made.
-    let behind = unsafe { context.impl_.cast::<Context>().as_ref() };
-    behind.ok_or_else(|| Error::invalid("the context has not been initialised, or was finalised"))
+    unsafe { context.impl_.cast::<Context>().as_ref() }.ok_or_else(is_none)
 }
 
 /// Takes the data back that a handle of ours points to.

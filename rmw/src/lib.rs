@@ -37,6 +37,8 @@ mod service;
 mod signal;
 mod source;
 mod subscription;
+#[cfg(test)]
+mod tests;
 mod types;
 mod unsupported;
 mod wait;

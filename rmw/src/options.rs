@@ -2,7 +2,7 @@
 //! What a context is to be like.
 
 use crate::bindings::*;
-use crate::error::{Error, Result, answer, checked};
+use crate::error::{Error, Result, answer, checked, without_text};
 use crate::handle::{IDENTIFIER, check_identifier, place};
 use tautline_transport::MAX_DOMAIN;
 
@@ -28,9 +28,9 @@ pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
         ));
     }
     if discovery.static_peers_count != 0 {
-        return Err(Error::unsupported(
-            "ROS_STATIC_PEERS is set: rmw_tautline reaches other hosts by `taut gateway --connect tcp/HOST:PORT`. Unset it",
-        ));
+        tracing::warn!(
+            "ROS_STATIC_PEERS reaches nobody: rmw_tautline reaches other hosts by `taut gateway --connect tcp/HOST:PORT`"
+        );
     }
     match options.domain_id {
         DEFAULT_DOMAIN => Ok(0),
@@ -156,9 +156,10 @@ unsafe fn finish(options: &mut rmw_init_options_t) {
         {
             deallocate(options.enclave.cast(), allocator.state);
         }
-        let _ = rmw_security_options_fini(&mut options.security_options, &allocator);
-        let _ = rmw_discovery_options_fini(&mut options.discovery_options);
-        rcutils_reset_error();
+        without_text(|| {
+            let _ = rmw_security_options_fini(&mut options.security_options, &allocator);
+            let _ = rmw_discovery_options_fini(&mut options.discovery_options);
+        });
         *options = rmw_get_zero_initialized_init_options();
     }
 }

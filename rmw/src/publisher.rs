@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Publishers: ROS's struct is written into shared memory, once.
+//! Publishers: ROS's struct is written into shared memory, once; or it lies there from the start, as a loan.
 
 use crate::bindings::*;
+use crate::cdr::Length;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
 use crate::node::{Node, check_full_name};
 use crate::qos::{self, Role};
 use crate::serialization::little_body;
-use crate::signal::deadline_ns;
 use crate::types::MessageType;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use std::time::Duration;
 use tautline_rt::PiMutex;
 use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::PublisherEvents;
-use tautline_transport::{Gid, MatchedCount, RawLoan, RawPublisher, Reliability, Unpublished};
+use tautline_transport::{Gid, MatchedCount, RawLoan, RawPublisher, Unpublished};
 
 pub(crate) struct Publisher {
     pub(crate) events: Sources,
@@ -24,11 +24,29 @@ pub(crate) struct Publisher {
     node: *const Node,
     of_messages: MessageType,
     qos: rmw_qos_profile_t,
-    is_reliable: bool,
     gid: Gid,
     matched: MatchedCount,
     /// Used by one thread at a time.
-    raw: PiMutex<RawPublisher>,
+    side: PiMutex<Publishing>,
+}
+
+struct Publishing {
+    /// Messages that ROS writes in place, of `raw`: dropped before it, and by who has the lock.
+    loans: Vec<RawLoan<'static>>,
+    /// Boxed: it does not move while there are loans.
+    raw: Box<RawPublisher>,
+}
+
+// SAFETY: a loan is not Send, for it refers to its publisher, which one thread at a time may use. They go together.
+unsafe impl Send for Publishing {}
+
+impl Publishing {
+    /// Takes the loan back whose memory ROS has at `message`.
+    fn take_back(&mut self, message: *const c_void) -> Result<RawLoan<'_>> {
+        let at = self.loans.iter().position(|loan| loan.as_ptr().cast() == message);
+        let at = at.ok_or_else(|| Error::invalid("the message is not on loan from this publisher"))?;
+        Ok(self.loans.swap_remove(at))
+    }
 }
 
 /// How long a publisher that keeps all waits for room, as one of DDS does.
@@ -44,7 +62,7 @@ impl Publisher {
 
     pub(crate) fn listen(&self) -> Result {
         let helper = &self.node().context().helper;
-        let events = || Ok(PublisherEvents::new(helper.events(), &self.raw.lock())?);
+        let events = || Ok(PublisherEvents::new(helper.events(), &self.side.lock().raw)?);
         self.happened.listen(helper, events)
     }
 
@@ -55,25 +73,115 @@ impl Publisher {
     /// in flight as ever are, no allocation and no syscall but futex wakes. Waits for who publishes here right now, and lends it this
     /// thread's priority. One that keeps all waits up to 100 ms for room.
     fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
-        let raw = self.raw.lock();
-        let mut loan = raw.loan(len_bytes)?;
+        let side = self.side.lock();
+        let mut loan = side.raw.loan(len_bytes)?;
         let written = write(&mut loan)?;
         loan.truncate(written);
-        let mut unpublished = match loan.publish() {
+        publish(loan)
+    }
+
+    /// Lends ROS the memory of a message to write in place.
+    fn lend(&self) -> Result<*mut c_void> {
+        let Length::Plain(len_bytes) = self.of_messages.length else {
+            return Err(Error::unsupported("messages of this type are not in memory as they are sent"));
+        };
+        let mut side = self.side.lock();
+        let mut loan = side.raw.loan(len_bytes)?;
+        loan.fill(0);
+        let message = loan.as_mut_ptr().cast();
+        // SAFETY: the publisher is boxed and outlives its loans: see `Publishing`.
+        let loan = unsafe { std::mem::transmute::<RawLoan<'_>, RawLoan<'static>>(loan) };
+        side.loans.push(loan);
+        Ok(message)
+    }
+}
+
+/// Publishes a loan, and waits for room if the publisher keeps all.
+fn publish(loan: RawLoan<'_>) -> Result {
+    let mut unpublished = match loan.publish() {
+        Ok(()) => return Ok(()),
+        Err(unpublished) => unpublished,
+    };
+    let give_up_ns = monotonic_ns().saturating_add(FULL_NS);
+    while matches!(unpublished, Unpublished::Full(_)) && monotonic_ns() < give_up_ns {
+        std::thread::sleep(LOOK);
+        unpublished = match unpublished.into_loan().publish() {
             Ok(()) => return Ok(()),
             Err(unpublished) => unpublished,
         };
-        let give_up_ns = monotonic_ns().saturating_add(FULL_NS);
-        while matches!(unpublished, Unpublished::Full(_)) && monotonic_ns() < give_up_ns {
-            std::thread::sleep(LOOK);
-            unpublished = match RawLoan::publish(unpublished.into_loan()) {
-                Ok(()) => return Ok(()),
-                Err(unpublished) => unpublished,
-            };
-        }
-        let code = if matches!(unpublished, Unpublished::Full(_)) { RET_TIMEOUT } else { RET_BAD_ALLOC };
-        Err(Error::new(code, unpublished.to_string()))
     }
+    let code = if matches!(unpublished, Unpublished::Full(_)) { RET_TIMEOUT } else { RET_BAD_ALLOC };
+    Err(Error::new(code, unpublished.to_string()))
+}
+
+/// Whether a loan is asked for by what it can be asked for.
+///
+/// # Safety
+/// `support` is null or a type support.
+unsafe fn check_support(support: *const rosidl_message_type_support_t, publisher: &Publisher) -> Result {
+    // SAFETY: the caller's word.
+    let of = unsafe { MessageType::of(support)? };
+    match of.topic_type == publisher.of_messages.topic_type {
+        true => Ok(()),
+        false => Err(Error::invalid(format!("{} is not the type of the publisher's topic", of.name()))),
+    }
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_borrow_loaned_message(
+    handle: *const rmw_publisher_t,
+    support: *const rosidl_message_type_support_t,
+    message: *mut *mut c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let (publisher, message) = unsafe { (behind(handle)?, place(message, "the message")?) };
+        if !message.is_null() {
+            return Err(Error::invalid("the message is not null"));
+        }
+        // SAFETY: rmw's word.
+        unsafe { check_support(support, publisher)? };
+        *message = publisher.lend()?;
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_return_loaned_message_from_publisher(
+    handle: *const rmw_publisher_t,
+    message: *mut c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let publisher = unsafe { behind(handle)? };
+        if message.is_null() {
+            return Err(Error::null("the message"));
+        }
+        publisher.side.lock().take_back(message).map(drop)
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_publish_loaned_message(
+    handle: *const rmw_publisher_t,
+    message: *mut c_void,
+    _allocation: *mut rmw_publisher_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let publisher = unsafe { behind(handle)? };
+        if message.is_null() {
+            return Err(Error::null("the message"));
+        }
+        let mut side = publisher.side.lock();
+        publish(side.take_back(message)?)
+    })
 }
 
 /// # Safety
@@ -123,11 +231,11 @@ pub unsafe extern "C" fn rmw_create_publisher(
             node,
             of_messages,
             qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
-            is_reliable: wanted.reliability == Reliability::Reliable,
             gid: raw.gid(),
             matched: raw.matched(),
-            raw: PiMutex::new(raw),
+            side: PiMutex::new(Publishing { loans: Vec::new(), raw: Box::new(raw) }),
         };
+        let can_loan_messages = publisher.of_messages.is_plain();
         let topic_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.
         unsafe {
@@ -141,7 +249,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
                 data: Box::into_raw(Box::new(publisher)).cast(),
                 topic_name,
                 options: *options,
-                can_loan_messages: false,
+                can_loan_messages,
             });
             Ok(handle)
         }
@@ -249,7 +357,7 @@ pub unsafe extern "C" fn rmw_publisher_get_actual_qos(
 pub unsafe extern "C" fn rmw_publisher_assert_liveliness(handle: *const rmw_publisher_t) -> rmw_ret_t {
     answer(|| {
         // SAFETY: rmw's word.
-        unsafe { behind(handle)? }.raw.lock().assert_liveliness();
+        unsafe { behind(handle)? }.side.lock().raw.assert_liveliness();
         Ok(())
     })
 }
@@ -259,24 +367,11 @@ pub unsafe extern "C" fn rmw_publisher_assert_liveliness(handle: *const rmw_publ
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publisher_wait_for_all_acked(
     handle: *const rmw_publisher_t,
-    timeout: rmw_time_t,
+    _timeout: rmw_time_t,
 ) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's word.
-        let publisher = unsafe { behind(handle)? };
-        // Nobody acknowledges what is best effort.
-        if !publisher.is_reliable {
-            return Ok(());
-        }
-        let give_up_ns = deadline_ns(timeout.sec, timeout.nsec);
-        while !publisher.raw.lock().is_taken() {
-            if monotonic_ns() >= give_up_ns {
-                return Err(Error::new(RET_TIMEOUT, "a subscription has not taken all of it in that time"));
-            }
-            std::thread::sleep(LOOK);
-        }
-        Ok(())
-    })
+    // What is published is in the queues of its subscriptions when `rmw_publish` returns.
+    // SAFETY: rmw's word.
+    answer(|| unsafe { behind(handle) }.map(drop))
 }
 
 /// # Safety

@@ -159,8 +159,8 @@ pub(crate) fn policy_to_ros(policy: QosPolicyKind) -> rmw_qos_policy_kind_t {
         QosPolicyKind::Reliability => RMW_QOS_POLICY_RELIABILITY,
         QosPolicyKind::Durability => RMW_QOS_POLICY_DURABILITY,
         QosPolicyKind::Deadline => RMW_QOS_POLICY_DEADLINE,
-        QosPolicyKind::Liveliness => RMW_QOS_POLICY_LIVELINESS,
-        QosPolicyKind::LivelinessLeaseDuration => RMW_QOS_POLICY_LIVELINESS_LEASE_DURATION,
+        // DDS has one policy of both.
+        QosPolicyKind::Liveliness | QosPolicyKind::LivelinessLeaseDuration => RMW_QOS_POLICY_LIVELINESS,
     }
 }
 

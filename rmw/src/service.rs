@@ -179,9 +179,8 @@ pub unsafe extern "C" fn rmw_take_request(
             return Err(Error::null("the request"));
         }
         *taken = false;
-        let Some(sample) = service.end.side.lock().raw.try_take().map_err(Error::other)? else {
-            return Ok(());
-        };
+        let found = source::take(&service.end.side, |side| side.raw.try_take()).map_err(Error::other)?;
+        let Some(sample) = found else { return Ok(()) };
         // SAFETY: rmw's word: a request of this type.
         if let Err(error) = unsafe { service.of.request.callbacks.read(sample.body(), true, request) } {
             // Its client is told that there is no answer; ours has nothing to do with it.

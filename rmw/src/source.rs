@@ -8,7 +8,10 @@ use std::future::poll_fn;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::task::{Poll, Waker};
-use tautline_transport::RawSubscription;
+use std::time::Duration;
+use tautline_rt::PiMutex;
+use tautline_rt::clock::monotonic_ns;
+use tautline_transport::{RawSample, RawSubscription, TakeError};
 
 /// Where the rings of one subscription go.
 #[derive(Default)]
@@ -47,6 +50,36 @@ impl Route {
 /// A subscription with its route, by one thread at a time.
 pub(crate) trait Side {
     fn parts(&mut self) -> (&RawSubscription, &mut Route);
+}
+
+/// How long a take waits for a sample that came in memory which is not mapped here yet, and how often it looks.
+const MAPPING_NS: u64 = 20_000_000;
+const LOOK: Duration = Duration::from_micros(50);
+
+/// Takes what a wait has said to be there. A sample may be in a segment that its publisher has just made, and the janitor is about to
+/// map: it is waited for, without the lock.
+///
+/// # Real-time
+/// As `take`; where a publisher's memory has grown, 20 ms more at most.
+pub(crate) fn take<S: Side>(
+    side: &PiMutex<S>,
+    take: impl Fn(&S) -> Result<Option<RawSample>, TakeError>,
+) -> Result<Option<RawSample>, TakeError> {
+    let mut give_up_ns = None;
+    loop {
+        let is_there = {
+            let mut side = side.lock();
+            match take(&side)? {
+                None => side.parts().0.waiting() > 0,
+                taken => return Ok(taken),
+            }
+        };
+        let now_ns = monotonic_ns();
+        if !is_there || now_ns >= *give_up_ns.get_or_insert(now_ns + MAPPING_NS) {
+            return Ok(None);
+        }
+        std::thread::sleep(LOOK);
+    }
 }
 
 /// An end that messages come to.

@@ -2,6 +2,7 @@
 //! Subscriptions: what is taken is read from shared memory into ROS's struct, once.
 
 use crate::bindings::*;
+use crate::cdr::Length;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
@@ -18,6 +19,7 @@ use std::task::Waker;
 use tautline_rt::PiMutex;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 use tautline_sampler::SubscriptionEvents;
+use tautline_schema::{DynamicMessage, Endian};
 use tautline_transport::{MatchedCount, MessageInfo, RawSample, RawSubscription, TakeError};
 
 pub(crate) struct Subscription {
@@ -31,6 +33,8 @@ pub(crate) struct Subscription {
     matched: MatchedCount,
     /// Counts what was taken.
     received: AtomicU64,
+    /// Messages that ROS reads in place.
+    loans: PiMutex<Vec<RawSample>>,
     end: Arc<End>,
 }
 
@@ -88,10 +92,10 @@ impl Subscription {
     /// Takes the next sample, and its message with `read`. What is no message of this type is passed over, and said.
     fn take<T>(
         &self,
-        mut read: impl FnMut(&RawSample) -> Result<T>,
+        mut read: impl FnMut(RawSample) -> Result<T>,
     ) -> Result<Option<(T, rmw_message_info_t)>> {
         for _ in 0..PASSED_OVER {
-            let taken = self.end.side.lock().raw.try_take();
+            let taken = source::take(&self.end.side, |side| side.raw.try_take());
             let sample = match taken {
                 Ok(Some(sample)) => sample,
                 // With as many threads in a take as samples can be held: one of them makes room.
@@ -104,8 +108,9 @@ impl Subscription {
             if self.deaf_to == Some(sample.port_gid().participant()) {
                 continue;
             }
-            match read(&sample) {
-                Ok(message) => return Ok(Some((message, self.info(sample.info())))),
+            let info = sample.info();
+            match read(sample) {
+                Ok(message) => return Ok(Some((message, self.info(info)))),
                 // Not an error of the caller's: executors end by those, and anybody can publish.
                 Err(error) if error.code == RET_ERROR => self.warn(&format!("{error:?}")),
                 Err(error) => return Err(error),
@@ -144,6 +149,103 @@ impl Subscription {
         let taken = self.take(|sample| unsafe { callbacks.read(sample.body(), true, message) })?;
         Ok(taken.map(|((), info)| info))
     }
+}
+
+impl Subscription {
+    /// Takes a message that ROS reads where it lies.
+    fn take_loan(&self) -> Result<Option<(*mut c_void, rmw_message_info_t)>> {
+        let Length::Plain(len_bytes) = self.of_messages.length else {
+            return Err(Error::unsupported("messages of this type are not in memory as they are sent"));
+        };
+        self.take(|sample| {
+            let body = sample.body();
+            if body.len() != len_bytes {
+                return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
+            }
+            if self.of_messages.has_bools {
+                // A byte that is neither 0 nor 1 is no bool of C's.
+                DynamicMessage::validate(&self.of_messages.schema, body, Endian::Little)
+                    .map_err(Error::other)?;
+            }
+            let message = body.as_ptr().cast_mut().cast();
+            self.loans.lock().push(sample);
+            Ok(message)
+        })
+    }
+}
+
+/// # Safety
+/// As rmw says.
+unsafe fn take_loaned(
+    handle: *const rmw_subscription_t,
+    message: *mut *mut c_void,
+    taken: *mut bool,
+) -> Result<Option<rmw_message_info_t>> {
+    // SAFETY: the caller's word.
+    let (subscription, message, taken) =
+        unsafe { (behind(handle)?, place(message, "the message")?, place(taken, "taken")?) };
+    if !message.is_null() {
+        return Err(Error::invalid("the message is not null"));
+    }
+    let found = subscription.take_loan()?;
+    *taken = found.is_some();
+    Ok(found.map(|(loan, info)| {
+        *message = loan;
+        info
+    }))
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_loaned_message(
+    handle: *const rmw_subscription_t,
+    message: *mut *mut c_void,
+    taken: *mut bool,
+    _allocation: *mut rmw_subscription_allocation_t,
+) -> rmw_ret_t {
+    // SAFETY: rmw's word.
+    answer(|| unsafe { take_loaned(handle, message, taken) }.map(drop))
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_take_loaned_message_with_info(
+    handle: *const rmw_subscription_t,
+    message: *mut *mut c_void,
+    taken: *mut bool,
+    info: *mut rmw_message_info_t,
+    _allocation: *mut rmw_subscription_allocation_t,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let info = unsafe { place(info, "the information")? };
+        // SAFETY: rmw's word.
+        *info = unsafe { take_loaned(handle, message, taken)? }.unwrap_or(*info);
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As rmw says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
+    handle: *const rmw_subscription_t,
+    message: *mut c_void,
+) -> rmw_ret_t {
+    answer(|| {
+        // SAFETY: rmw's word.
+        let subscription = unsafe { behind(handle)? };
+        if message.is_null() {
+            return Err(Error::null("the message"));
+        }
+        let mut loans = subscription.loans.lock();
+        let at = loans.iter().position(|sample| sample.body().as_ptr().cast() == message.cast_const());
+        let at = at.ok_or_else(|| Error::other("the message is not on loan from this subscription"))?;
+        drop(loans.swap_remove(at));
+        Ok(())
+    })
 }
 
 /// When it appeared on this host, by the system's clock, in nanoseconds.
@@ -194,7 +296,8 @@ pub unsafe extern "C" fn rmw_create_subscription(
             wanted,
             of_messages.limits(),
         )?;
-        let (happened, matched) = (Arc::<Happened>::default(), raw.matched());
+        let (happened, matched, can_loan_messages) =
+            (Arc::<Happened>::default(), raw.matched(), of_messages.is_plain());
         let side = PiMutex::new(Taking { raw, route: Route::default() });
         let subscription = Subscription {
             events: Sources::new(&happened),
@@ -205,6 +308,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             deaf_to: options.ignore_local_publications.then(|| node.participant.id()),
             matched,
             received: AtomicU64::new(0),
+            loans: PiMutex::new(Vec::new()),
             end: Arc::new(End { side, on_new: OnNew::default() }),
         };
         let topic_name = copy_text(name)?;
@@ -220,7 +324,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
                 data: Box::into_raw(Box::new(subscription)).cast(),
                 topic_name,
                 options: *options,
-                can_loan_messages: false,
+                can_loan_messages,
                 is_cft_enabled: false,
             });
             Ok(handle)

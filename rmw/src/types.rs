@@ -3,14 +3,15 @@
 
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, without_text};
 use std::collections::HashMap;
 use std::ffi::CStr;
 use std::sync::{Arc, Mutex, PoisonError};
 use tautline_schema::{
-    FieldDescription, FieldTypeDescription, IndividualTypeDescription, Schema, TypeDescription,
+    Base, Field, FieldDescription, FieldTypeDescription, IndividualTypeDescription, Primitive, Schema,
+    TypeDescription,
 };
-use tautline_transport::{Limits, ServiceType, TopicType};
+use tautline_transport::{Claim, Limits, ServiceType, TopicType};
 
 /// The type supports whose callbacks are of Fast CDR: that for structs of C, and that for those of C++.
 const SUPPORTS: [&CStr; 2] = [c"rosidl_typesupport_fastrtps_c", c"rosidl_typesupport_fastrtps_cpp"];
@@ -26,6 +27,8 @@ pub(crate) struct MessageType {
     pub(crate) topic_type: TopicType,
     /// For bytes of another order.
     pub(crate) schema: Arc<Schema>,
+    /// Whether a field of it, or of what it consists of, is a bool.
+    pub(crate) has_bools: bool,
 }
 
 /// A type of services.
@@ -44,10 +47,7 @@ impl MessageType {
         }
         // SAFETY: a type support finds the one that is asked for, or null.
         let find = |name: &CStr| unsafe { get_message_typesupport_handle(support, name.as_ptr()).as_ref() };
-        let found = SUPPORTS.into_iter().find_map(find).ok_or_else(no_support)?;
-        // What those that were not found left.
-        // SAFETY: no conditions.
-        unsafe { rcutils_reset_error() };
+        let found = without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)?;
         let (Some(hash), Some(description)) = (found.get_type_hash_func, found.get_type_description_func)
         else {
             return Err(no_support());
@@ -61,7 +61,10 @@ impl MessageType {
         let known = unsafe { known(hash, description)? };
         let topic_type = TopicType::new(known.schema.name().to_string()).with_hash(known.hash);
         let topic_type = topic_type.with_definition(known.definition);
-        Ok(MessageType { callbacks, length: callbacks.length(), topic_type, schema: known.schema })
+        let all = std::iter::once(known.schema.definition()).chain(known.schema.referenced());
+        let is_bool = |field: &Field| field.ty.base == Base::Primitive(Primitive::Bool);
+        let has_bools = all.flat_map(|definition| &definition.fields).any(is_bool);
+        Ok(MessageType { callbacks, length: callbacks.length(), topic_type, schema: known.schema, has_bools })
     }
 
     /// What an end has room for: memory is claimed when it is first needed, and grows with what is sent.
@@ -70,7 +73,12 @@ impl MessageType {
             Length::Plain(bytes) | Length::AtMost(bytes) => bytes.clamp(1, LARGE_BYTES),
             Length::Any => Limits::default().message_bytes,
         };
-        Limits { held: HELD, message_bytes, claim: tautline_transport::Claim::OnUse, ..Limits::default() }
+        Limits { held: HELD, loans: HELD, message_bytes, claim: Claim::OnUse, ..Limits::default() }
+    }
+
+    /// Whether messages lie in memory as they are sent, and can be lent.
+    pub(crate) fn is_plain(&self) -> bool {
+        matches!(self.length, Length::Plain(1..))
     }
 
     pub(crate) fn name(&self) -> &str {
@@ -92,9 +100,7 @@ impl ServiceSupport {
         }
         // SAFETY: a type support finds the one that is asked for, or null.
         let find = |name: &CStr| unsafe { get_service_typesupport_handle(support, name.as_ptr()).as_ref() };
-        let found = SUPPORTS.into_iter().find_map(find).ok_or_else(no_support)?;
-        // SAFETY: no conditions.
-        unsafe { rcutils_reset_error() };
+        let found = without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)?;
         let (Some(hash), Some(description)) = (found.get_type_hash_func, found.get_type_description_func)
         else {
             return Err(no_support());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What an RMW may answer RMW_RET_UNSUPPORTED to, and this one does: memory ahead for bounded messages, sizes of messages that are not
-//! there, loans, content filters, dynamic messages, network flows.
+//! there, content filters, dynamic messages, network flows.
 
 use crate::bindings::*;
 use crate::error::{Error, answer};
@@ -30,12 +30,6 @@ unsupported! {
     rmw_init_subscription_allocation(TypeSupport, Bounds, SubscriptionAllocation): "a subscription needs no memory";
     rmw_fini_subscription_allocation(SubscriptionAllocation): "a subscription needs no memory";
     rmw_get_serialized_message_size(TypeSupport, Bounds, *mut usize): "sizes follow from messages";
-    rmw_borrow_loaned_message(*const rmw_publisher_t, TypeSupport, *mut *mut c_void): "messages are not loaned";
-    rmw_return_loaned_message_from_publisher(*const rmw_publisher_t, *mut c_void): "messages are not loaned";
-    rmw_publish_loaned_message(*const rmw_publisher_t, *mut c_void, PublisherAllocation): "messages are not loaned";
-    rmw_take_loaned_message(*const rmw_subscription_t, *mut *mut c_void, *mut bool, SubscriptionAllocation): "messages are not loaned";
-    rmw_take_loaned_message_with_info(*const rmw_subscription_t, *mut *mut c_void, *mut bool, *mut rmw_message_info_t, SubscriptionAllocation): "messages are not loaned";
-    rmw_return_loaned_message_from_subscription(*const rmw_subscription_t, *mut c_void): "messages are not loaned";
     rmw_subscription_set_content_filter(*mut rmw_subscription_t, *const rmw_subscription_content_filter_options_t): "there are no content filters: rcl filters where it can";
     rmw_subscription_get_content_filter(*const rmw_subscription_t, *mut rcutils_allocator_t, *mut rmw_subscription_content_filter_options_t): "there are no content filters";
     rmw_take_dynamic_message(*const rmw_subscription_t, Opaque, *mut bool, SubscriptionAllocation): "there are no dynamic messages";

@@ -189,6 +189,10 @@ pub unsafe extern "C" fn rmw_create_wait_set(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) -> rmw_ret_t {
     answer(|| {
+        // As rmw documents this one.
+        if handle.is_null() {
+            return Err(Error::other("the wait set is null"));
+        }
         // SAFETY: rmw's word; checked to be ours; its context lives.
         unsafe {
             behind(handle)?;

@@ -20,7 +20,7 @@
 //! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
 //! | `r2r_tests` | r2r's own tests and examples, on Tautline |
-//! | `rmw` | builds rmw_tautline, and tests it |
+//! | `rmw` | builds rmw_tautline, tests it, and measures it |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
@@ -192,6 +192,8 @@ enum Bench {
     Services(services::Options),
     /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
     Bridge(bridge::Options),
+    /// Round trips of rmw_wait and take, on rmw_tautline and on Fast DDS's RMW
+    Rmw(rmw::Options),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),
     /// The Autoware reference system, 24 nodes in one process, on Tautline and, if there is a ROS 2, on r2r beside it
@@ -269,6 +271,7 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Compare(options)) => compare::run(&options),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
         Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
+        Verb::Bench(Bench::Rmw(options)) => rmw::bench(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Bench(Bench::ReferenceSystem(options)) => reference::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),

@@ -1,13 +1,68 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! rmw_tautline: built for use, and its lints and tests.
+//! rmw_tautline: built for use, its lints and tests, and its bench.
 
 use crate::bridge::{Environment, nextest, with_libraries};
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{self, Outcome, Steps, cargo, execute};
 use crate::{machine, r2r, ros};
 use std::env;
-use std::process::ExitCode;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
 
-const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked";
+const LIBRARY: &str = "--manifest-path rmw/Cargo.toml --locked";
+/// With the bench.
+const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features bench";
+
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  cargo xtask bench rmw
+  cargo xtask bench rmw --quick --json rmw.json")]
+pub struct Options {
+    /// Fewer and shorter rounds: half a minute
+    #[arg(long)]
+    pub quick: bool,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Passed on: see `cargo xtask bench rmw -- --help`
+    #[arg(last = true)]
+    pub arguments: Vec<String>,
+}
+
+/// Builds it and its bench, and measures.
+pub fn bench(options: &Options) -> ExitCode {
+    let built = r2r::environment().and_then(|environment| {
+        match execute(&mut with_libraries(&environment, &format!("build --release {WHOLE}"))) {
+            Outcome::Ok => Ok(()),
+            Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+        }
+    });
+    if let Err(reason) = built {
+        eprintln!("bench rmw: {reason}");
+        return ExitCode::FAILURE;
+    }
+    steps::run(measure("release", options.quick, options.json.as_deref()).args(&options.arguments))
+}
+
+fn measure(profile: &str, quick: bool, json: Option<&Path>) -> Command {
+    let folder = machine::target_dir().join(profile);
+    // It waits for processes, which may not come.
+    let mut command = Command::new("timeout");
+    command.arg("300").arg(folder.join("bench-rmw")).arg("--tautline").arg(folder.join("librmw_tautline.so"));
+    command.args(quick.then_some("--quick"));
+    if let Some(path) = json {
+        command.arg("--json").arg(path);
+    }
+    command
+}
+
+/// Nothing is lost, with the build of the tests; how it compares is for a quiet machine and a release build.
+pub fn bench_of_tests(steps: &mut Steps) {
+    let mut command = measure("debug", true, Some(&machine::target_dir().join("rmw.json")));
+    if !machine::is_ci() && !machine::realtime_permitted() {
+        command.arg("--no-rt");
+    }
+    steps.command("bench: rmw", &mut command);
+}
 
 /// Builds the library for use, a minute from cold, and says how it is used.
 pub fn run() -> ExitCode {
@@ -22,7 +77,7 @@ pub fn run() -> ExitCode {
 
 fn build() -> Result<(), String> {
     let environment = r2r::environment()?;
-    match execute(&mut with_libraries(&environment, &format!("build --release {WHOLE}"))) {
+    match execute(&mut with_libraries(&environment, &format!("build --release {LIBRARY}"))) {
         Outcome::Ok => {}
         Outcome::Failed(reason) | Outcome::Skipped(reason) => return Err(reason),
     }

@@ -46,8 +46,9 @@ pub fn run(scope: &Scope, quick: bool) -> ExitCode {
         programs::test(&mut steps);
     }
     type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 16] = [
+    let slow: [(&str, Step); 17] = [
         ("bench: bridge", bridge::bench_of_tests),
+        ("bench: rmw", rmw::bench_of_tests),
         ("stress: doorbell", stress),
         ("stress: kills", |steps| stress_kills(steps, KILLS, None, false)),
         ("bench: domain", domain),

@@ -232,13 +232,15 @@ impl RawPublisher {
             return Err(Unpublished::OutOfMemory(loan));
         }
         let number = live.next_number(sending.to);
-        let now_ns = monotonic_ns();
-        let (released_ns, source, lifespan_ns) = match sending.stamp {
-            Stamp::As(source, left_ns) => (now_ns, source, left_ns.min(self.lifespan_ns)),
-            Stamp::OfRequest(source) => (now_ns, source, self.lifespan_ns),
-            Stamp::Now => (now_ns, self.info(number), self.lifespan_ns),
-            Stamp::ReleasedAt(released_ns) => (released_ns, self.info(number), self.lifespan_ns),
+        let (source, lifespan_ns) = match sending.stamp {
+            Stamp::As(source, left_ns) => (source, left_ns.min(self.lifespan_ns)),
+            Stamp::OfRequest(source) => (source, self.lifespan_ns),
+            Stamp::Now | Stamp::ReleasedAt(_) => (self.info(number), self.lifespan_ns),
         };
+        // After that: nothing appears before it was published.
+        let now_ns = monotonic_ns();
+        let released_ns =
+            if let Stamp::ReleasedAt(released_ns) = sending.stamp { released_ns } else { now_ns };
         let mut header = SampleHeader {
             sequence_number: number,
             released_ns,

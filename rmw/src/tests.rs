@@ -1,0 +1,544 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What an RMW promises, asked as rcl asks it: with structs of C and the type supports of ROS's packages.
+
+use crate::bindings::*;
+use crate::{
+    client, context, event, graph, guard, node, options, publisher, serialization, subscription, wait,
+};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::ffi::{CStr, c_void};
+use std::ptr::{null, null_mut};
+use std::sync::Barrier;
+
+/// Counts what a thread allocates.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller's word.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: the caller's word.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+const NO_TIME: rmw_time_t = rmw_time_t { sec: 0, nsec: 0 };
+const PATIENCE: rmw_time_t = rmw_time_t { sec: 60, nsec: 0 };
+
+/// `geometry_msgs/msg/Point`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Point {
+    x: f64,
+    y: f64,
+    z: f64,
+}
+
+fn support(package: &str, name: &str) -> *const rosidl_message_type_support_t {
+    let library = format!("lib{package}__rosidl_typesupport_c.so");
+    let symbol = format!("rosidl_typesupport_c__get_message_type_support_handle__{package}__msg__{name}");
+    // SAFETY: a library of ROS's, which is never unloaded; functions of this name take nothing and give a constant.
+    unsafe {
+        let library = Box::leak(Box::new(libloading::Library::new(library).expect("a package of ROS's")));
+        let get: libloading::Symbol<unsafe extern "C" fn() -> *const rosidl_message_type_support_t> =
+            library.get(symbol.as_bytes()).expect("a message of the package's");
+        get()
+    }
+}
+
+/// The error's text, which is then forgotten.
+fn said() -> String {
+    // SAFETY: no conditions; the struct has a text that ends with a zero.
+    unsafe {
+        let said = rcutils_get_error_string();
+        let text = CStr::from_ptr(said.str_.as_ptr()).to_string_lossy().into_owned();
+        rcutils_reset_error();
+        text
+    }
+}
+
+/// A node in a domain of its own, as long as this lives.
+struct World {
+    context: Box<rmw_context_t>,
+    node: *mut rmw_node_t,
+}
+
+fn options(domain: usize) -> rmw_init_options_t {
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let mut options = rmw_get_zero_initialized_init_options();
+        let allocator = rcutils_get_default_allocator();
+        assert_eq!(options::rmw_init_options_init(&mut options, allocator), RET_OK);
+        options.enclave = rcutils_strdup(c"/".as_ptr(), allocator);
+        options.domain_id = domain;
+        options
+    }
+}
+
+impl World {
+    /// In a domain that no other test uses.
+    fn new(domain: usize) -> Self {
+        static SCOPE: std::sync::Once = std::sync::Once::new();
+        SCOPE.call_once(|| {
+            if std::env::var_os("TAUT_SCOPE").is_none() {
+                tautline_rt::domain::set_scope("test").unwrap();
+            }
+        });
+        // SAFETY: rmw's protocol.
+        unsafe {
+            let mut options = options(domain);
+            let mut context = Box::new(rmw_get_zero_initialized_context());
+            assert_eq!(context::rmw_init(&options, &mut *context), RET_OK, "{}", said());
+            assert_eq!(options::rmw_init_options_fini(&mut options), RET_OK);
+            let node = node::rmw_create_node(&mut *context, c"node".as_ptr(), c"/".as_ptr());
+            assert!(!node.is_null(), "{}", said());
+            World { context, node }
+        }
+    }
+
+    fn publisher(
+        &self,
+        of: *const rosidl_message_type_support_t,
+        profile: &rmw_qos_profile_t,
+    ) -> *mut rmw_publisher_t {
+        // SAFETY: rmw's protocol.
+        unsafe {
+            let options = rmw_get_default_publisher_options();
+            publisher::rmw_create_publisher(self.node, of, c"/topic".as_ptr(), profile, &options)
+        }
+    }
+
+    fn subscription(
+        &self,
+        of: *const rosidl_message_type_support_t,
+        profile: &rmw_qos_profile_t,
+    ) -> *mut rmw_subscription_t {
+        // SAFETY: rmw's protocol.
+        unsafe {
+            let options = rmw_get_default_subscription_options();
+            subscription::rmw_create_subscription(self.node, of, c"/topic".as_ptr(), profile, &options)
+        }
+    }
+}
+
+impl Drop for World {
+    fn drop(&mut self) {
+        // SAFETY: rmw's protocol.
+        unsafe {
+            assert_eq!(node::rmw_destroy_node(self.node), RET_OK);
+            assert_eq!(context::rmw_context_fini(&mut *self.context), RET_INVALID_ARGUMENT, "not shut down");
+            assert_eq!(context::rmw_shutdown(&mut *self.context), RET_OK);
+            assert_eq!(context::rmw_context_fini(&mut *self.context), RET_OK);
+        }
+    }
+}
+
+fn profile(depth: usize) -> rmw_qos_profile_t {
+    rmw_qos_profile_t {
+        history: RMW_QOS_POLICY_HISTORY_KEEP_LAST,
+        depth,
+        reliability: RMW_QOS_POLICY_RELIABILITY_RELIABLE,
+        durability: RMW_QOS_POLICY_DURABILITY_VOLATILE,
+        liveliness: RMW_QOS_POLICY_LIVELINESS_AUTOMATIC,
+        ..rmw_qos_profile_t::default()
+    }
+}
+
+/// Waits for one subscription and some guard conditions. Which of them are ready.
+unsafe fn wait_for(
+    set: *mut rmw_wait_set_t,
+    subscription: *mut c_void,
+    guards: &mut [*mut c_void],
+    timeout: *const rmw_time_t,
+) -> (rmw_ret_t, bool) {
+    let mut subscribers = [subscription];
+    let count = usize::from(!subscription.is_null());
+    let mut subscriptions =
+        rmw_subscriptions_t { subscriber_count: count, subscribers: subscribers.as_mut_ptr() };
+    let mut guards =
+        rmw_guard_conditions_t { guard_condition_count: guards.len(), guard_conditions: guards.as_mut_ptr() };
+    // SAFETY: rmw's protocol.
+    let answer = unsafe {
+        wait::rmw_wait(&mut subscriptions, &mut guards, null_mut(), null_mut(), null_mut(), set, timeout)
+    };
+    (answer, !subscribers[0].is_null())
+}
+
+#[test]
+fn what_is_null_unknown_or_somebody_elses_is_an_error_with_a_text() {
+    let world = World::new(69);
+    let of = support("geometry_msgs", "Point");
+    // SAFETY: rmw's protocol, but for what is refused.
+    unsafe {
+        assert_eq!(context::rmw_init(null(), null_mut()), RET_INVALID_ARGUMENT);
+        assert!(said().contains("options"));
+        assert!(node::rmw_create_node(null_mut(), c"a".as_ptr(), c"/".as_ptr()).is_null());
+        assert!(said().contains("context"));
+        for (name, namespace) in [(c"a b", c"/"), (c"", c"/"), (c"a", c"b"), (c"a", c"/b/")] {
+            let context: *const rmw_context_t = &*world.context;
+            assert!(node::rmw_create_node(context.cast_mut(), name.as_ptr(), namespace.as_ptr()).is_null());
+            assert!(said().contains("name"), "{name:?} {namespace:?}");
+        }
+        assert!(world.publisher(null(), &profile(1)).is_null());
+        assert!(said().contains("type support"));
+        for (change, what) in [
+            (rmw_qos_profile_t { reliability: 99, ..profile(1) }, "reliability is 99"),
+            (
+                rmw_qos_profile_t { durability: RMW_QOS_POLICY_DURABILITY_UNKNOWN, ..profile(1) },
+                "durability is 3",
+            ),
+            (rmw_qos_profile_t { history: RMW_QOS_POLICY_HISTORY_UNKNOWN, ..profile(1) }, "history is 3"),
+            (rmw_qos_profile_t { liveliness: 2, ..profile(1) }, "liveliness is 2"),
+        ] {
+            assert!(world.publisher(of, &change).is_null() && said().contains(what), "{what}");
+            assert!(world.subscription(of, &change).is_null() && said().contains(what), "{what}");
+        }
+        let mut of_others = *world.node;
+        of_others.implementation_identifier = c"rmw_other".as_ptr();
+        let mut count = 0;
+        let counted = graph::rmw_count_publishers(&of_others, c"/topic".as_ptr(), &mut count);
+        assert_eq!((counted, said().contains("rmw_other")), (RET_INCORRECT_RMW_IMPLEMENTATION, true));
+        assert_eq!(
+            graph::rmw_count_publishers(world.node, c"topic".as_ptr(), &mut count),
+            RET_INVALID_ARGUMENT
+        );
+        assert!(said().contains("name"));
+        assert_eq!(publisher::rmw_publish(null(), null(), null_mut()), RET_INVALID_ARGUMENT);
+        assert_eq!(client::rmw_send_request(null(), null(), null_mut()), RET_INVALID_ARGUMENT);
+        assert_eq!(guard::rmw_trigger_guard_condition(null()), RET_INVALID_ARGUMENT);
+        let mut event = rmw_get_zero_initialized_event();
+        let publisher = world.publisher(of, &profile(1));
+        let kind = RMW_EVENT_MESSAGE_LOST;
+        assert_eq!(event::rmw_publisher_event_init(&mut event, publisher, kind), RET_UNSUPPORTED);
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        said();
+    }
+}
+
+#[test]
+fn options_that_cannot_be_kept_are_refused_with_words() {
+    type Change = fn(&mut rmw_init_options_t);
+    let changes: [(Change, &str); 4] = [
+        (|options| options.domain_id = 233, "domain 233"),
+        (|options| options.security_options.enforce_security = RMW_SECURITY_ENFORCEMENT_ENFORCE, "SROS 2"),
+        (
+            |options| options.discovery_options.automatic_discovery_range = RMW_AUTOMATIC_DISCOVERY_RANGE_OFF,
+            "TAUT_SCOPE",
+        ),
+        (|options| options.implementation_identifier = c"rmw_other".as_ptr(), "rmw_other"),
+    ];
+    for (change, what) in changes {
+        let mut options = options(68);
+        change(&mut options);
+        // SAFETY: rmw's protocol.
+        unsafe {
+            let mut context = rmw_get_zero_initialized_context();
+            assert_ne!(context::rmw_init(&options, &mut context), RET_OK, "{what}");
+            let said = said();
+            assert!(said.contains(what), "{said}");
+            options.implementation_identifier = crate::handle::IDENTIFIER.as_ptr();
+            assert_eq!(options::rmw_init_options_fini(&mut options), RET_OK);
+        }
+    }
+}
+
+#[test]
+fn messages_are_written_and_read_in_place() {
+    let world = World::new(70);
+    let of = support("geometry_msgs", "Point");
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let (publisher, subscription) =
+            (world.publisher(of, &profile(10)), world.subscription(of, &profile(10)));
+        assert!((*publisher).can_loan_messages && (*subscription).can_loan_messages);
+        let sent: Vec<Point> = (0..5).map(|n| Point { x: n.into(), y: 0.5, z: -1.0 }).collect();
+        for point in &sent {
+            let mut message = null_mut();
+            assert_eq!(
+                publisher::rmw_borrow_loaned_message(publisher, of, &mut message),
+                RET_OK,
+                "{}",
+                said()
+            );
+            assert_eq!(message.cast::<Point>().read(), Point::default(), "it is initialised");
+            message.cast::<Point>().write(*point);
+            assert_eq!(publisher::rmw_publish_loaned_message(publisher, message, null_mut()), RET_OK);
+            assert_eq!(
+                publisher::rmw_publish_loaned_message(publisher, message, null_mut()),
+                RET_INVALID_ARGUMENT
+            );
+        }
+        said();
+        let mut loans = Vec::new();
+        for point in &sent {
+            let (mut message, mut taken, mut info) =
+                (null_mut(), false, rmw_get_zero_initialized_message_info());
+            let answer = subscription::rmw_take_loaned_message_with_info(
+                subscription,
+                &mut message,
+                &mut taken,
+                &mut info,
+                null_mut(),
+            );
+            assert_eq!((answer, taken), (RET_OK, true));
+            assert_eq!(message.cast::<Point>().read(), *point);
+            assert!(info.source_timestamp > 0 && info.received_timestamp >= info.source_timestamp);
+            loans.push(message);
+        }
+        for message in loans {
+            assert_eq!(
+                subscription::rmw_return_loaned_message_from_subscription(subscription, message),
+                RET_OK
+            );
+            assert_eq!(
+                subscription::rmw_return_loaned_message_from_subscription(subscription, message),
+                RET_ERROR
+            );
+        }
+        // One that is given back unsent, and one that its publisher takes along.
+        for is_given_back in [true, false] {
+            let mut message = null_mut();
+            assert_eq!(publisher::rmw_borrow_loaned_message(publisher, of, &mut message), RET_OK);
+            if is_given_back {
+                assert_eq!(publisher::rmw_return_loaned_message_from_publisher(publisher, message), RET_OK);
+            }
+        }
+        let (mut message, mut taken) = (null_mut(), true);
+        let answer =
+            subscription::rmw_take_loaned_message(subscription, &mut message, &mut taken, null_mut());
+        assert_eq!((answer, taken, message), (RET_OK, false, null_mut()));
+        said();
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
+}
+
+/// Bytes that are no message of the topic's type, and a byte that is no bool, are dropped; what follows is taken.
+#[test]
+fn what_is_no_message_is_dropped_and_ends_nobody() {
+    let world = World::new(71);
+    let of = support("std_msgs", "Bool");
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let (publisher, subscription) =
+            (world.publisher(of, &profile(10)), world.subscription(of, &profile(10)));
+        let publish = |bytes: &mut [u8]| {
+            let serialized = rmw_serialized_message_t {
+                buffer: bytes.as_mut_ptr(),
+                buffer_length: bytes.len(),
+                buffer_capacity: bytes.len(),
+                allocator: rcutils_get_default_allocator(),
+            };
+            publisher::rmw_publish_serialized_message(publisher, &serialized, null_mut())
+        };
+        for round in 0..2 {
+            // Nothing, 7, and true: in either order of bytes.
+            assert_eq!(publish(&mut [0, 1, 0, 0]), RET_OK);
+            assert_eq!(publish(&mut [0, 1, 0, 0, 7]), RET_OK);
+            assert_eq!(publish(&mut [0, u8::from(round == 0), 0, 0, 1]), RET_OK);
+            let mut taken = false;
+            if round == 0 {
+                let mut message = null_mut();
+                let answer =
+                    subscription::rmw_take_loaned_message(subscription, &mut message, &mut taken, null_mut());
+                assert_eq!((answer, taken, message.cast::<u8>().read()), (RET_OK, true, 1));
+                assert_eq!(
+                    subscription::rmw_return_loaned_message_from_subscription(subscription, message),
+                    RET_OK
+                );
+            } else {
+                let mut message = false;
+                let place: *mut bool = &mut message;
+                let answer = subscription::rmw_take(subscription, place.cast(), &mut taken, null_mut());
+                assert_eq!((answer, taken, message), (RET_OK, true, true));
+            }
+        }
+        for bytes in [&mut [][..], &mut [9, 9, 9, 9, 1], &mut [0, 0, 0, 0]] {
+            assert_eq!(publish(bytes), RET_ERROR, "{bytes:?}");
+            assert!(!said().is_empty());
+        }
+        let mut bytes = [0, 1, 0, 0];
+        let serialized = rmw_serialized_message_t {
+            buffer: bytes.as_mut_ptr(),
+            buffer_length: bytes.len(),
+            buffer_capacity: bytes.len(),
+            allocator: rcutils_get_default_allocator(),
+        };
+        let mut message = false;
+        let place: *mut bool = &mut message;
+        assert_eq!(serialization::rmw_deserialize(&serialized, of, place.cast()), RET_ERROR);
+        assert!(said().contains("cannot be read"));
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
+}
+
+#[test]
+fn a_wait_ends_by_what_is_ready_by_a_trigger_from_elsewhere_or_by_its_time() {
+    let mut world = World::new(72);
+    let of = support("geometry_msgs", "Point");
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let set = wait::rmw_create_wait_set(&mut *world.context, 0);
+        let guards = [(); 2].map(|()| guard::rmw_create_guard_condition(&mut *world.context));
+        let data = guards.map(|guard| (*guard).data);
+        let subscription = world.subscription(of, &profile(1));
+        let publisher = world.publisher(of, &profile(1));
+        let behind = (*subscription).data;
+        let mut all = data;
+        assert_eq!(wait_for(set, behind, &mut all, &NO_TIME), (RET_TIMEOUT, false));
+        assert_eq!(all, [null_mut(); 2], "what is not ready is null, also when the time is over");
+
+        // Set before the wait, and reset by it.
+        assert_eq!(guard::rmw_trigger_guard_condition(guards[1]), RET_OK);
+        all = data;
+        assert_eq!(wait_for(set, behind, &mut all, &PATIENCE), (RET_OK, false));
+        assert_eq!(all, [null_mut(), data[1]]);
+        all = data;
+        assert_eq!(wait_for(set, behind, &mut all, &NO_TIME), (RET_TIMEOUT, false));
+
+        // While it waits, again and again: each trigger ends one wait.
+        let (barrier, guard) = (Barrier::new(2), guards[0] as usize);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for _ in 0..2000 {
+                    barrier.wait();
+                    assert_eq!(
+                        guard::rmw_trigger_guard_condition(guard as *const rmw_guard_condition_t),
+                        RET_OK
+                    );
+                }
+            });
+            for _ in 0..2000 {
+                barrier.wait();
+                let mut all = data;
+                assert_eq!(wait_for(set, behind, &mut all, null()), (RET_OK, false));
+                assert_eq!(all, [data[0], null_mut()]);
+            }
+        });
+
+        // Data is ready until it is taken.
+        let point = Point { x: 1.0, ..Point::default() };
+        let place: *const Point = &point;
+        assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+        for _ in 0..2 {
+            assert_eq!(wait_for(set, behind, &mut [], null()), (RET_OK, true));
+        }
+        let (mut found, mut taken) = (Point::default(), false);
+        let place: *mut Point = &mut found;
+        assert_eq!(subscription::rmw_take(subscription, place.cast(), &mut taken, null_mut()), RET_OK);
+        assert_eq!((taken, found), (true, point));
+        assert_eq!(wait_for(set, behind, &mut [], &NO_TIME), (RET_TIMEOUT, false));
+
+        for guard in guards {
+            assert_eq!(guard::rmw_destroy_guard_condition(guard), RET_OK);
+        }
+        assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
+}
+
+/// More wait sets than a context has bells for threads: the last ones are woken by the helper, and miss nothing.
+#[test]
+fn wait_sets_have_no_limit() {
+    let mut world = World::new(73);
+    let of = support("geometry_msgs", "Point");
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let sets: Vec<_> =
+            (0..400).map(|_| wait::rmw_create_wait_set(&mut *world.context, 0) as usize).collect();
+        let subscription = world.subscription(of, &profile(1));
+        let publisher = world.publisher(of, &profile(1)) as usize;
+        let last = *sets.last().unwrap() as *mut rmw_wait_set_t;
+        let barrier = Barrier::new(2);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for n in 0..500 {
+                    barrier.wait();
+                    let point = Point { x: n.into(), ..Point::default() };
+                    let place: *const Point = &point;
+                    let publisher = publisher as *const rmw_publisher_t;
+                    assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+                }
+            });
+            for n in 0..500 {
+                barrier.wait();
+                assert_eq!(wait_for(last, (*subscription).data, &mut [], null()), (RET_OK, true));
+                let (mut found, mut taken) = (Point::default(), false);
+                let place: *mut Point = &mut found;
+                assert_eq!(
+                    subscription::rmw_take(subscription, place.cast(), &mut taken, null_mut()),
+                    RET_OK
+                );
+                assert_eq!((taken, found.x), (true, n.into()));
+            }
+        });
+        for set in sets {
+            assert_eq!(wait::rmw_destroy_wait_set(set as *mut rmw_wait_set_t), RET_OK);
+        }
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher as *mut rmw_publisher_t), RET_OK);
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
+}
+
+/// Once memory has been claimed: what is published, waited for and taken allocates nothing.
+#[test]
+fn nothing_is_allocated_on_a_messages_way() {
+    let mut world = World::new(74);
+    let of = support("geometry_msgs", "Point");
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let set = wait::rmw_create_wait_set(&mut *world.context, 0);
+        let (publisher, subscription) =
+            (world.publisher(of, &profile(10)), world.subscription(of, &profile(10)));
+        let guard = guard::rmw_create_guard_condition(&mut *world.context);
+        let mut round = |n: i32| {
+            let point = Point { x: n.into(), ..Point::default() };
+            let place: *const Point = &point;
+            assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+            let mut guards = [(*guard).data];
+            assert_eq!(wait_for(set, (*subscription).data, &mut guards, null()), (RET_OK, true));
+            let (mut found, mut taken, mut info) =
+                (Point::default(), false, rmw_get_zero_initialized_message_info());
+            let place: *mut Point = &mut found;
+            let answer = subscription::rmw_take_with_info(
+                subscription,
+                place.cast(),
+                &mut taken,
+                &mut info,
+                null_mut(),
+            );
+            assert_eq!((answer, taken, found), (RET_OK, true, point));
+            // Nothing is there: all of the ways into sleep, and out of it by a flag.
+            guard::rmw_trigger_guard_condition(guard);
+            assert_eq!(wait_for(set, (*subscription).data, &mut [(*guard).data], &PATIENCE), (RET_OK, false));
+            let time = rmw_time_t { sec: 0, nsec: 1000 };
+            assert_eq!(
+                wait_for(set, (*subscription).data, &mut [(*guard).data], &time),
+                (RET_TIMEOUT, false)
+            );
+        };
+        (0..100).for_each(&mut round);
+        let before = ALLOCATIONS.get();
+        (0..1000).for_each(&mut round);
+        assert_eq!(ALLOCATIONS.get() - before, 0);
+        assert_eq!(guard::rmw_destroy_guard_condition(guard), RET_OK);
+        assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
+}
