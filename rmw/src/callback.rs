@@ -3,7 +3,7 @@
 
 use std::cell::Cell;
 use std::ffi::c_void;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
@@ -14,6 +14,7 @@ pub(crate) type Function = Option<(unsafe extern "C" fn(*const c_void, usize), *
 #[derive(Default)]
 pub(crate) struct Callback {
     function: Mutex<Sent>,
+    is_set: AtomicBool,
     /// Calls that have not returned.
     calls: AtomicU32,
 }
@@ -35,10 +36,17 @@ const LOOK: Duration = Duration::from_micros(50);
 impl Callback {
     /// Sets the callback. The one before is not called any more when this returns; unless a callback sets it, it waits for that.
     pub(crate) fn set(&self, function: Function) {
+        self.is_set.store(function.is_some(), Ordering::Release);
         *self.function.lock().unwrap_or_else(PoisonError::into_inner) = Sent(function);
         while self.calls.load(Ordering::Acquire) != 0 && !IS_CALLED.get() {
             std::thread::sleep(LOOK);
         }
+    }
+
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn is_set(&self) -> bool {
+        self.is_set.load(Ordering::Acquire)
     }
 
     /// Calls it with how many things happened, if there is one and if some did. Returns whether it did.

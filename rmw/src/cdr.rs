@@ -49,7 +49,7 @@ pub(crate) enum Length {
 }
 
 /// The callbacks of one type.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Callbacks(*const c_void);
 
 // SAFETY: constants of a library that nobody unloads while it has a type in use; the functions behind them have no state.

@@ -3,20 +3,18 @@
 
 use crate::bindings::*;
 use crate::context::Watchers;
+use crate::end::{End, Port};
 use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
 use crate::node::Node;
 use crate::qos;
 use crate::service::{LEAST_DEPTH, info_of, name_of, profile_of};
-use crate::signal::Waiter;
-use crate::source::{self, OnNew, Receives, Route, Side, set_on_new};
 use crate::types::ServiceSupport;
 use std::collections::VecDeque;
 use std::ffi::{c_char, c_void};
 use std::future::poll_fn;
 use std::sync::{Arc, Weak};
-use std::task::{Poll, Waker};
-use tautline_rt::PiMutex;
+use std::task::Poll;
 use tautline_transport::{Gid, QueuedClient, RawSubscription, ServiceError};
 
 pub(crate) struct Client {
@@ -24,18 +22,11 @@ pub(crate) struct Client {
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
     gid: Gid,
-    end: Arc<End>,
+    end: Arc<End<Asking>>,
 }
 
-/// What several threads use, one at a time.
-pub(crate) struct End {
-    side: PiMutex<Asking>,
-    on_new: OnNew,
-}
-
-struct Asking {
+pub(crate) struct Asking {
     raw: QueuedClient,
-    route: Route,
     /// Requests by their numbers, that no server had room for, or that there was no server for.
     unsent: VecDeque<(u64, Vec<u8>)>,
 }
@@ -43,19 +34,15 @@ struct Asking {
 /// Requests of one client that wait for a server. What is asked beyond that is refused.
 const MOST_UNSENT: usize = LEAST_DEPTH;
 
-impl Side for Asking {
-    fn parts(&mut self) -> (&RawSubscription, &mut Route) {
-        (self.raw.responses(), &mut self.route)
+impl Port for Asking {
+    fn subscription(&self) -> &RawSubscription {
+        self.raw.responses()
     }
 }
 
-impl Receives for End {
-    fn on_new(&self) -> &OnNew {
-        &self.on_new
-    }
-
-    fn look(&self, waker: &Waker) -> (u64, u64) {
-        source::look(&mut *self.side.lock(), waker)
+impl Drop for Client {
+    fn drop(&mut self) {
+        self.end.close();
     }
 }
 
@@ -118,28 +105,24 @@ impl Client {
         unsafe { &*self.node }
     }
 
-    pub(crate) fn has_data(&self) -> bool {
-        self.end.side.lock().raw.responses().has_samples()
-    }
-
-    pub(crate) fn lead(&self, waiter: &Arc<Waiter>) {
-        let Asking { raw, route, .. } = &mut *self.end.side.lock();
-        route.lead(raw.responses(), waiter);
+    /// The end, whose responses wake who waits.
+    pub(crate) fn end(&self) -> &End<Asking> {
+        &self.end
     }
 }
 
 /// Sends what waits when a server appears or has room, and tells who waits for one, until the client has gone.
-async fn serve(end: Weak<End>, watchers: Arc<Watchers>) {
+async fn serve(end: Weak<End<Asking>>, watchers: Arc<Watchers>) {
     let mut servers = 0;
     poll_fn(|context| {
         let Some(end) = end.upgrade() else { return Poll::Ready(()) };
-        let mut side = end.side.lock();
-        side.raw.wake_once(context.waker());
-        if let Err(error) = side.flush() {
+        let (flushed, found) = end.with(|asking| {
+            asking.raw.wake_once(context.waker());
+            (asking.flush(), asking.raw.server_count())
+        });
+        if let Err(error) = flushed {
             tracing::warn!("a request waits on: {error:?}");
         }
-        let found = side.raw.server_count();
-        drop(side);
         // The graph had it before: only now it can be asked.
         if std::mem::replace(&mut servers, found) != found {
             watchers.trigger();
@@ -168,8 +151,7 @@ pub unsafe extern "C" fn rmw_create_client(
         let (limits, depth) = (of.request.limits(), wanted.depth.max(LEAST_DEPTH));
         let raw = node.participant.create_queued_client(name, &of.service_type, depth, limits)?;
         let gid = raw.gid();
-        let side = PiMutex::new(Asking { raw, route: Route::default(), unsent: VecDeque::new() });
-        let end = Arc::new(End { side, on_new: OnNew::default() });
+        let end = End::new(Asking { raw, unsent: VecDeque::new() });
         let (served, watchers) = (Arc::downgrade(&end), node.context().watchers().clone());
         node.context().helper.run(move || serve(served, watchers));
         let client = Client { node, of, qos: qos::to_ros(&wanted, false), gid, end };
@@ -225,9 +207,11 @@ pub unsafe extern "C" fn rmw_send_request(
         let callbacks = client.of.request.callbacks;
         // SAFETY: rmw's word: a request of this type.
         let estimate = unsafe { callbacks.estimate(request)? };
-        let mut side = client.end.side.lock();
-        // SAFETY: as above.
-        let sent = side.ask(estimate, |body| unsafe { callbacks.write(request, body) })?;
+        let write = |body: &mut [u8]| {
+            // SAFETY: as above.
+            unsafe { callbacks.write(request, body) }
+        };
+        let sent = client.end.with(|asking| asking.ask(estimate, write))?;
         *number = i64::try_from(sent).unwrap_or(i64::MAX);
         Ok(())
     })
@@ -250,10 +234,17 @@ pub unsafe extern "C" fn rmw_take_response(
             return Err(Error::null("the response"));
         }
         *taken = false;
-        let found = source::take(&client.end.side, |side| side.raw.try_take()).map_err(Error::other)?;
-        let Some(sample) = found else { return Ok(()) };
+        // Too many held: the threads that are in a take make room.
+        let Ok(Some(sample)) = client.end.take(|asking| asking.raw.try_take()) else { return Ok(()) };
         // SAFETY: rmw's word: a response of this type.
-        unsafe { client.of.response.callbacks.read(sample.body(), true, response)? };
+        if let Err(error) = unsafe { client.of.response.callbacks.read(sample.body(), true, response) } {
+            // Not an error of the caller's: executors end by those.
+            tracing::warn!(
+                "a response was dropped, for it is none of {}: {error:?}",
+                client.of.response.name()
+            );
+            return Ok(());
+        }
         *header = info_of(sample.info());
         *taken = true;
         Ok(())
@@ -269,7 +260,7 @@ pub unsafe extern "C" fn rmw_service_server_is_available(
     is_available: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
-        // As rmw documents this one.
+        // As rmw's own tests want it.
         if node.is_null() || handle.is_null() || is_available.is_null() {
             return Err(Error::other("the node, the client or the place for the answer is null"));
         }
@@ -278,7 +269,7 @@ pub unsafe extern "C" fn rmw_service_server_is_available(
             behind(node)?;
             (behind(handle)?, place(is_available, "the answer")?)
         };
-        *is_available = client.end.side.lock().raw.server_count() > 0;
+        *is_available = client.end.with(|asking| asking.raw.server_count()) > 0;
         Ok(())
     })
 }
@@ -343,7 +334,7 @@ pub unsafe extern "C" fn rmw_client_set_on_new_response_callback(
         // SAFETY: rmw's word.
         let client = unsafe { behind(handle)? };
         let helper = &client.node().context().helper;
-        set_on_new(&client.end, helper, callback.map(|function| (function, data)));
+        client.end.set_on_new(helper, callback.map(|function| (function, data)));
         Ok(())
     })
 }

@@ -26,7 +26,7 @@ pub(crate) struct Context {
     /// Nodes that live.
     pub(crate) nodes: AtomicUsize,
     watchers: Arc<Watchers>,
-    waiters: Mutex<Waiters>,
+    pub(crate) waiters: Arc<Waiters>,
 }
 
 /// What is triggered when the graph changes.
@@ -45,11 +45,32 @@ impl Watchers {
     }
 }
 
-/// What wait sets sleep on. None is dropped before its context: who triggers a guard condition may be on the way to it.
+/// What wait sets sleep on, when they are not in use. None is dropped before its context and the wait sets of it: who triggers a guard
+/// condition may be on the way to it.
 #[derive(Default)]
-struct Waiters {
-    all: Vec<Arc<Waiter>>,
-    free: Vec<Arc<Waiter>>,
+pub(crate) struct Waiters(Mutex<Vec<Arc<Waiter>>>);
+
+impl Waiters {
+    fn free(&self) -> MutexGuard<'_, Vec<Arc<Waiter>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Something to sleep on, for one wait set until it [gives it back](Self::give_back).
+    pub(crate) fn claim(&self, participant: &Participant) -> Arc<Waiter> {
+        let mut free = self.free();
+        if let Some(at) = free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
+            return free.swap_remove(at);
+        }
+        match participant.doorbell().claim_thread_bell() {
+            Ok(bell) => Arc::new(Waiter::Bell(bell)),
+            // Without a bell it is slower, but nothing is missed.
+            Err(_) => free.pop().unwrap_or_else(|| Arc::new(Waiter::Word(FutexWord::new(0)))),
+        }
+    }
+
+    pub(crate) fn give_back(&self, waiter: Arc<Waiter>) {
+        self.free().push(waiter);
+    }
 }
 
 impl Context {
@@ -80,26 +101,6 @@ impl Context {
     /// Has a signal set when the graph changes, as long as it lives.
     pub(crate) fn watch_graph(&self, signal: &Arc<Signal>) {
         self.watchers.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(signal));
-    }
-
-    fn waiters(&self) -> MutexGuard<'_, Waiters> {
-        self.waiters.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Something to sleep on, for one wait set until it [gives it back](Self::give_back).
-    pub(crate) fn waiter(&self) -> Arc<Waiter> {
-        let mut waiters = self.waiters();
-        waiters.free.pop().unwrap_or_else(|| {
-            // Without a bell it is slower, but nothing is missed.
-            let bell = self.participant.doorbell().claim_thread_bell();
-            let waiter = Arc::new(bell.map_or_else(|_| Waiter::Word(FutexWord::new(0)), Waiter::Bell));
-            waiters.all.push(waiter.clone());
-            waiter
-        })
-    }
-
-    pub(crate) fn give_back(&self, waiter: &Arc<Waiter>) {
-        self.waiters().free.push(waiter.clone());
     }
 
     /// Whether it is still to be used: an error if it was shut down.
@@ -166,10 +167,7 @@ pub unsafe extern "C" fn rmw_init(
 pub unsafe extern "C" fn rmw_shutdown(context: *mut rmw_context_t) -> rmw_ret_t {
     answer(|| {
         // SAFETY: rmw's word.
-        let context = unsafe { behind_context(context)? };
-        context.is_shut_down.store(true, Ordering::Release);
-        // Nothing of it is waited for any more.
-        context.waiters().all.iter().for_each(|waiter| waiter.wake());
+        unsafe { behind_context(context)? }.is_shut_down.store(true, Ordering::Release);
         Ok(())
     })
 }

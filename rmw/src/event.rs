@@ -11,8 +11,9 @@ use crate::signal::Signal;
 use futures::{Stream, StreamExt};
 use std::ffi::c_void;
 use std::pin::pin;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use tautline_rt::PiMutex;
 use tautline_sampler::{PublisherEvent, SubscriptionEvent};
 
 /// Of both kinds of ends: `rmw_event_type_t` counts them from 0.
@@ -25,12 +26,18 @@ pub(crate) struct Happened {
     is_served: AtomicBool,
 }
 
-#[derive(Default)]
 struct Kind {
     /// Set while something was not taken.
     signal: Signal,
-    state: Mutex<State>,
+    state: PiMutex<State>,
     callback: Callback,
+}
+
+impl Default for Kind {
+    fn default() -> Self {
+        let (signal, callback) = Default::default();
+        Kind { signal, state: PiMutex::new(State::default()), callback }
+    }
 }
 
 #[derive(Default)]
@@ -85,10 +92,15 @@ impl Happened {
         Ok(())
     }
 
+    /// Nobody is called any more: ROS destroys the end.
+    pub(crate) fn close(&self) {
+        self.kinds.iter().for_each(|kind| kind.callback.set(None));
+    }
+
     fn add(&self, Event { kind, counts }: Event) {
         let Some(kind) = self.kinds.get(kind as usize) else { return };
         {
-            let mut state = kind.state.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut state = kind.state.lock();
             let before = state.counts;
             state.counts = Counts {
                 total_change: before.total_change + counts.total_change,
@@ -101,7 +113,7 @@ impl Happened {
         }
         // First: who takes it has been called for it.
         kind.tell();
-        let state = kind.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let state = kind.state.lock();
         if state.is_untaken {
             kind.signal.set();
         }
@@ -111,7 +123,7 @@ impl Happened {
 impl Kind {
     /// Calls who asked to be called, for what nobody was called for.
     fn tell(&self) {
-        let state = || self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let state = || self.state.lock();
         let untold = std::mem::take(&mut state().untold);
         if !self.callback.call(untold) {
             state().untold += untold;
@@ -257,8 +269,8 @@ pub unsafe extern "C" fn rmw_publisher_event_init(
     answer(|| {
         // SAFETY: rmw's word.
         let publisher = unsafe { behind(publisher)? };
-        init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=RMW_EVENT_PUBLICATION_MATCHED)?;
-        publisher.listen()
+        publisher.listen()?;
+        init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=RMW_EVENT_PUBLICATION_MATCHED)
     })
 }
 
@@ -273,13 +285,8 @@ pub unsafe extern "C" fn rmw_subscription_event_init(
     answer(|| {
         // SAFETY: rmw's word.
         let subscription = unsafe { behind(subscription)? };
-        init(
-            event,
-            &subscription.events,
-            kind,
-            RMW_EVENT_LIVELINESS_CHANGED..=RMW_EVENT_SUBSCRIPTION_MATCHED,
-        )?;
-        subscription.listen()
+        subscription.listen()?;
+        init(event, &subscription.events, kind, RMW_EVENT_LIVELINESS_CHANGED..=RMW_EVENT_SUBSCRIPTION_MATCHED)
     })
 }
 
@@ -316,7 +323,7 @@ pub unsafe extern "C" fn rmw_take_event(
         let Some(kind) = source.happened.kinds.get(source.kind) else {
             return Err(Error::invalid("there is no such kind of event"));
         };
-        let mut state = kind.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = kind.state.lock();
         kind.signal.take();
         let counts = state.counts;
         (state.counts.total_change, state.counts.current_change, state.counts.not_alive_change) = (0, 0, 0);

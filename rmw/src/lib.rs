@@ -8,10 +8,10 @@
 //! |---|---|
 //! | `context` | a membership of a domain; `options`: what it is to be like |
 //! | `node`, `publisher`, `subscription`, `service`, `client` | what ROS makes of each |
-//! | `wait` | wait sets, on `signal`: what they sleep on; `source`: whom publishers wake; `guard`: flags that any thread sets |
+//! | `wait` | wait sets, on `signal`: what they sleep on; `end`: whom publishers wake; `guard`: flags that any thread sets |
 //! | `event` | QoS events, heard by the `helper`, a thread at the sampler's place; `callback`: who wants to be called |
 //! | `graph` | who is there |
-//! | `types` | type supports; `cdr`: their callbacks; `serialization`: messages as bytes; `qos`: profiles |
+//! | `types` | type supports; `cdr`: their callbacks; `layout`: what lies in memory as it is sent; `serialization`: messages as bytes; `qos`: profiles |
 //! | `handle` | what ROS holds of ours |
 //! | `unsupported` | what there is not |
 //! | `log` | ROS's log, for what Tautline says |
@@ -21,12 +21,14 @@ mod callback;
 mod cdr;
 mod client;
 mod context;
+mod end;
 mod error;
 mod event;
 mod graph;
 mod guard;
 mod handle;
 mod helper;
+mod layout;
 mod log;
 mod node;
 mod options;
@@ -35,7 +37,6 @@ mod qos;
 mod serialization;
 mod service;
 mod signal;
-mod source;
 mod subscription;
 #[cfg(test)]
 mod tests;

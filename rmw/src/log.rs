@@ -7,6 +7,8 @@ use std::ffi::CString;
 use std::fmt::{self, Write};
 use std::sync::Once;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use tautline_rt::{Realtime, ThreadBuilder};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
@@ -14,13 +16,36 @@ use tracing::{Event, Level, Metadata, Subscriber};
 /// The least severity that is passed on.
 static LEAST: AtomicU32 = AtomicU32::new(RMW_LOG_SEVERITY_INFO);
 
-/// Passes on what is logged from now on, unless the process has somebody who takes it.
+/// Lines that wait to be passed on; more are counted.
+const LINES: usize = 256;
+
+/// Passes on what is logged from now on, unless the process has somebody who takes it. A thread of its own does it: who takes ROS's
+/// log may hold a lock of his own while he publishes, and what is said here may be said with a lock of ours.
 pub(crate) fn start() {
     static STARTED: Once = Once::new();
-    STARTED.call_once(|| drop(tracing::subscriber::set_global_default(ToRos)));
+    STARTED.call_once(|| {
+        let (lines, waiting) = sync_channel(LINES);
+        let thread = ThreadBuilder::new("rmw_log").realtime(Realtime::Off);
+        if thread.spawn(move || move || pass_on(&waiting)).is_ok() {
+            let _ = tracing::subscriber::set_global_default(ToRos { lines, left_out: AtomicU32::new(0) });
+        }
+    });
 }
 
-struct ToRos;
+struct ToRos {
+    lines: SyncSender<(u32, CString)>,
+    left_out: AtomicU32,
+}
+
+fn pass_on(lines: &Receiver<(u32, CString)>) {
+    for (severity, text) in lines {
+        // SAFETY: texts that end with a zero and live through the call; the format takes one.
+        unsafe {
+            let (name, format) = (c"rmw_tautline".as_ptr(), c"%s".as_ptr());
+            rcutils_log(std::ptr::null(), severity as i32, name, format, text.as_ptr());
+        }
+    }
+}
 
 fn severity(level: &Level) -> u32 {
     match *level {
@@ -39,17 +64,13 @@ impl Subscriber for ToRos {
     fn event(&self, event: &Event<'_>) {
         let mut line = Line::default();
         event.record(&mut line);
+        let left_out = self.left_out.swap(0, Ordering::Relaxed);
+        if left_out > 0 {
+            line.0 += &format!(" ({left_out} lines before it were left out)");
+        }
         let text = CString::new(line.0.replace('\0', " ")).unwrap_or_default();
-        // SAFETY: texts that end with a zero and live through the call; the format takes one.
-        unsafe {
-            let severity = severity(event.metadata().level());
-            rcutils_log(
-                std::ptr::null(),
-                severity as i32,
-                c"rmw_tautline".as_ptr(),
-                c"%s".as_ptr(),
-                text.as_ptr(),
-            );
+        if self.lines.try_send((severity(event.metadata().level()), text)).is_err() {
+            self.left_out.fetch_add(left_out + 1, Ordering::Relaxed);
         }
     }
 

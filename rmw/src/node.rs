@@ -112,12 +112,13 @@ pub unsafe extern "C" fn rmw_create_node(
                 guard::destroy(graph_guard);
                 return Err(Error::new(RET_BAD_ALLOC, "no memory for a node"));
             }
+            let (copied_name, copied_namespace) = (copy_text(name)?, copy_text(namespace)?);
             behind.nodes.fetch_add(1, Ordering::AcqRel);
             handle.write(rmw_node_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 data: Box::into_raw(Box::new(node)).cast(),
-                name: copy_text(name)?,
-                namespace_: copy_text(namespace)?,
+                name: copied_name,
+                namespace_: copied_namespace,
                 context,
             });
             Ok(handle)

@@ -2,7 +2,7 @@
 //! Publishers: ROS's struct is written into shared memory, once; or it lies there from the start, as a loan.
 
 use crate::bindings::*;
-use crate::cdr::Length;
+use crate::cdr::{Callbacks, Length};
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
@@ -13,8 +13,8 @@ use crate::types::MessageType;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
 use std::time::Duration;
-use tautline_rt::PiMutex;
 use tautline_rt::clock::monotonic_ns;
+use tautline_rt::{PiGuard, PiMutex};
 use tautline_sampler::PublisherEvents;
 use tautline_transport::{Gid, MatchedCount, RawLoan, RawPublisher, Unpublished};
 
@@ -42,7 +42,7 @@ unsafe impl Send for Publishing {}
 
 impl Publishing {
     /// Takes the loan back whose memory ROS has at `message`.
-    fn take_back(&mut self, message: *const c_void) -> Result<RawLoan<'_>> {
+    fn take_back(&mut self, message: *const c_void) -> Result<RawLoan<'static>> {
         let at = self.loans.iter().position(|loan| loan.as_ptr().cast() == message);
         let at = at.ok_or_else(|| Error::invalid("the message is not on loan from this publisher"))?;
         Ok(self.loans.swap_remove(at))
@@ -53,6 +53,12 @@ impl Publishing {
 const FULL_NS: u64 = 100_000_000;
 /// How often who waits looks again.
 const LOOK: Duration = Duration::from_micros(200);
+
+impl Drop for Publisher {
+    fn drop(&mut self) {
+        self.happened.close();
+    }
+}
 
 impl Publisher {
     fn node(&self) -> &Node {
@@ -71,13 +77,39 @@ impl Publisher {
     /// # Real-time
     /// As [`RawPublisher::loan`] of a publisher that claims memory on use, and [`RawLoan::publish`]: once as many samples have been
     /// in flight as ever are, no allocation and no syscall but futex wakes. Waits for who publishes here right now, and lends it this
-    /// thread's priority. One that keeps all waits up to 100 ms for room.
+    /// thread's priority. One that keeps all waits up to 100 ms for room, and others may publish meanwhile.
     fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
         let side = self.side.lock();
         let mut loan = side.raw.loan(len_bytes)?;
         let written = write(&mut loan)?;
         loan.truncate(written);
-        publish(loan)
+        // SAFETY: with the lock of this publisher.
+        let loan = unsafe { detached(loan) };
+        self.publish_loan(side, loan)
+    }
+
+    /// Publishes a loan, and waits for room if the publisher keeps all. Others may use the publisher meanwhile.
+    fn publish_loan<'p>(&'p self, mut side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
+        let mut unpublished = match loan.publish() {
+            Ok(()) => return Ok(()),
+            Err(unpublished) => unpublished,
+        };
+        let give_up_ns = monotonic_ns().saturating_add(FULL_NS);
+        while matches!(unpublished, Unpublished::Full(_)) && monotonic_ns() < give_up_ns {
+            drop(side);
+            std::thread::sleep(LOOK);
+            side = self.side.lock();
+            unpublished = match unpublished.into_loan().publish() {
+                Ok(()) => return Ok(()),
+                Err(unpublished) => unpublished,
+            };
+        }
+        let code = if matches!(unpublished, Unpublished::Full(_)) { RET_TIMEOUT } else { RET_BAD_ALLOC };
+        let error = Error::new(code, unpublished.to_string());
+        // Given back with the lock.
+        drop(unpublished);
+        drop(side);
+        Err(error)
     }
 
     /// Lends ROS the memory of a message to write in place.
@@ -89,29 +121,20 @@ impl Publisher {
         let mut loan = side.raw.loan(len_bytes)?;
         loan.fill(0);
         let message = loan.as_mut_ptr().cast();
-        // SAFETY: the publisher is boxed and outlives its loans: see `Publishing`.
-        let loan = unsafe { std::mem::transmute::<RawLoan<'_>, RawLoan<'static>>(loan) };
+        // SAFETY: it is kept beside its publisher, behind the lock.
+        let loan = unsafe { detached(loan) };
         side.loans.push(loan);
         Ok(message)
     }
 }
 
-/// Publishes a loan, and waits for room if the publisher keeps all.
-fn publish(loan: RawLoan<'_>) -> Result {
-    let mut unpublished = match loan.publish() {
-        Ok(()) => return Ok(()),
-        Err(unpublished) => unpublished,
-    };
-    let give_up_ns = monotonic_ns().saturating_add(FULL_NS);
-    while matches!(unpublished, Unpublished::Full(_)) && monotonic_ns() < give_up_ns {
-        std::thread::sleep(LOOK);
-        unpublished = match unpublished.into_loan().publish() {
-            Ok(()) => return Ok(()),
-            Err(unpublished) => unpublished,
-        };
-    }
-    let code = if matches!(unpublished, Unpublished::Full(_)) { RET_TIMEOUT } else { RET_BAD_ALLOC };
-    Err(Error::new(code, unpublished.to_string()))
+/// A loan that lives apart from its publisher's lock.
+///
+/// # Safety
+/// It is used and dropped with the lock of its publisher, which is boxed, and lives until then: see [`Publishing`].
+unsafe fn detached(loan: RawLoan<'_>) -> RawLoan<'static> {
+    // SAFETY: the caller's word.
+    unsafe { std::mem::transmute::<RawLoan<'_>, RawLoan<'static>>(loan) }
 }
 
 /// Whether a loan is asked for by what it can be asked for.
@@ -120,10 +143,12 @@ fn publish(loan: RawLoan<'_>) -> Result {
 /// `support` is null or a type support.
 unsafe fn check_support(support: *const rosidl_message_type_support_t, publisher: &Publisher) -> Result {
     // SAFETY: the caller's word.
-    let of = unsafe { MessageType::of(support)? };
-    match of.topic_type == publisher.of_messages.topic_type {
+    match unsafe { Callbacks::find(support)? } == publisher.of_messages.callbacks {
         true => Ok(()),
-        false => Err(Error::invalid(format!("{} is not the type of the publisher's topic", of.name()))),
+        false => Err(Error::invalid(format!(
+            "the type is not {}, that of the topic",
+            publisher.of_messages.name()
+        ))),
     }
 }
 
@@ -180,7 +205,8 @@ pub unsafe extern "C" fn rmw_publish_loaned_message(
             return Err(Error::null("the message"));
         }
         let mut side = publisher.side.lock();
-        publish(side.take_back(message)?)
+        let loan = side.take_back(message)?;
+        publisher.publish_loan(side, loan)
     })
 }
 

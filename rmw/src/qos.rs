@@ -164,31 +164,28 @@ pub(crate) fn policy_to_ros(policy: QosPolicyKind) -> rmw_qos_policy_kind_t {
     }
 }
 
-/// Whether a policy is left to the system, by which nobody can tell whether it fits.
+/// Values of each policy that leave it open.
+const OPEN_RELIABILITY: [u32; 3] = [
+    RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT,
+    RMW_QOS_POLICY_RELIABILITY_UNKNOWN,
+    RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE,
+];
+const OPEN_DURABILITY: [u32; 3] = [
+    RMW_QOS_POLICY_DURABILITY_SYSTEM_DEFAULT,
+    RMW_QOS_POLICY_DURABILITY_UNKNOWN,
+    RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE,
+];
+const OPEN_LIVELINESS: [u32; 3] = [
+    RMW_QOS_POLICY_LIVELINESS_SYSTEM_DEFAULT,
+    RMW_QOS_POLICY_LIVELINESS_UNKNOWN,
+    RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE,
+];
+
+/// Whether a policy is left open, by which nobody can tell whether it fits.
 fn is_open(profile: &rmw_qos_profile_t) -> bool {
-    let is_one_of = |value: u32, open: [u32; 3]| open.contains(&value);
-    is_one_of(
-        profile.reliability,
-        [
-            RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT,
-            RMW_QOS_POLICY_RELIABILITY_UNKNOWN,
-            RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE,
-        ],
-    ) || is_one_of(
-        profile.durability,
-        [
-            RMW_QOS_POLICY_DURABILITY_SYSTEM_DEFAULT,
-            RMW_QOS_POLICY_DURABILITY_UNKNOWN,
-            RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE,
-        ],
-    ) || is_one_of(
-        profile.liveliness,
-        [
-            RMW_QOS_POLICY_LIVELINESS_SYSTEM_DEFAULT,
-            RMW_QOS_POLICY_LIVELINESS_UNKNOWN,
-            RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE,
-        ],
-    )
+    OPEN_RELIABILITY.contains(&profile.reliability)
+        || OPEN_DURABILITY.contains(&profile.durability)
+        || OPEN_LIVELINESS.contains(&profile.liveliness)
 }
 
 /// The profile with what is open as if it fitted whatever it meets.
@@ -202,14 +199,19 @@ fn settled(profile: &rmw_qos_profile_t, other: &rmw_qos_profile_t) -> rmw_qos_pr
         history: RMW_QOS_POLICY_HISTORY_KEEP_LAST,
         reliability: pick(
             profile.reliability,
-            [0, 3, 4],
+            OPEN_RELIABILITY,
             other.reliability,
             RMW_QOS_POLICY_RELIABILITY_RELIABLE,
         ),
-        durability: pick(profile.durability, [0, 3, 4], other.durability, RMW_QOS_POLICY_DURABILITY_VOLATILE),
+        durability: pick(
+            profile.durability,
+            OPEN_DURABILITY,
+            other.durability,
+            RMW_QOS_POLICY_DURABILITY_VOLATILE,
+        ),
         liveliness: pick(
             profile.liveliness,
-            [0, 4, 5],
+            OPEN_LIVELINESS,
             other.liveliness,
             RMW_QOS_POLICY_LIVELINESS_AUTOMATIC,
         ),

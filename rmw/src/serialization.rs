@@ -27,10 +27,12 @@ unsafe fn bytes(message: &rmw_serialized_message_t) -> &[u8] {
 }
 
 /// The body, and whether it is little-endian.
-fn body(bytes: &[u8]) -> Result<(&[u8], bool)> {
+fn body<'b>(bytes: &'b [u8]) -> Result<(&'b [u8], bool)> {
+    // Some writers say in the last bits of the header how many bytes they added to the end.
+    let cut = |body: &'b [u8], added: u8| &body[..body.len().saturating_sub((added & 3).into())];
     match bytes {
-        [0, 1, _, _, body @ ..] => Ok((body, true)),
-        [0, 0, _, _, body @ ..] => Ok((body, false)),
+        [0, 1, _, added, body @ ..] => Ok((cut(body, *added), true)),
+        [0, 0, _, added, body @ ..] => Ok((cut(body, *added), false)),
         _ => Err(Error::other(
             "the serialized message does not begin as plain CDR does: 00 00 or 00 01, and two bytes",
         )),

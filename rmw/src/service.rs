@@ -2,51 +2,33 @@
 //! Servers of services.
 
 use crate::bindings::*;
+use crate::end::{End, Port};
 use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
 use crate::node::{Node, check_full_name};
 use crate::qos::{self, Role};
-use crate::signal::Waiter;
-use crate::source::{self, OnNew, Receives, Route, Side, set_on_new};
 use crate::subscription::received_ns;
 use crate::types::ServiceSupport;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
-use std::task::Waker;
-use tautline_rt::PiMutex;
 use tautline_transport::{Gid, MessageInfo, Qos, RawServer, RawSubscription, RequestId, ServiceError};
 
 pub(crate) struct Service {
     node: *const Node,
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
-    end: Arc<End>,
+    end: Arc<End<RawServer>>,
 }
 
-/// What several threads use, one at a time.
-pub(crate) struct End {
-    side: PiMutex<Serving>,
-    on_new: OnNew,
-}
-
-struct Serving {
-    raw: RawServer,
-    route: Route,
-}
-
-impl Side for Serving {
-    fn parts(&mut self) -> (&RawSubscription, &mut Route) {
-        (self.raw.requests(), &mut self.route)
+impl Port for RawServer {
+    fn subscription(&self) -> &RawSubscription {
+        self.requests()
     }
 }
 
-impl Receives for End {
-    fn on_new(&self) -> &OnNew {
-        &self.on_new
-    }
-
-    fn look(&self, waker: &Waker) -> (u64, u64) {
-        source::look(&mut *self.side.lock(), waker)
+impl Drop for Service {
+    fn drop(&mut self) {
+        self.end.close();
     }
 }
 
@@ -56,13 +38,9 @@ impl Service {
         unsafe { &*self.node }
     }
 
-    pub(crate) fn has_data(&self) -> bool {
-        self.end.side.lock().raw.requests().has_samples()
-    }
-
-    pub(crate) fn lead(&self, waiter: &Arc<Waiter>) {
-        let Serving { raw, route } = &mut *self.end.side.lock();
-        route.lead(raw.requests(), waiter);
+    /// The end, whose requests wake who waits.
+    pub(crate) fn end(&self) -> &End<RawServer> {
+        &self.end
     }
 }
 
@@ -124,9 +102,7 @@ pub unsafe extern "C" fn rmw_create_service(
         let limits = of.response.limits();
         let depth = wanted.depth.max(LEAST_DEPTH);
         let raw = node.participant.create_raw_server(name, &of.service_type, depth, limits)?;
-        let side = PiMutex::new(Serving { raw, route: Route::default() });
-        let end = Arc::new(End { side, on_new: OnNew::default() });
-        let service = Service { node, of, qos: qos::to_ros(&wanted, false), end };
+        let service = Service { node, of, qos: qos::to_ros(&wanted, false), end: End::new(raw) };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.
         unsafe {
@@ -179,12 +155,12 @@ pub unsafe extern "C" fn rmw_take_request(
             return Err(Error::null("the request"));
         }
         *taken = false;
-        let found = source::take(&service.end.side, |side| side.raw.try_take()).map_err(Error::other)?;
-        let Some(sample) = found else { return Ok(()) };
+        // Too many held: the threads that are in a take make room.
+        let Ok(Some(sample)) = service.end.take(RawServer::try_take) else { return Ok(()) };
         // SAFETY: rmw's word: a request of this type.
         if let Err(error) = unsafe { service.of.request.callbacks.read(sample.body(), true, request) } {
             // Its client is told that there is no answer; ours has nothing to do with it.
-            let refused = service.end.side.lock().raw.refuse(RequestId::of(sample.info()));
+            let refused = service.end.with(|raw| raw.refuse(RequestId::of(sample.info())));
             tracing::warn!(
                 "a request was refused, for it is none of {}: {error:?} {}",
                 service.of.service_type.request.name,
@@ -218,8 +194,8 @@ pub unsafe extern "C" fn rmw_send_response(
         let callbacks = service.of.response.callbacks;
         // SAFETY: rmw's word: a response of this type.
         let estimate = unsafe { callbacks.estimate(response)? };
-        let side = service.end.side.lock();
-        let sent = side.raw.loan(id, estimate).map_err(Failed::from).and_then(|mut loan| {
+        let sent = service.end.with(|raw| {
+            let mut loan = raw.loan(id, estimate)?;
             // SAFETY: as above.
             let written = unsafe { callbacks.write(response, &mut loan) }.map_err(Failed::Write)?;
             loan.truncate(written);
@@ -294,7 +270,7 @@ pub unsafe extern "C" fn rmw_service_set_on_new_request_callback(
         // SAFETY: rmw's word.
         let service = unsafe { behind(handle)? };
         let helper = &service.node().context().helper;
-        set_on_new(&service.end, helper, callback.map(|function| (function, data)));
+        service.end.set_on_new(helper, callback.map(|function| (function, data)));
         Ok(())
     })
 }

@@ -1,22 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a wait set sleeps on, and flags that wake it.
-//!
-//! ```text
-//!  who triggers                              rmw_wait
-//!  1 flag = true                             1 waiters[i] = mine
-//!  2 fence                                   2 fence
-//!  3 wakes each of waiters                   3 no flag? sleep until woken
-//! ```
-//!
-//! Either who triggers sees the waiter, or that one sees the flag. Triggering takes no lock and allocates nothing: ROS does it in signal
-//! handlers.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicPtr, Ordering, fence};
+use std::sync::atomic::Ordering;
 use std::task::Wake;
 use tautline_rt::FutexWord;
 use tautline_rt::clock::monotonic_ns;
-use tautline_transport::ThreadBell;
+use tautline_transport::{ThreadBell, Wakeable};
+
+/// A flag that wakes wait sets.
+pub(crate) type Signal = tautline_transport::Signal<Waiter>;
 
 /// What one thread at a time sleeps on.
 pub(crate) enum Waiter {
@@ -26,10 +19,8 @@ pub(crate) enum Waiter {
     Word(FutexWord),
 }
 
-impl Waiter {
-    /// # Real-time
-    /// Wait-free; no allocation; at most one futex wake.
-    pub(crate) fn wake(&self) {
+impl Wakeable for Waiter {
+    fn wake(&self) {
         match self {
             Waiter::Bell(bell) => bell.wake(),
             Waiter::Word(word) => {
@@ -38,7 +29,9 @@ impl Waiter {
             }
         }
     }
+}
 
+impl Waiter {
     /// To be asked before the look after which it sleeps.
     pub(crate) fn count(&self) -> u32 {
         match self {
@@ -63,83 +56,11 @@ impl Waiter {
 
 impl Wake for Waiter {
     fn wake(self: Arc<Self>) {
-        Waiter::wake(&self);
+        Wakeable::wake(&*self);
     }
 
     fn wake_by_ref(self: &Arc<Self>) {
-        Waiter::wake(self);
-    }
-}
-
-/// Wait sets that can wait for one flag at once.
-const PLACES: usize = 8;
-
-/// A flag that wakes wait sets.
-#[derive(Default)]
-pub(crate) struct Signal {
-    is_set: AtomicBool,
-    waiters: [AtomicPtr<Waiter>; PLACES],
-}
-
-impl Signal {
-    /// Sets the flag. May be called in a signal handler.
-    ///
-    /// # Real-time
-    /// Wait-free; no allocation; a futex wake for each wait set that sleeps for it.
-    pub(crate) fn set(&self) {
-        self.is_set.store(true, Ordering::Release);
-        fence(Ordering::SeqCst);
-        for place in &self.waiters {
-            let waiter = place.load(Ordering::Acquire);
-            // SAFETY: null, or what `attach` was given, which lives as long as the context that both are of.
-            if let Some(waiter) = unsafe { waiter.as_ref() } {
-                waiter.wake();
-            }
-        }
-    }
-
-    /// # Real-time
-    /// Wait-free: one load.
-    pub(crate) fn is_set(&self) -> bool {
-        self.is_set.load(Ordering::Acquire)
-    }
-
-    /// Takes the flag back, and says whether it was set.
-    ///
-    /// # Real-time
-    /// Wait-free.
-    pub(crate) fn take(&self) -> bool {
-        self.is_set.swap(false, Ordering::AcqRel)
-    }
-
-    /// Has `waiter` woken from now on; the caller looks at the flag after this. False if all places are taken.
-    ///
-    /// # Safety
-    /// `waiter` lives until it is detached, and as long after that as a call of [`set`](Self::set) may take: it is its context's.
-    ///
-    /// # Real-time
-    /// Wait-free; no allocation; no syscall.
-    pub(crate) unsafe fn attach(&self, waiter: &Waiter) -> bool {
-        let waiter = std::ptr::from_ref(waiter).cast_mut();
-        let free = std::ptr::null_mut();
-        let is_taken = self
-            .waiters
-            .iter()
-            .any(|place| place.compare_exchange(free, waiter, Ordering::AcqRel, Ordering::Relaxed).is_ok());
-        fence(Ordering::SeqCst);
-        is_taken
-    }
-
-    /// # Real-time
-    /// Wait-free; no allocation; no syscall.
-    pub(crate) fn detach(&self, waiter: &Waiter) {
-        let waiter = std::ptr::from_ref(waiter).cast_mut();
-        for place in &self.waiters {
-            let free = std::ptr::null_mut();
-            if place.compare_exchange(waiter, free, Ordering::AcqRel, Ordering::Relaxed).is_ok() {
-                return;
-            }
-        }
+        Wakeable::wake(&**self);
     }
 }
 

@@ -3,19 +3,17 @@
 
 use crate::bindings::*;
 use crate::cdr::Length;
+use crate::end::End;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
 use crate::node::{Node, check_full_name};
 use crate::qos::{self, Role};
 use crate::serialization::write_serialized;
-use crate::signal::Waiter;
-use crate::source::{self, OnNew, Receives, Route, Side, set_on_new};
-use crate::types::MessageType;
+use crate::types::{HELD, MessageType};
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::task::Waker;
 use tautline_rt::PiMutex;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 use tautline_sampler::SubscriptionEvents;
@@ -35,38 +33,18 @@ pub(crate) struct Subscription {
     received: AtomicU64,
     /// Messages that ROS reads in place.
     loans: PiMutex<Vec<RawSample>>,
-    end: Arc<End>,
-}
-
-/// What several threads use, one at a time.
-pub(crate) struct End {
-    side: PiMutex<Taking>,
-    on_new: OnNew,
-}
-
-struct Taking {
-    raw: RawSubscription,
-    route: Route,
-}
-
-impl Side for Taking {
-    fn parts(&mut self) -> (&RawSubscription, &mut Route) {
-        (&self.raw, &mut self.route)
-    }
-}
-
-impl Receives for End {
-    fn on_new(&self) -> &OnNew {
-        &self.on_new
-    }
-
-    fn look(&self, waker: &Waker) -> (u64, u64) {
-        source::look(&mut *self.side.lock(), waker)
-    }
+    end: Arc<End<RawSubscription>>,
 }
 
 /// Invalid samples, and those of publishers it does not hear, that one take passes over: the queue has more, and is ready still.
 const PASSED_OVER: usize = 16;
+
+impl Drop for Subscription {
+    fn drop(&mut self) {
+        self.end.close();
+        self.happened.close();
+    }
+}
 
 impl Subscription {
     fn node(&self) -> &Node {
@@ -74,18 +52,19 @@ impl Subscription {
         unsafe { &*self.node }
     }
 
-    pub(crate) fn has_data(&self) -> bool {
-        self.end.side.lock().raw.has_samples()
+    /// The end, whose messages wake who waits.
+    pub(crate) fn end(&self) -> &End<RawSubscription> {
+        &self.end
     }
 
-    pub(crate) fn lead(&self, waiter: &Arc<Waiter>) {
-        let Taking { raw, route } = &mut *self.end.side.lock();
-        route.lead(raw, waiter);
+    /// Whether there is something to take, and room for it.
+    pub(crate) fn has_data(&self) -> bool {
+        self.loans.lock().len() < HELD && self.end.has_data()
     }
 
     pub(crate) fn listen(&self) -> Result {
         let helper = &self.node().context().helper;
-        let events = || Ok(SubscriptionEvents::new(helper.events(), &self.end.side.lock().raw)?);
+        let events = || Ok(self.end.with(|raw| SubscriptionEvents::new(helper.events(), raw))?);
         self.happened.listen(helper, events)
     }
 
@@ -95,7 +74,7 @@ impl Subscription {
         mut read: impl FnMut(RawSample) -> Result<T>,
     ) -> Result<Option<(T, rmw_message_info_t)>> {
         for _ in 0..PASSED_OVER {
-            let taken = source::take(&self.end.side, |side| side.raw.try_take());
+            let taken = self.end.take(RawSubscription::try_take);
             let sample = match taken {
                 Ok(Some(sample)) => sample,
                 // With as many threads in a take as samples can be held: one of them makes room.
@@ -159,7 +138,7 @@ impl Subscription {
         };
         self.take(|sample| {
             let body = sample.body();
-            if body.len() != len_bytes {
+            if body.len() < len_bytes {
                 return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
             }
             if self.of_messages.has_bools {
@@ -222,7 +201,9 @@ pub unsafe extern "C" fn rmw_take_loaned_message_with_info(
         // SAFETY: rmw's word.
         let info = unsafe { place(info, "the information")? };
         // SAFETY: rmw's word.
-        *info = unsafe { take_loaned(handle, message, taken)? }.unwrap_or(*info);
+        if let Some(found) = unsafe { take_loaned(handle, message, taken)? } {
+            *info = found;
+        }
         Ok(())
     })
 }
@@ -243,7 +224,12 @@ pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
         let mut loans = subscription.loans.lock();
         let at = loans.iter().position(|sample| sample.body().as_ptr().cast() == message.cast_const());
         let at = at.ok_or_else(|| Error::other("the message is not on loan from this subscription"))?;
+        let is_room = loans.len() == HELD;
         drop(loans.swap_remove(at));
+        drop(loans);
+        if is_room {
+            subscription.end.wake();
+        }
         Ok(())
     })
 }
@@ -298,7 +284,6 @@ pub unsafe extern "C" fn rmw_create_subscription(
         )?;
         let (happened, matched, can_loan_messages) =
             (Arc::<Happened>::default(), raw.matched(), of_messages.is_plain());
-        let side = PiMutex::new(Taking { raw, route: Route::default() });
         let subscription = Subscription {
             events: Sources::new(&happened),
             happened,
@@ -309,7 +294,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             matched,
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),
-            end: Arc::new(End { side, on_new: OnNew::default() }),
+            end: End::new(raw),
         };
         let topic_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.
@@ -417,7 +402,9 @@ pub unsafe extern "C" fn rmw_take_with_info(
         // SAFETY: rmw's word.
         let found = unsafe { subscription.take_message(message)? };
         *taken = found.is_some();
-        *info = found.unwrap_or(*info);
+        if let Some(found) = found {
+            *info = found;
+        }
         Ok(())
     })
 }
@@ -449,8 +436,14 @@ pub unsafe extern "C" fn rmw_take_sequence(
         *taken = 0;
         while *taken < count {
             // SAFETY: rmw's word: as much room as it says, with messages of this type.
-            let found = unsafe { subscription.take_message(*messages.data.add(*taken))? };
-            let Some(info) = found else { break };
+            let found = unsafe { subscription.take_message(*messages.data.add(*taken)) };
+            let info = match found {
+                Ok(Some(info)) => info,
+                Ok(None) => break,
+                // What was taken before is not lost by it.
+                Err(_) if *taken > 0 => break,
+                Err(error) => return Err(error),
+            };
             // SAFETY: as above.
             unsafe { infos.data.add(*taken).write(info) };
             *taken += 1;
@@ -502,7 +495,9 @@ pub unsafe extern "C" fn rmw_take_serialized_message_with_info(
         // SAFETY: rmw's word.
         let info = unsafe { place(info, "the information")? };
         // SAFETY: rmw's word.
-        *info = unsafe { take_serialized(handle, message, taken)? }.unwrap_or(*info);
+        if let Some(found) = unsafe { take_serialized(handle, message, taken)? } {
+            *info = found;
+        }
         Ok(())
     })
 }
@@ -519,7 +514,7 @@ pub unsafe extern "C" fn rmw_subscription_set_on_new_message_callback(
         // SAFETY: rmw's word.
         let subscription = unsafe { behind(handle)? };
         let helper = &subscription.node().context().helper;
-        set_on_new(&subscription.end, helper, callback.map(|function| (function, data)));
+        subscription.end.set_on_new(helper, callback.map(|function| (function, data)));
         Ok(())
     })
 }

@@ -10,6 +10,7 @@ use std::cell::Cell;
 use std::ffi::{CStr, c_void};
 use std::ptr::{null, null_mut};
 use std::sync::Barrier;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Counts what a thread allocates.
 struct Counting;
@@ -523,6 +524,17 @@ fn nothing_is_allocated_on_a_messages_way() {
                 null_mut(),
             );
             assert_eq!((answer, taken, found), (RET_OK, true, point));
+            let mut message = null_mut();
+            assert_eq!(publisher::rmw_borrow_loaned_message(publisher, of, &mut message), RET_OK);
+            assert_eq!(publisher::rmw_publish_loaned_message(publisher, message, null_mut()), RET_OK);
+            let (mut message, mut taken) = (null_mut(), false);
+            let answer =
+                subscription::rmw_take_loaned_message(subscription, &mut message, &mut taken, null_mut());
+            assert_eq!((answer, taken), (RET_OK, true));
+            assert_eq!(
+                subscription::rmw_return_loaned_message_from_subscription(subscription, message),
+                RET_OK
+            );
             // Nothing is there: all of the ways into sleep, and out of it by a flag.
             guard::rmw_trigger_guard_condition(guard);
             assert_eq!(wait_for(set, (*subscription).data, &mut [(*guard).data], &PATIENCE), (RET_OK, false));
@@ -540,5 +552,90 @@ fn nothing_is_allocated_on_a_messages_way() {
         assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
         assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
         assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
+}
+
+/// What a callback is told of: how often it was called, and for how many messages in all.
+#[derive(Default)]
+struct Called {
+    times: AtomicUsize,
+    messages: AtomicUsize,
+}
+
+unsafe extern "C" fn note(called: *const c_void, count: usize) {
+    // SAFETY: what the callback was set with, which outlives it.
+    let called = unsafe { &*called.cast::<Called>() };
+    called.messages.fetch_add(count, Ordering::SeqCst);
+    called.times.fetch_add(1, Ordering::SeqCst);
+}
+
+/// Each message is told of once, also what was there before, and after a wait for the same subscription; nobody is called once the callback
+/// was taken back, or the subscription destroyed.
+#[test]
+fn callbacks_are_told_of_each_message_once() {
+    let mut world = World::new(75);
+    let of = support("geometry_msgs", "Point");
+    let called = Called::default();
+    let data: *const Called = &called;
+    let told = |count: usize| {
+        let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
+        while called.messages.load(Ordering::SeqCst) != count {
+            assert!(std::time::Instant::now() < end, "{} of {count}", called.messages.load(Ordering::SeqCst));
+            std::thread::yield_now();
+        }
+    };
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let set = wait::rmw_create_wait_set(&mut *world.context, 0);
+        let (publisher, subscription) =
+            (world.publisher(of, &profile(100)), world.subscription(of, &profile(100)));
+        let publish = |count: i32| {
+            for n in 0..count {
+                let point = Point { x: n.into(), ..Point::default() };
+                let place: *const Point = &point;
+                assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+            }
+        };
+        let take_all = || {
+            let (mut found, mut taken) = (Point::default(), true);
+            while taken {
+                let place: *mut Point = &mut found;
+                assert_eq!(
+                    subscription::rmw_take(subscription, place.cast(), &mut taken, null_mut()),
+                    RET_OK
+                );
+            }
+        };
+        let set_callback = subscription::rmw_subscription_set_on_new_message_callback;
+        publish(3);
+        assert_eq!(set_callback(subscription, Some(note), data.cast()), RET_OK);
+        told(3);
+        publish(5);
+        told(8);
+        take_all();
+        publish(1);
+        told(9);
+        take_all();
+        // A wait for it, which sleeps: callbacks come again after that.
+        let time = rmw_time_t { sec: 0, nsec: 1_000_000 };
+        assert_eq!(wait_for(set, (*subscription).data, &mut [], &time), (RET_TIMEOUT, false));
+        publish(2);
+        told(11);
+        take_all();
+        // Set anew, again and again.
+        for n in 1..20 {
+            assert_eq!(set_callback(subscription, None, null()), RET_OK);
+            publish(1);
+            assert_eq!(set_callback(subscription, Some(note), data.cast()), RET_OK);
+            told(11 + n);
+            take_all();
+        }
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+        let times = called.times.load(Ordering::SeqCst);
+        publish(5);
+        assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        drop(world);
+        assert_eq!(called.times.load(Ordering::SeqCst), times);
     }
 }

@@ -4,6 +4,7 @@
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
 use crate::error::{Error, Result, without_text};
+use crate::layout;
 use std::collections::HashMap;
 use std::ffi::CStr;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -42,12 +43,8 @@ impl MessageType {
     /// # Safety
     /// `support` is null or a type support.
     pub(crate) unsafe fn of(support: *const rosidl_message_type_support_t) -> Result<Self> {
-        if support.is_null() {
-            return Err(Error::null("the type support"));
-        }
-        // SAFETY: a type support finds the one that is asked for, or null.
-        let find = |name: &CStr| unsafe { get_message_typesupport_handle(support, name.as_ptr()).as_ref() };
-        let found = without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)?;
+        // SAFETY: the caller's word.
+        let found = unsafe { find(support)? };
         let (Some(hash), Some(description)) = (found.get_type_hash_func, found.get_type_description_func)
         else {
             return Err(no_support());
@@ -64,7 +61,14 @@ impl MessageType {
         let all = std::iter::once(known.schema.definition()).chain(known.schema.referenced());
         let is_bool = |field: &Field| field.ty.base == Base::Primitive(Primitive::Bool);
         let has_bools = all.flat_map(|definition| &definition.fields).any(is_bool);
-        Ok(MessageType { callbacks, length: callbacks.length(), topic_type, schema: known.schema, has_bools })
+        // Its generator calls a type plain whose last field alone is where it is in CDR.
+        let length = match callbacks.length() {
+            Length::Plain(bytes) if layout::is_same_in_memory(&known.schema) != Some(bytes) => {
+                Length::AtMost(bytes)
+            }
+            length => length,
+        };
+        Ok(MessageType { callbacks, length, topic_type, schema: known.schema, has_bools })
     }
 
     /// What an end has room for: memory is claimed when it is first needed, and grows with what is sent.
@@ -78,7 +82,7 @@ impl MessageType {
 
     /// Whether messages lie in memory as they are sent, and can be lent.
     pub(crate) fn is_plain(&self) -> bool {
-        matches!(self.length, Length::Plain(1..))
+        matches!(self.length, Length::Plain(_))
     }
 
     pub(crate) fn name(&self) -> &str {
@@ -86,10 +90,36 @@ impl MessageType {
     }
 }
 
+/// The support whose callbacks are of Fast CDR.
+///
+/// # Safety
+/// `support` is null or a type support.
+unsafe fn find<'s>(
+    support: *const rosidl_message_type_support_t,
+) -> Result<&'s rosidl_message_type_support_t> {
+    if support.is_null() {
+        return Err(Error::null("the type support"));
+    }
+    // SAFETY: a type support finds the one that is asked for, or null.
+    let find = |name: &CStr| unsafe { get_message_typesupport_handle(support, name.as_ptr()).as_ref() };
+    without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)
+}
+
+impl Callbacks {
+    /// Those of a type support.
+    ///
+    /// # Safety
+    /// `support` is null or a type support.
+    pub(crate) unsafe fn find(support: *const rosidl_message_type_support_t) -> Result<Self> {
+        // SAFETY: the caller's word; the support has this name.
+        Ok(unsafe { Callbacks::new(find(support)?.data) })
+    }
+}
+
 /// A bound that nobody reaches is not to be provided for.
 const LARGE_BYTES: usize = 1 << 20;
 /// Threads that may take from one end at once, and messages that may be out as loans.
-const HELD: usize = 64;
+pub(crate) const HELD: usize = 64;
 
 impl ServiceSupport {
     /// # Safety

@@ -62,7 +62,9 @@ pub use service::{
     RawResponse, RawServer, Request, RequestId, Response, Server, ServiceError, ServiceType, Unsent,
     UnwrittenResponse,
 };
-pub use tautline_doorbell::{Doorbell, DoorbellError, Pulse, PulseOf, SamplerSeat, Slot, ThreadBell};
+pub use tautline_doorbell::{
+    Doorbell, DoorbellError, Pulse, PulseOf, SamplerSeat, Signal, Slot, ThreadBell, Wakeable,
+};
 pub use topic::compatibility::QosPolicyKind;
 pub use topic::header::{Gid, MessageInfo};
 pub use topic::memory::{TopicMemory, topic_memory};

@@ -18,6 +18,7 @@ mod hot;
 #[cfg(all(test, taut_loom))]
 mod loom;
 mod places;
+mod signal;
 #[cfg(all(test, not(taut_loom)))]
 mod stress;
 mod sync;
@@ -28,6 +29,7 @@ pub use arena::{
     window_of, window_slots,
 };
 pub use hot::Flags;
+pub use signal::{Signal, Wakeable};
 pub use thread_bell::{Joined, ThreadBell};
 
 use arena::THREADS;

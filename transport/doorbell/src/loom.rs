@@ -5,6 +5,7 @@
 use crate::hot::{Bell, Flags, Route, Spot, drain_bits, mark_in};
 use crate::places::FreePlaces;
 use crate::sync::AtomicU64;
+use crate::{Signal, Wakeable};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::sync::atomic::{AtomicU32, Ordering, fence};
@@ -308,5 +309,44 @@ fn loom_a_place_is_one_owners_at_a_time() {
         other.join().unwrap();
         let both = [places.take(), places.take(), places.take()];
         assert!(both.iter().flatten().count() == 2 && both[2].is_none(), "both are free: {both:?}");
+    });
+}
+
+/// A wait set as an RMW has it: it waits for a flag again and again, attached to it meanwhile only.
+struct WaitSet(Bell<1>);
+
+impl Wakeable for WaitSet {
+    fn wake(&self) {
+        self.0.ring(0);
+    }
+}
+
+#[test]
+fn loom_a_flag_ends_each_wait_for_it() {
+    model(|| {
+        let (signal, set) = (Arc::new(Signal::default()), Arc::new(WaitSet(Bell::new())));
+        let written = Arc::new(AtomicU32::new(0));
+        let setter = {
+            let (signal, written) = (signal.clone(), written.clone());
+            thread::spawn(move || {
+                for message in 1..=2 {
+                    written.store(message, Ordering::Relaxed);
+                    signal.set();
+                }
+            })
+        };
+        // What was written before the flag was set is seen by who takes it: also of two that were one.
+        while written.load(Ordering::Relaxed) != 2 {
+            // SAFETY: it lives to the end of the model.
+            assert!(unsafe { signal.attach(&*set) });
+            while !signal.is_set() {
+                if set.0.drain(|_| {}) == 0 {
+                    set.0.sleep(None);
+                }
+            }
+            signal.detach(&*set);
+            assert!(signal.take());
+        }
+        setter.join().unwrap();
     });
 }

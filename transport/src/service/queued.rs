@@ -11,7 +11,7 @@ use crate::participant::Participant;
 use crate::qos::Limits;
 use crate::topic::header::{Gid, SampleKind};
 use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, Unpublished, WhenFull};
-use crate::topic::subscription::{RawSample, RawSubscription};
+use crate::topic::subscription::{Patience, RawSample, RawSubscription};
 use core::cell::{Cell, RefCell};
 use core::fmt;
 use core::task::Waker;
@@ -148,15 +148,21 @@ impl QueuedClient {
     /// is passed over.
     ///
     /// # Real-time
-    /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid), for each that is passed over.
+    /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid): 16 are passed over, of all kinds.
     ///
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
+        let mut patience = Patience::new();
         loop {
-            match self.responses.try_take_valid()? {
+            match self.responses.take_valid(&mut patience)? {
                 Some(response) if response.kind() != SampleKind::Message => {}
-                taken => return Ok(taken),
+                taken => {
+                    if taken.is_none() {
+                        self.responses.go_on_later(&patience);
+                    }
+                    return Ok(taken);
+                }
             }
         }
     }

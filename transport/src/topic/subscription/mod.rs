@@ -212,12 +212,13 @@ impl RawSubscription {
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions of the thread); no allocation; no syscall. If the bell's 63 places are taken, or if it is another
-    /// participant's, the sampler is rung as before.
-    pub fn wake_thread(&self, bell: Option<&Arc<ThreadBell>>) {
+    /// participant's, the sampler is rung as before. Says whether publishers wake that thread.
+    pub fn wake_thread(&self, bell: Option<&Arc<ThreadBell>>) -> bool {
         let mut thread = self.thread.borrow_mut();
         // Left before it is joined anew: both set the route.
         *thread = None;
         *thread = bell.and_then(|bell| bell.join(self.slot()));
+        thread.is_some()
     }
 
     /// What who drains the doorbell wakes, once, when something comes: for one that is not [polled](Self::poll_take). The caller looks
