@@ -113,7 +113,7 @@ impl QueuedClient {
         self.publisher.loan(len_bytes).map_err(|source| self.loan_error(source))
     }
 
-    /// The number that the next request gets unless it was reserved before: for who sends later what it has told the number of.
+    /// The number of a further request, from 1: for [`send`](Self::send), now or later.
     pub fn reserve(&self) -> u64 {
         let number = self.sequence_number.get() + 1;
         self.sequence_number.set(number);

@@ -382,6 +382,19 @@ impl Control {
     }
 }
 
+/// The head of a publisher's memory, mapped.
+pub(crate) struct Head(Arc<Mapping>);
+
+impl Head {
+    /// How often its segments have changed.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn grown(&self) -> u32 {
+        head(&self.0).grown.load(Ordering::Acquire)
+    }
+}
+
 /// A publisher's memory as a subscription's participant sees it.
 pub(crate) struct View {
     parts: Vec<(Range, Arc<Mapping>)>,
@@ -407,6 +420,11 @@ impl View {
 
     pub(crate) fn head(&self) -> &PublisherHead {
         head(&self.parts[0].1)
+    }
+
+    /// Its head alone.
+    pub(crate) fn head_map(&self) -> Head {
+        Head(self.parts[0].1.clone())
     }
 
     /// Parts that are there and not mapped yet.

@@ -6,7 +6,7 @@ use crate::participant::Reached;
 use crate::participant::file::{Peer, Place};
 use crate::participant::ranges::Range;
 use crate::topic::connection::Connection;
-use crate::topic::control::View;
+use crate::topic::control::{Head, View};
 use crate::topic::header::Gid;
 use crate::topic::pool::SEGMENTS;
 use crate::topic::publisher::core::PublisherCore;
@@ -46,6 +46,14 @@ impl Source {
         match self {
             Source::Own(core) => Ok(core.segment_views()),
             Source::Peer(peer) => peer.segments(),
+        }
+    }
+
+    /// The head of its memory; `None` if that has gone.
+    pub(crate) fn head(&self) -> Option<Head> {
+        match self {
+            Source::Own(core) => core.view().map(|view| view.head_map()),
+            Source::Peer(peer) => Some(peer.state().view.head_map()),
         }
     }
 

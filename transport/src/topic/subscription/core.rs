@@ -226,7 +226,7 @@ impl SubscriptionCore {
         connection.bring_in();
         connection.block().back.mapped.store(grown, Ordering::Relaxed);
         connection.block().back.set_state(ReaderState::Attached);
-        let receiver = Arc::new(Receiver::new(*gid, connection, reached, slot));
+        let receiver = Arc::new(Receiver::new(*gid, connection, source.head(), reached, slot));
         let qos = port.qos.qos();
         let has_lease =
             qos.liveliness == Liveliness::ManualByTopic && qos.liveliness_lease_duration.is_some();
@@ -240,7 +240,7 @@ impl SubscriptionCore {
             partner: port.partner,
             life,
         });
-        let entry = Entry { receiver, segments, has_ended: false };
+        let entry = Entry { receiver, segments, grown, has_ended: false };
         setup.attached.insert(Attached { publisher: *gid, source: source.clone(), entry });
         setup.is_stale = true;
         if let Some(is_dead) = gone {
@@ -295,7 +295,7 @@ impl SubscriptionCore {
             if !Arc::ptr_eq(&segments, &known.entry.segments)
                 && let Some(known) = attached.get_mut(gid)
             {
-                known.entry.segments = segments;
+                (known.entry.segments, known.entry.grown) = (segments, grown);
                 *is_stale = true;
             }
         }

@@ -107,11 +107,12 @@ impl RawSubscription {
     /// Whether there is something to take; it may have expired.
     ///
     /// # Real-time
-    /// Lock-free, O(publishers): a publisher that overwrites what is looked at makes it look again; no allocation; no syscall.
+    /// Lock-free, O(publishers): a publisher that overwrites what is looked at makes it look again; no allocation; no syscall, except
+    /// one futex wake if something comes from memory that is not mapped here yet.
     pub fn has_samples(&self) -> bool {
         let mut live = self.live.borrow_mut();
         live.refresh();
-        live.has_samples()
+        live.has_samples(|look| self.note_look(look))
     }
 
     /// How many messages came that were neither taken nor counted as lost: at most the depth of them can still be taken.

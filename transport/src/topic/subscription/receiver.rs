@@ -11,6 +11,7 @@ use super::core::Attached;
 use crate::participant::Reached;
 use crate::topic::chunks::Chunks;
 use crate::topic::connection::{Block, Connection};
+use crate::topic::control::Head;
 use crate::topic::hand_over::HandOver;
 use crate::topic::header::{Gid, HEADER_BYTES, SampleHeader};
 use crate::topic::memory::SAMPLE_ALIGNMENT;
@@ -26,6 +27,8 @@ use tautline_rt::shm::Mapping;
 pub(crate) struct Receiver {
     pub(crate) publisher: Gid,
     connection: Arc<Connection>,
+    /// Says whether there are other segments than those that were mapped.
+    head: Option<Head>,
     /// Where the publisher is rung when it waits for room.
     reached: Reached,
     slot: usize,
@@ -76,6 +79,8 @@ impl Table {
 pub(crate) struct Entry {
     pub(crate) receiver: Arc<Receiver>,
     pub(crate) segments: SegmentViews,
+    /// How often they had changed when these were all.
+    pub(crate) grown: u32,
     /// All that it sent is in its queue, and all segments that could be mapped are.
     pub(crate) has_ended: bool,
 }
@@ -129,10 +134,17 @@ pub(crate) enum Look {
 
 impl Receiver {
     #[allow(clippy::disallowed_methods, reason = "set-up")]
-    pub(crate) fn new(publisher: Gid, connection: Connection, reached: Reached, slot: usize) -> Self {
+    pub(crate) fn new(
+        publisher: Gid,
+        connection: Connection,
+        head: Option<Head>,
+        reached: Reached,
+        slot: usize,
+    ) -> Self {
         Receiver {
             publisher,
             connection: Arc::new(connection),
+            head,
             reached,
             slot,
             turn: HandOver::new(),
@@ -217,18 +229,34 @@ impl Receiver {
         Look::Taken(Taken { held, header, payload, lost, waiting })
     }
 
-    /// Whether there is something to take: in the queue, or out of it before, and to be reached by now.
+    /// Whether there is something to take. `None`: there is, but it cannot be reached yet.
+    ///
+    /// Where a publisher has segments that are not mapped here only the sample itself tells whether it is in one: it is taken out of the
+    /// queue for that, and is what the next look gives.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall.
+    /// Lock-free: as [`look`](Self::look); no allocation; no syscall.
     ///
     /// # Safety
     /// For the thread that takes, of a live receiver.
-    unsafe fn is_ready(&self, segments: &SegmentViews, has_ended: bool) -> bool {
+    unsafe fn is_ready(&self, Entry { segments, grown, has_ended, .. }: &Entry) -> Option<bool> {
         // SAFETY: as the caller promises.
-        match unsafe { (*self.half.get()).parked } {
-            Some(chunk) => has_ended || locate(chunk, segments).is_some(),
-            None => self.has_samples(),
+        let half = unsafe { &mut *self.half.get() };
+        if half.parked.is_none() {
+            if !self.has_samples() {
+                return Some(false);
+            }
+            // What its publisher made before it sent this one is seen.
+            fence(Ordering::Acquire);
+            if *has_ended || self.head.as_ref().is_none_or(|head| head.grown() == *grown) {
+                return Some(true);
+            }
+            // SAFETY: as the caller promises.
+            half.parked = unsafe { self.connection.take() };
+        }
+        match half.parked {
+            None => Some(false),
+            Some(chunk) => (*has_ended || locate(chunk, segments).is_some()).then_some(true),
         }
     }
 
@@ -368,14 +396,20 @@ impl Live {
         live.map(|entry| unsafe { entry.receiver.waiting() }).fold(0, u64::saturating_add)
     }
 
-    /// Whether a publisher has something to be taken.
+    /// Whether a publisher has something that can be taken; tells `each` of what cannot be reached yet.
     ///
     /// # Real-time
-    /// O(publishers); no allocation; no syscall.
-    pub(crate) fn has_samples(&self) -> bool {
-        self.table.current().entries().any(|Entry { receiver, segments, has_ended }| {
+    /// Lock-free, O(publishers); no allocation; no syscall.
+    pub(crate) fn has_samples(&self, mut each: impl FnMut(&Look)) -> bool {
+        self.table.current().entries().any(|entry| {
+            if !entry.receiver.turn.is_live() {
+                return false;
+            }
             // SAFETY: it is live, and this is the thread that takes.
-            receiver.turn.is_live() && unsafe { receiver.is_ready(segments, *has_ended) }
+            unsafe { entry.receiver.is_ready(entry) }.unwrap_or_else(|| {
+                each(&Look::Parked);
+                false
+            })
         })
     }
 }
