@@ -34,10 +34,14 @@ thread_local! {
 const LOOK: Duration = Duration::from_micros(50);
 
 impl Callback {
-    /// Sets the callback. The one before is not called any more when this returns; unless a callback sets it, it waits for that.
-    pub(crate) fn set(&self, function: Function) {
+    /// Sets the callback. The one before may be running; see [`settle`](Self::settle).
+    pub(crate) fn replace(&self, function: Function) {
         self.is_set.store(function.is_some(), Ordering::Release);
         *self.function.lock().unwrap_or_else(PoisonError::into_inner) = Sent(function);
+    }
+
+    /// Waits until calls that began before have returned, without a lock of theirs; but not in a callback.
+    pub(crate) fn settle(&self) {
         while self.calls.load(Ordering::Acquire) != 0 && !IS_CALLED.get() {
             std::thread::sleep(LOOK);
         }
@@ -49,20 +53,36 @@ impl Callback {
         self.is_set.load(Ordering::Acquire)
     }
 
-    /// Calls it with how many things happened, if there is one and if some did. Returns whether it did.
-    pub(crate) fn call(&self, count: usize) -> bool {
-        let function = {
-            let function = self.function.lock().unwrap_or_else(PoisonError::into_inner);
-            self.calls.fetch_add(1, Ordering::AcqRel);
-            function.0.filter(|_| count > 0)
-        };
-        if let Some((function, data)) = function {
+    /// Begins a call, if there is a callback: with the lock of what is counted, which [`Call::run`] is called without.
+    pub(crate) fn begin(&self) -> Option<Call<'_>> {
+        let function = self.function.lock().unwrap_or_else(PoisonError::into_inner);
+        let function = function.0?;
+        self.calls.fetch_add(1, Ordering::AcqRel);
+        Some(Call { callback: self, function })
+    }
+}
+
+/// A call that has begun: the callback is not given up before it has returned.
+pub(crate) struct Call<'c> {
+    callback: &'c Callback,
+    function: (unsafe extern "C" fn(*const c_void, usize), *const c_void),
+}
+
+impl Call<'_> {
+    /// Calls with how many things happened, if some did.
+    pub(crate) fn run(self, count: usize) {
+        if count > 0 {
             let is_called = IS_CALLED.replace(true);
+            let (function, data) = self.function;
             // SAFETY: rmw's word: it can be called until another one is set, which waits for this.
             unsafe { function(data, count) };
             IS_CALLED.set(is_called);
         }
-        self.calls.fetch_sub(1, Ordering::AcqRel);
-        function.is_some()
+    }
+}
+
+impl Drop for Call<'_> {
+    fn drop(&mut self) {
+        self.callback.calls.fetch_sub(1, Ordering::AcqRel);
     }
 }

@@ -5,12 +5,10 @@ use crate::callback::{Callback, Function};
 use crate::helper::Helper;
 use crate::signal::Waiter;
 use std::future::poll_fn;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::task::{Poll, Waker};
-use std::time::Duration;
 use tautline_rt::PiMutex;
-use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{RawSample, RawSubscription, TakeError, Wakeable};
 
 /// What has a queue of messages.
@@ -31,8 +29,6 @@ pub(crate) struct End<P> {
     callback: Callback,
     /// The helper has a task that calls it.
     is_served: AtomicBool,
-    /// How many messages the callback was called for, since the end was made.
-    told: AtomicU64,
 }
 
 /// Where the rings of a port go.
@@ -41,16 +37,14 @@ struct Route {
     to: Option<Arc<Waiter>>,
     /// The helper's task that calls for new messages.
     task: Option<Waker>,
+    /// How many messages the callback was called for, since the end was made.
+    told: u64,
 }
-
-/// How long a take waits for a sample that came in memory which is not mapped here yet, and how often it looks.
-const MAPPING_NS: u64 = 20_000_000;
-const LOOK: Duration = Duration::from_micros(50);
 
 impl<P: Port> End<P> {
     pub(crate) fn new(port: P) -> Arc<Self> {
-        let (callback, is_served, told) = Default::default();
-        Arc::new(End { side: PiMutex::new((port, Route::default())), callback, is_served, told })
+        let (route, callback, is_served) = Default::default();
+        Arc::new(End { side: PiMutex::new((port, route)), callback, is_served })
     }
 
     /// Uses the port.
@@ -104,8 +98,7 @@ impl<P: Port> End<P> {
         let (port, route) = &mut *self.side.lock();
         if let Some(task) = route.task.clone() {
             route.hear(port.subscription(), &task);
-            // A ring, of which the helper's thread knows.
-            port.subscription().set_quiet(false);
+            ring(port.subscription());
         }
     }
 
@@ -114,47 +107,35 @@ impl<P: Port> End<P> {
         let (port, route) = &*self.side.lock();
         match &route.to {
             Some(waiter) => Wakeable::wake(&**waiter),
-            None => port.subscription().set_quiet(false),
+            None => ring(port.subscription()),
         }
     }
 
-    /// Takes what a wait has said to be there. A sample may be in a segment that its publisher has just made, and the janitor is about to
-    /// map, or be on its way into the queue: it is waited for, without the lock.
+    /// Takes a message.
     ///
     /// # Real-time
-    /// As `take`; 20 ms more at most where a publisher's memory has grown, or where it was interrupted while it published.
+    /// As `take`, and as [`with`](Self::with).
     pub(crate) fn take(
         &self,
-        take: impl Fn(&P) -> Result<Option<RawSample>, TakeError>,
+        take: impl FnOnce(&P) -> Result<Option<RawSample>, TakeError>,
     ) -> Result<Option<RawSample>, TakeError> {
-        let mut give_up_ns = None;
-        loop {
-            let is_there = self.with(|port| match take(port)? {
-                None => Ok(Err(port.subscription().waiting() > 0)),
-                Some(sample) => Ok(Ok(sample)),
-            });
-            let is_there = match is_there? {
-                Ok(sample) => return Ok(Some(sample)),
-                Err(is_there) => is_there,
-            };
-            let now_ns = monotonic_ns();
-            if is_there && now_ns >= *give_up_ns.get_or_insert(now_ns + MAPPING_NS) {
-                // Whoever was called for it is called again when it can be taken.
-                let less = |told: u64| Some(told.saturating_sub(1));
-                let _ = self.told.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
-                return Ok(None);
-            }
-            if !is_there {
-                return Ok(None);
-            }
-            std::thread::sleep(LOOK);
+        let (port, route) = &mut *self.side.lock();
+        let taken = take(port);
+        if matches!(taken, Ok(None)) && port.subscription().waiting() > 0 {
+            // On its way: whoever was called for it is called again when it can be taken.
+            route.told = route.told.saturating_sub(1);
         }
+        taken
     }
 
     /// Sets the callback for new messages, or takes it back. The helper calls it, also for what is there already.
     pub(crate) fn set_on_new(self: &Arc<Self>, helper: &Helper, function: Function) {
-        self.told.store(0, Ordering::Relaxed);
-        self.callback.set(function);
+        {
+            let (_, route) = &mut *self.side.lock();
+            self.callback.replace(function);
+            route.told = 0;
+        }
+        self.callback.settle();
         if function.is_none() {
             return;
         }
@@ -167,7 +148,8 @@ impl<P: Port> End<P> {
 
     /// Nobody is called any more: ROS destroys it.
     pub(crate) fn close(&self) {
-        self.callback.set(None);
+        self.callback.replace(None);
+        self.callback.settle();
     }
 
     /// Calls for what comes, until the end has gone.
@@ -183,22 +165,20 @@ impl<P: Port> End<P> {
     }
 
     fn tell(&self, task: &Waker) {
-        let (past, waiting) = {
+        let (call, new) = {
             let (port, route) = &mut *self.side.lock();
             route.task = Some(task.clone());
-            if !self.callback.is_set() {
-                return;
-            }
+            let Some(call) = self.callback.begin() else { return };
             let subscription = port.subscription();
             route.hear(subscription, task);
             let counters = subscription.counters();
             let past = counters.received() + counters.lost() + counters.expired() + counters.invalid();
-            (past, subscription.waiting())
+            let all = past.saturating_add(subscription.waiting());
+            // What was taken before anybody was told of it is no news.
+            let told = std::mem::replace(&mut route.told, all).max(past);
+            (call, all.saturating_sub(told))
         };
-        let all = past.saturating_add(waiting);
-        // What was taken before anybody was told of it is no news.
-        let new = all.saturating_sub(self.told.swap(all, Ordering::Relaxed).max(past));
-        self.callback.call(usize::try_from(new).unwrap_or(usize::MAX));
+        call.run(usize::try_from(new).unwrap_or(usize::MAX));
     }
 }
 
@@ -210,4 +190,9 @@ impl Route {
         }
         subscription.wake_once(task);
     }
+}
+
+/// Has whoever waits look, by the sampler's bell: one that was never quiet is rung, and nothing else.
+fn ring(subscription: &RawSubscription) {
+    subscription.set_quiet(false);
 }

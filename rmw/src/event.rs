@@ -2,7 +2,7 @@
 //! QoS events: the helper hears what happens to an end, adds it up, and wakes who waits or calls who asked to be called.
 
 use crate::bindings::*;
-use crate::callback::Callback;
+use crate::callback::{Call, Callback, Function};
 use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind, check_identifier, place};
 use crate::helper::Helper;
@@ -94,12 +94,12 @@ impl Happened {
 
     /// Nobody is called any more: ROS destroys the end.
     pub(crate) fn close(&self) {
-        self.kinds.iter().for_each(|kind| kind.callback.set(None));
+        self.kinds.iter().for_each(|kind| kind.set_callback(None));
     }
 
     fn add(&self, Event { kind, counts }: Event) {
         let Some(kind) = self.kinds.get(kind as usize) else { return };
-        {
+        let call = {
             let mut state = kind.state.lock();
             let before = state.counts;
             state.counts = Counts {
@@ -110,9 +110,12 @@ impl Happened {
             };
             state.untold += 1;
             state.is_untaken = true;
-        }
+            kind.begin(&mut state)
+        };
         // First: who takes it has been called for it.
-        kind.tell();
+        if let Some((call, count)) = call {
+            call.run(count);
+        }
         let state = kind.state.lock();
         if state.is_untaken {
             kind.signal.set();
@@ -121,12 +124,19 @@ impl Happened {
 }
 
 impl Kind {
-    /// Calls who asked to be called, for what nobody was called for.
-    fn tell(&self) {
-        let state = || self.state.lock();
-        let untold = std::mem::take(&mut state().untold);
-        if !self.callback.call(untold) {
-            state().untold += untold;
+    /// Begins a call for what nobody was called for, if somebody asked to be called.
+    fn begin(&self, state: &mut State) -> Option<(Call<'_>, usize)> {
+        let call = self.callback.begin()?;
+        Some((call, std::mem::take(&mut state.untold)))
+    }
+
+    /// Sets the callback, or takes it back, and calls it for what happened before.
+    fn set_callback(&self, function: Function) {
+        self.callback.replace(function);
+        self.callback.settle();
+        let call = self.begin(&mut self.state.lock());
+        if let Some((call, count)) = call {
+            call.run(count);
         }
     }
 }
@@ -398,8 +408,7 @@ pub unsafe extern "C" fn rmw_event_set_callback(
         let Some(kind) = source.happened.kinds.get(source.kind) else {
             return Err(Error::invalid("there is no such kind of event"));
         };
-        kind.callback.set(callback.map(|function| (function, data)));
-        kind.tell();
+        kind.set_callback(callback.map(|function| (function, data)));
         Ok(())
     })
 }

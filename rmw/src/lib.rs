@@ -7,7 +7,7 @@
 //! | module | one idea |
 //! |---|---|
 //! | `context` | a membership of a domain; `options`: what it is to be like |
-//! | `node`, `publisher`, `subscription`, `service`, `client` | what ROS makes of each |
+//! | `node`, `publisher`, `subscription`, `service`, `client` | what ROS makes of each; `topic`: what ends of topics are asked for by |
 //! | `wait` | wait sets, on `signal`: what they sleep on; `end`: whom publishers wake; `guard`: flags that any thread sets |
 //! | `event` | QoS events, heard by the `helper`, a thread at the sampler's place; `callback`: who wants to be called |
 //! | `graph` | who is there |
@@ -40,6 +40,7 @@ mod signal;
 mod subscription;
 #[cfg(test)]
 mod tests;
+mod topic;
 mod types;
 mod unsupported;
 mod wait;

@@ -5,10 +5,11 @@ use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
-use crate::node::{Node, check_full_name};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
+use crate::node::Node;
 use crate::qos::{self, Role};
 use crate::serialization::little_body;
+use crate::topic::Asked;
 use crate::types::MessageType;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
@@ -22,7 +23,7 @@ pub(crate) struct Publisher {
     pub(crate) events: Sources,
     happened: Arc<Happened>,
     node: *const Node,
-    of_messages: MessageType,
+    message_type: MessageType,
     qos: rmw_qos_profile_t,
     gid: Gid,
     matched: MatchedCount,
@@ -114,7 +115,7 @@ impl Publisher {
 
     /// Lends ROS the memory of a message to write in place.
     fn lend(&self) -> Result<*mut c_void> {
-        let Length::Plain(len_bytes) = self.of_messages.length else {
+        let Length::Plain(len_bytes) = self.message_type.length else {
             return Err(Error::unsupported("messages of this type are not in memory as they are sent"));
         };
         let mut side = self.side.lock();
@@ -143,11 +144,11 @@ unsafe fn detached(loan: RawLoan<'_>) -> RawLoan<'static> {
 /// `support` is null or a type support.
 unsafe fn check_support(support: *const rosidl_message_type_support_t, publisher: &Publisher) -> Result {
     // SAFETY: the caller's word.
-    match unsafe { Callbacks::find(support)? } == publisher.of_messages.callbacks {
+    match unsafe { Callbacks::find(support)? } == publisher.message_type.callbacks {
         true => Ok(()),
         false => Err(Error::invalid(format!(
             "the type is not {}, that of the topic",
-            publisher.of_messages.name()
+            publisher.message_type.name()
         ))),
     }
 }
@@ -222,46 +223,31 @@ pub unsafe extern "C" fn rmw_create_publisher(
 ) -> *mut rmw_publisher_t {
     made(|| {
         // SAFETY: rmw's word.
-        let (node, of_messages, name, profile, options) = unsafe {
-            let node = behind(node)?;
-            let of_messages = MessageType::of(support)?;
-            let name = text(topic, "the topic's name")?;
-            let profile = profile.as_ref().ok_or_else(|| Error::null("the QoS profile"))?;
-            (node, of_messages, name, profile, options.as_ref().ok_or_else(|| Error::null("the options"))?)
+        let (options, asked) = unsafe {
+            let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
+            let flows = options.require_unique_network_flow_endpoints;
+            (options, Asked::new(node, support, topic, profile, flows)?)
         };
-        if name.is_empty() {
-            return Err(Error::invalid("the topic's name is empty"));
-        }
-        if !profile.avoid_ros_namespace_conventions {
-            // SAFETY: rmw's word.
-            unsafe { check_full_name(topic, "the topic's name")? };
-        }
-        if options.require_unique_network_flow_endpoints
-            == RMW_UNIQUE_NETWORK_FLOW_ENDPOINTS_STRICTLY_REQUIRED
-        {
-            return Err(Error::unsupported(
-                "unique network flow endpoints: there is no network flow in shared memory",
-            ));
-        }
+        let Asked { node, message_type, name, profile } = asked;
         let wanted = qos::from_ros(profile, Role::Publisher, std::iter::empty())?;
         let raw = node.participant.create_raw_publisher(
             name,
-            &of_messages.topic_type,
+            &message_type.topic_type,
             wanted,
-            of_messages.limits(),
+            message_type.limits(),
         )?;
         let happened = Arc::<Happened>::default();
         let publisher = Publisher {
             events: Sources::new(&happened),
             happened,
             node,
-            of_messages,
+            message_type,
             qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
             gid: raw.gid(),
             matched: raw.matched(),
             side: PiMutex::new(Publishing { loans: Vec::new(), raw: Box::new(raw) }),
         };
-        let can_loan_messages = publisher.of_messages.is_plain();
+        let can_loan_messages = publisher.message_type.is_plain();
         let topic_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.
         unsafe {
@@ -316,7 +302,7 @@ pub unsafe extern "C" fn rmw_publish(
         if message.is_null() {
             return Err(Error::null("the message"));
         }
-        let callbacks = publisher.of_messages.callbacks;
+        let callbacks = publisher.message_type.callbacks;
         // SAFETY: rmw's word: a message of this type.
         let estimate = unsafe { callbacks.estimate(message)? };
         // SAFETY: as above.
@@ -339,7 +325,7 @@ pub unsafe extern "C" fn rmw_publish_serialized_message(
             (behind(handle)?, message)
         };
         // SAFETY: rmw's word.
-        let body = unsafe { little_body(message, &publisher.of_messages)? };
+        let body = unsafe { little_body(message, &publisher.message_type)? };
         publisher.publish(body.len(), |loan| {
             loan.copy_from_slice(&body);
             Ok(body.len())

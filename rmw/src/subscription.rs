@@ -6,10 +6,11 @@ use crate::cdr::Length;
 use crate::end::End;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
-use crate::node::{Node, check_full_name};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
+use crate::node::Node;
 use crate::qos::{self, Role};
 use crate::serialization::write_serialized;
+use crate::topic::Asked;
 use crate::types::{HELD, MessageType};
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
@@ -24,10 +25,10 @@ pub(crate) struct Subscription {
     pub(crate) events: Sources,
     happened: Arc<Happened>,
     node: *const Node,
-    of_messages: MessageType,
+    message_type: MessageType,
     qos: rmw_qos_profile_t,
-    /// The participant whose publishers it does not hear.
-    deaf_to: Option<u64>,
+    /// The participant whose publications are ignored.
+    ignored_participant: Option<u64>,
     matched: MatchedCount,
     /// Counts what was taken.
     received: AtomicU64,
@@ -36,7 +37,7 @@ pub(crate) struct Subscription {
     end: Arc<End<RawSubscription>>,
 }
 
-/// Invalid samples, and those of publishers it does not hear, that one take passes over: the queue has more, and is ready still.
+/// Invalid samples, and ignored ones, that one take passes over: the queue has more, and is ready still.
 const PASSED_OVER: usize = 16;
 
 impl Drop for Subscription {
@@ -84,7 +85,7 @@ impl Subscription {
                     continue;
                 }
             };
-            if self.deaf_to == Some(sample.port_gid().participant()) {
+            if self.ignored_participant == Some(sample.port_gid().participant()) {
                 continue;
             }
             let info = sample.info();
@@ -99,7 +100,7 @@ impl Subscription {
     }
 
     fn warn(&self, reason: &str) {
-        let name = self.of_messages.name();
+        let name = self.message_type.name();
         tracing::warn!("a message of a topic was dropped, for it is none of {name}: {reason}");
     }
 
@@ -123,17 +124,15 @@ impl Subscription {
         if message.is_null() {
             return Err(Error::null("the message"));
         }
-        let callbacks = self.of_messages.callbacks;
+        let callbacks = self.message_type.callbacks;
         // SAFETY: the caller's word.
         let taken = self.take(|sample| unsafe { callbacks.read(sample.body(), true, message) })?;
         Ok(taken.map(|((), info)| info))
     }
-}
 
-impl Subscription {
     /// Takes a message that ROS reads where it lies.
     fn take_loan(&self) -> Result<Option<(*mut c_void, rmw_message_info_t)>> {
-        let Length::Plain(len_bytes) = self.of_messages.length else {
+        let Length::Plain(len_bytes) = self.message_type.length else {
             return Err(Error::unsupported("messages of this type are not in memory as they are sent"));
         };
         self.take(|sample| {
@@ -141,9 +140,9 @@ impl Subscription {
             if body.len() < len_bytes {
                 return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
             }
-            if self.of_messages.has_bools {
+            if self.message_type.has_bools {
                 // A byte that is neither 0 nor 1 is no bool of C's.
-                DynamicMessage::validate(&self.of_messages.schema, body, Endian::Little)
+                DynamicMessage::validate(&self.message_type.schema, body, Endian::Little)
                     .map_err(Error::other)?;
             }
             let message = body.as_ptr().cast_mut().cast();
@@ -252,45 +251,30 @@ pub unsafe extern "C" fn rmw_create_subscription(
 ) -> *mut rmw_subscription_t {
     made(|| {
         // SAFETY: rmw's word.
-        let (node, of_messages, name, profile, options) = unsafe {
-            let node = behind(node)?;
-            let of_messages = MessageType::of(support)?;
-            let name = text(topic, "the topic's name")?;
-            let profile = profile.as_ref().ok_or_else(|| Error::null("the QoS profile"))?;
-            (node, of_messages, name, profile, options.as_ref().ok_or_else(|| Error::null("the options"))?)
+        let (options, asked) = unsafe {
+            let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
+            let flows = options.require_unique_network_flow_endpoints;
+            (options, Asked::new(node, support, topic, profile, flows)?)
         };
-        if name.is_empty() {
-            return Err(Error::invalid("the topic's name is empty"));
-        }
-        if !profile.avoid_ros_namespace_conventions {
-            // SAFETY: rmw's word.
-            unsafe { check_full_name(topic, "the topic's name")? };
-        }
-        if options.require_unique_network_flow_endpoints
-            == RMW_UNIQUE_NETWORK_FLOW_ENDPOINTS_STRICTLY_REQUIRED
-        {
-            return Err(Error::unsupported(
-                "unique network flow endpoints: there is no network flow in shared memory",
-            ));
-        }
+        let Asked { node, message_type, name, profile } = asked;
         let graph = node.participant.graph()?;
         let of_topic = graph.endpoints.iter().filter(|end| end.topic == name).map(|end| &**end);
         let wanted = qos::from_ros(profile, Role::Subscription, of_topic)?;
         let raw = node.participant.create_raw_subscription(
             name,
-            &of_messages.topic_type,
+            &message_type.topic_type,
             wanted,
-            of_messages.limits(),
+            message_type.limits(),
         )?;
         let (happened, matched, can_loan_messages) =
-            (Arc::<Happened>::default(), raw.matched(), of_messages.is_plain());
+            (Arc::<Happened>::default(), raw.matched(), message_type.is_plain());
         let subscription = Subscription {
             events: Sources::new(&happened),
             happened,
             node,
-            of_messages,
+            message_type,
             qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
-            deaf_to: options.ignore_local_publications.then(|| node.participant.id()),
+            ignored_participant: options.ignore_local_publications.then(|| node.participant.id()),
             matched,
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),

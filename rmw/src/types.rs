@@ -21,7 +21,6 @@ const SUPPORTS: [&CStr; 2] = [c"rosidl_typesupport_fastrtps_c", c"rosidl_typesup
 const HASH_VERSION: u8 = 1;
 
 /// A type of messages.
-#[derive(Clone)]
 pub(crate) struct MessageType {
     pub(crate) callbacks: Callbacks,
     pub(crate) length: Length,

@@ -100,8 +100,8 @@ impl Wanted<'_> {
             || self.clients().any(|client| client.end().has_data())
     }
 
-    /// Has flags wake `waiter`.
-    fn attach(&self, waiter: &Waiter) -> Result {
+    /// Has flags wake `waiter`, until it is detached.
+    fn attach_signals(&self, waiter: &Waiter) -> Result {
         for signal in self.signals() {
             // SAFETY: a waiter lives as long as its context, which lives as long as its guard conditions and ends are used.
             if !unsafe { signal.attach(waiter) } {
@@ -117,12 +117,13 @@ impl Wanted<'_> {
     ///
     /// # Real-time
     /// As [`is_something_ready`](Self::is_something_ready).
-    fn lead(&self, waiter: &Arc<Waiter>) {
+    fn attach_data(&self, waiter: &Arc<Waiter>) {
         self.subscriptions().for_each(|subscription| subscription.end().attach(waiter));
         self.services().for_each(|service| service.end().attach(waiter));
         self.clients().for_each(|client| client.end().attach(waiter));
     }
 
+    /// After the wait, however it went.
     fn detach(&self, waiter: &Waiter) {
         self.signals().for_each(|signal| signal.detach(waiter));
         self.subscriptions().for_each(|subscription| subscription.end().detach());
@@ -137,7 +138,7 @@ impl Wanted<'_> {
     fn wait(&self, waiter: &Arc<Waiter>, deadline_ns: Option<u64>) {
         loop {
             let count = waiter.count();
-            self.lead(waiter);
+            self.attach_data(waiter);
             let is_over = deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns);
             if self.is_something_ready() || is_over {
                 return;
@@ -251,7 +252,7 @@ pub unsafe extern "C" fn rmw_wait(
         let waited = if wanted.is_something_ready() || is_look_only {
             Ok(())
         } else {
-            let attached = wanted.attach(&wait_set.waiter);
+            let attached = wanted.attach_signals(&wait_set.waiter);
             let waited = attached.map(|()| wanted.wait(&wait_set.waiter, deadline));
             wanted.detach(&wait_set.waiter);
             waited

@@ -4,7 +4,6 @@
 use crate::bridge::{Environment, nextest, with_libraries};
 use crate::steps::{self, Outcome, Steps, cargo, execute};
 use crate::{machine, r2r, ros};
-use std::env;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
@@ -83,7 +82,7 @@ fn build() -> Result<(), String> {
     }
     let folder = machine::target_dir().join("release");
     println!("\nTo run a node of ROS 2 on it:");
-    if env::var_os("ROS_DISTRO").is_some() {
+    if !environment.iter().any(|(name, _)| *name == r2r::RPATH) {
         println!("  export LD_LIBRARY_PATH={}:$LD_LIBRARY_PATH", folder.display());
         println!("  export RMW_IMPLEMENTATION=rmw_tautline");
     } else {

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What publishers and subscriptions are asked for by.
+
+use crate::bindings::*;
+use crate::error::{Error, Result};
+use crate::handle::{behind, text};
+use crate::node::{Node, check_full_name};
+use crate::types::MessageType;
+use std::ffi::c_char;
+
+/// An end of a topic that is to be made, checked.
+pub(crate) struct Asked<'a> {
+    pub(crate) node: &'a Node,
+    pub(crate) message_type: MessageType,
+    pub(crate) name: &'a str,
+    pub(crate) profile: &'a rmw_qos_profile_t,
+}
+
+impl Asked<'_> {
+    /// # Safety
+    /// As rmw says of both functions that make ends.
+    pub(crate) unsafe fn new(
+        node: *const rmw_node_t,
+        support: *const rosidl_message_type_support_t,
+        topic: *const c_char,
+        profile: *const rmw_qos_profile_t,
+        flows: rmw_unique_network_flow_endpoints_requirement_t,
+    ) -> Result<Self> {
+        // SAFETY: the caller's word.
+        let (node, message_type, name, profile) = unsafe {
+            let (node, message_type) = (behind(node)?, MessageType::of(support)?);
+            let name = text(topic, "the topic's name")?;
+            (node, message_type, name, profile.as_ref().ok_or_else(|| Error::null("the QoS profile"))?)
+        };
+        if name.is_empty() {
+            return Err(Error::invalid("the topic's name is empty"));
+        }
+        if !profile.avoid_ros_namespace_conventions {
+            // SAFETY: the caller's word.
+            unsafe { check_full_name(topic, "the topic's name")? };
+        }
+        if flows == RMW_UNIQUE_NETWORK_FLOW_ENDPOINTS_STRICTLY_REQUIRED {
+            return Err(Error::unsupported(
+                "unique network flow endpoints: there is no network flow in shared memory",
+            ));
+        }
+        Ok(Asked { node, message_type, name, profile })
+    }
+}
