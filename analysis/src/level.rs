@@ -53,13 +53,12 @@ pub(crate) struct Bound {
 impl<'a> Core<'a> {
     pub fn new(tasks: &'a [Task], overheads: &Overheads) -> Result<Self, AnalysisError> {
         tasks.iter().try_for_each(validate)?;
-        let switches = overheads.context_switch_ns.saturating_mul(2);
         let demand = |task: &Task, cost_ns| Demand { release: task.release(), cost_ns };
-        let with_switches = |task: &Task| {
-            let cost = task.wcet_ns.checked_add(switches).ok_or_else(|| overflow(task))?;
-            Ok(demand(task, cost))
+        let charged = |task: &Task| match task.charged_ns(overheads) {
+            u64::MAX => Err(overflow(task)),
+            cost => Ok(demand(task, cost)),
         };
-        let callbacks: Vec<_> = tasks.iter().map(with_switches).collect::<Result<_, AnalysisError>>()?;
+        let callbacks: Vec<_> = tasks.iter().map(charged).collect::<Result<_, AnalysisError>>()?;
         let message =
             |task: &Task| demand(task, task.message_overhead_ns.unwrap_or(overheads.per_message_ns));
         let mut common: Vec<_> = tasks.iter().map(message).collect();

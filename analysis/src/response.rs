@@ -71,8 +71,7 @@ impl Response {
 /// # Errors
 /// The first task that is invalid or has no bound; see [`AnalysisError`].
 pub fn response_times(tasks: &[Task]) -> Result<Vec<Response>, AnalysisError> {
-    let free = |task: &Task| Task { message_overhead_ns: None, ..task.clone() };
-    let tasks: Vec<_> = tasks.iter().map(free).collect();
+    let tasks: Vec<_> = tasks.iter().map(Task::without_overheads).collect();
     response_times_with_overheads(&tasks, &Overheads::NONE)
 }
 

@@ -3,7 +3,7 @@
 //!
 //! All bounds of this crate grow with every execution time and overhead, so a search by halving finds the limit.
 use crate::Task;
-use crate::system::{Core, System};
+use crate::system::{Callback, Core, System};
 
 /// Factors are counted in thousandths.
 const UNIT: u64 = 1_000;
@@ -76,8 +76,9 @@ pub fn overhead(system: &System) -> u64 {
                 *time = times(*time, factor);
             }
         }
-        for callback in &mut scaled.callbacks {
-            callback.task.message_overhead_ns = callback.task.message_overhead_ns.map(|ns| times(ns, factor));
+        for Callback { task, .. } in &mut scaled.callbacks {
+            task.message_overhead_ns = task.message_overhead_ns.map(|ns| times(ns, factor));
+            task.executor_overhead_ns = times(task.executor_overhead_ns, factor);
         }
         holds(&scaled)
     })

@@ -37,6 +37,9 @@ pub struct Task {
     /// Middleware work for each message, in place of [`Overheads::per_message_ns`]: `Some(0)` for a task that no
     /// message wakes, such as a timer interrupt. Used only by the analyses that take [`Overheads`].
     pub message_overhead_ns: Option<u64>,
+    /// What an executor of another library than Tautline's uses for each job, in the task's thread: rclcpp's to wait, to find what is
+    /// ready, to take. Used only by the analyses that take [`Overheads`].
+    pub executor_overhead_ns: u64,
 }
 
 /// A thread that runs several tasks, one job after the other. They must have one priority.
@@ -74,6 +77,7 @@ impl Task {
             priority,
             group: None,
             message_overhead_ns: None,
+            executor_overhead_ns: 0,
         }
     }
 
@@ -126,6 +130,17 @@ impl Task {
     pub fn message_overhead(mut self, overhead: Duration) -> Self {
         self.message_overhead_ns = Some(nanos(overhead));
         self
+    }
+
+    /// What one job costs its thread: its execution time, two context switches, and what its executor uses.
+    pub(crate) fn charged_ns(&self, overheads: &Overheads) -> u64 {
+        let switches = overheads.context_switch_ns.saturating_mul(2);
+        self.wcet_ns.saturating_add(switches).saturating_add(self.executor_overhead_ns)
+    }
+
+    /// The same on a machine that costs nothing.
+    pub(crate) fn without_overheads(&self) -> Task {
+        Task { message_overhead_ns: None, executor_overhead_ns: 0, ..self.clone() }
     }
 
     /// How the task is released.

@@ -133,6 +133,6 @@ fn admit(
         rank: (false, task.priority.into()),
         turn,
         non_preemptive: task.non_preemptive_ns >= task.wcet_ns,
-        work_ns: task.wcet_ns.saturating_add(overheads.context_switch_ns.saturating_mul(2)),
+        work_ns: task.charged_ns(overheads),
     }
 }

@@ -17,6 +17,7 @@ pub(crate) fn validate(task: &Task) -> Result<(), AnalysisError> {
         ("jitter", task.jitter_ns),
         ("blocking", task.blocking_ns),
         ("message overhead", task.message_overhead_ns.unwrap_or(0)),
+        ("executor overhead", task.executor_overhead_ns),
     ];
     if let Some((field, _)) = fields.into_iter().find(|(_, ns)| *ns == u64::MAX) {
         return Err(AnalysisError::TooLong { task: name(), field });

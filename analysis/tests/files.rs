@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
-use tautline_analysis::file::{CheckedSystem, LinkPriority, SystemFile};
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, LinkPriority, SystemFile};
 
 /// A system without problems, to which the tests add some.
 const GOOD: &str = r#"
@@ -459,4 +459,44 @@ fn a_thousand_callbacks_on_eight_cores() {
     let bounded = checked.callbacks.iter().filter(|c| c.response_overhead_ns.is_some()).count();
     println!("{bounded} bounds; {:?}", checked.warnings.first());
     assert_eq!(bounded, 1_000);
+}
+
+/// By hand: 2 ms of its own, 2 x 10 us of switches, 300 us of the executor, 100 us per message of both.
+#[test]
+fn a_client_librarys_executor_is_charged_to_the_thread_of_its_callbacks() {
+    let text = |client: &str| {
+        format!(
+            "[hosts.robot]\ncores = 1\n[overheads]\ncontext_switch = \"10us\"\nper_message = \"50us\"\nrclcpp = \"300us\"\n\
+             [nodes.ros]\nclient = \"{client}\"\n[nodes.own]\n\
+             [callbacks.high]\nnode = \"ros\"\nperiod = \"10ms\"\nwcet = \"2ms\"\npriority = 20\n\
+             [callbacks.low]\nnode = \"own\"\nperiod = \"20ms\"\nwcet = \"1ms\"\npriority = 10\n"
+        )
+    };
+    let found = |client: &str| {
+        let checked =
+            SystemFile::parse(&text(client)).unwrap_or_else(|problems| panic!("{problems}")).check();
+        let of = |c: &CheckedCallback| (c.wcet_ns, c.charged_ns, c.response_ns, c.response_overhead_ns);
+        checked.callbacks.iter().map(of).collect::<Vec<_>>()
+    };
+    let own = found("tautline");
+    assert_eq!(own[0], (2_000_000, 2_070_000, Some(2_000_000), Some(2_120_000)));
+    assert_eq!(own[1], (1_000_000, 1_070_000, Some(3_000_000), Some(3_140_000)));
+    assert_eq!(found("rclpy"), own, "the file states no cost of rclpy");
+    let rclcpp = found("rclcpp");
+    assert_eq!(rclcpp[0], (2_000_000, 2_370_000, Some(2_000_000), Some(2_420_000)));
+    assert_eq!(rclcpp[1], (1_000_000, 1_070_000, Some(3_000_000), Some(3_440_000)));
+    let problems = SystemFile::parse(&text("rclccp")).unwrap_err().to_string();
+    assert!(problems.contains("did you mean `rclcpp`") || problems.contains("rclcpp"), "{problems}");
+}
+
+#[test]
+fn a_process_is_on_the_host_that_it_says_or_on_the_only_one() {
+    let text = |hosts: &str| {
+        format!("{hosts}[nodes.n]\nhost = \"a\"\n[callbacks.c]\nperiod = \"1ms\"\nwcet = \"1us\"\n")
+    };
+    let one = SystemFile::parse(&text("[hosts.a]\ncores = 1\n")).unwrap();
+    assert_eq!((one.host(None), one.host(Some("a"))), (Ok("a"), Ok("a")));
+    assert_eq!(one.host(Some("b")), Err(vec!["a"]));
+    let two = SystemFile::parse(&text("[hosts.a]\ncores = 1\n[hosts.b]\ncores = 2\n")).unwrap();
+    assert_eq!((two.host(Some("b")), two.host(None)), (Ok("b"), Err(vec!["a", "b"])));
 }

@@ -58,7 +58,7 @@ pub(crate) struct Stopwatch {
 }
 
 impl Stopwatch {
-    pub fn new(busy: bool) -> Stopwatch {
+    pub const fn new(busy: bool) -> Stopwatch {
         Stopwatch { busy, since_ns: Cell::new(None) }
     }
 
@@ -66,13 +66,13 @@ impl Stopwatch {
         if self.busy { monotonic_ns() } else { thread_cpu_ns() }
     }
 
-    fn begin(&self) {
+    pub fn begin(&self) {
         if self.busy || self.since_ns.get().is_none() {
             self.since_ns.set(Some(self.now_ns()));
         }
     }
 
-    fn lap(&self) -> u64 {
+    pub fn lap(&self) -> u64 {
         let now_ns = self.now_ns();
         now_ns.saturating_sub(self.since_ns.replace(Some(now_ns)).unwrap_or(now_ns))
     }

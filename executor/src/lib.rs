@@ -33,6 +33,7 @@
 mod callback;
 mod error;
 mod executor;
+pub mod foreign;
 mod group;
 mod hot;
 mod options;
@@ -45,6 +46,7 @@ pub mod job;
 pub use callback::CallbackHandle;
 pub use error::{ExecutorError, Panic};
 pub use executor::Executor;
+pub use foreign::ForeignCallback;
 pub use group::{CallbackGroup, MemberOptions};
 pub use hot::{Parker, busy_polling, parker, parks_on, stop_requested};
 pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, Watch};

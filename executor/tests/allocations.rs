@@ -12,7 +12,10 @@ use std::time::Duration;
 
 use futures::stream;
 use futures::task::AtomicWaker;
-use tautline_executor::{CallbackGroup, CallbackOptions, Executor, Realtime, job};
+use tautline_executor::{
+    CallbackGroup, CallbackOptions, Executor, ForeignCallback, ForeignStatistics, ProcessInfo, Realtime,
+    StatisticsFile, foreign, job,
+};
 
 struct Counting;
 
@@ -208,4 +211,41 @@ fn turns_of_a_group() {
     executor.shutdown().unwrap();
     assert!(stats.iter().all(|member| member.completions() >= CYCLES));
     assert!(told.load(Ordering::Relaxed) >= 2 * 3 * CYCLES);
+}
+
+/// Two threads run one callback of another executor, at once: nothing is lost of the counts, and nothing allocated.
+#[test]
+fn jobs_of_other_executors_are_counted_without_allocation() {
+    let prefix = format!("taut_test_foreign_{}_", std::process::id());
+    let file = StatisticsFile::create(&prefix, &ProcessInfo::of_this()).unwrap();
+    let (deadline, budget) = (Duration::from_secs(100), Duration::from_nanos(1));
+    let options = CallbackOptions::other().name("detect").deadline(deadline).budget(budget);
+    let callback = ForeignCallback::new(&file, &options).unwrap();
+    let jobs = || {
+        let run = |count: u64| {
+            for _ in 0..count {
+                foreign::idle();
+                let release_ns = tautline_rt::clock::monotonic_ns();
+                callback.note_queue(job::QueueState { lost: 1, max_queue: 2, depth: 3 });
+                callback.begin(release_ns);
+                callback.end(release_ns);
+            }
+        };
+        run(WARM_UP);
+        let before = HEAP_CALLS.get();
+        run(CYCLES);
+        HEAP_CALLS.get() - before
+    };
+    let heap_calls = std::thread::scope(|scope| {
+        let threads = [scope.spawn(jobs), scope.spawn(jobs)];
+        threads.map(|thread| thread.join().unwrap())
+    });
+    assert_eq!(heap_calls, [0, 0]);
+    let all = 2 * (WARM_UP + CYCLES);
+    let seen = ForeignStatistics::list(&prefix).unwrap()[0].read().unwrap().unwrap();
+    let seen = &seen.callbacks[0];
+    assert_eq!((seen.name.as_str(), seen.releases, seen.completions, seen.lost), ("detect", all, all, all));
+    assert_eq!((seen.overruns, seen.deadline_misses), (all, 0), "each takes longer than a nanosecond");
+    assert_eq!((seen.response.n(), seen.execution.n(), seen.max_queue, seen.depth), (all, all, 2, 3));
+    assert!(seen.tid != 0 && seen.measures_execution);
 }

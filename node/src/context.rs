@@ -7,7 +7,6 @@ use crate::logging::{self, FlushOnDrop, Rosout};
 use crate::parameters::EventTopic;
 use crate::qos::QosProfile;
 use crate::remap::RemapRules;
-use crate::statistics::statistics_prefix;
 use crate::subscription::thread_parkers;
 use crate::system::LoadedSystem;
 use std::path::PathBuf;
@@ -213,8 +212,8 @@ impl ContextBuilder {
         let mut executor = Executor::new(realtime).with_parkers(thread_parkers(&participant));
         if let Some(system) = system.as_ref().filter(|_| self.share_statistics) {
             let about = system.process_info(realtime, sampler_priority);
-            let file =
-                StatisticsFile::create(&statistics_prefix(domain), &about).map_err(Error::Statistics)?;
+            let prefix = StatisticsFile::prefix(domain);
+            let file = StatisticsFile::create(&prefix, &about).map_err(Error::Statistics)?;
             executor = executor.with_statistics(file);
         }
         logging::configure(&arguments);

@@ -2,7 +2,7 @@
 //! Where the statistics of a domain's processes lie.
 
 use crate::error::{Error, Result};
-use tautline_executor::ForeignStatistics;
+use tautline_executor::{ForeignStatistics, StatisticsFile};
 
 /// The statistics of all processes of `domain`, of this user and on this host, whose contexts have a system file: what
 /// `taut report` reads. Those of processes that were killed are removed, and their number is the second value.
@@ -20,14 +20,9 @@ use tautline_executor::ForeignStatistics;
 /// # Errors
 /// [`Error::Statistics`] if /dev/shm cannot be read.
 pub fn shared_statistics(domain: u32) -> Result<(Vec<ForeignStatistics>, usize)> {
-    let found = ForeignStatistics::list(&statistics_prefix(domain)).map_err(Error::Statistics)?;
+    let found = ForeignStatistics::list(&StatisticsFile::prefix(domain)).map_err(Error::Statistics)?;
     let before = found.len();
     let running: Vec<_> = found.into_iter().filter(|process| !process.remove_if_orphaned()).collect();
     let killed = before - running.len();
     Ok((running, killed))
-}
-
-/// Starts the names of a domain's statistics files.
-pub(crate) fn statistics_prefix(domain: u32) -> String {
-    format!("{}/stats_", tautline_rt::domain::shared_folder(domain))
 }

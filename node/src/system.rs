@@ -26,17 +26,10 @@ impl LoadedSystem {
     /// several hosts and none is named.
     pub(crate) fn read(path: &Path, host: Option<&str>) -> Result<Self> {
         let file = SystemFile::read(path)?;
-        let mut hosts: Vec<&str> = file.cores().iter().map(|core| core.host.as_str()).collect();
-        hosts.dedup();
-        let known = || hosts.join(", ");
-        let host = match (host, hosts.as_slice()) {
-            (Some(host), _) if hosts.contains(&host) => host.to_owned(),
-            (None, [only]) => (*only).to_owned(),
-            (wanted, _) => {
-                let wanted = wanted.unwrap_or("none").to_owned();
-                return Err(Error::Host { path: path.into(), wanted, known: known() });
-            }
-        };
+        let host = file.host(host).map(str::to_owned).map_err(|hosts| {
+            let wanted = host.unwrap_or("none").to_owned();
+            Error::Host { path: path.into(), wanted, known: hosts.join(", ") }
+        })?;
         let sampler = file.cores().iter().find(|core| core.host == host).map(|core| core.sampler_priority);
         let checked = file.check();
         for warning in &checked.warnings {
@@ -94,17 +87,13 @@ impl LoadedSystem {
 
     /// What other processes are told of this one.
     pub(crate) fn process_info(&self, realtime: Realtime, sampler_priority: u8) -> ProcessInfo {
-        let program = std::env::current_exe().ok();
-        let program = program.as_deref().and_then(Path::file_name).unwrap_or_default();
         ProcessInfo {
-            pid: std::process::id(),
-            program: program.to_string_lossy().into_owned(),
             host: self.host.clone(),
             realtime: realtime == Realtime::Required,
             sampler_priority: Some(sampler_priority),
             system_path: std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone()),
             system_hash: self.fingerprint,
-            steal_ticks: tautline_rt::host::steal_ticks(None),
+            ..ProcessInfo::of_this()
         }
     }
 

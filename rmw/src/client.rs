@@ -151,7 +151,7 @@ pub unsafe extern "C" fn rmw_create_client(
         let (limits, depth) = (of.request.limits(), wanted.depth.max(LEAST_DEPTH));
         let raw = node.participant.create_queued_client(name, &of.service_type, depth, limits)?;
         let gid = raw.gid();
-        let end = End::new(Asking { raw, unsent: VecDeque::new() });
+        let end = End::new(node, Asking { raw, unsent: VecDeque::new() })?;
         let (served, watchers) = (Arc::downgrade(&end), node.context().watchers().clone());
         node.context().helper.run(move || serve(served, watchers));
         let client = Client { node, of, qos: qos::to_ros(&wanted, false), gid, end };
@@ -246,6 +246,7 @@ pub unsafe extern "C" fn rmw_take_response(
             return Ok(());
         }
         *header = info_of(sample.info());
+        client.end.begin(&sample.info());
         *taken = true;
         Ok(())
     })

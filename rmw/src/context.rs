@@ -8,12 +8,14 @@ use crate::helper::{Helper, Ring};
 use crate::log;
 use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
 use crate::signal::{Signal, Waiter};
+use crate::system::System;
 use futures::StreamExt;
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context as TaskContext, Waker};
 use tautline_rt::FutexWord;
+use tautline_trace::SamplerObject;
 use tautline_transport::{GraphEvents, Participant, Slot};
 
 pub(crate) struct Context {
@@ -27,6 +29,10 @@ pub(crate) struct Context {
     pub(crate) nodes: AtomicUsize,
     watchers: Arc<Watchers>,
     pub(crate) waiters: Arc<Waiters>,
+    /// Its waits, as events speak of them.
+    pub(crate) waits: Arc<SamplerObject>,
+    /// If callbacks are to be compared with a system file.
+    pub(crate) system: Option<System>,
 }
 
 /// What is triggered when the graph changes.
@@ -75,7 +81,9 @@ impl Waiters {
 
 impl Context {
     fn join(domain: u32, enclave: &str) -> Result<Self> {
+        let system = System::of_environment(domain)?;
         let participant = Participant::new(domain)?;
+        let waits = Arc::new(tautline_trace::sampler_init(participant.trace_id(), "rmw_wait"));
         let helper = Helper::start(&participant)?;
         let watchers = Arc::<Watchers>::default();
         let (events, slot) = (participant.graph_events()?, Arc::new(participant.claim_slot()?));
@@ -90,6 +98,8 @@ impl Context {
             nodes,
             watchers,
             waiters,
+            waits,
+            system,
         })
     }
 

@@ -2,14 +2,17 @@
 //! An end that messages come to: used by one thread at a time, and whom its publishers wake.
 
 use crate::callback::{Callback, Function};
+use crate::error::Result;
 use crate::helper::Helper;
+use crate::job::{self, Jobs};
+use crate::node::Node;
 use crate::signal::Waiter;
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::task::{Poll, Waker};
 use tautline_rt::PiMutex;
-use tautline_transport::{RawSample, RawSubscription, TakeError, Wakeable};
+use tautline_transport::{MessageInfo, RawSample, RawSubscription, TakeError, Wakeable};
 
 /// What has a queue of messages.
 pub(crate) trait Port: Send + 'static {
@@ -25,6 +28,7 @@ impl Port for RawSubscription {
 /// A port of ROS's, which several threads use in turn.
 pub(crate) struct End<P> {
     side: PiMutex<(P, Route)>,
+    jobs: Arc<Jobs>,
     /// For new messages.
     callback: Callback,
     /// The helper has a task that calls it.
@@ -42,9 +46,10 @@ struct Route {
 }
 
 impl<P: Port> End<P> {
-    pub(crate) fn new(port: P) -> Arc<Self> {
+    pub(crate) fn new(node: &Node, port: P) -> Result<Arc<Self>> {
+        let jobs = Jobs::new(node, port.subscription())?;
         let (route, callback, is_served) = Default::default();
-        Arc::new(End { side: PiMutex::new((port, route)), callback, is_served })
+        Ok(Arc::new(End { side: PiMutex::new((port, route)), jobs, callback, is_served }))
     }
 
     /// Uses the port.
@@ -111,14 +116,15 @@ impl<P: Port> End<P> {
         }
     }
 
-    /// Takes a message.
+    /// Takes a message; what the thread did with the one before is done.
     ///
     /// # Real-time
-    /// As `take`, and as [`with`](Self::with).
+    /// As `take`, as [`with`](Self::with), and as [`job::end`].
     pub(crate) fn take(
         &self,
-        take: impl FnOnce(&P) -> Result<Option<RawSample>, TakeError>,
-    ) -> Result<Option<RawSample>, TakeError> {
+        take: impl FnOnce(&P) -> std::result::Result<Option<RawSample>, TakeError>,
+    ) -> std::result::Result<Option<RawSample>, TakeError> {
+        job::end();
         let (port, route) = &mut *self.side.lock();
         let taken = take(port);
         if matches!(taken, Ok(None)) && port.subscription().waiting() > 0 {
@@ -126,6 +132,14 @@ impl<P: Port> End<P> {
             route.told = route.told.saturating_sub(1);
         }
         taken
+    }
+
+    /// The message that was taken is given to who asked for it.
+    ///
+    /// # Real-time
+    /// As [`Jobs::begin`].
+    pub(crate) fn begin(&self, info: &MessageInfo) {
+        self.jobs.begin(info.released_ns);
     }
 
     /// Sets the callback for new messages, or takes it back. The helper calls it, also for what is there already.

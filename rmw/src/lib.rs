@@ -28,6 +28,7 @@ mod graph;
 mod guard;
 mod handle;
 mod helper;
+mod job;
 mod layout;
 mod log;
 mod node;
@@ -38,6 +39,7 @@ mod serialization;
 mod service;
 mod signal;
 mod subscription;
+mod system;
 #[cfg(test)]
 mod tests;
 mod topic;

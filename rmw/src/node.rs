@@ -14,6 +14,8 @@ use tautline_transport::{NodeHandle, Participant};
 
 pub(crate) struct Node {
     context: *const Context,
+    /// With its namespace.
+    pub(crate) full_name: String,
     /// Makes what is the node's.
     pub(crate) participant: Participant,
     _handle: NodeHandle,
@@ -104,7 +106,8 @@ pub unsafe extern "C" fn rmw_create_node(
         let signal = Arc::<Signal>::default();
         behind.watch_graph(&signal);
         let graph_guard = guard::create(context, signal)?;
-        let node = Node { context: behind, participant, _handle: handle, graph_guard };
+        let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
+        let node = Node { context: behind, full_name, participant, _handle: handle, graph_guard };
         // SAFETY: rmw's own memory, written before anybody sees it.
         unsafe {
             let handle = rmw_node_allocate();

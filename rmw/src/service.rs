@@ -102,7 +102,7 @@ pub unsafe extern "C" fn rmw_create_service(
         let limits = of.response.limits();
         let depth = wanted.depth.max(LEAST_DEPTH);
         let raw = node.participant.create_raw_server(name, &of.service_type, depth, limits)?;
-        let service = Service { node, of, qos: qos::to_ros(&wanted, false), end: End::new(raw) };
+        let service = Service { node, of, qos: qos::to_ros(&wanted, false), end: End::new(node, raw)? };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.
         unsafe {
@@ -169,6 +169,7 @@ pub unsafe extern "C" fn rmw_take_request(
             return Ok(());
         }
         *header = info_of(sample.info());
+        service.end.begin(&sample.info());
         *taken = true;
         Ok(())
     })

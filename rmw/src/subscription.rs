@@ -90,7 +90,10 @@ impl Subscription {
             }
             let info = sample.info();
             match read(sample) {
-                Ok(message) => return Ok(Some((message, self.info(info)))),
+                Ok(message) => {
+                    self.end.begin(&info);
+                    return Ok(Some((message, self.info(info))));
+                }
                 // Not an error of the caller's: executors end by those, and anybody can publish.
                 Err(error) if error.code == RET_ERROR => self.warn(&format!("{error:?}")),
                 Err(error) => return Err(error),
@@ -278,7 +281,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             matched,
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),
-            end: End::new(raw),
+            end: End::new(node, raw)?,
         };
         let topic_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.

@@ -8,6 +8,7 @@ use crate::error::{Error, Result, answer, made};
 use crate::event;
 use crate::guard::GuardCondition;
 use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
+use crate::job;
 use crate::service::Service;
 use crate::signal::{Signal, Waiter, deadline_ns};
 use crate::subscription::Subscription;
@@ -15,10 +16,14 @@ use std::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::clock::monotonic_ns;
+use tautline_trace::SamplerObject;
 
 pub(crate) struct WaitSet {
     waiters: Arc<Waiters>,
     waiter: Arc<Waiter>,
+    waits: Arc<SamplerObject>,
+    /// Whether callbacks' processor time is.
+    is_measured: bool,
     in_use: AtomicBool,
 }
 
@@ -178,8 +183,9 @@ pub unsafe extern "C" fn rmw_create_wait_set(
                 return Err(Error::new(RET_BAD_ALLOC, "no memory for a wait set"));
             }
             let waiter = context.waiters.claim(&context.participant);
-            let waiters = context.waiters.clone();
-            let wait_set = WaitSet { waiters, waiter, in_use: AtomicBool::new(false) };
+            let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
+            let (is_measured, in_use) = (context.system.is_some(), AtomicBool::new(false));
+            let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 guard_conditions: std::ptr::null_mut(),
@@ -247,6 +253,7 @@ pub unsafe extern "C" fn rmw_wait(
             return Err(Error::other("two threads wait with one wait set"));
         }
         let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
+        job::wait(&wait_set.waits, deadline, wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
         // Mostly something is there already, and nothing has to be attached for it.
         let waited = if wanted.is_something_ready() || is_look_only {
@@ -259,8 +266,10 @@ pub unsafe extern "C" fn rmw_wait(
         };
         wait_set.in_use.store(false, Ordering::Release);
         waited?;
+        let is_ready = wanted.report();
+        job::wake(&wait_set.waits, is_ready);
         // Somebody else may have taken what was there; without a time limit that is nothing's end.
-        is_over = !wanted.report() && timeout.is_some();
+        is_over = !is_ready && timeout.is_some();
         Ok(())
     });
     if answered == RET_OK && is_over { RET_TIMEOUT } else { answered }

@@ -4,11 +4,12 @@
 mod support;
 
 use serde_json::{Value, json};
+use std::process::Command;
 use std::time::Duration;
 use support::gateway::link;
 use support::{
-    Domain, Peer, STRING, TYPES, Values, matched, on_tautline, publisher, reserve, ros, subscription, take,
-    take_texts, text_body, text_of, wait_until,
+    Domain, Peer, STRING, TYPES, Values, built, matched, on_tautline, publisher, reserve, ros, subscription,
+    take, take_texts, text_body, text_of, wait_until,
 };
 use tautline_schema::{DynamicMessage, Endian, Packages};
 use tautline_transport::{EndpointKind, Limits, Qos, RequestId, SchemaStore, ServiceKind, ServiceType};
@@ -359,4 +360,108 @@ fn nodes_on_two_hosts_hear_each_other_through_gateways() {
     let client = there.tell(json!({ "do": "client", "name": "/across/echo", "type": BASIC_TYPES }));
     let answer = there.tell(json!({ "do": "call", "end": client, "requests": [{ "int32_value": 7 }] }));
     assert_eq!(answer[0]["int32_value"], 7);
+}
+
+/// The output of `taut` in the domain of the tests.
+fn taut(arguments: &[&str]) -> Option<String> {
+    let mut command = Command::new(built("taut", "taut")?);
+    let output = command.args(arguments).env("TAUT_SCOPE", support::scope()).output().unwrap();
+    Some(String::from_utf8(output.stdout).unwrap())
+}
+
+/// What `taut report` says of a node of rclpy that `TAUT_SYSTEM` gives a system file, and what `taut trace` saw of it.
+#[test]
+fn callbacks_of_rclpy_are_reported_and_traced() {
+    let Some(domain) = Domain::new(66) else { return };
+    let number = domain.number.to_string();
+    let folder = tempfile::tempdir().unwrap();
+    let (system, trace) = (folder.path().join("system.toml"), folder.path().join("run.trace"));
+    let text = r#"
+        [hosts.here]
+        cores = 1
+        [overheads]
+        rclpy = "1s"
+        [nodes.listener]
+        client = "rclpy"
+        [topics]
+        "/heard" = { period = "10ms", jitter = "100s" }
+        [callbacks.hear]
+        topic = "/heard"
+        wcet = "1ms"
+        deadline = "100s"
+        [callbacks.tick]
+        period = "1s"
+        wcet = "1ms"
+        "#;
+    std::fs::write(&system, text).unwrap();
+    let (system, trace) = (system.to_str().unwrap(), trace.to_str().unwrap());
+    let mut peer = domain.simple_peer_with("listener", &[("TAUT_SYSTEM", system), ("TAUT_TRACE", "on")]);
+    let (heard, unlisted) =
+        (peer.subscription("/heard", STRING, json!({})), peer.subscription("/unlisted", STRING, json!({})));
+    let _never = peer.subscription("/never", STRING, json!({}));
+    for (topic, end, count) in [("/heard", heard, 5), ("/unlisted", unlisted, 2)] {
+        let here = publisher(&domain.participant, topic, STRING, Qos::keep_last(10));
+        matched(&here, 1);
+        (0..count).for_each(|n: usize| here.publish(&text_body(&n.to_string())).unwrap());
+        assert_eq!(peer.take_texts(end, count).len(), count);
+    }
+    let Some(_) = built("taut", "taut") else { return };
+    let mut report = Value::Null;
+    // The last one ends when the executor waits again.
+    wait_until("5 jobs", || {
+        let said = taut(&["report", "--json", "--domain", &number]).unwrap();
+        report = serde_json::from_str(&said).unwrap_or_else(|error| panic!("{error}: {said}"));
+        report["callbacks"][0]["measured"]["jobs"] == 5
+    });
+    let hear = &report["callbacks"][0];
+    assert_eq!((&hear["name"], hear["measured"]["lost"].as_u64()), (&json!("hear"), Some(0)), "{report}");
+    assert!(hear["measured"]["execution_ms"]["max"].as_f64().unwrap() > 0.0, "{report}");
+    assert_eq!(hear["predicted"]["budget_ms"], 1_001.0, "1 ms of its own and 1 s of rclpy: {report}");
+    assert_eq!(report["callbacks"].as_array().unwrap().len(), 1, "an RMW sees no timers: {report}");
+    assert!(report["notes"].to_string().contains("timers of ROS's client libraries are not measured: tick"));
+    let unknown = report["unknown"].as_array().unwrap();
+    assert_eq!(unknown.len(), 1, "what never ran is not shown: {report}");
+    assert_eq!(unknown[0]["name"], "/listener /unlisted");
+
+    taut(&["trace", "record", "--domain", &number, "--seconds", "0", "-o", trace]).unwrap();
+    let events = taut(&["trace", "export", trace, "--format", "csv", "-o", "-"]).unwrap();
+    let of = |what: &str| -> Vec<&str> {
+        events
+            .lines()
+            .filter(|line| line.contains(what))
+            .map(|line| line.split(',').nth(5).unwrap())
+            .collect()
+    };
+    let hear: Vec<_> = of(",hear,").into_iter().filter(|kind| kind.starts_with("callback_")).collect();
+    let jobs: Vec<_> = std::iter::repeat_n(["callback_start", "callback_end"], 5).flatten().collect();
+    assert_eq!(hear[hear.len() - 10..], jobs, "{events}");
+    let waits = of(",rmw_wait,");
+    assert!(waits.contains(&"spin_start") && waits.contains(&"spin_wake"), "{events}");
+    assert_eq!(of(",/heard,").iter().filter(|kind| **kind == "take").count(), 5, "{events}");
+}
+
+#[test]
+fn a_system_file_that_cannot_be_used_is_said() {
+    let Some(venv) = ros() else { return };
+    reserve(67);
+    let said = |variables: &[(&str, &str)]| {
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", "import rclpy; rclpy.init(domain_id=67)"]);
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH").envs(variables.iter().copied());
+        on_tautline(&mut command);
+        let output = command.output().unwrap();
+        assert!(!output.status.success());
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let error = said(&[("TAUT_SYSTEM", "/nowhere/system.toml")]);
+    assert!(error.contains("TAUT_SYSTEM: `/nowhere/system.toml` cannot be read"), "{error}");
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let hosts = "[hosts.a]\ncores = 1\n[hosts.b]\ncores = 1\n[nodes.n]\nhost = \"a\"\n\
+                 [callbacks.c]\nperiod = \"1s\"\nwcet = \"1ms\"\n";
+    std::fs::write(file.path(), hosts).unwrap();
+    let path = file.path().to_str().unwrap();
+    let error = said(&[("TAUT_SYSTEM", path)]);
+    assert!(error.contains("has several hosts: set TAUT_HOST to one of a, b"), "{error}");
+    let error = said(&[("TAUT_SYSTEM", path), ("TAUT_HOST", "c")]);
+    assert!(error.contains("has no host `c`: set TAUT_HOST to one of a, b"), "{error}");
 }

@@ -42,7 +42,7 @@ impl Sampler {
     /// its slot.
     pub fn new(participant: &Participant) -> Result<Self, TransportError> {
         let seat = participant.doorbell().claim_sampler()?;
-        let trace = tautline_trace::sampler_init(participant.trace_id());
+        let trace = tautline_trace::sampler_init(participant.trace_id(), "sampler");
         let (events, room) = Events::new(participant)?;
         Ok(Sampler { events, agenda: Agenda::new(room), wait: Wait::Block, seat, trace, awake: false })
     }

@@ -67,9 +67,9 @@ impl SamplerObject {
     }
 }
 
-/// A sampler was made.
-pub fn sampler_init(context: ObjectId) -> SamplerObject {
-    let object = Object::describe(ObjectKind::Sampler, context, 0, [0; 2], "sampler");
+/// A sampler was made, or what waits in its place.
+pub fn sampler_init(context: ObjectId, name: &str) -> SamplerObject {
+    let object = Object::describe(ObjectKind::Sampler, context, 0, [0; 2], name);
     SamplerObject {
         object,
         #[cfg(feature = "lttng")]

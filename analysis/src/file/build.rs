@@ -12,7 +12,7 @@ use super::problem::{Collector, Problems};
 use super::reader::Section;
 use super::sections;
 use super::streams::Source;
-use super::{CallbackEntry, ChainEntry, CoreEntry, SystemFile, TopicEntry};
+use super::{CallbackEntry, ChainEntry, Client, CoreEntry, SystemFile, TopicEntry};
 use crate::system::{Callback, Chain, Core, System, Transfer};
 use crate::{Overheads, Release, Task, Throttling};
 
@@ -148,6 +148,12 @@ impl Builder<'_> {
         let costs = self.costs(place.host);
         let gateway = costs.gateway.unwrap_or(0).saturating_mul(remote);
         task.message_overhead_ns = Some(costs.per_message.unwrap_or(0).saturating_add(gateway));
+        let executor = match self.file.nodes[place.node].client {
+            Client::Tautline => None,
+            Client::Rclcpp => costs.rclcpp,
+            Client::Rclpy => costs.rclpy,
+        };
+        task.executor_overhead_ns = executor.unwrap_or(0);
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
         let thread = self.threads.iter().position(|thread| thread.callbacks.contains(&index)).unwrap_or(0);
         // A callback of several streams takes their messages in any order.
@@ -177,6 +183,8 @@ impl Builder<'_> {
             context_switch: own.context_switch.or(all.context_switch),
             per_message: own.per_message.or(all.per_message),
             gateway: own.gateway.or(all.gateway),
+            rclcpp: own.rclcpp.or(all.rclcpp),
+            rclpy: own.rclpy.or(all.rclpy),
             tick: own.tick.or(all.tick),
             throttling: own.throttling.or(all.throttling),
         }
@@ -263,6 +271,7 @@ impl Builder<'_> {
         CallbackEntry {
             name: declared.name.clone(),
             node: self.file.nodes[self.places[index].node].name.clone(),
+            client: self.file.nodes[self.places[index].node].client,
             thread: format!("cb:{}", self.threads[thread].name),
             group: self.threads[thread].group.map(|group| self.file.groups[group].name.clone()),
             core: self.places[index].core,

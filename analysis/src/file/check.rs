@@ -2,7 +2,7 @@
 //! The verdict on a system file.
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{CallbackEntry, SystemFile};
+use super::{CallbackEntry, Client, SystemFile};
 use crate::system::{Core, SystemReport};
 use crate::{AnalysisError, Overheads, Release, Task, Throttling, utilisation};
 
@@ -36,8 +36,8 @@ pub struct CheckedCallback {
     pub period_ns: u64,
     /// Its execution time.
     pub wcet_ns: u64,
-    /// What the analysis charges for one job: the execution time, two context switches, and the work per message, part
-    /// of which is done in the callback's thread. A job that uses more breaks the bounds.
+    /// What the analysis charges for one job: the execution time, two context switches, what its executor uses, and the work per
+    /// message, part of which is done in the callback's thread. A job that uses more breaks the bounds.
     pub charged_ns: u64,
     /// How each of its streams of messages, or its timer, is taken to be released.
     pub releases: Vec<Release>,
@@ -140,8 +140,7 @@ fn checked_callback(
     let charged = |task: &Task| {
         // Not the gateway's work, which is done elsewhere.
         let per_message = task.message_overhead_ns.unwrap_or(u64::MAX).min(overheads.per_message_ns);
-        let switches = overheads.context_switch_ns.saturating_mul(2);
-        task.wcet_ns.saturating_add(switches).saturating_add(per_message)
+        task.charged_ns(overheads).saturating_add(per_message)
     };
     let release = |i: usize| {
         let task = &file.system.callbacks[i].task;
@@ -195,9 +194,7 @@ fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
             .collect();
         let overheads = file.system.cores[index].overheads;
         let costs = |task: &Task| {
-            let switches = overheads.context_switch_ns.saturating_mul(2);
-            let wcet_ns =
-                task.wcet_ns.saturating_add(task.message_overhead_ns.unwrap_or(0)).saturating_add(switches);
+            let wcet_ns = task.charged_ns(&overheads).saturating_add(task.message_overhead_ns.unwrap_or(0));
             Task { wcet_ns, ..task.clone() }
         };
         let ticks = match overheads.tick_period_ns {
@@ -250,7 +247,8 @@ fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = Stri
 /// A warning for each node whose one sampler serves several cores.
 fn split_nodes(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
     let mut nodes: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
-    for callback in callbacks {
+    // A node of ROS has no sampler: its publishers wake its threads.
+    for callback in callbacks.iter().filter(|callback| callback.entry.client == Client::Tautline) {
         nodes.entry(&callback.entry.node).or_default().insert(callback.core);
     }
     nodes.into_iter().filter(|(_, cores)| cores.len() > 1).map(|(node, cores)| {

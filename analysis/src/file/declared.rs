@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file as it is written: every section with its places in the text, nothing resolved yet.
-use super::LinkPriority;
 use super::reader::At;
+use super::{Client, LinkPriority};
 use crate::{LockProtocol, Order};
 
 /// How priorities are chosen for callbacks that name none.
@@ -17,6 +17,8 @@ pub(super) struct Costs {
     pub context_switch: Option<u64>,
     pub per_message: Option<u64>,
     pub gateway: Option<u64>,
+    pub rclcpp: Option<u64>,
+    pub rclpy: Option<u64>,
     pub tick: Option<(u64, u64)>,
     pub throttling: Option<(u64, u64)>,
 }
@@ -30,6 +32,7 @@ pub(super) struct Host {
 
 pub(super) struct Node {
     pub name: String,
+    pub client: Client,
     pub host: Option<At<String>>,
     pub core: Option<At<i64>>,
     pub at: usize,

@@ -63,6 +63,8 @@ pub struct CallbackEntry {
     pub name: String,
     /// The node it belongs to.
     pub node: String,
+    /// Whose executors run that node's callbacks.
+    pub client: Client,
     /// Name of the thread that runs it.
     pub thread: String,
     /// The group whose thread that is; `None` for a thread of its own.
@@ -97,6 +99,15 @@ pub struct TopicEntry {
     pub priority: Option<LinkPriority>,
     /// Whether its messages are sent at once instead of together with what follows shortly.
     pub express: bool,
+}
+
+/// Whose executors run a node's callbacks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs, reason = "the names say it")]
+pub enum Client {
+    Tautline,
+    Rclcpp,
+    Rclpy,
 }
 
 /// Which messages go first over a link between hosts that is busy: Zenoh's priorities, the highest first.
@@ -222,6 +233,20 @@ impl SystemFile {
         &self.cores
     }
 
+    /// The host that a process is on: the one it says, or the only one.
+    ///
+    /// # Errors
+    /// The names of all hosts, if there are several and `wanted` is none of them.
+    pub fn host(&self, wanted: Option<&str>) -> Result<&str, Vec<&str>> {
+        let mut hosts: Vec<&str> = self.cores.iter().map(|core| core.host.as_str()).collect();
+        hosts.dedup();
+        match wanted {
+            Some(wanted) => hosts.iter().find(|host| **host == wanted).copied().ok_or(hosts),
+            None if hosts.len() == 1 => Ok(hosts[0]),
+            None => Err(hosts),
+        }
+    }
+
     /// A number that is another one for another text: to tell whether two programs read the same file.
     #[must_use]
     pub fn fingerprint(&self) -> u64 {
@@ -239,7 +264,7 @@ impl SystemFile {
     pub fn system_without_overheads(&self) -> System {
         let mut free = self.system.clone();
         free.cores.iter_mut().for_each(|core| core.overheads = crate::Overheads::NONE);
-        free.callbacks.iter_mut().for_each(|callback| callback.task.message_overhead_ns = None);
+        free.callbacks.iter_mut().for_each(|callback| callback.task = callback.task.without_overheads());
         free
     }
 

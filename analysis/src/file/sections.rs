@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading the sections of the file: which keys there are, and what each may be.
-use super::LinkPriority;
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::problem::{Collector, suggestion};
 use super::reader::{At, Section, integer, time};
+use super::{Client, LinkPriority};
 use crate::{LockProtocol, Order};
 
 pub(super) fn read(mut root: Section<'_>, problems: &mut Collector) -> Declared {
@@ -52,10 +52,11 @@ fn costs(section: &mut Section<'_>, problems: &mut Collector) -> Costs {
     let mut time = |key| table.time(key, problems).map(|time| time.value);
     let (context_switch, per_message, gateway) =
         (time("context_switch"), time("per_message"), time("gateway"));
+    let (rclcpp, rclpy) = (time("rclcpp"), time("rclpy"));
     let tick = pair(&mut table, "tick", ["period", "wcet"], problems);
     let throttling = pair(&mut table, "throttling", ["period", "runtime"], problems);
     table.finish(problems);
-    Costs { context_switch, per_message, gateway, tick, throttling }
+    Costs { context_switch, per_message, gateway, rclcpp, rclpy, tick, throttling }
 }
 
 /// A table of a period and a part of it.
@@ -123,9 +124,11 @@ fn host(name: String, mut section: Section<'_>, problems: &mut Collector) -> Hos
 
 fn node(name: String, mut section: Section<'_>, problems: &mut Collector) -> Node {
     let (host, core) = (section.text("host", problems), section.integer("core", problems));
+    let clients = [("tautline", Client::Tautline), ("rclcpp", Client::Rclcpp), ("rclpy", Client::Rclpy)];
+    let client = choice(&mut section, "client", &clients, problems).unwrap_or(Client::Tautline);
     let at = section.at;
     section.finish(problems);
-    Node { name, host, core, at }
+    Node { name, client, host, core, at }
 }
 
 fn topic(name: String, mut section: Section<'_>, problems: &mut Collector) -> Topic {

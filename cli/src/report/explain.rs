@@ -2,7 +2,7 @@
 //! Each violated assumption: its name, what was seen, what to change.
 use std::fmt;
 
-use tautline_analysis::file::CheckedCallback;
+use tautline_analysis::file::{CheckedCallback, Client};
 
 use super::run::{Callback, Process, Run};
 use super::verdict::Mark;
@@ -38,10 +38,15 @@ fn mark(name: &'static str, explanation: String) -> Mark {
 
 pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
     let node = &predicted.entry.node;
-    let name = &predicted.entry.name;
+    let how = match predicted.entry.client {
+        Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
+        Client::Rclcpp | Client::Rclpy => {
+            format!("with TAUT_SYSTEM set, and a subscription of {}", predicted.entry.topics.join(", "))
+        }
+    };
     let text = format!(
-        "no process of domain {} on host {} has a callback of this name: start node `{node}`, spawn it with \
-         `context.callback(\"{name}\")`, or take it out of the file",
+        "no process of domain {} on host {} has a callback of this name: start node `{node}`, {how}, or take it out of \
+         the file",
         run.domain, predicted.host
     );
     mark("not running", text)
@@ -71,19 +76,28 @@ pub fn of_another(process: &Process, of: Mark) -> Mark {
 
 pub fn wrong_priority(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let has = seen.priority.map_or("time sharing".into(), |priority| format!("priority {priority}"));
+    let priority = predicted.entry.priority;
+    let how = match predicted.entry.client {
+        Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
+        Client::Rclcpp | Client::Rclpy => {
+            format!("give SCHED_FIFO {priority} to the thread that spins its executor, before it does")
+        }
+    };
     let text = format!(
-        "its thread has {has}, the file gives it priority {}: spawn it with `context.callback(\"{}\")`, or change \
-         `priority` in the file",
-        predicted.entry.priority, predicted.entry.name
+        "its thread has {has}, the file gives it priority {priority}: {how}, or change `priority` in the file"
     );
     mark("wrong priority", text)
 }
 
 pub fn wrong_core(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let has = seen.core.map_or("may run on several cores".into(), |core| format!("runs on core {core}"));
+    let how = match predicted.entry.client {
+        Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
+        Client::Rclcpp | Client::Rclpy => "pin the thread that spins its executor, before it does".into(),
+    };
     let text = format!(
-        "its thread {has}, the file says core {}: spawn it with `context.callback(\"{}\")`, or change `core` in the file",
-        predicted.core, predicted.entry.name
+        "its thread {has}, the file says core {}: {how}, or change `core` in the file",
+        predicted.core
     );
     mark("wrong core", text)
 }
@@ -184,10 +198,13 @@ pub fn messages_lost(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let depth = seen.depth;
     let needs = match predicted.capacity {
         Some(capacity) if capacity as u64 > depth => {
-            format!(
-                "by analysis it needs {capacity}: subscribe with `context.callback_qos(\"{}\")`",
-                predicted.entry.name
-            )
+            let how = match predicted.entry.client {
+                Client::Tautline => {
+                    format!("subscribe with `context.callback_qos(\"{}\")`", predicted.entry.name)
+                }
+                Client::Rclcpp | Client::Rclpy => "subscribe with that depth".into(),
+            };
+            format!("by analysis it needs {capacity}: {how}")
         }
         Some(_) => {
             "by analysis that is enough, if the marks of this callback and of those above it are mended; \

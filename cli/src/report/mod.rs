@@ -74,8 +74,8 @@ pub enum ReportError {
     #[error("--system goes with a saved run; for a running system, name the file alone: `taut report {}`", path.display())]
     SystemTwice { path: PathBuf },
     #[error(
-        "no process of domain {domain} shows statistics: start one whose context is built with `.system(\"system.toml\")`, \
-         or name another domain with --domain or TAUT_DOMAIN{}", killed_before(*killed)
+        "no process of domain {domain} shows statistics: start one whose context is built with `.system(\"system.toml\")`, or one \
+         of ROS's with TAUT_SYSTEM=system.toml, or name another domain with --domain or TAUT_DOMAIN{}", killed_before(*killed)
     )]
     Nothing { domain: u32, killed: usize },
     #[error(

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use tautline::HistogramSnapshot;
-use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, Client, SystemFile};
 
 use super::explain;
 use super::run::{Callback, Process, Run};
@@ -72,9 +72,17 @@ impl Comparison {
         let hosts: BTreeSet<&str> = run.processes.iter().map(|process| process.host.as_str()).collect();
         let (here, elsewhere): (Vec<_>, Vec<_>) =
             checked.callbacks.iter().partition(|callback| hosts.contains(callback.host.as_str()));
-        let rows: Vec<Row> = here.iter().map(|predicted| row(predicted, run)).collect();
+        // An RMW sees takes and waits.
+        let (unseen, seen): (Vec<_>, Vec<_>) = here.iter().partition(|callback| {
+            callback.entry.client != Client::Tautline && callback.entry.topics.is_empty()
+        });
+        let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run)).collect();
         let unknown = unknown(&here, run);
         let mut notes = notes(file, checked, run, &rows);
+        if !unseen.is_empty() {
+            let names: Vec<&str> = unseen.iter().map(|callback| &*callback.entry.name).collect();
+            notes.push(format!("timers of ROS's client libraries are not measured: {}", names.join(", ")));
+        }
         let other_hosts: BTreeSet<&str> = elsewhere.iter().map(|callback| callback.host.as_str()).collect();
         if !other_hosts.is_empty() {
             let names = other_hosts.into_iter().collect::<Vec<_>>().join(", ");
@@ -242,7 +250,7 @@ fn unknown(here: &[&CheckedCallback], run: &Run) -> Vec<Unknown> {
             here.iter().any(|callback| callback.entry.name == name && callback.host == process.host)
         };
         // All callbacks of a process end with it; of one that goes on, only those that run matter.
-        let gone = |callback: &Callback| callback.ended && process.running;
+        let gone = |callback: &Callback| (callback.ended || callback.tid == 0) && process.running;
         let stray = |callback: &&Callback| !callback.is_group && !gone(callback) && !known(&callback.name);
         for callback in process.callbacks.iter().filter(stray) {
             unknown.push(Unknown {

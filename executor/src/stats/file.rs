@@ -78,6 +78,20 @@ pub(crate) struct Place {
     places: Arc<Places>,
 }
 
+impl ProcessInfo {
+    /// This process, with nothing of a system file.
+    pub fn of_this() -> ProcessInfo {
+        let program = std::env::current_exe().ok();
+        let program = program.as_deref().and_then(Path::file_name).unwrap_or_default();
+        ProcessInfo {
+            pid: std::process::id(),
+            program: program.to_string_lossy().into_owned(),
+            steal_ticks: tautline_rt::host::steal_ticks(None),
+            ..ProcessInfo::default()
+        }
+    }
+}
+
 impl StatisticsFile {
     /// Makes a file whose name begins with `prefix`, and removes those of processes that were killed.
     ///
@@ -105,6 +119,11 @@ impl StatisticsFile {
         // Release: pairs with the Acquire in `ForeignWords::read`; all else is there when the magic is.
         header[header::MAGIC].store(MAGIC, Ordering::Release);
         Ok(StatisticsFile { places: Arc::new(Places { file, header, free: Mutex::default() }) })
+    }
+
+    /// Starts the names of a domain's files.
+    pub fn prefix(domain: u32) -> String {
+        format!("{}/stats_", tautline_rt::domain::shared_folder(domain))
     }
 
     /// Where it is.

@@ -81,11 +81,28 @@ impl CallbackStats {
 
     /// What the kernel confirmed, and what the callback was given.
     pub(crate) fn describe(&self, thread: &ThreadInfo, period: Option<Duration>, measures_execution: bool) {
+        self.describe_jobs(period, measures_execution);
+        self.set_thread(thread);
+    }
+
+    /// What the callback was given.
+    pub(crate) fn describe_jobs(&self, period: Option<Duration>, measures_execution: bool) {
         if let Some(block) = self.block.get() {
             block.set(word::PERIOD, nanoseconds(period));
             block.set(word::MEASURES_EXECUTION, u64::from(measures_execution));
+        }
+    }
+
+    /// What the kernel says of the thread that runs it.
+    pub(crate) fn set_thread(&self, thread: &ThreadInfo) {
+        if let Some(block) = self.block.get() {
             block.set_thread(thread);
         }
+    }
+
+    /// The number of that thread; 0 before.
+    pub(crate) fn tid(&self) -> u32 {
+        u32::try_from(self.word(word::TID)).unwrap_or(0)
     }
 
     /// The callback's future has ended.

@@ -38,6 +38,14 @@ impl Domain {
         Peer::start_as(&self.venv, self.number, name, "ros_peer.py", on_tautline)
     }
 
+    /// The same with more in its environment.
+    pub fn simple_peer_with(&self, name: &str, variables: &[(&str, &str)]) -> Peer {
+        Peer::start_as(&self.venv, self.number, name, "ros_peer.py", |command| {
+            on_tautline(command);
+            command.envs(variables.iter().copied());
+        })
+    }
+
     /// Members of the domain besides this process.
     fn others(&self) -> usize {
         let folder = std::fs::read_dir(tautline_rt::domain::shared_path(self.number)).unwrap();

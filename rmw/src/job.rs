@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Callbacks, as far as an RMW sees them: what a thread does from a take until it takes again, or waits.
+
+use crate::error::Result;
+use crate::node::Node;
+use std::cell::{Cell, RefCell};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use tautline_executor::job::QueueState;
+use tautline_executor::{ForeignCallback, foreign};
+use tautline_trace::{Object, SamplerObject};
+use tautline_transport::{Counters, RawSubscription};
+
+/// Those of one end, for who traces and who measures.
+pub(crate) struct Jobs {
+    traced: Object,
+    measured: Option<Measured>,
+}
+
+struct Measured {
+    callback: ForeignCallback,
+    counters: Arc<Counters>,
+    depth: u64,
+    /// Of the messages lost.
+    noted: AtomicU64,
+}
+
+thread_local! {
+    /// What this thread does with a message, and when that was released.
+    static RUNNING: RefCell<Option<(Arc<Jobs>, u64)>> = const { RefCell::new(None) };
+    /// Whether it woke, as events tell.
+    static IS_AWAKE: Cell<bool> = const { Cell::new(false) };
+}
+
+impl Jobs {
+    pub(crate) fn new(node: &Node, subscription: &RawSubscription) -> Result<Arc<Self>> {
+        let topic = subscription.topic();
+        let (name, measured) = match &node.context().system {
+            None => (topic.to_owned(), None),
+            Some(system) => {
+                let (name, callback) = system.callback(&node.full_name, topic)?;
+                let counters = subscription.counters();
+                let noted = AtomicU64::new(counters.lost());
+                (name, Some(Measured { callback, counters, depth: subscription.qos().depth as u64, noted }))
+            }
+        };
+        let traced = tautline_trace::subscription_callback_init(subscription.trace_id(), &name);
+        Ok(Arc::new(Jobs { traced, measured }))
+    }
+
+    /// This thread has a message, released at `released_ns`, and runs the callback.
+    ///
+    /// # Real-time
+    /// A load if nobody traces or measures; else as [`ForeignCallback::begin`].
+    pub(crate) fn begin(self: &Arc<Self>, released_ns: u64) {
+        if self.measured.is_none() && !tautline_trace::is_on() {
+            return;
+        }
+        if let Some(Measured { callback, counters, depth, noted }) = &self.measured {
+            let lost = counters.lost();
+            let before = noted.swap(lost, Ordering::Relaxed);
+            let (lost, max_queue) = (lost.saturating_sub(before), counters.max_queue());
+            callback.note_queue(QueueState { lost, max_queue, depth: *depth });
+            callback.begin(released_ns);
+        }
+        tautline_trace::callback_start(self.traced.id(), released_ns);
+        // A thread that is going down has no place for it.
+        let _ = RUNNING.try_with(|running| running.replace(Some((self.clone(), released_ns))));
+    }
+}
+
+/// The thread takes or waits: what it did with the message before is done. Returns whether there was one.
+///
+/// # Real-time
+/// A load if nothing runs; else as [`ForeignCallback::end`].
+pub(crate) fn end() -> bool {
+    let running = RUNNING.try_with(|running| running.borrow_mut().take()).ok().flatten();
+    let Some((jobs, released_ns)) = running else { return false };
+    tautline_trace::callback_end(jobs.traced.id());
+    if let Some(measured) = &jobs.measured {
+        measured.callback.end(released_ns);
+    }
+    true
+}
+
+/// The thread waits, until `deadline_ns` at most.
+///
+/// # Real-time
+/// As [`end`]; one syscall more where callbacks are measured, if none has run.
+pub(crate) fn wait(waits: &SamplerObject, deadline_ns: Option<u64>, is_measured: bool) {
+    if !end() && is_measured {
+        foreign::idle();
+    }
+    if IS_AWAKE.replace(false) {
+        tautline_trace::spin_end(waits);
+    }
+    tautline_trace::spin_start(waits, deadline_ns);
+}
+
+/// The wait is over: something is ready, or the time is up.
+///
+/// # Real-time
+/// Two loads if nobody traces; else an event.
+pub(crate) fn wake(waits: &SamplerObject, is_ready: bool) {
+    if is_ready {
+        IS_AWAKE.set(tautline_trace::is_on());
+        tautline_trace::spin_wake(waits);
+    } else {
+        tautline_trace::spin_timeout(waits);
+    }
+}
