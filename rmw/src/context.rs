@@ -81,8 +81,9 @@ impl Waiters {
 
 impl Context {
     fn join(domain: u32, enclave: &str) -> Result<Self> {
-        let system = System::of_environment(domain)?;
         let participant = Participant::new(domain)?;
+        // In the domain's folder.
+        let system = System::of_environment(domain)?;
         let waits = Arc::new(tautline_trace::sampler_init(participant.trace_id(), "rmw_wait"));
         let helper = Helper::start(&participant)?;
         let watchers = Arc::<Watchers>::default();
