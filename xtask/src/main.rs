@@ -6,6 +6,7 @@
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
+//! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
@@ -26,6 +27,7 @@
 //! | `machine` | where things are built, and what this user may do |
 
 mod bridge;
+mod colcon;
 mod compare;
 mod examples;
 mod fuzz;

@@ -3,7 +3,7 @@
 
 use crate::bridge::{Environment, nextest, with_libraries};
 use crate::steps::{self, Outcome, Steps, cargo, execute};
-use crate::{machine, r2r, ros};
+use crate::{colcon, machine, r2r, ros};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
@@ -113,6 +113,7 @@ pub fn test(steps: &mut Steps) {
     steps.command("rmw: clippy", &mut building(&format!("clippy {WHOLE} --all-targets -- -D warnings")));
     // Cargo builds no library of this kind for its tests.
     steps.command("rmw: build", &mut building(&format!("build {WHOLE}")));
+    colcon::test(steps, &environment);
     let programs = "build --locked --workspace --features tautline/ros_all --bin taut --bin taut-gateway";
     steps.command("rmw: the gateway", &mut cargo(programs));
     steps.command("rmw: tests", &mut building(&nextest(WHOLE)));

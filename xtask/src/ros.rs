@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::{fs, io};
 
-const WHEELS: [&str; 8] = [
+const WHEELS: [&str; 15] = [
     "ros-jazzy-rclpy==7.1.6",
     "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
     "ros-jazzy-common-interfaces==5.3.6",
@@ -15,6 +15,14 @@ const WHEELS: [&str; 8] = [
     "ros-jazzy-std-srvs==5.3.6",
     "ros-jazzy-lifecycle-msgs==2.0.3",
     "ros-jazzy-test-msgs==2.0.3",
+    // To build rmw_tautline as a package of a ROS 2 workspace.
+    "ros-jazzy-ament-cmake==2.5.4",
+    "ros-jazzy-ament-cmake-include-directories==2.5.4",
+    "ros-jazzy-ament-package==0.16.4",
+    "colcon-core==0.21.3",
+    "colcon-ros==0.5.0",
+    "colcon-package-information==0.4.1",
+    "colcon-cargo==0.2.0",
     // Not ROS's: what the bridge asks Cyclone DDS is asked of it in a test.
     "cyclonedds==11.0.1",
 ];
@@ -79,6 +87,9 @@ fn make(python: &str, venv: &Path) -> io::Result<()> {
     if venv.exists() {
         fs::remove_dir_all(venv)?;
     }
+    // The wheels' packages are none of a workspace that this repository is in.
+    fs::create_dir_all(machine::target_dir())?;
+    fs::write(machine::target_dir().join("COLCON_IGNORE"), "")?;
     let mut command = Command::new(python);
     command.args(["-m", "venv"]).arg(venv);
     announce(&command);

@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! rmw_tautline as a package of a ROS 2 workspace: what colcon finds in this repository, builds and installs.
+
+use crate::bridge::Environment;
+use crate::steps::{Outcome, Steps, announce, execute};
+use crate::{machine, packages, r2r, ros};
+use std::path::Path;
+use std::process::Command;
+use std::{env, fs};
+
+/// colcon-cargo, with which every crate may be a package.
+const CARGO: &str =
+    "colcon_core.package_identification.cargo:colcon_core.package_identification.cargo_workspace";
+
+/// As a node and ROS's tools find it.
+const INSTALLED: &str = "
+import ctypes, os
+from ament_index_python import get_resource
+ctypes.CDLL('librmw_tautline.so').rmw_get_implementation_identifier
+support, prefix = get_resource('rmw_typesupport', 'rmw_tautline')
+assert prefix == os.path.join(os.getcwd(), 'install', 'rmw_tautline'), prefix
+assert 'rosidl_typesupport_fastrtps_cpp' in support.split(';'), support
+";
+
+/// With the library that the tests have built: cargo finds nothing to do.
+pub fn test(steps: &mut Steps, environment: &Environment) {
+    const NAME: &str = "rmw: colcon package";
+    let has_wheels = environment.iter().any(|(name, _)| *name == r2r::RPATH);
+    if !has_wheels && !machine::is_ci() && !packages::runs("colcon", &["--help"]) {
+        return steps.skip(NAME, "sudo apt install python3-colcon-common-extensions");
+    }
+    // A workspace of which this repository is the source.
+    let workspace = machine::target_dir().join("ros/colcon");
+    let command = |program: &str| {
+        let mut command = Command::new(program);
+        command.current_dir(&workspace).envs(environment.clone());
+        command.env("CARGO_TARGET_DIR", machine::target_dir());
+        if has_wheels {
+            let folders = [ros::venv().join("bin")].into_iter();
+            let path = env::var_os("PATH").unwrap_or_default();
+            let path = env::join_paths(folders.chain(env::split_paths(&path))).expect("they were joined");
+            command.env("PATH", path).env("VIRTUAL_ENV", ros::venv());
+        }
+        command
+    };
+    steps.step(NAME, || match check(&workspace, command) {
+        Ok(()) => Outcome::Ok,
+        Err(reason) => Outcome::Failed(reason),
+    });
+}
+
+fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), String> {
+    let _ = fs::remove_dir_all(workspace);
+    fs::create_dir_all(workspace).map_err(|error| error.to_string())?;
+    let source = ["--base-paths".into(), machine::root()];
+    for without in ["", CARGO] {
+        let mut list = command("colcon");
+        list.args(["list", "--names-only"]).args(&source).env("COLCON_EXTENSION_BLOCKLIST", without);
+        announce(&list);
+        let output = list.output().map_err(|error| format!("colcon: {error}"))?;
+        let found = String::from_utf8_lossy(&output.stdout);
+        if found.trim() != "rmw_tautline" {
+            return Err(format!("colcon finds {found:?} {}", String::from_utf8_lossy(&output.stderr)));
+        }
+    }
+    let colcon = |verb: &str| {
+        let mut colcon = command("colcon");
+        colcon.arg(verb).args(&source);
+        colcon
+    };
+    run(colcon("build").args([
+        "--cmake-args",
+        "-DCMAKE_BUILD_TYPE=Debug",
+        "-DRMW_TAUTLINE_CARGO_ARGS=--features bench",
+    ]))?;
+    run(colcon("test").arg("--return-code-on-test-failure"))?;
+    run(command("sh").args(["-c", &format!(". install/setup.sh && exec python3 -c \"{INSTALLED}\"")]))
+}
+
+fn run(command: &mut Command) -> Result<(), String> {
+    match execute(command) {
+        Outcome::Ok => Ok(()),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+    }
+}
