@@ -59,13 +59,16 @@ fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), Stri
         announce(&list);
         let output = list.output().map_err(|error| format!("colcon: {error}"))?;
         let found = String::from_utf8_lossy(&output.stdout);
-        if found.trim() != "rmw_tautline" {
+        let mut found: Vec<&str> = found.lines().collect();
+        found.sort_unstable();
+        if found != ["rmw_tautline", "tautline_examples_rclcpp"] {
             return Err(format!("colcon finds {found:?} {}", String::from_utf8_lossy(&output.stderr)));
         }
     }
     let colcon = |verb: &str| {
         let mut colcon = command("colcon");
-        colcon.arg(verb).args(&source);
+        // The example needs rclcpp.
+        colcon.arg(verb).args(&source).args(["--packages-select", "rmw_tautline"]);
         colcon
     };
     run(colcon("build").args([
