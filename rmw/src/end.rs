@@ -142,13 +142,9 @@ impl<P: Port> End<P> {
         self.jobs.begin(info.released_ns);
     }
 
-    /// Sets the callback for new messages, or takes it back. The helper calls it, also for what is there already.
+    /// Sets the callback for new messages, or takes it back. The helper calls it, also for what nobody was called for before.
     pub(crate) fn set_on_new(self: &Arc<Self>, helper: &Helper, function: Function) {
-        {
-            let (_, route) = &mut *self.side.lock();
-            self.callback.replace(function);
-            route.told = 0;
-        }
+        self.callback.replace(function);
         self.callback.settle();
         if function.is_none() {
             return;

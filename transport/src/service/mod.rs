@@ -112,7 +112,7 @@ pub enum ServiceError {
         service: Arc<str>,
     },
     /// A client has not taken as many responses as its queue holds. Nothing was sent.
-    #[error("service '{service}': the client takes no responses, its queue of {RESPONSES_DEPTH} is full")]
+    #[error("service '{service}': the client takes no responses, its queue of them is full")]
     ResponsesFull {
         /// The service.
         service: Arc<str>,
