@@ -91,6 +91,8 @@ fn the_other_examples_are_schedulable() {
         assert!(checked.schedulable, "{name}: {checked:#?}");
         assert!(!checked.chains.is_empty());
     }
+    let rclcpp = example("../rclcpp/system");
+    assert!(rclcpp.schedulable, "{rclcpp:#?}");
     // From the lidar's 4 ms on one host over the network, planning on the other, and back.
     let chain = &example("two-hosts").chains[0];
     assert!((20_000_000..24_000_000).contains(&chain.latency_ns.unwrap()), "{chain:?}");
