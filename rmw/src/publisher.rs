@@ -119,8 +119,9 @@ impl Publisher {
             return Err(Error::unsupported("messages of this type are not in memory as they are sent"));
         };
         let mut side = self.side.lock();
+        // What it holds is zeros or an earlier message of this publisher, hence a message of this type: to clear it would take as long
+        // as to copy one.
         let mut loan = side.raw.loan(len_bytes)?;
-        loan.fill(0);
         let message = loan.as_mut_ptr().cast();
         // SAFETY: it is kept beside its publisher, behind the lock.
         let loan = unsafe { detached(loan) };
