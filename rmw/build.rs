@@ -10,8 +10,8 @@ const FUNCTIONS: &str = "rmw_(allocate|free|get_default_.*_options|.*_allocate|.
     |rcutils_(get_default_allocator|error_is_set|get_error_string|reset_error|set_error_state|string_array_(init|fini)|strdup|uint8_array_resize|log)\
     |get_(message|service)_typesupport_handle";
 
-const TYPES: &str =
-    "rmw_.*|rcutils_.*|rosidl_(message|service)_type_support_t|rosidl_runtime_c__.*|rosidl_type_hash_t";
+const TYPES: &str = "rmw_.*|rcutils_.*|rosidl_(message|service)_type_support_t|rosidl_runtime_c__.*|rosidl_type_hash_t\
+    |rosidl_typesupport_introspection_c__MessageMembers";
 
 const HEADERS: &str = "
 #include <rcutils/logging.h>
@@ -31,6 +31,7 @@ const HEADERS: &str = "
 #include <rmw/validate_node_name.h>
 #include <rosidl_runtime_c/message_type_support_struct.h>
 #include <rosidl_runtime_c/service_type_support_struct.h>
+#include <rosidl_typesupport_introspection_c/message_introspection.h>
 ";
 
 fn main() {

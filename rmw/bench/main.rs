@@ -1,35 +1,58 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Round trips of `rmw_wait` and take between two processes, on rmw_tautline and on Fast DDS's RMW: the same program calls both by the
-//! names that rcl uses.
+//! rmw_tautline beside Fast DDS's RMW: the same programs use both, by the names that rcl uses.
+//!
+//! | module | holds |
+//! |---|---|
+//! | `trips` | half round trips: their rows |
+//! | `end` | an end of them that calls the RMW itself; `client.py` and `rclcpp.cpp` are ends in rclpy and rclcpp |
+//! | `flow` | the CPU time of topics at a rate |
+//! | `nodes` | the time until nodes have found each other |
+//! | `system` | the RMWs, and the processes that use them |
+//! | `rmw` | an RMW's functions |
+//! | `types` | type supports |
 
 #[path = "../src/bindings.rs"]
 mod bindings;
+mod end;
+mod flow;
+mod nodes;
+#[path = "../../benches/src/process.rs"]
+#[allow(dead_code, reason = "no bench uses all of it")]
+mod process;
 mod rmw;
+mod system;
+mod trips;
+mod types;
 
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use serde_json::{Value, json};
-use std::fmt;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
 use std::time::Duration;
-use tautline_exchange::{Exchange, Job, Line, Link, Measured, Result, Role, Way, drive, say, stop_flag};
-use tautline_rt::{IdleHold, host};
+use system::{Message, Starter, System, Task};
+use tautline_exchange::{Job, Result};
+use tautline_rt::IdleHold;
+use trips::{Client, Trip};
 
-/// Half round trips of rmw_wait and take, in two processes
+/// rmw_tautline beside Fast DDS's RMW: round trips, CPU time, start-up
 #[derive(Parser)]
 #[command(after_help = "Examples:
   cargo xtask bench rmw
-  cargo xtask bench rmw --quick --json rmw.json")]
+  cargo xtask bench rmw --quick --json rmw.json
+  cargo xtask bench rmw -- --only loaned,cpu
+  cargo xtask bench rmw -- --only c --bytes 1048576")]
 struct Arguments {
-    /// Fewer and shorter rounds: half a minute
+    /// Fewer and shorter rounds: half a minute instead of five
     #[arg(long)]
     quick: bool,
     /// Write the numbers to FILE as well
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// These lengths of messages only
+    /// These parts only
+    #[arg(long, value_name = "PART,...", value_delimiter = ',')]
+    only: Vec<Part>,
+    /// Round trips of messages of these lengths only
     #[arg(long, value_name = "N,...", value_delimiter = ',', value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(48..1 << 30))]
     bytes: Vec<usize>,
     /// Without real-time priorities, where they are not permitted
@@ -41,23 +64,44 @@ struct Arguments {
     /// Fast DDS's RMW
     #[arg(long, value_name = "LIBRARY", default_value = "librmw_fastrtps_cpp.so")]
     fast_dds: PathBuf,
-    /// One end of a round trip, for this program's own use
-    #[arg(long, hide = true)]
+    /// The Python that has rclpy
+    #[arg(long, value_name = "PROGRAM")]
+    python: Option<PathBuf>,
+    /// A program made of rmw/bench/rclcpp.cpp, which says how
+    #[arg(long, value_name = "PROGRAM")]
+    rclcpp: Option<PathBuf>,
+    /// The job of a process, for this program's own use
+    #[arg(long, hide = true, requires = "task")]
     end: Option<String>,
+    #[arg(long, hide = true)]
+    task: Option<Task>,
 }
 
-/// Nobody else measures or tests there.
-const DOMAIN: u32 = 88;
-/// How long a round measures.
-const ROUND: Duration = Duration::from_millis(700);
-/// How often who answers looks whether it is to end.
-const LOOK: Duration = Duration::from_millis(20);
+/// What is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Part {
+    /// Round trips of rmw_wait and take
+    C,
+    /// Those of loaned messages
+    Loaned,
+    /// Those of rclcpp
+    Rclcpp,
+    /// Those of rclpy
+    Rclpy,
+    /// The CPU time of 20 topics at 100 Hz
+    Cpu,
+    /// The time until nodes have found each other
+    Nodes,
+}
+
+const TAUTLINE: &str = "rmw_tautline";
+const FAST_DDS: &str = "rmw_fastrtps_cpp";
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let done = match &arguments.end {
-        Some(job) => Job::begin(job).and_then(|job| end(&job)).map(|()| true),
-        None => measure(&arguments),
+    let done = match (&arguments.end, arguments.task) {
+        (Some(job), Some(task)) => play(job, task).map(|()| true),
+        _ => measure(&arguments),
     };
     match done {
         Ok(true) => ExitCode::SUCCESS,
@@ -69,204 +113,250 @@ fn main() -> ExitCode {
     }
 }
 
-/// One process of a round trip.
-fn end(job: &Job) -> Result<()> {
-    let (own, stop) = (job.clone(), stop_flag());
-    // The RMW's threads inherit the priority, if it says nothing else of them.
-    job.as_application(move || {
-        let mut end = rmw::End::new(&own)?;
-        match own.role {
-            Role::Near => {
-                if let Some(measured) = drive(&own, &mut end)? {
-                    say(&Line::Measured(measured));
-                }
-                Ok(())
-            }
-            Role::Far => {
-                say(&Line::Ready(None));
-                answer(&mut end, &stop)
-            }
-        }
-    })
-}
-
-fn answer(end: &mut impl Link, stop: &AtomicBool) -> Result<()> {
-    while !stop.load(Ordering::Relaxed) {
-        if let Some(number) = end.receive(LOOK)? {
-            end.send(number)?;
-        }
-    }
-    Ok(())
-}
-
-/// A process that says lines, until it is dropped.
-struct Process(Child, BufReader<std::process::ChildStdout>);
-
-impl Process {
-    fn start(job: &Job, fast_dds: &str) -> Result<Self> {
-        let mut command = Command::new(std::env::current_exe()?);
-        command.args(["--tautline", "none", "--end", &serde_json::to_string(job)?]);
-        // What a user may have set is not what is measured.
-        command
-            .env_remove("RMW_IMPLEMENTATION")
-            .env_remove("RUST_LOG")
-            .env("FASTDDS_DEFAULT_PROFILES_FILE", fast_dds);
-        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
-        let output = child.stdout.take().ok_or("it says nothing")?;
-        Ok(Process(child, BufReader::new(output)))
-    }
-
-    fn line(&mut self) -> Result<Line> {
-        let mut line = String::new();
-        self.1.read_line(&mut line)?;
-        serde_json::from_str(&line)
-            .map_err(|_| format!("a process ended without a word, or said: {line:?}").into())
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        drop(self.0.stdin.take());
-        let _ = self.0.wait();
-    }
-}
-
-struct Row {
-    system: &'static str,
-    bytes: usize,
-    held: bool,
-    measured: Measured,
-    steal_ticks: u64,
-}
-
-impl Row {
-    fn new(system: &'static str, bytes: usize, held: bool) -> Self {
-        Row { system, bytes, held, measured: Measured::default(), steal_ticks: 0 }
-    }
-
-    /// Another round, with processes of its own.
-    fn add(&mut self, arguments: &Arguments, library: &Path, fast_dds: &str) -> Result<()> {
-        let job = |role, core| Job {
-            role,
-            exchange: Exchange::RoundTrips,
-            payload_bytes: self.bytes,
-            budget: ROUND,
-            core: Some(core),
-            realtime: !arguments.no_rt,
-            domain: DOMAIN,
-            topic: format!("/bench_{}", self.bytes),
-            endpoint: None,
-            way: Way { mode: library.display().to_string(), ..Way::default() },
-        };
-        let before = host::steal_ticks(None);
-        let mut far = Process::start(&job(Role::Far, 1), fast_dds)?;
-        far.line()?;
-        let mut near = Process::start(&job(Role::Near, 0), fast_dds)?;
-        let Line::Measured(measured) = near.line()? else {
-            return Err("the near end said something else".into());
-        };
-        self.measured.times_ns.extend(measured.times_ns);
-        self.measured.lost += measured.lost;
-        self.steal_ticks += host::steal_ticks(None) - before;
-        Ok(())
-    }
-
-    /// In µs.
-    fn percentile(&self, share: f64) -> f64 {
-        let times = &self.measured.times_ns;
-        let at = ((times.len() as f64 * share) as usize).min(times.len().saturating_sub(1));
-        times.get(at).map_or(f64::NAN, |time| *time as f64 / 1e3)
-    }
-
-    fn to_json(&self) -> Value {
-        json!({
-            "system": self.system, "bytes": self.bytes, "idle_states_held_off": self.held,
-            "n": self.measured.times_ns.len(), "lost": self.measured.lost, "p50_us": self.percentile(0.5),
-            "p99_us": self.percentile(0.99), "p999_us": self.percentile(0.999), "max_us": self.percentile(1.0),
-            "steal_ticks": self.steal_ticks,
-        })
-    }
-}
-
-impl fmt::Display for Row {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (idle, n) = (if self.held { "held" } else { "as is" }, self.measured.times_ns.len());
-        write!(f, "{:<18}{:>9}  {idle:<6}{n:>8}{:>6}", self.system, self.bytes, self.measured.lost)?;
-        for share in [0.5, 0.99, 0.999, 1.0] {
-            write!(f, "{:>9.1}", self.percentile(share))?;
-        }
-        write!(f, "{:>7}", self.steal_ticks)
+/// What a process that this program has started does.
+fn play(job: &str, task: Task) -> Result<()> {
+    let job = Job::begin(job)?;
+    match task {
+        Task::Struct => end::run(&job, Message::Struct),
+        Task::Serialized => end::run(&job, Message::Serialized),
+        Task::Loaned => end::run(&job, Message::Loaned),
+        Task::Flow => flow::run(&job),
+        Task::Node => nodes::run(&job),
     }
 }
 
 fn measure(arguments: &Arguments) -> Result<bool> {
     tautline_rt::domain::set_scope(&format!("bench_rmw_{}", std::process::id())).ok();
-    let (rounds, sizes) = match arguments.quick {
-        true => (1, vec![48, 1 << 20]),
-        false => (7, vec![48, 64 << 10, 1 << 20, 8 << 20]),
-    };
-    let sizes = if arguments.bytes.is_empty() { sizes } else { arguments.bytes.clone() };
-    let fast_dds = format!("{}/bench/fast_dds.xml", env!("CARGO_MANIFEST_DIR"));
-    let systems = [("rmw_tautline", &*arguments.tautline), ("rmw_fastrtps_cpp", &*arguments.fast_dds)];
     let scope = tautline_rt::domain::scope()?.map(str::to_owned);
-    let mut rows = Vec::new();
-    println!(
-        "half a round trip of rmw_wait and take, two processes, a core each{}, µs; 48 B: a struct; more: a serialized message",
-        if arguments.no_rt { "" } else { ", SCHED_FIFO" }
-    );
-    println!(
-        "{:<18}{:>9}  {:<6}{:>8}{:>6}{:>9}{:>9}{:>9}{:>9}{:>7}",
-        "system", "bytes", "idle", "n", "lost", "p50", "p99", "p99.9", "max", "steal"
-    );
-    for held in [true, false] {
-        let hold = if held { IdleHold::new().ok() } else { None };
-        if held && hold.is_none() {
-            println!("idle states cannot be held off here: /dev/cpu_dma_latency cannot be opened");
-            continue;
-        }
-        for &bytes in &sizes {
-            let mut found = systems.map(|(system, _)| Row::new(system, bytes, held));
-            // In turns: what the machine does besides meets both.
-            for _ in 0..rounds {
-                for (row, (_, library)) in found.iter_mut().zip(systems) {
-                    row.add(arguments, library, &fast_dds)?;
-                }
-            }
-            for mut row in found {
-                row.measured.times_ns.sort_unstable();
-                println!("{row}");
-                rows.push(row);
-            }
-        }
+    let run = Run {
+        arguments,
+        starter: Starter {
+            python: arguments.python.as_deref(),
+            rclcpp: arguments.rclcpp.as_deref(),
+            realtime: !arguments.no_rt,
+        },
+        systems: [
+            System { name: TAUTLINE, library: arguments.tautline.clone() },
+            System { name: FAST_DDS, library: arguments.fast_dds.clone() },
+        ],
+    };
+    let trips = run.trips()?;
+    let flows = run.flows()?;
+    let nodes = run.nodes()?;
+    let claims = claims(&trips);
+    for claim in &claims {
+        println!("{}", claim.said());
     }
-    let claims = claims(&rows);
-    for (claim, ratio, limit) in &claims {
-        let verdict = if ratio <= limit { "holds" } else { "does not hold" };
-        println!("{claim}: {ratio:.2} of Fast DDS's p50, {limit:.2} at most: {verdict}");
-    }
-    let lost: u64 = rows.iter().filter(|row| row.system == "rmw_tautline").map(|row| row.measured.lost).sum();
-    println!("lost by rmw_tautline: {lost}");
+    let of_trips = trips.iter().filter(|row| row.system == TAUTLINE).map(|row| row.lost);
+    let of_flows = flows.iter().filter(|row| row.system == TAUTLINE).map(|row| row.lost);
+    let lost: u64 = of_trips.chain(of_flows).sum();
+    println!("lost by {TAUTLINE}: {lost}");
     if let Some(path) = &arguments.json {
-        let claims = claims
-            .iter()
-            .map(|(claim, ratio, limit)| json!({ "claim": claim, "ratio": ratio, "limit": limit }));
-        let claims: Vec<Value> = claims.collect();
-        let rows: Vec<Value> = rows.iter().map(Row::to_json).collect();
-        let all = json!({ "rows": rows, "claims": claims, "scope": scope });
+        let all = json!({
+            "rows": trips.iter().map(trips::Row::to_json).collect::<Value>(),
+            "cpu": flows.iter().map(flow::Row::to_json).collect::<Value>(),
+            "nodes": nodes.iter().map(nodes::Row::to_json).collect::<Value>(),
+            "claims": claims.iter().map(Claim::to_json).collect::<Value>(),
+            "scope": scope,
+        });
         std::fs::write(path, serde_json::to_string_pretty(&all)?)?;
     }
-    Ok(lost == 0 && (arguments.quick || claims.iter().all(|(_, ratio, limit)| ratio <= limit)))
+    Ok(lost == 0 && (arguments.quick || claims.iter().all(Claim::holds)))
 }
 
-/// What is claimed of it, with idle states held off: how it compares, and what it may be.
-fn claims(rows: &[Row]) -> Vec<(&'static str, f64, f64)> {
-    let p50 = |system: &str, bytes: usize| {
-        let row = rows.iter().find(|row| row.system == system && row.bytes == bytes && row.held)?;
-        Some(row.percentile(0.5))
+/// All that is measured, in turns: what the machine does besides meets both systems.
+struct Run<'a> {
+    arguments: &'a Arguments,
+    starter: Starter<'a>,
+    systems: [System; 2],
+}
+
+impl Run<'_> {
+    fn has(&self, part: Part) -> bool {
+        self.arguments.only.is_empty() || self.arguments.only.contains(&part)
+    }
+
+    /// Round trips, and how many rounds of each.
+    fn plan(&self) -> Vec<(usize, Trip)> {
+        const KIB: usize = 1 << 10;
+        const MIB: usize = 1 << 20;
+        // Lengths, and those of a quick run.
+        let parts: [(Part, Client, usize, &[usize], &[usize]); 4] = [
+            (Part::C, Client::C, 5, &[48, 64 * KIB, MIB, 8 * MIB], &[48, MIB]),
+            (Part::Loaned, Client::C, 3, &[48, MIB, 8 * MIB], &[48, 8 * MIB]),
+            (Part::Rclcpp, Client::Rclcpp, 3, &[48, 64 * KIB, MIB, 8 * MIB], &[48]),
+            (Part::Rclpy, Client::Rclpy, 3, &[48, 64 * KIB, MIB], &[48]),
+        ];
+        let Arguments { quick, bytes: own, .. } = self.arguments;
+        let mut plan = Vec::new();
+        for (part, client, rounds, full, short) in parts.into_iter().filter(|(part, ..)| self.has(*part)) {
+            if client != Client::C && self.starter.program(client).is_none() {
+                println!("{} is left out: no program that has it was named, see --help", client.name());
+                continue;
+            }
+            let lengths = match own.is_empty() {
+                true if *quick => short,
+                true => full,
+                false => own,
+            };
+            for &bytes in lengths {
+                let message = match part {
+                    Part::Loaned => Message::Loaned,
+                    Part::C if bytes > rmw::STRUCT_BYTES => Message::Serialized,
+                    _ => Message::Struct,
+                };
+                plan.push((if *quick { 1 } else { rounds }, Trip { client, message, bytes }));
+            }
+        }
+        plan
+    }
+
+    fn trips(&self) -> Result<Vec<trips::Row>> {
+        let (mut rows, plan) = (Vec::new(), self.plan());
+        if plan.is_empty() {
+            return Ok(rows);
+        }
+        let length = Duration::from_millis(if self.arguments.quick { 400 } else { 700 });
+        let priority = if self.starter.realtime { ", SCHED_FIFO" } else { "" };
+        println!("half a round trip, two processes, a core each{priority}, µs");
+        println!("c: rmw_wait and take; rclcpp, rclpy: an executor with one thread\n\n{}", trips::HEAD);
+        for held in [true, false] {
+            let hold = if held { IdleHold::new().ok() } else { None };
+            if held && hold.is_none() {
+                println!("idle states cannot be held off here: /dev/cpu_dma_latency cannot be opened");
+                continue;
+            }
+            for &(rounds, trip) in &plan {
+                let mut found =
+                    self.systems.each_ref().map(|system| trips::Row::new(system.name, trip, held));
+                for round in 1..=rounds {
+                    progress(&format!("{}, {} B: round {round} of {rounds}", trip.client.name(), trip.bytes));
+                    for (row, system) in found.iter_mut().zip(&self.systems) {
+                        row.add(&self.starter, system, length)?;
+                    }
+                }
+                progress("");
+                for row in found {
+                    println!("{row}");
+                    rows.push(row);
+                }
+            }
+        }
+        println!();
+        Ok(rows)
+    }
+
+    fn flows(&self) -> Result<Vec<flow::Row>> {
+        let mut rows = Vec::new();
+        if !self.has(Part::Cpu) {
+            return Ok(rows);
+        }
+        let seconds = Duration::from_secs(if self.arguments.quick { 2 } else { 5 });
+        println!(
+            "{} topics at {} Hz, two processes: CPU time in ms for each second",
+            flow::TOPICS,
+            flow::RATE_HZ
+        );
+        println!("\n{}", flow::HEAD);
+        for system in &self.systems {
+            progress(system.name);
+            let row = flow::Row::measure(&self.starter, system, seconds)?;
+            progress("");
+            println!("{row}");
+            rows.push(row);
+        }
+        let [own, other] = [&rows[0], &rows[1]].map(flow::Row::cpu_ms_per_s);
+        println!("{TAUTLINE}: {:.2} of Fast DDS's CPU time\n", own / other);
+        Ok(rows)
+    }
+
+    fn nodes(&self) -> Result<Vec<nodes::Row>> {
+        let mut rows = Vec::new();
+        if !self.has(Part::Nodes) {
+            return Ok(rows);
+        }
+        println!("until nodes have found each other, each in a process of its own, with rclpy's ends");
+        println!("\n{}", nodes::HEAD);
+        for nodes in if self.arguments.quick { vec![5] } else { vec![5, 20, 50] } {
+            for system in &self.systems {
+                progress(&format!("{}: {nodes} nodes", system.name));
+                let measured = nodes::Row::measure(&self.starter, system, nodes);
+                progress("");
+                match measured {
+                    Ok(row) => {
+                        println!("{row}");
+                        rows.push(row);
+                    }
+                    // It needs multicast, which not every network has.
+                    Err(error) if system.name == FAST_DDS => println!("{FAST_DDS} is left out: {error}"),
+                    Err(error) => return Err(error),
+                }
+            }
+        }
+        println!();
+        Ok(rows)
+    }
+}
+
+/// What is being done, where somebody looks.
+fn progress(text: &str) {
+    let mut out = std::io::stderr();
+    if out.is_terminal() {
+        let _ = write!(out, "\r\x1b[K{text}").and_then(|()| out.flush());
+    }
+}
+
+/// A ratio that is to be so much at most, with idle states held off.
+struct Claim {
+    what: &'static str,
+    of: &'static str,
+    ratio: f64,
+    limit: f64,
+}
+
+impl Claim {
+    fn holds(&self) -> bool {
+        self.ratio <= self.limit
+    }
+
+    fn said(&self) -> String {
+        let verdict = if self.holds() { "holds" } else { "does not hold" };
+        let Claim { what, of, ratio, limit } = self;
+        format!("{what}: {ratio:.2} of {of}, {limit:.2} at most: {verdict}")
+    }
+
+    fn to_json(&self) -> Value {
+        json!({ "claim": self.what, "of": self.of, "ratio": self.ratio, "limit": self.limit })
+    }
+}
+
+fn claims(rows: &[trips::Row]) -> Vec<Claim> {
+    let p50s = |system: &str, message: Message, bytes: usize| {
+        let is_it = |row: &&trips::Row| {
+            row.system == system && row.trip == Trip { client: Client::C, message, bytes }
+        };
+        rows.iter().find(|row| row.held && is_it(row)).map(|row| &row.p50s_us[..])
     };
-    let of = |claim, bytes, limit| {
-        let ratio = p50("rmw_tautline", bytes)? / p50("rmw_fastrtps_cpp", bytes)?;
-        Some((claim, ratio, limit))
+    let beside = |what, message, bytes, limit| {
+        let ratio = ratio(p50s(TAUTLINE, message, bytes)?, p50s(FAST_DDS, message, bytes)?)?;
+        Some(Claim { what, of: "Fast DDS's p50", ratio, limit })
     };
-    [of("48 B", 48, 0.5), of("1 MiB, serialized", 1 << 20, 1.0 / 3.0)].into_iter().flatten().collect()
+    let loaned = || {
+        let own = |bytes| p50s(TAUTLINE, Message::Loaned, bytes);
+        let ratio = ratio(own(8 << 20)?, own(48)?)?;
+        Some(Claim { what: "8 MiB, loaned", of: "its p50 at 48 B", ratio, limit: 1.5 })
+    };
+    let all = [
+        beside("48 B", Message::Struct, 48, 0.5),
+        beside("1 MiB, serialized", Message::Serialized, 1 << 20, 1.0 / 3.0),
+        loaned(),
+    ];
+    all.into_iter().flatten().collect()
+}
+
+/// The median of the rounds' ratios: those of a round are measured one after the other, on a machine in the same state.
+fn ratio(own: &[f64], other: &[f64]) -> Option<f64> {
+    let mut ratios: Vec<f64> = own.iter().zip(other).map(|(own, other)| own / other).collect();
+    ratios.sort_unstable_by(f64::total_cmp);
+    ratios.get(ratios.len() / 2).copied()
 }

@@ -194,7 +194,7 @@ enum Bench {
     Services(services::Options),
     /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
     Bridge(bridge::Options),
-    /// Round trips of rmw_wait and take, on rmw_tautline and on Fast DDS's RMW
+    /// Round trips, CPU time and start-up on rmw_tautline and on Fast DDS's RMW
     Rmw(rmw::Options),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
     Paper(paper::Options),

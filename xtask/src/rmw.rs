@@ -16,7 +16,7 @@ const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features bench";
   cargo xtask bench rmw
   cargo xtask bench rmw --quick --json rmw.json")]
 pub struct Options {
-    /// Fewer and shorter rounds: half a minute
+    /// Fewer and shorter rounds: half a minute instead of five
     #[arg(long)]
     pub quick: bool,
     /// Write the numbers to FILE as well
@@ -46,12 +46,24 @@ fn measure(profile: &str, quick: bool, json: Option<&Path>) -> Command {
     let folder = machine::target_dir().join(profile);
     // It waits for processes, which may not come.
     let mut command = Command::new("timeout");
-    command.arg("300").arg(folder.join("bench-rmw")).arg("--tautline").arg(folder.join("librmw_tautline.so"));
+    command.arg("600").arg(folder.join("bench-rmw")).arg("--tautline").arg(folder.join("librmw_tautline.so"));
     command.args(quick.then_some("--quick"));
+    if let Some(python) = python() {
+        command.arg("--python").arg(python);
+    }
     if let Some(path) = json {
         command.arg("--json").arg(path);
     }
     command
+}
+
+/// The one that has rclpy: with the ROS 2 that is sourced, else with that under the target directory.
+fn python() -> Option<PathBuf> {
+    let own = ros::venv().join("bin/python");
+    match std::env::var_os("AMENT_PREFIX_PATH") {
+        Some(_) => Some("python3".into()),
+        None => own.is_file().then_some(own),
+    }
 }
 
 /// Nothing is lost, with the build of the tests; how it compares is for a quiet machine and a release build.

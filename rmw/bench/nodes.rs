@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! How long nodes take to find each other: each in a process of its own, with the ends that rclpy gives it.
+
+use crate::bindings::*;
+use crate::rmw::{Node, checked};
+use crate::system::{PATIENCE, Starter, System, Task, measured, ready, said};
+use crate::types;
+use serde_json::{Value, json};
+use std::fmt;
+use std::io::Read;
+use std::time::{Duration, Instant};
+use tautline_exchange::{Exchange, Job, Line, Measured, Result, Role, Way, say};
+use tautline_rt::clock::process_cpu_ns;
+
+/// How often a node looks whether it has found the others.
+const LOOK: Duration = Duration::from_millis(10);
+
+pub const HEAD: &str = "system            nodes   seconds     CPU s";
+
+pub struct Row {
+    pub system: &'static str,
+    pub nodes: usize,
+    /// From the start of the first process until the last one has found all others.
+    pub seconds: f64,
+    /// Of all processes until then, and what they take to hear of it.
+    cpu_seconds: f64,
+}
+
+impl Row {
+    pub fn measure(starter: &Starter<'_>, system: &System, nodes: usize) -> Result<Self> {
+        let job = starter.job(system, Role::Near, Exchange::RoundTrips, Duration::ZERO);
+        let way = Way { topics: nodes, ..job.way.clone() };
+        let job = Job { core: None, realtime: false, way, ..job };
+        let started = Instant::now();
+        let all: Result<Vec<_>> = (0..nodes).map(|_| starter.start(system, &job, Task::Node)).collect();
+        let mut all = all?;
+        for process in &mut all {
+            ready(process, PATIENCE)?;
+        }
+        let seconds = started.elapsed().as_secs_f64();
+        let mut cpu_ns = 0;
+        for process in &mut all {
+            said(process.tell("stop"))?;
+        }
+        for process in &mut all {
+            cpu_ns += measured(process, PATIENCE)?.cpu_ns;
+            said(process.finish())?;
+        }
+        Ok(Row { system: system.name, nodes, seconds, cpu_seconds: cpu_ns as f64 / 1e9 })
+    }
+
+    pub fn to_json(&self) -> Value {
+        json!({
+            "system": self.system, "nodes": self.nodes, "seconds": self.seconds, "cpu_seconds": self.cpu_seconds,
+        })
+    }
+}
+
+impl fmt::Display for Row {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:<18}{:>5}{:>10.2}{:>10.2}", self.system, self.nodes, self.seconds, self.cpu_seconds)
+    }
+}
+
+type CountPublishers = unsafe extern "C" fn(*const rmw_subscription_t, *mut usize) -> rmw_ret_t;
+type CountSubscriptions = unsafe extern "C" fn(*const rmw_publisher_t, *mut usize) -> rmw_ret_t;
+type NodeNames = unsafe extern "C" fn(
+    *const rmw_node_t,
+    *mut rcutils_string_array_t,
+    *mut rcutils_string_array_t,
+) -> rmw_ret_t;
+
+/// The services that nodes have for their parameters.
+const SERVICES: [&str; 6] = [
+    "DescribeParameters",
+    "GetParameterTypes",
+    "GetParameters",
+    "ListParameters",
+    "SetParameters",
+    "SetParametersAtomically",
+];
+
+/// One node: says that it is ready once all publishers, subscriptions and nodes have been found.
+pub fn run(job: &Job) -> Result<()> {
+    let name = format!("node_{}", std::process::id());
+    // As shipped: Fast DDS has 32 nodes on a host at most that look for others there only.
+    let node = Node::within(RMW_AUTOMATIC_DISCOVERY_RANGE_SUBNET, job, &name)?;
+    node.publisher(types::message("rcl_interfaces", "Log")?, "/rosout")?;
+    node.publisher(types::message("rcl_interfaces", "ParameterEvent")?, "/parameter_events")?;
+    for service in SERVICES {
+        let support = types::service("rcl_interfaces", service)?;
+        node.service(support, &format!("/{name}/{}", service.to_lowercase()))?;
+    }
+    let support = types::message("geometry_msgs", "Twist")?;
+    let (publisher, subscription) =
+        (node.publisher(support, &job.topic)?, node.subscription(support, &job.topic)?);
+    // SAFETY: rmw's functions; its protocol.
+    let found = || unsafe {
+        let (mut publishers, mut subscriptions) = (0, 0);
+        let count: CountPublishers = node.function("rmw_subscription_count_matched_publishers")?;
+        checked(count(subscription, &mut publishers), "matched publishers")?;
+        let count: CountSubscriptions = node.function("rmw_publisher_count_matched_subscriptions")?;
+        checked(count(publisher, &mut subscriptions), "matched subscriptions")?;
+        if publishers.min(subscriptions) < job.way.topics {
+            return Ok(false);
+        }
+        let [mut names, mut spaces] = [rcutils_string_array_t::default(); 2];
+        let list: NodeNames = node.function("rmw_get_node_names")?;
+        checked(list(node.node, &mut names, &mut spaces), "node names")?;
+        let count = names.size;
+        rcutils_string_array_fini(&mut names);
+        rcutils_string_array_fini(&mut spaces);
+        Result::Ok(count >= job.way.topics)
+    };
+    while !found()? {
+        std::thread::sleep(LOOK);
+    }
+    say(&Line::Ready(None));
+    // All have found each other once it is told to stop.
+    let _ = std::io::stdin().read_to_end(&mut Vec::new());
+    say(&Line::Measured(Measured { cpu_ns: process_cpu_ns(), ..Measured::default() }));
+    Ok(())
+}

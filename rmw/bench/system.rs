@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The RMWs that are measured, and processes that use one of them.
+
+use crate::process::Process;
+use crate::trips::Client;
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Result, Role, Way};
+
+/// Nothing takes so long unless it is broken.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Room in Fast DDS for the largest messages.
+const PROFILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bench/fast_dds.xml");
+/// Nobody else measures or tests there.
+const DOMAIN: u32 = 88;
+
+/// An RMW.
+pub struct System {
+    /// As in `RMW_IMPLEMENTATION`.
+    pub name: &'static str,
+    pub library: PathBuf,
+}
+
+/// How a message of a round trip is handed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Message {
+    /// As a struct.
+    Struct,
+    /// Without its type support.
+    Serialized,
+    /// In memory of the RMW's.
+    Loaned,
+}
+
+/// What a process of this program does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Task {
+    Struct,
+    Serialized,
+    Loaned,
+    /// Many topics at a rate.
+    Flow,
+    /// A node that waits for others.
+    Node,
+}
+
+impl From<Message> for Task {
+    fn from(message: Message) -> Self {
+        match message {
+            Message::Struct => Task::Struct,
+            Message::Serialized => Task::Serialized,
+            Message::Loaned => Task::Loaned,
+        }
+    }
+}
+
+/// Where processes come from.
+pub struct Starter<'a> {
+    /// The Python that has rclpy, and a program of rclcpp.
+    pub python: Option<&'a Path>,
+    pub rclcpp: Option<&'a Path>,
+    pub realtime: bool,
+}
+
+impl Starter<'_> {
+    pub fn job(&self, system: &System, role: Role, exchange: Exchange, budget: Duration) -> Job {
+        Job {
+            role,
+            exchange,
+            payload_bytes: 0,
+            budget,
+            core: Some(if role == Role::Near { 0 } else { 1 }),
+            realtime: self.realtime,
+            domain: DOMAIN,
+            topic: "/bench".to_owned(),
+            endpoint: None,
+            way: Way { mode: system.library.display().to_string(), ..Way::default() },
+        }
+    }
+
+    /// A process of this program.
+    pub fn start(&self, system: &System, job: &Job, task: Task) -> Result<Process<'static, Line>> {
+        let mut command = Command::new(std::env::current_exe()?);
+        command.args(["--tautline", "none", "--end", &serde_json::to_string(job)?]);
+        command.args(["--task", task.to_possible_value().ok_or("no such task")?.get_name()]);
+        command.env_remove("RMW_IMPLEMENTATION");
+        if !matches!(task, Task::Flow | Task::Node) {
+            command.env("FASTDDS_DEFAULT_PROFILES_FILE", PROFILE);
+        }
+        // Fast DDS lends where its ends share memory, which its RMW allows by itself only so.
+        if task == Task::Loaned {
+            command.env("RMW_FASTRTPS_USE_QOS_FROM_XML", "1");
+        }
+        begin(command, system, job)
+    }
+
+    /// A process of a client library, as the programs beside this one have it.
+    pub fn start_client(&self, client: Client, system: &System, job: &Job) -> Result<Process<'static, Line>> {
+        let program =
+            self.program(client).ok_or_else(|| format!("no program of {} is named", client.name()))?;
+        let mut command = Command::new(program);
+        if client == Client::Rclpy {
+            command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/bench/client.py"));
+        }
+        let role = if job.role == Role::Near { "near" } else { "far" };
+        let (bytes, length) = (job.payload_bytes, job.budget.as_millis());
+        let (core, priority) = (job.core.unwrap_or(0), if job.realtime { APPLICATION_PRIORITY } else { 0 });
+        command.arg(role).arg(&job.topic).args([format!("{bytes}"), format!("{length}")]);
+        command.args([format!("{core}"), format!("{priority}")]);
+        command.env("FASTDDS_DEFAULT_PROFILES_FILE", PROFILE);
+        command.env("RMW_IMPLEMENTATION", system.name).env("PYTHONDONTWRITEBYTECODE", "1");
+        command.env("ROS_DOMAIN_ID", DOMAIN.to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        // rcl of PyPI's packages is linked to one RMW, whose place another takes so.
+        if system.library.is_absolute() {
+            command.env("LD_PRELOAD", &system.library);
+        }
+        begin(command, system, job)
+    }
+
+    /// What a client library's end is run with; none of its own for C.
+    pub fn program(&self, client: Client) -> Option<&Path> {
+        match client {
+            Client::C => None,
+            Client::Rclpy => self.python,
+            Client::Rclcpp => self.rclcpp,
+        }
+    }
+}
+
+fn begin(mut command: Command, system: &System, job: &Job) -> Result<Process<'static, Line>> {
+    static NEVER: AtomicBool = AtomicBool::new(false);
+    // What a user may have set is not what is measured.
+    command.env_remove("RUST_LOG");
+    let name = format!("{:?} end on {}", job.role, system.name).to_lowercase();
+    said(Process::start(&mut command, name, &NEVER))
+}
+
+/// What a process measured.
+pub fn measured(process: &mut Process<'_, Line>, patience: Duration) -> Result<Measured> {
+    said(process.expect(patience, |line| match line {
+        Line::Measured(measured) => Some(measured),
+        _ => None,
+    }))
+}
+
+/// Waits until a process has said that it is ready.
+pub fn ready(process: &mut Process<'_, Line>, patience: Duration) -> Result<()> {
+    said(process.expect(patience, |line| matches!(line, Line::Ready(_)).then_some(())))
+}
+
+/// With an error that threads may pass on.
+pub fn said<T>(result: std::result::Result<T, Box<dyn std::error::Error>>) -> Result<T> {
+    result.map_err(|error| error.to_string().into())
+}
