@@ -180,8 +180,9 @@ impl Run<'_> {
     fn plan(&self) -> Vec<(usize, Trip)> {
         const KIB: usize = 1 << 10;
         const MIB: usize = 1 << 20;
-        // Lengths, and those of a quick run.
-        let parts: [(Part, Client, usize, &[usize], &[usize]); 4] = [
+        type Lengths = &'static [usize];
+        // Rounds, lengths, and those of a quick run.
+        let parts: [(Part, Client, usize, Lengths, Lengths); 4] = [
             (Part::C, Client::C, 5, &[48, 64 * KIB, MIB, 8 * MIB], &[48, MIB]),
             (Part::Loaned, Client::C, 3, &[48, MIB, 8 * MIB], &[48, 8 * MIB]),
             (Part::Rclcpp, Client::Rclcpp, 3, &[48, 64 * KIB, MIB, 8 * MIB], &[48]),

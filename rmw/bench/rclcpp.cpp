@@ -4,7 +4,7 @@
 // Built by hand, with a ROS 2 that is sourced, for `cargo xtask bench rmw -- --rclcpp PROGRAM`:
 //   g++ -std=c++17 -O2 $(printf -- '-isystem %s ' "$AMENT_PREFIX_PATH"/include/*) rmw/bench/rclcpp.cpp -o PROGRAM
 //     -L"$AMENT_PREFIX_PATH/lib" -lrclcpp -llibstatistics_collector -lrcl -lrmw -lrcutils -lrcpputils -ltracetools
-//     -lstd_msgs__rosidl_typesupport_cpp -lgeometry_msgs__rosidl_typesupport_cpp
+//     -l{statistics,std,geometry}_msgs__rosidl_typesupport_cpp
 
 #include <pthread.h>
 #include <sched.h>
