@@ -176,15 +176,15 @@ impl Run<'_> {
         self.arguments.only.is_empty() || self.arguments.only.contains(&part)
     }
 
-    /// Round trips, and how many rounds of each.
-    fn plan(&self) -> Vec<(usize, Trip)> {
+    /// Round trips of each part, and how many rounds of them.
+    fn plan(&self) -> Vec<(usize, Vec<Trip>)> {
         const KIB: usize = 1 << 10;
         const MIB: usize = 1 << 20;
         type Lengths = &'static [usize];
         // Rounds, lengths, and those of a quick run.
         let parts: [(Part, Client, usize, Lengths, Lengths); 4] = [
             (Part::C, Client::C, 5, &[48, 64 * KIB, MIB, 8 * MIB], &[48, MIB]),
-            (Part::Loaned, Client::C, 3, &[48, MIB, 8 * MIB], &[48, 8 * MIB]),
+            (Part::Loaned, Client::C, 5, &[48, MIB, 8 * MIB], &[48, 8 * MIB]),
             (Part::Rclcpp, Client::Rclcpp, 3, &[48, 64 * KIB, MIB, 8 * MIB], &[48]),
             (Part::Rclpy, Client::Rclpy, 3, &[48, 64 * KIB, MIB], &[48]),
         ];
@@ -200,14 +200,15 @@ impl Run<'_> {
                 true => full,
                 false => own,
             };
-            for &bytes in lengths {
+            let trip = |&bytes: &usize| {
                 let message = match part {
                     Part::Loaned => Message::Loaned,
                     Part::C if bytes > rmw::STRUCT_BYTES => Message::Serialized,
                     _ => Message::Struct,
                 };
-                plan.push((if *quick { 1 } else { rounds }, Trip { client, message, bytes }));
-            }
+                Trip { client, message, bytes }
+            };
+            plan.push((if *quick { 1 } else { rounds }, lengths.iter().map(trip).collect()));
         }
         plan
     }
@@ -217,7 +218,6 @@ impl Run<'_> {
         if plan.is_empty() {
             return Ok(rows);
         }
-        let length = Duration::from_millis(if self.arguments.quick { 400 } else { 700 });
         let priority = if self.starter.realtime { ", SCHED_FIFO" } else { "" };
         println!("half a round trip, two processes, a core each{priority}, µs");
         println!("c: rmw_wait and take; rclcpp, rclpy: an executor with one thread\n\n{}", trips::HEAD);
@@ -227,24 +227,30 @@ impl Run<'_> {
                 println!("idle states cannot be held off here: /dev/cpu_dma_latency cannot be opened");
                 continue;
             }
-            for &(rounds, trip) in &plan {
-                let mut found =
-                    self.systems.each_ref().map(|system| trips::Row::new(system.name, trip, held));
-                for round in 1..=rounds {
-                    progress(&format!("{}, {} B: round {round} of {rounds}", trip.client.name(), trip.bytes));
-                    for (row, system) in found.iter_mut().zip(&self.systems) {
-                        row.add(&self.starter, system, length)?;
-                    }
-                }
-                progress("");
-                for row in found {
-                    println!("{row}");
-                    rows.push(row);
-                }
+            for (rounds, trips) in &plan {
+                rows.extend(self.part(*rounds, trips, held)?);
             }
         }
         println!();
         Ok(rows)
+    }
+
+    /// The rows of a part. What is compared is measured in turns.
+    fn part(&self, rounds: usize, trips: &[Trip], held: bool) -> Result<Vec<trips::Row>> {
+        let length = Duration::from_millis(if self.arguments.quick { 400 } else { 700 });
+        let pairs = trips.iter().flat_map(|trip| self.systems.iter().map(move |system| (system, *trip)));
+        let mut found: Vec<_> =
+            pairs.map(|(system, trip)| (system, trips::Row::new(system.name, trip, held))).collect();
+        for round in 1..=rounds {
+            for (system, row) in &mut found {
+                let Trip { client, bytes, .. } = row.trip;
+                progress(&format!("{}, {bytes} B: round {round} of {rounds}", client.name()));
+                row.add(&self.starter, system, length)?;
+            }
+        }
+        progress("");
+        found.iter().for_each(|(_, row)| println!("{row}"));
+        Ok(found.into_iter().map(|(_, row)| row).collect())
     }
 
     fn flows(&self) -> Result<Vec<flow::Row>> {
