@@ -21,6 +21,7 @@ mod callback;
 mod cdr;
 mod client;
 mod context;
+mod copy;
 mod end;
 mod error;
 mod event;

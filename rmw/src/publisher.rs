@@ -3,6 +3,7 @@
 
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
+use crate::copy::copy;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
@@ -328,7 +329,7 @@ pub unsafe extern "C" fn rmw_publish_serialized_message(
         // SAFETY: rmw's word.
         let body = unsafe { little_body(message, &publisher.message_type)? };
         publisher.publish(body.len(), |loan| {
-            loan.copy_from_slice(&body);
+            copy(loan, &body);
             Ok(body.len())
         })
     })
