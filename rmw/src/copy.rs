@@ -8,8 +8,8 @@ const LARGE_BYTES: usize = 256 << 10;
 ///
 /// A large one goes past the caches. The core of the last reader has this memory in its cache, and an ordinary store to a line waits
 /// until it has given that up; asking for lines ahead does not help. Half a round trip of 1 MiB between cores 155 ns apart took 330 to
-/// 450 µs, and takes 110 to 145; between cores 30 ns apart 70 to 90, and 85 to 150. Of 4 MiB: 800 to 940, and 410 to 520; 560 to 690,
-/// and 490 to 620.
+/// 450 µs, and takes 110 to 145. Between cores 30 ns apart it took 70 to 90 µs, and takes 110 to 170: the price of a bound that does not
+/// depend on where the cores are. From 4 MiB on it is shorter in both.
 pub(crate) fn copy(to: &mut [u8], from: &[u8]) {
     #[cfg(target_arch = "x86_64")]
     if from.len() >= LARGE_BYTES && to.len() == from.len() {

@@ -4,6 +4,7 @@
 use crate::bridge::{Environment, nextest, with_libraries};
 use crate::steps::{self, Outcome, Steps, cargo, execute};
 use crate::{colcon, machine, r2r, ros};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
@@ -59,11 +60,12 @@ fn measure(profile: &str, quick: bool, json: Option<&Path>) -> Command {
 
 /// The one that has rclpy: with the ROS 2 that is sourced, else with that under the target directory.
 fn python() -> Option<PathBuf> {
-    let own = ros::venv().join("bin/python");
-    match std::env::var_os("AMENT_PREFIX_PATH") {
-        Some(_) => Some("python3".into()),
-        None => own.is_file().then_some(own),
+    let own = machine::target_dir().join("ros");
+    let is_sourced = |prefixes: OsString| !Path::new(&prefixes).starts_with(&own);
+    if std::env::var_os("AMENT_PREFIX_PATH").is_some_and(is_sourced) {
+        return Some("python3".into());
     }
+    Some(ros::venv().join("bin/python")).filter(|python| python.is_file())
 }
 
 /// Nothing is lost, with the build of the tests; how it compares is for a quiet machine and a release build.
