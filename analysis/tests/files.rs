@@ -484,11 +484,16 @@ fn a_client_librarys_executor_is_charged_to_the_thread_of_its_callbacks() {
     assert_eq!(own[0], (2_000_000, 2_070_000, Some(2_000_000), Some(2_120_000)));
     assert_eq!(own[1], (1_000_000, 1_070_000, Some(3_000_000), Some(3_140_000)));
     assert_eq!(found("rclpy"), own, "the file states no cost of rclpy");
+    let warnings = SystemFile::parse(&text("rclpy")).unwrap().check().warnings;
+    assert!(warnings.iter().any(|warning| warning.contains("add `rclpy = ")), "{warnings:?}");
     let rclcpp = found("rclcpp");
     assert_eq!(rclcpp[0], (2_000_000, 2_370_000, Some(2_000_000), Some(2_420_000)));
     assert_eq!(rclcpp[1], (1_000_000, 1_070_000, Some(3_000_000), Some(3_440_000)));
     let problems = SystemFile::parse(&text("rclccp")).unwrap_err().to_string();
-    assert!(problems.contains("did you mean `rclcpp`") || problems.contains("rclcpp"), "{problems}");
+    assert!(
+        problems.contains("unknown `client` \"rclccp\"") && problems.contains("did you mean `rclcpp`"),
+        "{problems}"
+    );
 }
 
 #[test]

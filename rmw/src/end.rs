@@ -127,19 +127,22 @@ impl<P: Port> End<P> {
         job::end();
         let (port, route) = &mut *self.side.lock();
         let taken = take(port);
-        if matches!(taken, Ok(None)) && port.subscription().waiting() > 0 {
-            // On its way: whoever was called for it is called again when it can be taken.
+        if matches!(taken, Ok(None) | Err(TakeError::TooManyHeld)) && port.subscription().waiting() > 0 {
+            // On its way, or for later: whoever was called for it is called again when it can be taken.
             route.told = route.told.saturating_sub(1);
         }
         taken
     }
 
-    /// The message that was taken is given to who asked for it.
+    /// The message that was taken is given to who asked for it. Executors that are called for messages do not wait here, so nobody
+    /// sees when they are done with one.
     ///
     /// # Real-time
     /// As [`Jobs::begin`].
     pub(crate) fn begin(&self, info: &MessageInfo) {
-        self.jobs.begin(info.released_ns);
+        if !self.callback.is_set() {
+            self.jobs.begin(info.released_ns);
+        }
     }
 
     /// Sets the callback for new messages, or takes it back. The helper calls it, also for what nobody was called for before.
@@ -158,6 +161,7 @@ impl<P: Port> End<P> {
 
     /// Nobody is called any more: ROS destroys it.
     pub(crate) fn close(&self) {
+        self.jobs.close();
         self.callback.replace(None);
         self.callback.settle();
     }

@@ -18,7 +18,7 @@ pub(crate) struct Jobs {
 }
 
 struct Measured {
-    callback: ForeignCallback,
+    callback: Arc<ForeignCallback>,
     counters: Arc<Counters>,
     depth: u64,
     /// Of the messages lost.
@@ -58,7 +58,7 @@ impl Jobs {
         }
         if let Some(Measured { callback, counters, depth, noted }) = &self.measured {
             let lost = counters.lost();
-            let before = noted.swap(lost, Ordering::Relaxed);
+            let before = noted.fetch_max(lost, Ordering::Relaxed);
             let (lost, max_queue) = (lost.saturating_sub(before), counters.max_queue());
             callback.note_queue(QueueState { lost, max_queue, depth: *depth });
             callback.begin(released_ns);
@@ -66,6 +66,18 @@ impl Jobs {
         tautline_trace::callback_start(self.traced.id(), released_ns);
         // A thread that is going down has no place for it.
         let _ = RUNNING.try_with(|running| running.replace(Some((self.clone(), released_ns))));
+    }
+}
+
+impl Jobs {
+    /// The end has gone: what this thread did with its last message is done.
+    pub(crate) fn close(self: &Arc<Self>) {
+        let is_mine = |running: &Option<(Arc<Jobs>, u64)>| {
+            running.as_ref().is_some_and(|(jobs, _)| Arc::ptr_eq(jobs, self))
+        };
+        if RUNNING.try_with(|running| is_mine(&running.borrow())).unwrap_or(false) {
+            end();
+        }
     }
 }
 

@@ -2,7 +2,9 @@
 //! The system file that `TAUT_SYSTEM` names: which of its callbacks are this process's, and where their statistics lie.
 
 use crate::error::{Error, Result};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 use tautline_analysis::file::{CheckedCallback, Client, SystemFile};
 use tautline_executor::{CallbackOptions, ForeignCallback, ProcessInfo, StatisticsFile};
@@ -11,10 +13,12 @@ use tautline_executor::{CallbackOptions, ForeignCallback, ProcessInfo, Statistic
 pub(crate) struct System {
     callbacks: Vec<CheckedCallback>,
     statistics: StatisticsFile,
+    /// By their names.
+    made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
 }
 
 impl System {
-    /// Of the environment; `None` if that names no file.
+    /// Of the environment; `None` if that names no file, or one without callbacks of ROS's on this host.
     pub(crate) fn of_environment(domain: u32) -> Result<Option<Self>> {
         let Some(path) = std::env::var_os("TAUT_SYSTEM").filter(|path| !path.is_empty()) else {
             return Ok(None);
@@ -33,27 +37,36 @@ impl System {
         let of_ros =
             |callback: &CheckedCallback| callback.host == host && callback.entry.client != Client::Tautline;
         let callbacks: Vec<_> = file.check().callbacks.into_iter().filter(of_ros).collect();
-        let highest = callbacks.iter().map(|callback| callback.entry.priority).max();
+        let Some(highest) = callbacks.iter().map(|callback| callback.entry.priority).max() else {
+            tracing::warn!(
+                "TAUT_SYSTEM: `{}` has no callback of host `{host}` whose node has `client = \"rclcpp\"` or \"rclpy\"",
+                path.display()
+            );
+            return Ok(None);
+        };
         let about = ProcessInfo {
             host: host.to_owned(),
-            realtime: highest
-                .is_some_and(|highest| tautline_rt::permission::realtime_permitted(highest).is_ok()),
+            realtime: tautline_rt::permission::realtime_permitted(highest).is_ok(),
             system_path: path,
             system_hash: file.fingerprint(),
             ..ProcessInfo::of_this()
         };
         let statistics = StatisticsFile::create(&StatisticsFile::prefix(domain), &about)
             .map_err(|error| Error::other(format!("the statistics in /dev/shm: {error}")))?;
-        Ok(Some(System { callbacks, statistics }))
+        Ok(Some(System { callbacks, statistics, made: Mutex::default() }))
     }
 
-    /// The statistics of what `node`, a full name, does with messages of `topic`: under the name that the file has for it.
-    pub(crate) fn callback(&self, node: &str, topic: &str) -> Result<(String, ForeignCallback)> {
-        let is_node = |name: &str| name == node || name == node.rsplit('/').next().unwrap_or(node);
-        let of_file = self.callbacks.iter().find(|callback| {
-            is_node(&callback.entry.node) && callback.entry.topics.iter().any(|t| t == topic)
-        });
-        let options = match of_file {
+    /// The statistics of what `node`, a full name, does with messages of `topic`: under the name that the file has for it. What has one
+    /// name there is one callback, however many topics trigger it.
+    pub(crate) fn callback(&self, node: &str, topic: &str) -> Result<(String, Arc<ForeignCallback>)> {
+        let short = node.rsplit('/').next().unwrap_or(node);
+        let of = |name: &str| {
+            let is_it = |callback: &&CheckedCallback| {
+                callback.entry.node == name && callback.entry.topics.iter().any(|of| of == topic)
+            };
+            self.callbacks.iter().find(is_it)
+        };
+        let options = match of(node).or_else(|| of(short)) {
             Some(callback) => CallbackOptions::other()
                 .name(&callback.entry.name)
                 .period(Duration::from_nanos(callback.period_ns))
@@ -61,8 +74,15 @@ impl System {
                 .budget(Duration::from_nanos(callback.charged_ns)),
             None => CallbackOptions::other().name(format!("{node} {topic}")),
         };
-        let made = ForeignCallback::new(&self.statistics, &options)
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(callback) = made.get(&options.name).and_then(Weak::upgrade) {
+            return Ok((options.name, callback));
+        }
+        made.retain(|_, callback| callback.strong_count() > 0);
+        let callback = ForeignCallback::new(&self.statistics, &options)
             .map_err(|error| Error::other(format!("the statistics of '{}': {error}", options.name)))?;
-        Ok((options.name, made))
+        let callback = Arc::new(callback);
+        made.insert(options.name.clone(), Arc::downgrade(&callback));
+        Ok((options.name, callback))
     }
 }

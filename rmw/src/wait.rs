@@ -96,7 +96,7 @@ impl Wanted<'_> {
     }
 
     /// # Real-time
-    /// O(what is waited for); no allocation; no syscall. Waits for whoever takes from, or publishes on, one of these right now, and
+    /// O(what is waited for); no allocation; no syscall, except one futex wake for memory that is not mapped here yet. Waits for whoever takes from, or publishes on, one of these right now, and
     /// lends it this thread's priority.
     fn is_something_ready(&self) -> bool {
         self.signals().any(Signal::is_set)
@@ -121,7 +121,7 @@ impl Wanted<'_> {
     /// Has data wake `waiter`, once.
     ///
     /// # Real-time
-    /// As [`is_something_ready`](Self::is_something_ready).
+    /// As [`End::attach`](crate::end::End::attach), for each.
     fn attach_data(&self, waiter: &Arc<Waiter>) {
         self.subscriptions().for_each(|subscription| subscription.end().attach(waiter));
         self.services().for_each(|service| service.end().attach(waiter));

@@ -372,7 +372,7 @@ fn taut(arguments: &[&str]) -> Option<String> {
 /// What `taut report` says of a node of rclpy that `TAUT_SYSTEM` gives a system file, and what `taut trace` saw of it.
 #[test]
 fn callbacks_of_rclpy_are_reported_and_traced() {
-    let Some(domain) = Domain::new(66) else { return };
+    let (Some(domain), Some(_)) = (Domain::new(66), built("taut", "taut")) else { return };
     let number = domain.number.to_string();
     let folder = tempfile::tempdir().unwrap();
     let (system, trace) = (folder.path().join("system.toml"), folder.path().join("run.trace"));
@@ -385,8 +385,9 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
         client = "rclpy"
         [topics]
         "/heard" = { period = "10ms", jitter = "100s" }
+        "/also" = { period = "10ms", jitter = "100s" }
         [callbacks.hear]
-        topic = "/heard"
+        topic = ["/heard", "/also"]
         wcet = "1ms"
         deadline = "100s"
         [callbacks.tick]
@@ -398,8 +399,9 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
     let mut peer = domain.simple_peer_with("listener", &[("TAUT_SYSTEM", system), ("TAUT_TRACE", "on")]);
     let (heard, unlisted) =
         (peer.subscription("/heard", STRING, json!({})), peer.subscription("/unlisted", STRING, json!({})));
+    let also = peer.subscription("/also", STRING, json!({}));
     let _never = peer.subscription("/never", STRING, json!({}));
-    for (topic, end, count) in [("/heard", heard, 5), ("/unlisted", unlisted, 2)] {
+    for (topic, end, count) in [("/heard", heard, 5), ("/also", also, 2), ("/unlisted", unlisted, 2)] {
         let here = publisher(&domain.participant, topic, STRING, Qos::keep_last(10));
         matched(&here, 1);
         (0..count).for_each(|n: usize| here.publish(&text_body(&n.to_string())).unwrap());
@@ -408,15 +410,17 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
     let Some(_) = built("taut", "taut") else { return };
     let mut report = Value::Null;
     // The last one ends when the executor waits again.
-    wait_until("5 jobs", || {
+    wait_until("7 jobs", || {
         let said = taut(&["report", "--json", "--domain", &number]).unwrap();
         report = serde_json::from_str(&said).unwrap_or_else(|error| panic!("{error}: {said}"));
-        report["callbacks"][0]["measured"]["jobs"] == 5
+        report["callbacks"][0]["measured"]["jobs"] == 7
     });
     let hear = &report["callbacks"][0];
     assert_eq!((&hear["name"], hear["measured"]["lost"].as_u64()), (&json!("hear"), Some(0)), "{report}");
     assert!(hear["measured"]["execution_ms"]["max"].as_f64().unwrap() > 0.0, "{report}");
     assert_eq!(hear["predicted"]["budget_ms"], 1_001.0, "1 ms of its own and 1 s of rclpy: {report}");
+    let marks = hear["violations"].to_string();
+    assert!(!marks.contains("runs twice") && !marks.contains("not running"), "one of two topics: {report}");
     assert_eq!(report["callbacks"].as_array().unwrap().len(), 1, "an RMW sees no timers: {report}");
     assert!(report["notes"].to_string().contains("timers of ROS's client libraries are not measured: tick"));
     let unknown = report["unknown"].as_array().unwrap();
@@ -432,9 +436,9 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
             .map(|line| line.split(',').nth(5).unwrap())
             .collect()
     };
-    let hear: Vec<_> = of(",hear,").into_iter().filter(|kind| kind.starts_with("callback_")).collect();
-    let jobs: Vec<_> = std::iter::repeat_n(["callback_start", "callback_end"], 5).flatten().collect();
-    assert_eq!(hear[hear.len() - 10..], jobs, "{events}");
+    let hear: Vec<_> = of(",hear,").into_iter().filter(|kind| !kind.ends_with("_init")).collect();
+    let jobs: Vec<_> = std::iter::repeat_n(["callback_start", "callback_end"], 7).flatten().collect();
+    assert_eq!(hear, jobs, "{events}");
     let waits = of(",rmw_wait,");
     assert!(waits.contains(&"spin_start") && waits.contains(&"spin_wake"), "{events}");
     assert_eq!(of(",/heard,").iter().filter(|kind| **kind == "take").count(), 5, "{events}");
@@ -453,13 +457,15 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
         (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
     let file = tempfile::NamedTempFile::new().unwrap();
-    let hosts = "[hosts.a]\ncores = 1\n[hosts.b]\ncores = 1\n[nodes.n]\nhost = \"a\"\n\
+    let hosts = "[hosts.a]\ncores = 1\n[hosts.b]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\nhost = \"a\"\n\
                  [callbacks.c]\nperiod = \"1s\"\nwcet = \"1ms\"\n";
     std::fs::write(file.path(), hosts).unwrap();
     let path = file.path().to_str().unwrap();
     let file = |path| ("TAUT_SYSTEM", path);
     // Nobody else is in the domain.
-    assert_eq!(init(&[file(path), ("TAUT_HOST", "b")]), (true, String::new()));
+    assert_eq!(init(&[file(path), ("TAUT_HOST", "a")]), (true, String::new()));
+    let (is_made, said) = init(&[file(path), ("TAUT_HOST", "b")]);
+    assert!(is_made && said.contains("has no callback of host `b`"), "{said}");
     let refused = [
         (&[file("/nowhere/system.toml")][..], "TAUT_SYSTEM: `/nowhere/system.toml` cannot be read"),
         (&[file(path)], "has several hosts: set TAUT_HOST to one of a, b"),

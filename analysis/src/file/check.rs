@@ -298,6 +298,19 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
             ));
         }
     }
+    for (client, name) in [(Client::Rclcpp, "rclcpp"), (Client::Rclpy, "rclpy")] {
+        let costs_nothing = |callback: &&CheckedCallback| {
+            let mut tasks = file.system.callbacks[callback.entry.tasks.clone()].iter();
+            callback.entry.client == client && tasks.all(|of| of.task.executor_overhead_ns == 0)
+        };
+        if let Some(callback) = callbacks.iter().find(costs_nothing) {
+            warnings.push(format!(
+                "callback `{}` is run by an executor of {name}, whose cost the file does not state: its bound holds for one \
+                 that costs nothing; add `{name} = \"...\"` to [overheads]",
+                callback.entry.name
+            ));
+        }
+    }
     let free = |core: &Core| core.overheads.per_message_ns == 0 && core.overheads.context_switch_ns == 0;
     if file.system.cores.iter().all(free) {
         warnings.push(

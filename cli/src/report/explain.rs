@@ -52,11 +52,16 @@ pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
     mark("not running", text)
 }
 
-pub fn ended(name: &str, process: &Process) -> Mark {
-    let text = format!(
-        "its future has ended in {}, which goes on without `{name}`: it ended by itself, was stopped, or panicked",
-        process.label()
-    );
+pub fn ended(predicted: &CheckedCallback, process: &Process) -> Mark {
+    let (name, process) = (&predicted.entry.name, process.label());
+    let text = match predicted.entry.client {
+        Client::Tautline => format!(
+            "its future has ended in {process}, which goes on without `{name}`: it ended by itself, was stopped, or panicked"
+        ),
+        Client::Rclcpp | Client::Rclpy => {
+            format!("its subscription was destroyed in {process}, which goes on without `{name}`")
+        }
+    };
     mark("not running", text)
 }
 
@@ -246,7 +251,7 @@ pub fn not_in_the_file(process: &Process, callback: &Callback, priority: u8) -> 
     let core = callback.core.map_or("several cores".into(), |core| format!("core {core}"));
     let text = format!(
         "{} runs it on {core} at priority {priority}, where the analysis does not count its load: add it to the file, or \
-         spawn it without real-time priority",
+         run it without real-time priority",
         process.label()
     );
     mark("not in the file", text)

@@ -146,7 +146,7 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
     if let [(first, _), (second, _), ..] = running.as_slice() {
         marks.push(explain::runs_twice(name, first, second));
     } else if running.is_empty() && process.running {
-        marks.push(explain::ended(name, process));
+        marks.push(explain::ended(predicted, process));
     }
     let misses = misses(predicted, callback);
     marks.extend(violations(predicted, process, callback, misses));
@@ -250,7 +250,7 @@ fn unknown(here: &[&CheckedCallback], run: &Run) -> Vec<Unknown> {
             here.iter().any(|callback| callback.entry.name == name && callback.host == process.host)
         };
         // All callbacks of a process end with it; of one that goes on, only those that run matter.
-        let gone = |callback: &Callback| (callback.ended || callback.tid == 0) && process.running;
+        let gone = |callback: &Callback| callback.tid == 0 || (callback.ended && process.running);
         let stray = |callback: &&Callback| !callback.is_group && !gone(callback) && !known(&callback.name);
         for callback in process.callbacks.iter().filter(stray) {
             unknown.push(Unknown {
