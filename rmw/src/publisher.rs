@@ -304,7 +304,14 @@ pub unsafe extern "C" fn rmw_publish(
         if message.is_null() {
             return Err(Error::null("the message"));
         }
-        let callbacks = publisher.message_type.callbacks;
+        let MessageType { callbacks, length, .. } = publisher.message_type;
+        if let Length::Plain(len_bytes) = length {
+            return publisher.publish(len_bytes, |body| {
+                // SAFETY: rmw's word: a message of this type, whose struct begins with its body.
+                unsafe { body.as_mut_ptr().copy_from_nonoverlapping(message.cast(), body.len()) };
+                Ok(body.len())
+            });
+        }
         // SAFETY: rmw's word: a message of this type.
         let estimate = unsafe { callbacks.estimate(message)? };
         // SAFETY: as above.

@@ -127,10 +127,31 @@ impl Subscription {
         if message.is_null() {
             return Err(Error::null("the message"));
         }
-        let callbacks = self.message_type.callbacks;
-        // SAFETY: the caller's word.
-        let taken = self.take(|sample| unsafe { callbacks.read(sample.body(), true, message) })?;
+        let MessageType { callbacks, length, .. } = self.message_type;
+        let taken = self.take(|sample| {
+            let body = sample.body();
+            let Length::Plain(len_bytes) = length else {
+                // SAFETY: the caller's word.
+                return unsafe { callbacks.read(body, true, message) };
+            };
+            self.check_plain(body, len_bytes)?;
+            // SAFETY: the caller's word: a struct of this type, which begins with so many bytes of the body.
+            unsafe { message.cast::<u8>().copy_from_nonoverlapping(body.as_ptr(), len_bytes) };
+            Ok(())
+        })?;
         Ok(taken.map(|((), info)| info))
+    }
+
+    /// Whether a body can be a struct in memory: it is long enough, and a byte that is to be a bool is one of C's.
+    fn check_plain(&self, body: &[u8], len_bytes: usize) -> Result {
+        if body.len() < len_bytes {
+            return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
+        }
+        if self.message_type.has_bools {
+            DynamicMessage::validate(&self.message_type.schema, body, Endian::Little)
+                .map_err(Error::other)?;
+        }
+        Ok(())
     }
 
     /// Takes a message that ROS reads where it lies.
@@ -140,14 +161,7 @@ impl Subscription {
         };
         self.take(|sample| {
             let body = sample.body();
-            if body.len() < len_bytes {
-                return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
-            }
-            if self.message_type.has_bools {
-                // A byte that is neither 0 nor 1 is no bool of C's.
-                DynamicMessage::validate(&self.message_type.schema, body, Endian::Little)
-                    .map_err(Error::other)?;
-            }
+            self.check_plain(body, len_bytes)?;
             let message = body.as_ptr().cast_mut().cast();
             self.loans.lock().push(sample);
             Ok(message)
