@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut component`: nodes in shared libraries, in a container that runs them in one process.
 
+use crate::domain::DomainArgs;
 use crate::sibling::{Sibling, SiblingError};
 use clap::{Args, Subcommand};
 use futures::executor::block_on;
@@ -24,8 +25,6 @@ const CONTAINER: Sibling = Sibling {
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Runs components from shared libraries in one process; loads and unloads them while it runs.
-///
-/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0.
 #[derive(Args, Debug)]
 #[command(after_help = "Examples:
   taut component run libdemo.so:demo::Counter
@@ -43,6 +42,8 @@ struct Target {
     /// The container's node
     #[arg(long, default_value = "/ComponentManager", value_name = "NODE")]
     container: String,
+    #[command(flatten)]
+    domain: DomainArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -178,7 +179,7 @@ fn ask<T: Service>(
     service: &str,
     request: &T::Request,
 ) -> Result<T::Response, ComponentError> {
-    let context = Context::builder().realtime(Realtime::Off).build()?;
+    let context = Context::builder().domain(target.domain.number()?).realtime(Realtime::Off).build()?;
     let mut node = Node::create(context.clone(), "taut_component", "")?;
     let name = format!("{}/_container/{service}", target.container);
     let client = node.create_client::<T>(&name, QosProfile::services_default())?;

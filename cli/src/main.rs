@@ -6,6 +6,7 @@ mod bridge_ros;
 mod check;
 mod component;
 mod demo;
+mod domain;
 mod gateway;
 mod init;
 mod msg;

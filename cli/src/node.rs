@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut node`: the nodes of a domain, and what each has.
 
+use crate::domain::DomainArgs;
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
-use tautline::{Context, EndpointKind, GraphSnapshot, NodeInfo, ServiceKind};
+use tautline::{EndpointKind, GraphSnapshot, NodeInfo, ServiceKind};
 use tautline_transport::graph_of;
 
 /// Lists nodes; says what a node publishes, subscribes to, answers and asks.
 ///
-/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Nodes of other hosts are seen if this host runs `taut gateway`.
+/// Nodes of other hosts are seen if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut node list
@@ -21,6 +22,8 @@ use tautline_transport::graph_of;
 pub struct NodeArgs {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    domain: DomainArgs,
     /// Print JSON
     #[arg(long, global = true)]
     json: bool,
@@ -53,7 +56,7 @@ pub enum NodeError {
 
 /// Runs the verb.
 pub fn run(args: &NodeArgs) -> Result<ExitCode, NodeError> {
-    let graph = graph_of(Context::domain_of_environment()?)?;
+    let graph = graph_of(args.domain.number()?)?;
     for pair in graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1) {
         eprintln!("taut: {} nodes are called {}", pair.len(), pair[0].name);
     }

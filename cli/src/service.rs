@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut service`: the services of a domain.
 
+use crate::domain::DomainArgs;
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::process::ExitCode;
-use tautline::{Context, GraphSnapshot, NodeName, ServiceKind};
+use tautline::{GraphSnapshot, NodeName, ServiceKind};
 use tautline_transport::graph_of;
 
 /// Lists services.
 ///
-/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Services of other hosts are seen if this host runs `taut gateway`.
+/// Services of other hosts are seen if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut service list
@@ -19,6 +20,8 @@ use tautline_transport::graph_of;
 pub struct ServiceArgs {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    domain: DomainArgs,
     /// Print JSON
     #[arg(long, global = true)]
     json: bool,
@@ -43,7 +46,7 @@ pub enum ServiceError {
 
 /// Runs the verb.
 pub fn run(args: &ServiceArgs) -> Result<ExitCode, ServiceError> {
-    let graph = graph_of(Context::domain_of_environment()?)?;
+    let graph = graph_of(args.domain.number()?)?;
     let services = services(&graph);
     let mut out = io::stdout().lock();
     let Verb::List = args.verb;

@@ -3,6 +3,7 @@
 
 mod info;
 
+use crate::domain::DomainArgs;
 use clap::{Args, Subcommand};
 use futures::{FutureExt, StreamExt};
 use std::io::{self, Write};
@@ -17,11 +18,12 @@ use tautline_transport::{Durability, Participant, Qos, Reliability, graph_of};
 /// Lists topics; says who publishes and subscribes; prints messages.
 ///
 /// Topics of other hosts are seen if this host runs `taut gateway`.
-/// The domain is TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0. Types need not be compiled in: processes leave their definitions
+/// Types need not be compiled in: processes leave their definitions
 /// in /tmp/tautline_UID/schemas.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut topic list
+  taut topic list --domain 7        another domain
   taut topic list --json            types, hashes, publishers and subscriptions
   taut topic info /joint_states -v  the nodes, and the quality of service of each
   taut topic echo /joint_states     as ros2 topic echo, until Ctrl-C
@@ -29,6 +31,8 @@ use tautline_transport::{Durability, Participant, Qos, Reliability, graph_of};
 pub struct TopicArgs {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    domain: DomainArgs,
     /// Print JSON
     #[arg(long, global = true)]
     json: bool,
@@ -77,7 +81,7 @@ pub enum TopicError {
 
 /// Runs the verb.
 pub fn run(args: TopicArgs) -> Result<ExitCode, TopicError> {
-    let domain = Context::domain_of_environment()?;
+    let domain = args.domain.number()?;
     let result = match &args.verb {
         Verb::List => {
             let graph = graph_of(domain)?;
@@ -116,7 +120,7 @@ fn echo(domain: u32, topic: &str, once: bool, json: bool) -> Result<(), TopicErr
         signal_hook::flag::register(signal, stop.clone()).map_err(TopicError::Signal)?;
     }
     let participant = Participant::new(domain)?;
-    let context = Context::builder().realtime(Realtime::Off).build()?;
+    let context = Context::builder().domain(domain).realtime(Realtime::Off).build()?;
     let mut node = Node::create(context, &format!("taut_topic_echo_{}", std::process::id()), "")?;
     let topic = node.resolve_topic_name(topic)?;
     let mut waits = false;

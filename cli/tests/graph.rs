@@ -142,6 +142,18 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     assert_eq!(info["subscriptions"][0]["qos"]["durability"], json!("TRANSIENT_LOCAL"));
     assert!(!taut(&["topic", "info", "/nothing"]).status.success());
 
+    // In any place, whatever the environment says.
+    let domain = DOMAIN.to_string();
+    for (verb, more) in [("node", "list"), ("service", "list"), ("topic", "list")] {
+        let here = text(&[verb, more]);
+        for arguments in [[verb, "--domain", &domain, more], [verb, more, "--domain", &domain]] {
+            let mut taut = Command::new(env!("CARGO_BIN_EXE_taut"));
+            let output = taut.args(arguments).env("TAUT_DOMAIN", "229").output().unwrap();
+            assert_eq!(String::from_utf8(output.stdout).unwrap(), here, "{arguments:?}");
+        }
+    }
+    assert!(!taut(&["topic", "list", "--domain", "233"]).status.success());
+
     // Two of one name: said, as in ROS 2.
     let _twin = participant.create_node("camera", "/robot").unwrap();
     let errors = String::from_utf8(taut(&["node", "list"]).stderr).unwrap();

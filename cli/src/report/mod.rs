@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use crate::domain::DomainArgs;
 use clap::Args;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
@@ -46,9 +47,8 @@ pub struct ReportArgs {
     /// The system file to compare with, if FILE is a saved run
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
-    /// Look at this domain; otherwise TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
-    domain: Option<u32>,
+    #[command(flatten)]
+    domain: DomainArgs,
     /// Write what the report is made of to FILE
     #[arg(long, value_name = "FILE")]
     save: Option<PathBuf>,
@@ -136,7 +136,7 @@ fn report(args: &ReportArgs) -> Result<bool, ReportError> {
 }
 
 fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, ReportError> {
-    if args.watch || args.domain.is_some() {
+    if args.watch || args.domain.is_named() {
         return Err(ReportError::SavedLive { path: path.into() });
     }
     let mut run = Run::parse(path, text)?;
@@ -151,10 +151,7 @@ fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, Repo
 }
 
 fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
-    let domain = match args.domain {
-        Some(domain) => domain,
-        None => tautline::Context::domain_of_environment().map_err(ReportError::Domain)?,
-    };
+    let domain = args.domain.number().map_err(ReportError::Domain)?;
     let interrupted = Arc::new(AtomicBool::new(false));
     let mut watched = Watched::new(domain);
     if args.watch {

@@ -3,6 +3,7 @@
 
 use super::TraceError;
 use super::file::{Entry, Writer};
+use crate::domain::DomainArgs;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -30,9 +31,8 @@ const PERIOD: Duration = Duration::from_millis(10);
   taut trace record --seconds 0                  only what ended processes left: the last events before a crash
   taut trace record --domain 42 --json | jq .events_lost")]
 pub struct RecordArgs {
-    /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
-    domain: Option<u32>,
+    #[command(flatten)]
+    domain: DomainArgs,
     /// End after this many seconds [default: at Ctrl-C]
     #[arg(long, value_name = "S", value_parser = seconds)]
     seconds: Option<Duration>,
@@ -60,10 +60,7 @@ struct Sum {
 
 /// Runs the verb.
 pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
-    let domain = match args.domain {
-        Some(domain) => domain,
-        None => tautline::Context::domain_of_environment().map_err(TraceError::Domain)?,
-    };
+    let domain = args.domain.number().map_err(TraceError::Domain)?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).map_err(TraceError::Signal)?;
