@@ -500,7 +500,7 @@ impl<F: FarSide> Control<F> {
             }
             Action::StartOut(key, outward) if key.is_of_action() || self.out.contains_key(key) => {
                 self.waiting.remove(key);
-                self.start_out(key, outward)?;
+                self.start_out(key, outward, Vec::new())?;
             }
             Action::StartOut(key, outward) => {
                 self.waiting.insert(key.clone(), (outward.clone(), Instant::now()));
@@ -569,12 +569,10 @@ impl<F: FarSide> Control<F> {
             self.writers.open_of(&key, &mut |_, gid, writer| {
                 made_sender(&mut self.far, &key, gid, writer, &mut made)
             });
-            match self.start_out(&key, &outward) {
-                Ok(()) => made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender)),
-                Err(reason) => {
-                    self.writers.close(&key);
-                    self.failed.note(Action::StartOut(key, outward), reason, None);
-                }
+            let made = made.into_iter().map(|(_, gid, sender)| (gid, sender)).collect();
+            if let Err(reason) = self.start_out(&key, &outward, made) {
+                self.writers.close(&key);
+                self.failed.note(Action::StartOut(key, outward), reason, None);
             }
         }
         let (out, mut made) = (&self.out, Vec::new());
@@ -584,11 +582,16 @@ impl<F: FarSide> Control<F> {
         made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender));
     }
 
-    fn start_out(&mut self, key: &TopicKey, outward: &Outward) -> Result<(), String> {
+    fn start_out(
+        &mut self,
+        key: &TopicKey,
+        outward: &Outward,
+        made: Vec<(Gid, <F::Outlet as Outlet>::Sender)>,
+    ) -> Result<(), String> {
         let subscription = self.subscribe(key, outward).map_err(|error| error.to_string())?;
         let counters = self.book.counters(key.clone(), Direction::Out);
         let limiter = Limiter::new(outward.min_period);
-        self.relay.start_topic(key.clone(), subscription, Outbound { counters, limiter });
+        self.relay.start_topic(key.clone(), subscription, Outbound { counters, limiter }, made);
         self.out.insert(key.clone(), outward.clone());
         self.writers.take();
         Ok(())

@@ -3,6 +3,7 @@
 
 use crate::route::{Outlet, Route, Sources};
 use crate::waker::Bell;
+use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
@@ -23,7 +24,7 @@ pub struct Relay<O: Outlet> {
 
 /// What the thread is told.
 enum Command<O: Outlet> {
-    Start(O::Key, Box<RawSubscription>, O::Topic),
+    Start(O::Key, Box<RawSubscription>, O::Topic, Vec<(Gid, O::Sender)>),
     Open(O::Key, Gid, O::Sender),
     Close(O::Key, Gid),
     Stop(O::Key),
@@ -65,9 +66,16 @@ impl<O: Outlet> Relay<O> {
         self.thread.as_ref().map(JoinHandle::info)
     }
 
-    /// Takes this topic's samples from now on; of one that is being taken, by this subscription.
-    pub fn start_topic(&self, key: O::Key, subscription: RawSubscription, topic: O::Topic) {
-        self.tell(Command::Start(key, Box::new(subscription), topic));
+    /// Takes this topic's samples from now on; of one that is being taken, by this subscription. What publishers have kept comes at once, so
+    /// the senders that there are by now come along: see [`open`](Self::open).
+    pub fn start_topic(
+        &self,
+        key: O::Key,
+        subscription: RawSubscription,
+        topic: O::Topic,
+        senders: Vec<(Gid, O::Sender)>,
+    ) {
+        self.tell(Command::Start(key, Box::new(subscription), topic, senders));
     }
 
     /// What the publisher `gid` sends goes through `sender`: one of this host, or one elsewhere that somebody else's port stands
@@ -149,13 +157,17 @@ impl<O: Outlet> Loop<O> {
     fn obey(&mut self, command: Command<O>) {
         let (sources, outlet) = (&self.sources, &mut self.outlet);
         match command {
-            Command::Start(key, subscription, topic) => match self.routes.get_mut(&key) {
-                Some(route) => route.change(subscription, topic, sources, outlet),
-                None => {
-                    let route = Route::new(subscription, topic, self.bell.clone());
-                    self.routes.insert(key, route);
-                }
-            },
+            Command::Start(key, subscription, topic, senders) => {
+                let route = match self.routes.entry(key) {
+                    Entry::Occupied(route) => {
+                        let route = route.into_mut();
+                        route.change(subscription, topic, sources, outlet);
+                        route
+                    }
+                    Entry::Vacant(place) => place.insert(Route::new(subscription, topic, self.bell.clone())),
+                };
+                senders.into_iter().for_each(|(gid, sender)| route.open(gid, sender, outlet));
+            }
             Command::Open(key, gid, sender) => {
                 if let Some(route) = self.routes.get_mut(&key) {
                     route.open(gid, sender, outlet);

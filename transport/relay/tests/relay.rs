@@ -40,11 +40,33 @@ fn publish(publisher: &RawPublisher) {
     assert!(loan.publish().is_ok());
 }
 
-#[test]
-fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
+fn isolated() {
     if std::env::var_os("TAUT_SCOPE").is_none() {
         tautline_rt::domain::set_scope("test").unwrap();
     }
+}
+
+/// However many more than may come early.
+#[test]
+fn what_is_kept_finds_the_senders_that_its_topic_begins_with() {
+    isolated();
+    let [participant, relaying] = [(); 2].map(|()| Participant::new(207).unwrap());
+    let (topic_type, qos) = (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(20).transient_local());
+    let publisher = participant.create_raw_publisher("/x", &topic_type, qos, Limits::default()).unwrap();
+    (0..20).for_each(|_| publish(&publisher));
+    let subscription = relaying.create_relay_subscription("/x", &topic_type, qos, Limits::default()).unwrap();
+    let relay = Relay::start(&relaying, ThreadBuilder::new("relay"), Log).unwrap();
+    let (log, told) = mpsc::channel();
+    relay.start_topic("/x", subscription, log, vec![(publisher.gid(), "kept")]);
+    for n in 1..=20 {
+        let next = told.recv_timeout(Duration::from_secs(30)).expect("waited in vain");
+        assert_eq!(next, format!("kept {n} now"));
+    }
+}
+
+#[test]
+fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
+    isolated();
     let [participant, relaying] = [(); 2].map(|()| Participant::new(93).unwrap());
     let (topic_type, qos) = (TopicType::new("test_msgs/msg/Bytes"), Qos::keep_last(10));
     let publisher =
@@ -58,7 +80,7 @@ fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
     let next = || told.recv_timeout(Duration::from_secs(30)).expect("waited in vain");
     relay.passed_over().lock().unwrap().insert(other.gid());
     relay.open("/x", known.gid(), "a topic that is not taken yet");
-    relay.start_topic("/x", subscription, log);
+    relay.start_topic("/x", subscription, log, Vec::new());
     relay.open("/x", known.gid(), "known");
 
     for _ in 0..4 {
