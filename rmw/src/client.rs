@@ -8,19 +8,20 @@ use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
 use crate::node::Node;
 use crate::qos;
-use crate::service::{LEAST_DEPTH, info_of, name_of, profile_of};
+use crate::service::{Depth, info_of, name_of, profile_of};
 use crate::types::ServiceSupport;
 use std::collections::VecDeque;
 use std::ffi::{c_char, c_void};
 use std::future::poll_fn;
 use std::sync::{Arc, Weak};
 use std::task::Poll;
-use tautline_transport::{Gid, QueuedClient, RawSubscription, ServiceError};
+use tautline_transport::{Gid, QueuedClient, RawSample, RawSubscription, ServiceError};
 
 pub(crate) struct Client {
     node: *const Node,
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
+    depth: Depth,
     gid: Gid,
     end: Arc<End<Asking>>,
 }
@@ -32,7 +33,7 @@ pub(crate) struct Asking {
 }
 
 /// Requests of one client that wait for a server. What is asked beyond that is refused.
-const MOST_UNSENT: usize = LEAST_DEPTH;
+const MOST_UNSENT: usize = Depth::ROOM;
 
 impl Port for Asking {
     fn subscription(&self) -> &RawSubscription {
@@ -148,13 +149,14 @@ pub unsafe extern "C" fn rmw_create_client(
             (node, ServiceSupport::of(support)?, name_of(name, profile)?)
         };
         let wanted = profile_of(profile)?;
-        let (limits, depth) = (of.request.limits(), wanted.depth.max(LEAST_DEPTH));
-        let raw = node.participant.create_queued_client(name, &of.service_type, depth, limits)?;
+        // SAFETY: rmw's word.
+        let (limits, depth) = unsafe { (of.request.limits(), Depth::of(profile, &wanted)) };
+        let raw = node.participant.create_queued_client(name, &of.service_type, depth.room, limits)?;
         let gid = raw.gid();
         let end = End::new(node, Asking { raw, unsent: VecDeque::new() })?;
         let (served, watchers) = (Arc::downgrade(&end), node.context().watchers().clone());
         node.context().helper.run(move || serve(served, watchers));
-        let client = Client { node, of, qos: qos::to_ros(&wanted, false), gid, end };
+        let client = Client { node, of, qos: qos::to_ros(&wanted, false), depth, gid, end };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.
         unsafe {
@@ -235,7 +237,17 @@ pub unsafe extern "C" fn rmw_take_response(
         }
         *taken = false;
         // Too many held: the threads that are in a take make room.
-        let Ok(Some(sample)) = client.end.take(|asking| asking.raw.try_take()) else { return Ok(()) };
+        let oldest = client.end.take(|asking| {
+            let late = |response: RawSample| {
+                tracing::warn!(
+                    "the response to request {} of service '{}' was dropped, for newer ones wait than its client's depth has room for",
+                    response.info().sequence_number,
+                    asking.raw.service()
+                );
+            };
+            client.depth.take(asking.raw.responses(), || asking.raw.try_take(), late)
+        });
+        let Ok(Some(sample)) = oldest else { return Ok(()) };
         // SAFETY: rmw's word: a response of this type.
         if let Err(error) = unsafe { client.of.response.callbacks.read(sample.body(), true, response) } {
             // Not an error of the caller's: executors end by those.

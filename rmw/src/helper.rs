@@ -2,10 +2,13 @@
 //! A context's helper thread: at the sampler's place, it serves what is not data. QoS events, changes of the graph, requests that wait
 //! for a server and callbacks for new messages are tasks of its pool.
 
-use crate::error::{Error, Result};
+use crate::error::{self, Error, Result};
+use futures::FutureExt;
 use futures::executor::LocalPool;
 use futures::future::LocalBoxFuture;
 use futures::task::LocalSpawnExt;
+use std::any::Any;
+use std::panic::AssertUnwindSafe;
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, PoisonError};
@@ -56,7 +59,12 @@ impl Helper {
 
     /// Has the thread make a task, and run it.
     pub(crate) fn run<F: Future<Output = ()> + 'static>(&self, make: impl FnOnce() -> F + Send + 'static) {
-        let task: Task = Box::new(move || Box::pin(make()));
+        // What panics ends alone: others need the thread.
+        let task: Task = Box::new(move || {
+            let task = AssertUnwindSafe(async move { make().await }).catch_unwind();
+            let said = |panic: Box<dyn Any + Send>| tracing::error!("{}", error::said(&*panic));
+            Box::pin(task.map(move |ended| ended.unwrap_or_else(said)))
+        });
         let tasks = self.tasks.lock().unwrap_or_else(PoisonError::into_inner);
         // Nobody receives it once the thread has ended, and then nothing is to be served any more.
         let _ = tasks.send(task);

@@ -11,12 +11,15 @@ use crate::subscription::received_ns;
 use crate::types::ServiceSupport;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
-use tautline_transport::{Gid, MessageInfo, Qos, RawServer, RawSubscription, RequestId, ServiceError};
+use tautline_transport::{
+    Gid, History, MessageInfo, Qos, RawSample, RawServer, RawSubscription, RequestId, ServiceError, TakeError,
+};
 
 pub(crate) struct Service {
     node: *const Node,
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
+    depth: Depth,
     end: Arc<End<RawServer>>,
 }
 
@@ -42,9 +45,16 @@ impl Service {
     pub(crate) fn end(&self) -> &End<RawServer> {
         &self.end
     }
+
+    /// Tells the client that there is no answer. One of rmw_tautline's has nothing to do with it.
+    fn refuse(&self, raw: &RawServer, request: &RawSample, reason: &str) {
+        let refused = raw.refuse(RequestId::of(request.info()));
+        let failure = refused.map_or_else(|error| format!("; {error}"), |()| String::new());
+        tracing::warn!("a request to service '{}' was refused, for {reason}{failure}", raw.service());
+    }
 }
 
-/// What services and clients agree on; a queue of requests or responses keeps all that its depth has room for.
+/// What services and clients agree on.
 pub(crate) fn profile_of(profile: *const rmw_qos_profile_t) -> Result<Qos> {
     // SAFETY: rmw's word.
     let profile = unsafe { profile.as_ref() }.ok_or_else(|| Error::null("the QoS profile"))?;
@@ -68,8 +78,55 @@ pub(crate) unsafe fn name_of<'n>(name: *const c_char, profile: *const rmw_qos_pr
     Ok(read)
 }
 
-/// Requests that can wait: ROS's services ask for 10, of all clients; what comes in a burst is to be kept, and costs nothing before.
-pub(crate) const LEAST_DEPTH: usize = 1_000;
+/// What is kept of requests or responses that come faster than they are taken.
+#[derive(Clone, Copy)]
+pub(crate) struct Depth {
+    /// How many can be in the queue, from each client or server.
+    pub(crate) room: usize,
+    /// How many of all are still there for who takes, if the profile says so.
+    kept: u64,
+}
+
+impl Depth {
+    /// Room for a burst, which costs nothing before it is used.
+    pub(crate) const ROOM: usize = 1_000;
+    /// What services and clients ask for whose programmer did not say: of the clients of a service, that many would lose requests.
+    const DEFAULT: usize = 10;
+
+    /// Of an end with this profile, which has been checked, and what was made of it. Fewer than by default is a wish; as many, or more,
+    /// is the least that are kept.
+    ///
+    /// # Safety
+    /// As rmw says.
+    pub(crate) unsafe fn of(profile: *const rmw_qos_profile_t, qos: &Qos) -> Self {
+        // SAFETY: the caller's word.
+        let is_wish =
+            unsafe { profile.as_ref() }.is_some_and(|asked| (1..Self::DEFAULT).contains(&asked.depth));
+        let kept = if is_wish && qos.history == History::KeepLast { qos.depth as u64 } else { u64::MAX };
+        Depth { room: qos.depth.max(Self::ROOM), kept }
+    }
+
+    /// Takes the oldest that is kept. `lose` gets those before it.
+    ///
+    /// # Real-time
+    /// As `take`, at most as often as something waited.
+    pub(crate) fn take(
+        self,
+        queue: &RawSubscription,
+        take: impl Fn() -> std::result::Result<Option<RawSample>, TakeError>,
+        lose: impl Fn(RawSample),
+    ) -> std::result::Result<Option<RawSample>, TakeError> {
+        let mut oldest = take()?;
+        for _ in self.kept..queue.waiting().saturating_add(1) {
+            if queue.waiting() < self.kept {
+                break;
+            }
+            let Ok(Some(next)) = take() else { break };
+            oldest.replace(next).into_iter().for_each(&lose);
+        }
+        Ok(oldest)
+    }
+}
 
 /// What tells a request or a response apart.
 pub(crate) fn info_of(info: MessageInfo) -> rmw_service_info_t {
@@ -99,10 +156,12 @@ pub unsafe extern "C" fn rmw_create_service(
             (node, ServiceSupport::of(support)?, name_of(name, profile)?)
         };
         let wanted = profile_of(profile)?;
-        let limits = of.response.limits();
-        let depth = wanted.depth.max(LEAST_DEPTH);
-        let raw = node.participant.create_raw_server(name, &of.service_type, depth, limits)?;
-        let service = Service { node, of, qos: qos::to_ros(&wanted, false), end: End::new(node, raw)? };
+        // SAFETY: rmw's word.
+        let depth = unsafe { Depth::of(profile, &wanted) };
+        let raw =
+            node.participant.create_raw_server(name, &of.service_type, depth.room, of.response.limits())?;
+        let service =
+            Service { node, of, qos: qos::to_ros(&wanted, false), depth, end: End::new(node, raw)? };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anybody sees it.
         unsafe {
@@ -156,16 +215,17 @@ pub unsafe extern "C" fn rmw_take_request(
         }
         *taken = false;
         // Too many held: the threads that are in a take make room.
-        let Ok(Some(sample)) = service.end.take(RawServer::try_take) else { return Ok(()) };
+        let oldest = service.end.take(|raw| {
+            let late = |request: RawSample| {
+                service.refuse(raw, &request, "newer ones wait than its depth has room for")
+            };
+            service.depth.take(raw.requests(), || raw.try_take(), late)
+        });
+        let Ok(Some(sample)) = oldest else { return Ok(()) };
         // SAFETY: rmw's word: a request of this type.
         if let Err(error) = unsafe { service.of.request.callbacks.read(sample.body(), true, request) } {
-            // Its client is told that there is no answer; ours has nothing to do with it.
-            let refused = service.end.with(|raw| raw.refuse(RequestId::of(sample.info())));
-            tracing::warn!(
-                "a request was refused, for it is none of {}: {error:?} {}",
-                service.of.service_type.request.name,
-                refused.map_or_else(|error| error.to_string(), |()| String::new())
-            );
+            let reason = format!("it is none of {}: {error:?}", service.of.service_type.request.name);
+            service.end.with(|raw| service.refuse(raw, &sample, &reason));
             return Ok(());
         }
         *header = info_of(sample.info());

@@ -3,7 +3,8 @@
 
 use crate::bindings::*;
 use crate::{
-    client, context, event, graph, guard, node, options, publisher, serialization, subscription, wait,
+    client, context, event, graph, guard, node, options, publisher, serialization, service, subscription,
+    wait,
 };
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -56,6 +57,18 @@ fn support(package: &str, name: &str) -> *const rosidl_message_type_support_t {
         let library = Box::leak(Box::new(libloading::Library::new(library).expect("a package of ROS's")));
         let get: libloading::Symbol<unsafe extern "C" fn() -> *const rosidl_message_type_support_t> =
             library.get(symbol.as_bytes()).expect("a message of the package's");
+        get()
+    }
+}
+
+fn service_support(package: &str, name: &str) -> *const rosidl_service_type_support_t {
+    let library = format!("lib{package}__rosidl_typesupport_c.so");
+    let symbol = format!("rosidl_typesupport_c__get_service_type_support_handle__{package}__srv__{name}");
+    // SAFETY: as above.
+    unsafe {
+        let library = Box::leak(Box::new(libloading::Library::new(library).expect("a package of ROS's")));
+        let get: libloading::Symbol<unsafe extern "C" fn() -> *const rosidl_service_type_support_t> =
+            library.get(symbol.as_bytes()).expect("a service of the package's");
         get()
     }
 }
@@ -451,6 +464,55 @@ fn a_wait_ends_by_what_is_ready_by_a_trigger_from_elsewhere_or_by_its_time() {
         assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
         assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
     }
+}
+
+/// Sends five requests through a client and a server with these depths; which the server takes, and of the responses to those, the
+/// client.
+fn taken_of_five(domain: usize, server_depth: usize, client_depth: usize) -> (Vec<i64>, Vec<i64>) {
+    let world = World::new(domain);
+    let of = service_support("std_srvs", "Empty");
+    let mut byte = 0u8;
+    let message: *mut c_void = (&raw mut byte).cast();
+    // SAFETY: rmw's protocol; requests and responses are one byte.
+    unsafe {
+        let (served, asking) = (profile(server_depth), profile(client_depth));
+        let server = service::rmw_create_service(world.node, of, c"/service".as_ptr(), &served);
+        let client = client::rmw_create_client(world.node, of, c"/service".as_ptr(), &asking);
+        assert!(!server.is_null() && !client.is_null(), "{}", said());
+        for expected in 1..=5 {
+            let mut number = 0;
+            assert_eq!(client::rmw_send_request(client, message, &mut number), RET_OK, "{}", said());
+            assert_eq!(number, expected);
+        }
+        let all = |take: &dyn Fn(&mut rmw_service_info_t, &mut bool) -> rmw_ret_t| {
+            let mut numbers = Vec::new();
+            loop {
+                let (mut header, mut taken) = (rmw_service_info_t::default(), false);
+                assert_eq!(take(&mut header, &mut taken), RET_OK);
+                if !taken {
+                    return numbers;
+                }
+                numbers.push(header.request_id);
+            }
+        };
+        let requests = all(&|header, taken| service::rmw_take_request(server, header, message, taken));
+        for request in &requests {
+            assert_eq!(service::rmw_send_response(server, &mut request.clone(), message), RET_OK);
+        }
+        let responses = all(&|header, taken| client::rmw_take_response(client, header, message, taken));
+        assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
+        assert_eq!(service::rmw_destroy_service(world.node, server), RET_OK);
+        let numbers = |ids: Vec<rmw_request_id_t>| ids.iter().map(|id| id.sequence_number).collect();
+        (numbers(requests), numbers(responses))
+    }
+}
+
+/// A depth below ROS's default is what is kept; else what comes in a burst is.
+#[test]
+fn services_and_clients_keep_as_much_as_they_are_asked_to() {
+    assert_eq!(taken_of_five(80, 2, 10), (vec![4, 5], vec![4, 5]));
+    assert_eq!(taken_of_five(81, 10, 2), (vec![1, 2, 3, 4, 5], vec![4, 5]));
+    assert_eq!(taken_of_five(82, 0, 0), (vec![1, 2, 3, 4, 5], vec![1, 2, 3, 4, 5]));
 }
 
 /// More wait sets than a context has bells for threads: the last ones are woken by the helper, and miss nothing.

@@ -27,6 +27,24 @@ pub(crate) struct WaitSet {
     in_use: AtomicBool,
 }
 
+/// A thread's use of a wait set, however it ends.
+struct Turn<'a>(&'a AtomicBool);
+
+impl<'a> Turn<'a> {
+    fn of(wait_set: &'a WaitSet) -> Result<Self> {
+        match wait_set.in_use.swap(true, Ordering::Acquire) {
+            false => Ok(Turn(&wait_set.in_use)),
+            true => Err(Error::other("two threads wait with one wait set")),
+        }
+    }
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Release);
+    }
+}
+
 /// Pointers that rmw_wait is given, which it makes null where nothing is ready.
 struct Array<'a>(&'a mut [*mut c_void]);
 
@@ -128,7 +146,7 @@ impl Wanted<'_> {
         self.clients().for_each(|client| client.end().attach(waiter));
     }
 
-    /// After the wait, however it went.
+    /// After the wait.
     fn detach(&self, waiter: &Waiter) {
         self.signals().for_each(|signal| signal.detach(waiter));
         self.subscriptions().for_each(|subscription| subscription.end().detach());
@@ -164,6 +182,18 @@ impl Wanted<'_> {
         }
         let all = [&self.subscriptions, &self.services, &self.clients, &self.guards, &self.events];
         all.iter().any(|array| array.0.iter().any(|one| !one.is_null()))
+    }
+}
+
+/// What wakes a waiter until this ends, however it ends.
+struct Attached<'a> {
+    wanted: &'a Wanted<'a>,
+    waiter: &'a Arc<Waiter>,
+}
+
+impl Drop for Attached<'_> {
+    fn drop(&mut self) {
+        self.wanted.detach(self.waiter);
     }
 }
 
@@ -249,9 +279,7 @@ pub unsafe extern "C" fn rmw_wait(
             };
             (behind(wait_set)?, timeout.as_ref(), wanted)
         };
-        if wait_set.in_use.swap(true, Ordering::Acquire) {
-            return Err(Error::other("two threads wait with one wait set"));
-        }
+        let _turn = Turn::of(wait_set)?;
         let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
@@ -259,12 +287,10 @@ pub unsafe extern "C" fn rmw_wait(
         let waited = if wanted.is_something_ready() || is_look_only {
             Ok(())
         } else {
-            let attached = wanted.attach_signals(&wait_set.waiter);
-            let waited = attached.map(|()| wanted.wait(&wait_set.waiter, deadline));
-            wanted.detach(&wait_set.waiter);
-            waited
+            let attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
+            let has_room = wanted.attach_signals(&wait_set.waiter);
+            has_room.map(|()| wanted.wait(&attached.waiter, deadline))
         };
-        wait_set.in_use.store(false, Ordering::Release);
         waited?;
         let is_ready = wanted.report();
         job::wake(&wait_set.waits, is_ready);
