@@ -289,7 +289,7 @@ pub unsafe extern "C" fn rmw_wait(
         } else {
             let attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
             let has_room = wanted.attach_signals(&wait_set.waiter);
-            has_room.map(|()| wanted.wait(&attached.waiter, deadline))
+            has_room.map(|()| wanted.wait(attached.waiter, deadline))
         };
         waited?;
         let is_ready = wanted.report();
