@@ -52,7 +52,7 @@ pub use cleanup::start_recorder;
 pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
 pub use graph::{
     EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, Origin, Rank, RemoteGraph,
-    RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicInfo, graph_of,
+    RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicInfo, Visitor, graph_of,
 };
 pub use participant::{MAX_DOMAIN, Participant};
 pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};
@@ -66,6 +66,7 @@ pub use tautline_doorbell::{
     Doorbell, DoorbellError, Pulse, PulseOf, SamplerSeat, Signal, Slot, ThreadBell, Wakeable,
 };
 pub use topic::compatibility::QosPolicyKind;
+pub use topic::control::Sent;
 pub use topic::header::{Gid, MessageInfo};
 pub use topic::memory::{TopicMemory, topic_memory};
 pub use topic::monitor::{

@@ -16,14 +16,15 @@ mod origin;
 pub(crate) mod own;
 pub(crate) mod record;
 mod remote;
+mod visitor;
 
 pub use events::GraphEvents;
 pub(crate) use events::Watchers;
 pub(crate) use model::Model;
-pub use model::graph_of;
 pub use origin::{Origin, Rank};
 pub(crate) use own::{Entry, OwnRecord};
 pub use remote::{RemoteGraph, RemoteNode};
+pub use visitor::{Visitor, graph_of};
 
 use crate::error::TransportError;
 use crate::participant::Participant;

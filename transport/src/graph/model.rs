@@ -9,7 +9,8 @@ use super::{
     TopicEndpoint, is_of_service, service_of,
 };
 use crate::error::TransportError;
-use crate::participant::file::Peer;
+use crate::participant::file::{Peer, Place};
+use crate::participant::ranges::Range;
 use crate::topic::header::Gid;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::io::ErrorKind::WouldBlock;
@@ -17,7 +18,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Who looks without being a participant.
-const VISITOR: u64 = 0;
+pub(super) const VISITOR: u64 = 0;
 
 /// How long, and of how many publishers, it is known that they have ended.
 const ENDED_TIME: Duration = Duration::from_secs(10);
@@ -30,7 +31,7 @@ pub(crate) struct Model {
     own: u64,
     is_teller: bool,
     /// The domain's when `snapshot` was made.
-    epoch: Option<u32>,
+    pub(super) epoch: Option<u32>,
     members: HashMap<u64, Member>,
     /// What is listed, in its order; the last part of a key says where.
     nodes: BTreeSet<(Arc<NodeInfo>, Gid)>,
@@ -121,7 +122,7 @@ impl Member {
             let (is_remote, teller) = (self.is_relay, self.is_relay.then_some(id));
             return Some(Listed::Node(NodeInfo { name, pid: self.pid(), is_remote, origin, teller }));
         }
-        if let Some(port) = self.ports.get(&number).filter(|_| !self.is_relay) {
+        if let Some(port) = self.ports.get(&number).filter(|port| !self.is_relay && !port.observer) {
             let (gid, kind) = (Gid::of(id, number), EndpointKind::from(port.kind));
             let node = port.node.and_then(|node| self.nodes.get(&node)).map(|node| node.name.clone());
             if let Some(service) = service_of(&port.topic) {
@@ -239,6 +240,25 @@ impl Model {
         });
         self.epoch = Some(epoch).filter(|_| !is_behind);
         Ok(self.snapshot.clone())
+    }
+
+    /// Where the memory of a publisher of this host lies.
+    pub(super) fn memory_of(&self, publisher: Gid) -> Option<(&Peer, Range)> {
+        let member = self.members.get(&publisher.participant())?;
+        let port = member.ports.get(&publisher.number()).filter(|port| port.kind == PortKind::Publisher)?;
+        Some((member.peer.as_ref()?, Place::from_word(port.at)?))
+    }
+
+    /// Leaves out who has died and was not buried: nobody else may be there to do that.
+    pub(super) fn forget_dead(&mut self, domain: &Domain) {
+        let dead: Vec<u64> =
+            self.members.keys().filter(|id| !Peer::lives(domain.number(), **id)).copied().collect();
+        for id in dead {
+            if let Some(member) = self.members.remove(&id) {
+                self.unlist(id, &member);
+                self.epoch = None;
+            }
+        }
     }
 
     /// Whether it is here, or of those that tell of it this is the best.
@@ -419,23 +439,3 @@ impl Model {
     }
 }
 
-/// Everything that exists in a domain of this user, host and scope, for who is no participant: tools. Changes nothing there.
-///
-/// ```
-/// let graph = tautline_transport::graph_of(121)?;
-/// assert!(graph.nodes.is_empty() && graph.endpoints.is_empty());
-/// # Ok::<(), tautline_transport::TransportError>(())
-/// ```
-///
-/// # Real-time
-/// Not for real-time threads: maps files, allocates.
-///
-/// # Errors
-/// As [`Participant::graph`](crate::Participant::graph); a domain that does not exist, a `TAUT_SCOPE` that is no scope.
-pub fn graph_of(domain: u32) -> Result<Arc<GraphSnapshot>, TransportError> {
-    crate::participant::check_domain(domain)?;
-    match Domain::visit(domain)? {
-        Some(domain) => Model::new(VISITOR).look(&domain),
-        None => Ok(Arc::default()),
-    }
-}

@@ -31,6 +31,9 @@ pub(crate) struct PortRecord {
     /// Passes on what others sent, whatever quality of service they asked for.
     #[serde(skip_serializing_if = "is_false", default)]
     pub(crate) relay: bool,
+    /// A subscription that takes what is sent anyway, and is nobody's end of the topic.
+    #[serde(skip_serializing_if = "is_false", default)]
+    pub(crate) observer: bool,
     /// Where it is rung.
     pub(crate) slot: u32,
     /// Most samples that a subscription holds; of a publisher, where its memory lies.
@@ -388,6 +391,7 @@ mod tests {
             body_bytes: Some(24),
             qos: QosRecord::from(&qos()),
             relay: true,
+            observer: false,
             slot: 70_000,
             at: 4,
             partner: None,

@@ -21,7 +21,7 @@ use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 pub(crate) const PAGE: u64 = 4096;
 /// Starts the names of participants' files in the folder of their domain.
 pub(crate) const PREFIX: &str = "p";

@@ -297,6 +297,30 @@ impl Participant {
         let role = SubscriptionRole { is_relay: true, ..SubscriptionRole::default() };
         RawSubscription::create(self, topic, topic_type, qos, limits, role)
     }
+
+    /// A subscription that looks on: a tool's. It gets what every publisher on this host sends, whatever that offers, and what is kept
+    /// for late joiners, at most `depth` of each. Nobody sees it: it is in no count, no list and no event, matches nothing, asks
+    /// nothing of a gateway, and is never waited for. It is not rung, so it is to be [taken](RawSubscription::try_take) from at intervals.
+    ///
+    /// What it costs its publishers is a queue of `depth`, which the publishing thread puts each sample into, and samples for
+    /// `limits.held`; and for `depth`, if that is more than any subscription's.
+    ///
+    /// # Real-time
+    /// As [`create_subscription`](Self::create_subscription).
+    ///
+    /// # Errors
+    /// As [`create_raw_subscription`](Self::create_raw_subscription).
+    pub fn create_observer(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        depth: usize,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        let role = SubscriptionRole { is_observer: true, ..SubscriptionRole::default() };
+        let qos = Qos::keep_last(depth).best_effort().transient_local();
+        RawSubscription::create(self, topic, topic_type, qos, limits, role)
+    }
 }
 
 impl Participant {

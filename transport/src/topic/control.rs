@@ -11,7 +11,7 @@ use crate::participant::file::{OwnMemory, PAGE, Place};
 use crate::participant::ranges::{Range, Ranges};
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering, fence};
 use tautline_rt::shm::Mapping;
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpub1");
@@ -36,6 +36,15 @@ pub(crate) struct PublisherHead {
     /// Where the directory lies: its offset in the file above the number of its entries.
     directory: AtomicU64,
     pub(crate) segments: [SegmentWords; SEGMENTS],
+    traffic: TrafficWords,
+}
+
+/// What the publisher has sent. On lines of their own: subscriptions read the others with every message.
+#[repr(C, align(64))]
+struct TrafficWords {
+    messages: AtomicU64,
+    bytes: AtomicU64,
+    last_ns: AtomicU64,
 }
 
 /// Where a segment of samples lies, and how long a sample is.
@@ -164,6 +173,11 @@ impl Control {
     /// Where the first part lies: what the publisher's entry in the record says.
     pub(crate) fn place(&self) -> u64 {
         Place::to_word(self.parts[0].0)
+    }
+
+    /// What counts what is sent; not to be used once this was [released](Self::release).
+    pub(crate) fn traffic(&self) -> Traffic {
+        Traffic(self.parts[0].1.clone())
     }
 
     /// The first part, and what is in the file where: for subscriptions of the same process.
@@ -382,6 +396,35 @@ impl Control {
     }
 }
 
+/// What a publisher has sent since it was made, by its own count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sent {
+    /// Messages; of a service's responses, of all clients.
+    pub messages: u64,
+    /// Bytes of their bodies, as CDR without its header of 4 bytes.
+    pub bytes: u64,
+    /// When the last one was, in `CLOCK_MONOTONIC` nanoseconds; 0: there was none.
+    pub last_ns: u64,
+}
+
+/// Where a publisher says what it sends. Any process may read it, without its doing.
+pub(crate) struct Traffic(Arc<Mapping>);
+
+impl Traffic {
+    /// A message has been sent. For the thread that publishes; nobody else writes.
+    ///
+    /// # Real-time
+    /// Wait-free: three loads and stores of a line that is this thread's, unless somebody looks.
+    #[inline]
+    pub(crate) fn note(&self, len_bytes: usize, now_ns: u64) {
+        let TrafficWords { messages, bytes, last_ns } = &head(&self.0).traffic;
+        bytes.store(bytes.load(Ordering::Relaxed).wrapping_add(len_bytes as u64), Ordering::Relaxed);
+        last_ns.store(now_ns, Ordering::Relaxed);
+        // Release: who reads the number reads what belongs to it, or to a later one.
+        messages.store(messages.load(Ordering::Relaxed).wrapping_add(1), Ordering::Release);
+    }
+}
+
 /// The head of a publisher's memory, mapped.
 pub(crate) struct Head(Arc<Mapping>);
 
@@ -392,6 +435,23 @@ impl Head {
     /// Wait-free: one load.
     pub(crate) fn grown(&self) -> u32 {
         head(&self.0).grown.load(Ordering::Acquire)
+    }
+
+    /// What the publisher has sent: of one instant, unless it sends meanwhile more often than this looks again.
+    pub(crate) fn sent(&self) -> Sent {
+        let TrafficWords { messages, bytes, last_ns } = &head(&self.0).traffic;
+        let mut sent = Sent::default();
+        for _ in 0..4 {
+            sent.messages = messages.load(Ordering::Acquire);
+            sent.bytes = bytes.load(Ordering::Relaxed);
+            sent.last_ns = last_ns.load(Ordering::Relaxed);
+            // The loads before come before the one after.
+            fence(Ordering::Acquire);
+            if messages.load(Ordering::Relaxed) == sent.messages {
+                break;
+            }
+        }
+        sent
     }
 }
 

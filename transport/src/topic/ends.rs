@@ -28,6 +28,8 @@ pub(crate) struct End {
     pub(crate) qos: Qos,
     /// It is a gateway's or a bridge's, and stands for ends on other hosts, which are listed themselves.
     pub(crate) is_relay: bool,
+    /// It only looks on.
+    pub(crate) is_observer: bool,
     /// On another host: its tag.
     pub(crate) remote: Option<u64>,
     /// Of the end of a service that carries responses: the end of the same client or server that carries requests.
@@ -37,8 +39,19 @@ pub(crate) struct End {
 }
 
 impl End {
+    /// One of this host that matches.
+    pub(crate) fn new(gid: Gid, qos: Qos) -> Self {
+        let (mismatch, remote, partner, life) = Default::default();
+        End { gid, mismatch, qos, is_relay: false, is_observer: false, remote, partner, life }
+    }
+
     fn is_matched_here(&self) -> bool {
-        self.mismatch.is_none() && self.remote.is_none()
+        self.mismatch.is_none() && self.remote.is_none() && !self.is_observer
+    }
+
+    /// Whether it is an end of the topic itself: not one that stands for others, which are listed, nor one that only looks on.
+    pub(crate) fn is_itself(&self) -> bool {
+        !self.is_relay && !self.is_observer
     }
 }
 
@@ -80,7 +93,7 @@ impl Ends {
         self.has_changed = true;
         self.matched -= usize::from(end.is_matched_here());
         let matched = end.mismatch.is_none();
-        self.killed += u64::from(matched && was_killed && !end.is_relay);
+        self.killed += u64::from(matched && was_killed && end.is_itself());
         matched
     }
 
@@ -96,8 +109,7 @@ impl Ends {
         }
         for &(gid, tag) in told {
             if !self.list.contains_key(&gid) {
-                let (mismatch, qos, partner, life) = (None, Qos::default(), None, None);
-                self.set(End { gid, mismatch, qos, is_relay: false, remote: Some(tag), partner, life });
+                self.set(End { remote: Some(tag), ..End::new(gid, Qos::default()) });
             }
         }
     }

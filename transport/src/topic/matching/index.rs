@@ -409,6 +409,7 @@ mod tests {
             body_bytes: None,
             qos: QosRecord::from(&Qos::default()),
             relay: false,
+            observer: false,
             slot: 0,
             at: 1,
             partner: None,

@@ -142,9 +142,9 @@ impl Ends {
         }
     }
 
-    /// Those that are there, as at the last update: see [`is_end`].
+    /// Those that are there, as at the last update.
     fn iter(&self) -> impl Iterator<Item = &End> {
-        self.list.current().ends.iter().filter(|end| is_end(end))
+        self.list.current().ends.iter().filter(|end| end.is_itself())
     }
 
     /// Looks for changes since the last time.
@@ -163,7 +163,7 @@ impl Ends {
         let (list, mut last_policy) = (self.list.read(), None);
         // Both are in the order of their gids.
         let mut former = self.former.iter().peekable();
-        for end in list.ends.iter().filter(|end| is_end(end)) {
+        for end in list.ends.iter().filter(|end| end.is_itself()) {
             while former.next_if(|known| known.gid < end.gid).is_some() {}
             let is_new =
                 former.peek().is_none_or(|known| known.gid != end.gid || known.mismatch != end.mismatch);
@@ -207,11 +207,6 @@ impl Ends {
     }
 }
 
-/// Whether it is an end of the topic itself: not one that stands for others, which are listed.
-fn is_end(end: &End) -> bool {
-    !end.is_relay
-}
-
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
@@ -219,8 +214,7 @@ mod tests {
     use tautline_rt::latest;
 
     fn end(n: u8, mismatch: Option<Mismatch>) -> End {
-        let (is_relay, remote) = (n > 100, None);
-        End { gid: Gid([n; 16]), mismatch, qos: Qos::default(), is_relay, remote, partner: None, life: None }
+        End { mismatch, is_relay: n > 100, ..End::new(Gid([n; 16]), Qos::default()) }
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::qos::{Claim, Durability, History as KeepWhat, Limits, Qos};
 use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::connection::{ReaderState, Shape};
-use crate::topic::control::{ConnectionPlace, Control, View};
+use crate::topic::control::{ConnectionPlace, Control, Traffic, View};
 use crate::topic::ends::{End, Ends, Mismatch};
 use crate::topic::header::Gid;
 use crate::topic::memory::{Demand, grown_sample_bytes, sample_bytes};
@@ -49,6 +49,7 @@ pub(crate) struct PublisherCore {
     pub(crate) history: Option<History>,
     /// The number of the last sample that was published.
     pub(crate) published: AtomicU64,
+    pub(crate) traffic: Traffic,
     /// Subscriptions on this host that match.
     pub(crate) matched: Arc<AtomicUsize>,
     setup: Mutex<Setup>,
@@ -122,6 +123,7 @@ impl PublisherCore {
             sample_bytes,
             source,
         })?;
+        let traffic = control.traffic();
         let claims_on_use = limits.claim == Claim::OnUse;
         let first = Arc::new(Table::empty(sample_bytes, claims_on_use));
         let (table, reader) = latest(first);
@@ -153,6 +155,7 @@ impl PublisherCore {
             slot,
             history,
             published: AtomicU64::new(0),
+            traffic,
             matched: Arc::default(),
             setup: Mutex::new(setup),
         };
@@ -181,6 +184,7 @@ impl PublisherCore {
             body_bytes: self.topic.topic_type.body_bytes.map(|bytes| bytes as u64),
             qos: QosRecord::from(&self.qos),
             relay: self.is_relay,
+            observer: false,
             slot: self.slot.index() as u32,
             at: setup.control.as_ref().map_or(0, Control::place),
             partner: self.partner,
@@ -202,11 +206,12 @@ impl PublisherCore {
         }
         let qos = target.port.qos.qos();
         let mismatch = self.mismatch(&target.port, &qos);
-        let is_relay = target.port.relay;
-        let partner = target.port.partner;
-        let end = End { gid: target.gid, mismatch, qos, is_relay, remote: None, partner, life: None };
+        let PortRecord { relay: is_relay, observer: is_observer, partner, .. } = target.port;
+        let end = End { mismatch, is_relay, is_observer, partner, ..End::new(target.gid, qos) };
         if let Some(mismatch) = mismatch {
-            self.topic.warn_of_mismatch(mismatch, "publisher", "subscription", &target.port);
+            if !is_observer {
+                self.topic.warn_of_mismatch(mismatch, "publisher", "subscription", &target.port);
+            }
             setup.ends.set(end);
             return Ok(false);
         }
@@ -258,8 +263,8 @@ impl PublisherCore {
         if !self.topic.topic_type.agrees_with(&port.topic_type()) {
             return Some(Mismatch::Type);
         }
-        let is_relayed = self.is_relay || port.relay;
-        self.qos.incompatibility(requested).filter(|_| !is_relayed).map(Mismatch::Qos)
+        let takes_all = self.is_relay || port.relay || port.observer;
+        self.qos.incompatibility(requested).filter(|_| !takes_all).map(Mismatch::Qos)
     }
 
     fn no_memory(&self, bytes: u64, sample_bytes: usize, source: io::Error) -> TransportError {

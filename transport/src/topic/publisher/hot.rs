@@ -256,6 +256,7 @@ impl RawPublisher {
             tautline_trace::pass(self.trace.id(), number, from, source.sequence_number);
         }
         tautline_trace::publish(self.trace.id(), &header.trace_id(core.gid, loan.payload.addr().get()));
+        let len_bytes = loan.len_bytes;
         let (segment, index) = loan.into_sample();
         // SAFETY: the sample has a reference until the end of this, so its segment stays.
         let segment = unsafe { segment.as_ref() };
@@ -285,6 +286,7 @@ impl RawPublisher {
         segment.release(index);
         // Release: pairs with the Acquire of who sets up a late joiner; what is kept is kept.
         core.published.store(live.sequence_number, Ordering::Release);
+        core.traffic.note(len_bytes, now_ns);
         // The sample is queued before the flags are read and the bells are rung: a subscription either is rung, or looks into its queue
         // after this. And a late joiner that has been set up meanwhile either was given this sample, or gets it here.
         fence(Ordering::SeqCst);

@@ -30,6 +30,7 @@ pub(crate) struct SubscriptionCore {
     pub(crate) qos: Qos,
     pub(crate) limits: Limits,
     pub(crate) is_relay: bool,
+    is_observer: bool,
     /// Of a client's responses: the port of its requests.
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
@@ -112,6 +113,7 @@ impl SubscriptionCore {
             qos,
             limits,
             is_relay: role.is_relay,
+            is_observer: role.is_observer,
             partner: role.partner,
             slot,
             matched: Arc::default(),
@@ -139,6 +141,7 @@ impl SubscriptionCore {
             body_bytes: self.topic.topic_type.body_bytes.map(|bytes| bytes as u64),
             qos: QosRecord::from(&self.qos),
             relay: self.is_relay,
+            observer: self.is_observer,
             slot: self.slot.index() as u32,
             at: self.limits.held as u64,
             partner: self.partner,
@@ -161,15 +164,7 @@ impl SubscriptionCore {
             Some(mismatch) => {
                 self.topic.warn_of_mismatch(mismatch, "subscription", "publisher", &expected.port);
                 let is_relay = expected.port.relay;
-                setup.ends.set(End {
-                    gid,
-                    mismatch: Some(mismatch),
-                    qos,
-                    is_relay,
-                    remote: None,
-                    partner: None,
-                    life: None,
-                });
+                setup.ends.set(End { mismatch: Some(mismatch), is_relay, ..End::new(gid, qos) });
                 false
             }
             None => {
@@ -184,7 +179,8 @@ impl SubscriptionCore {
         if !self.topic.topic_type.agrees_with(&port.topic_type()) {
             return Some(Mismatch::Type);
         }
-        offered.incompatibility(&self.qos).filter(|_| !(self.is_relay || port.relay)).map(Mismatch::Qos)
+        let takes_all = self.is_relay || self.is_observer || port.relay;
+        offered.incompatibility(&self.qos).filter(|_| !takes_all).map(Mismatch::Qos)
     }
 
     /// Attaches publishers that are expected and whose participants have made a connection by now. Returns how many are still expected.
@@ -231,15 +227,8 @@ impl SubscriptionCore {
         let has_lease =
             qos.liveliness == Liveliness::ManualByTopic && qos.liveliness_lease_duration.is_some();
         let life = has_lease.then(|| Life::of(&receiver));
-        setup.ends.set(End {
-            gid: *gid,
-            mismatch: None,
-            qos,
-            is_relay: port.relay,
-            remote: None,
-            partner: port.partner,
-            life,
-        });
+        let PortRecord { relay: is_relay, partner, .. } = *port;
+        setup.ends.set(End { is_relay, partner, life, ..End::new(*gid, qos) });
         let entry = Entry { receiver, segments, grown, has_ended: false };
         setup.attached.insert(Attached { publisher: *gid, source: source.clone(), entry });
         setup.is_stale = true;

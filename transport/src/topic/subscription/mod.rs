@@ -105,6 +105,8 @@ impl Counters {
 pub(crate) struct SubscriptionRole {
     /// What it gets is passed on.
     pub(crate) is_relay: bool,
+    /// It only looks on.
+    pub(crate) is_observer: bool,
     /// Of a client's responses: the port of its requests.
     pub(crate) partner: Option<u64>,
     /// The number of the port, if that was known before.
@@ -124,6 +126,7 @@ impl RawSubscription {
         let topic = Topic::check(topic, topic_type, qos, limits)?;
         let slot = Arc::new(shared.doorbell.claim()?);
         slot.flags().set_deadline(qos.deadline.is_some());
+        slot.flags().set_quiet(role.is_observer);
         let gid = Gid::of(shared.memory.id(), role.number.unwrap_or_else(|| shared.record.number()));
         let trace = tautline_trace::subscription_init(&topic.name, qos.depth);
         let (core, live) = SubscriptionCore::create(gid, topic, qos, limits, role, slot);

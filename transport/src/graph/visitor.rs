@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Looking at a domain without being in it.
+
+use super::domain::Domain;
+use super::model::{Model, VISITOR};
+use super::{EndpointKind, GraphSnapshot, TopicEndpoint};
+use crate::error::TransportError;
+use crate::participant::check_domain;
+use crate::topic::control::{Head, Sent, View};
+use crate::topic::header::Gid;
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Looks at a domain of this user, host and scope without being in it: for tools. Changes nothing there, and costs nobody anything.
+///
+/// ```
+/// let mut visitor = tautline_transport::Visitor::new(121)?;
+/// assert!(visitor.graph()?.nodes.is_empty());
+/// # Ok::<(), tautline_transport::TransportError>(())
+/// ```
+pub struct Visitor {
+    number: u32,
+    /// `None`: it is not there yet.
+    domain: Option<Arc<Domain>>,
+    model: Model,
+    /// When it was last looked who lives.
+    looked: Instant,
+    /// Of publishers that were asked for.
+    heads: HashMap<Gid, Head>,
+}
+
+impl Visitor {
+    /// Of the domain with this number, which need not be there yet.
+    ///
+    /// # Real-time
+    /// Not for real-time threads, as all of it: maps files, allocates.
+    ///
+    /// # Errors
+    /// A number that is no domain's, a `TAUT_SCOPE` that is no scope.
+    pub fn new(domain: u32) -> Result<Self, TransportError> {
+        check_domain(domain)?;
+        let (model, heads) = (Model::new(VISITOR), HashMap::new());
+        Ok(Visitor { number: domain, domain: None, model, looked: Instant::now(), heads })
+    }
+
+    /// Everything that exists there now. The same as before, without a look at anything else, if nothing has changed.
+    ///
+    /// # Errors
+    /// As [`Participant::graph`](crate::Participant::graph).
+    pub fn graph(&mut self) -> Result<Arc<GraphSnapshot>, TransportError> {
+        if self.domain.is_none() {
+            self.domain = Domain::visit(self.number)?;
+        }
+        let Some(domain) = &self.domain else { return Ok(Arc::default()) };
+        if self.looked.elapsed() >= LIFE {
+            self.looked = Instant::now();
+            self.model.forget_dead(domain);
+        }
+        let graph = self.model.look(domain)?;
+        self.heads.retain(|gid, _| self.model.memory_of(*gid).is_some());
+        Ok(graph)
+    }
+
+    /// What a publisher of this host has sent, by its own count. `None`: it has gone, or is elsewhere; ask for the
+    /// [`graph`](Self::graph) first.
+    ///
+    /// # Errors
+    /// The system refuses to map its memory.
+    pub fn sent(&mut self, publisher: &TopicEndpoint) -> Result<Option<Sent>, TransportError> {
+        if publisher.is_remote || publisher.kind != EndpointKind::Publisher {
+            return Ok(None);
+        }
+        let gid = publisher.gid;
+        if let Some(head) = self.heads.get(&gid) {
+            return Ok(Some(head.sent()));
+        }
+        let Some((peer, place)) = self.model.memory_of(gid) else { return Ok(None) };
+        let Some(map) = peer.map(place, true)? else { return Ok(None) };
+        let Some(view) = View::open(place, map, gid) else { return Ok(None) };
+        let head = view.head_map();
+        let sent = head.sent();
+        self.heads.insert(gid, head);
+        Ok(Some(sent))
+    }
+
+    /// Sleeps until something appears in the domain or goes, at most for `timeout`.
+    ///
+    /// # Real-time
+    /// Waits.
+    pub fn wait_for_change(&self, timeout: Duration) {
+        match (&self.domain, self.model.epoch) {
+            (Some(domain), Some(epoch)) => drop(domain.wait(epoch, Some(timeout))),
+            _ => std::thread::sleep(timeout.min(POLL)),
+        }
+    }
+}
+
+/// How often a domain is looked for that is not there.
+const POLL: Duration = Duration::from_millis(50);
+/// How often it is looked who has died.
+const LIFE: Duration = Duration::from_millis(500);
+
+/// What exists in a domain now: see [`Visitor::graph`].
+///
+/// ```
+/// let graph = tautline_transport::graph_of(121)?;
+/// assert!(graph.nodes.is_empty() && graph.endpoints.is_empty());
+/// # Ok::<(), tautline_transport::TransportError>(())
+/// ```
+///
+/// # Real-time
+/// Not for real-time threads: maps files, allocates.
+///
+/// # Errors
+/// Those of [`Visitor`].
+pub fn graph_of(domain: u32) -> Result<Arc<GraphSnapshot>, TransportError> {
+    Visitor::new(domain)?.graph()
+}
+
+impl std::fmt::Debug for Visitor {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Visitor").field("domain", &self.number).finish_non_exhaustive()
+    }
+}
