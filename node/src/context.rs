@@ -12,7 +12,7 @@ use crate::system::LoadedSystem;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, Realtime, StatisticsFile};
+use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, ProcessInfo, Realtime, StatisticsFile};
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Wait};
 use tautline_trace::TraceSettings;
@@ -146,8 +146,9 @@ impl ContextBuilder {
         self
     }
 
-    /// Whether the statistics of callbacks lie in a file of `/dev/shm`, where `taut report` reads them. On by default if
-    /// there is a system file; without one there is nothing to compare them with.
+    /// Whether the statistics of callbacks lie in a file of `/dev/shm`, where other processes read them
+    /// ([`shared_statistics`](crate::shared_statistics)): `taut report`, if there is a system file. On by default; it costs callbacks
+    /// nothing.
     pub fn share_statistics(mut self, share: bool) -> Self {
         self.share_statistics = share;
         self
@@ -210,8 +211,15 @@ impl ContextBuilder {
         let participant = Participant::new(domain)?;
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
         let mut executor = Executor::new(realtime).with_parkers(thread_parkers(&participant));
-        if let Some(system) = system.as_ref().filter(|_| self.share_statistics) {
-            let about = system.process_info(realtime, sampler_priority);
+        if self.share_statistics {
+            let mut about = ProcessInfo {
+                realtime: realtime == Realtime::Required,
+                sampler_priority: Some(sampler_priority),
+                ..ProcessInfo::of_this()
+            };
+            if let Some(system) = &system {
+                system.describe(&mut about);
+            }
             let prefix = StatisticsFile::prefix(domain);
             let file = StatisticsFile::create(&prefix, &about).map_err(Error::Statistics)?;
             executor = executor.with_statistics(file);

@@ -4,8 +4,8 @@
 use crate::error::{Error, Result};
 use tautline_executor::{ForeignStatistics, StatisticsFile};
 
-/// The statistics of all processes of `domain`, of this user and on this host, whose contexts have a system file: what
-/// `taut report` reads. Those of processes that were killed are removed, and their number is the second value.
+/// The statistics of all processes of `domain`, of this user and on this host, that share them: what `taut report` reads of those with
+/// a system file. Those of processes that were killed are removed, and their number is the second value.
 ///
 /// ```
 /// let (processes, _killed) = tautline::shared_statistics(227)?;

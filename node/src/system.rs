@@ -85,16 +85,11 @@ impl LoadedSystem {
         }
     }
 
-    /// What other processes are told of this one.
-    pub(crate) fn process_info(&self, realtime: Realtime, sampler_priority: u8) -> ProcessInfo {
-        ProcessInfo {
-            host: self.host.clone(),
-            realtime: realtime == Realtime::Required,
-            sampler_priority: Some(sampler_priority),
-            system_path: std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone()),
-            system_hash: self.fingerprint,
-            ..ProcessInfo::of_this()
-        }
+    /// What other processes are told of the one that has this file.
+    pub(crate) fn describe(&self, about: &mut ProcessInfo) {
+        about.host.clone_from(&self.host);
+        about.system_path = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
+        about.system_hash = self.fingerprint;
     }
 
     /// The queue of the callback `name`: as deep as the file says, else as the analysis computed.

@@ -13,13 +13,16 @@ use super::{ReportError, killed_text};
 /// Files stay open, so what a process did can be read after its end.
 pub struct Watched {
     domain: u32,
+    /// Those with a system file.
     processes: Vec<ForeignStatistics>,
+    /// Those without one.
+    others: BTreeSet<PathBuf>,
     killed: usize,
 }
 
 impl Watched {
     pub fn new(domain: u32) -> Watched {
-        Watched { domain, processes: Vec::new(), killed: 0 }
+        Watched { domain, processes: Vec::new(), others: BTreeSet::new(), killed: 0 }
     }
 
     /// Looks for processes that are new.
@@ -27,8 +30,17 @@ impl Watched {
         let (found, killed) = tautline::shared_statistics(self.domain).map_err(ReportError::Domain)?;
         self.killed += killed;
         for process in found {
-            if !self.processes.iter().any(|known| known.path() == process.path()) {
-                self.processes.push(process);
+            let is_known = self.processes.iter().any(|known| known.path() == process.path());
+            if is_known || self.others.contains(process.path()) {
+                continue;
+            }
+            match process.read().map_err(ReportError::Statistics)? {
+                // One that is just starting has nothing to show yet: it is looked at again.
+                None => {}
+                Some(snapshot) if snapshot.process.system_path.as_os_str().is_empty() => {
+                    self.others.insert(process.path().into());
+                }
+                Some(_) => self.processes.push(process),
             }
         }
         Ok(())
@@ -40,9 +52,7 @@ impl Watched {
         if self.processes.is_empty() {
             eprintln!("Waiting for a process with a system file in domain {} ...", self.domain);
         }
-        // One that is just starting has nothing to show yet.
-        let shows = |process: &ForeignStatistics| matches!(process.read(), Ok(Some(_)) | Err(_));
-        while !self.processes.iter().any(shows) && !interrupted.load(Ordering::Relaxed) {
+        while self.processes.is_empty() && !interrupted.load(Ordering::Relaxed) {
             pause(Duration::from_millis(200), interrupted);
             self.look()?;
         }

@@ -40,13 +40,13 @@ pub struct ProcessInfo {
     pub pid: u32,
     /// The name of its program.
     pub program: String,
-    /// Which of the system file's hosts it is.
+    /// Which of the system file's hosts it is; empty without one.
     pub host: String,
     /// Whether its threads have their real-time policies.
     pub realtime: bool,
     /// Priority of its sampler.
     pub sampler_priority: Option<u8>,
-    /// The system file that its settings come from.
+    /// The system file that its settings come from; empty if there is none.
     pub system_path: PathBuf,
     /// A hash of that file's content.
     pub system_hash: u64,
