@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut component`: nodes in shared libraries, in a container that runs them in one process.
 
-use crate::domain::DomainArgs;
-use crate::sibling::{Sibling, SiblingError};
+use crate::manners::{Failure, Manners, Outcome};
+use crate::sibling::Sibling;
 use clap::{Args, Subcommand};
 use futures::executor::block_on;
 use serde_json::json;
 use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::time::Duration;
 use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
 use tautline::rcl_interfaces::msg;
@@ -43,10 +42,7 @@ struct Target {
     #[arg(long, default_value = "/ComponentManager", value_name = "NODE")]
     container: String,
     #[command(flatten)]
-    domain: DomainArgs,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    manners: Manners,
 }
 
 #[derive(Subcommand, Debug)]
@@ -98,29 +94,8 @@ enum Verb {
     },
 }
 
-/// Why nothing was done.
-#[derive(Debug, thiserror::Error)]
-pub enum ComponentError {
-    #[error(transparent)]
-    Run(#[from] SiblingError),
-    #[error(transparent)]
-    Node(#[from] tautline::Error),
-    #[error(
-        "{container} does not answer: {source}; `taut component run` starts a container, `taut node list` prints which nodes there are"
-    )]
-    Container { container: String, source: Box<tautline::Error> },
-    #[error(
-        "{container} has not answered within {PATIENCE:?}: it may still be at work, and then goes on; `taut component list` tells later what came of it"
-    )]
-    Busy { container: String },
-    #[error("{0}")]
-    Refused(String),
-    #[error("the result cannot be printed: {0}")]
-    Print(#[from] io::Error),
-}
-
 /// Runs the verb. Does not return if it is `run`, and the container could be started.
-pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
+pub fn run(args: ComponentArgs) -> Outcome {
     match args.verb {
         Verb::Run { arguments } => return Err(CONTAINER.become_it(&arguments).into()),
         Verb::Load { what, name, namespace, remap, params, log_level, extra_argument, target } => {
@@ -139,7 +114,7 @@ pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
             };
             let loaded = ask::<LoadNode::Service>(&target, "load_node", &request)?;
             if !loaded.success {
-                return Err(ComponentError::Refused(loaded.error_message));
+                return Err(Failure::no(loaded.error_message));
             }
             print(&target, &[(loaded.unique_id, loaded.full_node_name)])?;
         }
@@ -147,7 +122,7 @@ pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
             let request = UnloadNode::Request { unique_id: id };
             let unloaded = ask::<UnloadNode::Service>(&target, "unload_node", &request)?;
             if !unloaded.success {
-                return Err(ComponentError::Refused(unloaded.error_message));
+                return Err(Failure::no(unloaded.error_message));
             }
         }
         Verb::List { target } => {
@@ -156,7 +131,7 @@ pub fn run(args: ComponentArgs) -> Result<ExitCode, ComponentError> {
             print(&target, &rows)?;
         }
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 /// As behind `-p` on ROS 2's command line, for one node.
@@ -174,12 +149,9 @@ fn log_level(level: &str) -> Result<LogSeverity, &'static str> {
     level.parse().map_err(|()| "a level is debug, info, warn, error or fatal")
 }
 
-fn ask<T: Service>(
-    target: &Target,
-    service: &str,
-    request: &T::Request,
-) -> Result<T::Response, ComponentError> {
-    let context = Context::builder().domain(target.domain.number()?).realtime(Realtime::Off).build()?;
+fn ask<T: Service>(target: &Target, service: &str, request: &T::Request) -> Outcome<T::Response> {
+    let patience = target.manners.timeout().unwrap_or(PATIENCE);
+    let context = Context::builder().domain(target.manners.domain()?).realtime(Realtime::Off).build()?;
     let mut node = Node::create(context.clone(), "taut_component", "")?;
     let name = format!("{}/_container/{service}", target.container);
     let client = node.create_client::<T>(&name, QosProfile::services_default())?;
@@ -187,29 +159,29 @@ fn ask<T: Service>(
         let context = context.clone();
         move || context.spin()
     });
-    let answer = client.request_timeout(request, PATIENCE).and_then(block_on);
+    let answer = client.request_timeout(request, patience).and_then(block_on);
     context.shutdown();
     let _ = sampler.join();
     answer.map_err(|source| {
-        let container = target.container.clone();
-        match source {
-            tautline::Error::ServiceTimeout { .. } => ComponentError::Busy { container },
-            source => ComponentError::Container { container, source: source.into() },
-        }
+        let container = &target.container;
+        Failure::no(match source {
+            tautline::Error::ServiceTimeout { .. } => format!(
+                "{container} has not answered within {patience:?}: it may still be at work, and then goes on; `taut component \
+                 list` tells later what came of it"
+            ),
+            source => format!(
+                "{container} does not answer: {source}; `taut component run` starts a container, `taut node list` prints which \
+                 nodes there are"
+            ),
+        })
     })
 }
 
 fn print(target: &Target, rows: &[(u64, String)]) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    let printed = if target.json {
+    if target.manners.json {
         let rows = rows.iter().map(|(id, node)| json!({ "id": id, "node": node }));
-        writeln!(out, "{}", serde_json::Value::from_iter(rows))
-    } else {
-        rows.iter().try_for_each(|(id, node)| writeln!(out, "{id} {node}"))
-    };
-    match printed {
-        // Whoever reads has seen enough.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        printed => printed,
+        return writeln!(out, "{}", serde_json::Value::from_iter(rows));
     }
+    rows.iter().try_for_each(|(id, node)| writeln!(out, "{id} {node}"))
 }

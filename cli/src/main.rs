@@ -6,19 +6,21 @@ mod bridge_ros;
 mod check;
 mod component;
 mod demo;
-mod domain;
 mod gateway;
 mod init;
+mod manners;
 mod msg;
 mod node;
 mod report;
 mod service;
 mod sibling;
 mod table;
+mod times;
 mod topic;
 mod trace;
 
 use clap::{Parser, Subcommand};
+use manners::Failure;
 use std::process::ExitCode;
 
 /// Zero-copy, real-time middleware for robots.
@@ -52,22 +54,20 @@ fn main() -> ExitCode {
         .from_env_lossy();
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
 
+    let said = |error: &dyn std::fmt::Display| Err(Failure::unusable(error.to_string()));
     let outcome = match Cli::parse().verb {
-        Verb::Demo(args) => demo::run(args).map_err(|error| error.to_string()),
-        Verb::Check(args) => Ok(check::run(&args)),
-        Verb::Init(args) => Ok(init::run(&args)),
-        Verb::Report(args) => Ok(report::run(&args)),
-        Verb::Trace(args) => trace::run(args).map_err(|error| error.to_string()),
-        Verb::Topic(args) => topic::run(args).map_err(|error| error.to_string()),
-        Verb::Node(args) => node::run(&args).map_err(|error| error.to_string()),
-        Verb::Service(args) => service::run(&args).map_err(|error| error.to_string()),
-        Verb::Gateway(args) => gateway::run(args).map_err(|error| error.to_string()),
-        Verb::BridgeRos(args) => bridge_ros::run(args).map_err(|error| error.to_string()),
-        Verb::Component(args) => component::run(args).map_err(|error| error.to_string()),
-        Verb::Msg(args) => msg::run(args).map_err(|error| error.to_string()),
+        Verb::Check(args) => return check::run(&args),
+        Verb::Init(args) => return init::run(&args),
+        Verb::Report(args) => return report::run(&args),
+        Verb::Demo(args) => demo::run(args).or_else(|error| said(&error)),
+        Verb::Trace(args) => trace::run(args).or_else(|error| said(&error)),
+        Verb::Gateway(args) => gateway::run(args).or_else(|error| said(&error)),
+        Verb::BridgeRos(args) => bridge_ros::run(args).or_else(|error| said(&error)),
+        Verb::Msg(args) => msg::run(args).or_else(|error| said(&error)),
+        Verb::Topic(args) => topic::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Node(args) => node::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Service(args) => service::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Component(args) => component::run(args).map(|()| ExitCode::SUCCESS),
     };
-    outcome.unwrap_or_else(|error| {
-        eprintln!("taut: {error}");
-        ExitCode::FAILURE
-    })
+    outcome.unwrap_or_else(Failure::tell)
 }

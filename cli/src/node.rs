@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut node`: the nodes of a domain, and what each has.
 
-use crate::domain::DomainArgs;
+use crate::manners::{Failure, Manners, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
-use std::process::ExitCode;
 use std::sync::Arc;
 use tautline::{EndpointKind, GraphSnapshot, NodeInfo, ServiceKind};
 use tautline_transport::graph_of;
@@ -23,10 +22,7 @@ pub struct NodeArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    domain: DomainArgs,
-    /// Print JSON
-    #[arg(long, global = true)]
-    json: bool,
+    manners: Manners,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -41,44 +37,32 @@ enum Verb {
     },
 }
 
-/// Why there is nothing to print.
-#[derive(Debug, thiserror::Error)]
-pub enum NodeError {
-    #[error(transparent)]
-    Node(#[from] tautline::Error),
-    #[error(transparent)]
-    Transport(#[from] tautline_transport::TransportError),
-    #[error("there is no node '{0}'; `taut node list` prints which there are")]
-    Unknown(String),
-    #[error("the result cannot be printed: {0}")]
-    Print(#[from] io::Error),
-}
-
 /// Runs the verb.
-pub fn run(args: &NodeArgs) -> Result<ExitCode, NodeError> {
-    let graph = graph_of(args.domain.number()?)?;
+pub fn run(args: &NodeArgs) -> Outcome {
+    let graph = graph_of(args.manners.domain()?)?;
     for pair in graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1) {
         eprintln!("taut: {} nodes are called {}", pair.len(), pair[0].name);
     }
     let mut out = io::stdout().lock();
-    let printed = match &args.verb {
-        Verb::List if args.json => {
-            writeln!(out, "{}", Value::from_iter(graph.nodes.iter().map(|node| facts(node))))
+    match &args.verb {
+        Verb::List if args.manners.json => {
+            writeln!(out, "{}", Value::from_iter(graph.nodes.iter().map(|node| facts(node))))?;
         }
-        Verb::List => list(&graph.nodes, &mut out),
+        Verb::List => list(&graph.nodes, &mut out)?,
         Verb::Info { node } => {
             let name = if node.starts_with('/') { node.clone() } else { format!("/{node}") };
-            let info = graph.nodes.iter().find(|node| node.name.full_name() == name);
-            let info = info.ok_or(NodeError::Unknown(name))?;
-            let parts = Parts::of(&graph, info);
-            if args.json { writeln!(out, "{}", parts.to_json(info)) } else { parts.print(info, &mut out) }
+            let names: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
+            let Some(place) = names.iter().position(|there| *there == name) else {
+                return Err(Failure::unknown("node", &name, names.iter().map(String::as_str), "node list"));
+            };
+            let parts = Parts::of(&graph, &graph.nodes[place]);
+            match args.manners.json {
+                true => writeln!(out, "{}", parts.to_json(&graph.nodes[place]))?,
+                false => parts.print(&graph.nodes[place], &mut out)?,
+            }
         }
-    };
-    match printed {
-        // Whoever reads has seen enough.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
-        printed => Ok(printed.map(|()| ExitCode::SUCCESS)?),
     }
+    Ok(())
 }
 
 fn list(nodes: &[Arc<NodeInfo>], out: &mut impl Write) -> io::Result<()> {

@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut service`: the services of a domain.
 
-use crate::domain::DomainArgs;
+use crate::manners::{Manners, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
-use std::process::ExitCode;
 use tautline::{GraphSnapshot, NodeName, ServiceKind};
 use tautline_transport::graph_of;
 
@@ -21,10 +20,7 @@ pub struct ServiceArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    domain: DomainArgs,
-    /// Print JSON
-    #[arg(long, global = true)]
-    json: bool,
+    manners: Manners,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -33,34 +29,19 @@ enum Verb {
     List,
 }
 
-/// Why there is nothing to print.
-#[derive(Debug, thiserror::Error)]
-pub enum ServiceError {
-    #[error(transparent)]
-    Node(#[from] tautline::Error),
-    #[error(transparent)]
-    Transport(#[from] tautline_transport::TransportError),
-    #[error("the result cannot be printed: {0}")]
-    Print(#[from] io::Error),
-}
-
 /// Runs the verb.
-pub fn run(args: &ServiceArgs) -> Result<ExitCode, ServiceError> {
-    let graph = graph_of(args.domain.number()?)?;
+pub fn run(args: &ServiceArgs) -> Outcome {
+    let graph = graph_of(args.manners.domain()?)?;
     let services = services(&graph);
     let mut out = io::stdout().lock();
     let Verb::List = args.verb;
-    let printed = if args.json {
-        writeln!(out, "{}", Value::from_iter(services.iter().map(Service::to_json)))
+    if args.manners.json {
+        writeln!(out, "{}", Value::from_iter(services.iter().map(Service::to_json)))?;
     } else {
         let head = ["service", "type", "where", "servers", "clients"];
-        crate::table::write_table(&head, 3, services.iter().map(Service::row).collect(), &mut out)
-    };
-    match printed {
-        // Whoever reads has seen enough.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
-        printed => Ok(printed.map(|()| ExitCode::SUCCESS)?),
+        crate::table::write_table(&head, 3, services.iter().map(Service::row).collect(), &mut out)?;
     }
+    Ok(())
 }
 
 struct Service<'g> {

@@ -1,43 +1,263 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut topic` on a type that `taut` was not built with.
+//! `taut topic` on types that `taut` was not built with, and on publishers that do not notice it.
 
-use std::process::Command;
+use serde_json::{Value, json};
+use std::cell::Cell;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Arc;
+use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_schema::{DynamicMessage, Schema};
-use tautline_transport::{Limits, Participant, Qos, TopicType};
+use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
 
-const DOMAIN: u32 = 191;
+thread_local! {
+    /// Each test has one of its own.
+    static DOMAIN: Cell<u32> = const { Cell::new(0) };
+}
 
-fn taut(args: &[&str]) -> String {
+fn enter(domain: u32) -> Participant {
+    DOMAIN.set(domain);
+    Participant::new(domain).unwrap()
+}
+
+fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
-    let output = command.args(args).env("TAUT_DOMAIN", DOMAIN.to_string()).output().unwrap();
+    command.args(args).env("TAUT_DOMAIN", DOMAIN.get().to_string());
+    command
+}
+
+fn run(args: &[&str]) -> Output {
+    command(args).output().unwrap()
+}
+
+/// What a command prints that succeeds.
+fn taut(args: &[&str]) -> String {
+    let output = run(args);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{args:?}: {errors}");
     String::from_utf8(output.stdout).unwrap()
 }
 
-#[test]
-fn topics_are_listed_and_echoed() {
-    let name = "demo_msgs/msg/Echo".parse().unwrap();
-    let schema = Schema::from_text(&name, "string word\nuint8[] numbers\n").unwrap();
-    let hash = schema.hash().to_string();
-    let topic_type =
-        TopicType::new(name.to_string()).with_hash(hash.clone()).with_definition(schema.to_text());
-    let participant = Participant::new(DOMAIN).unwrap();
-    let qos = Qos::default().transient_local();
-    let publisher = participant.create_raw_publisher("/echo", &topic_type, qos, Limits::default()).unwrap();
-    let message =
-        DynamicMessage::from_json(&schema.into(), r#"{"word": "taut", "numbers": [1, 2]}"#).unwrap();
-    publisher.publish(&message.to_body()).unwrap();
+/// The exit code and the words of one that does not.
+fn refused(args: &[&str]) -> (i32, String) {
+    let output = run(args);
+    assert!(output.stdout.is_empty(), "{args:?}: {}", String::from_utf8_lossy(&output.stdout));
+    (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+}
 
-    let list: serde_json::Value = serde_json::from_str(&taut(&["topic", "list", "--json"])).unwrap();
-    let expected = serde_json::json!([{
-        "topic": "/echo", "type": "demo_msgs/msg/Echo", "hash": hash, "publishers": 1, "subscriptions": 0,
+/// A command that goes on.
+struct Running(Child);
+
+impl Running {
+    fn start(args: &[&str]) -> Self {
+        Running(command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        BufReader::with_capacity(1, self.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        line
+    }
+
+    /// As Ctrl-C ends it.
+    fn interrupt(self) -> Output {
+        let pid = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+        self.0.wait_with_output().unwrap()
+    }
+}
+
+fn schema() -> Arc<Schema> {
+    let name = "demo_msgs/msg/Echo".parse().unwrap();
+    Schema::from_text(&name, "string word\nuint8[] numbers\nbuiltin_interfaces/Time stamp\n===\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n").unwrap().into()
+}
+
+fn publisher(participant: &Participant, topic: &str, qos: Qos) -> RawPublisher {
+    let schema = schema();
+    let topic_type = TopicType::new(schema.name().to_string())
+        .with_hash(schema.hash().to_string())
+        .with_definition(schema.to_text());
+    participant.create_raw_publisher(topic, &topic_type, qos, Limits::default()).unwrap()
+}
+
+fn message(json: &Value) -> Vec<u8> {
+    DynamicMessage::from_json_value(&schema(), json.clone()).unwrap().to_body()
+}
+
+#[test]
+fn topics_are_listed_found_and_echoed() {
+    let participant = enter(191);
+    let publisher = publisher(&participant, "/echo", Qos::keep_last(2).transient_local());
+    publisher.publish(&message(&json!({ "word": "a, \"b\"", "numbers": [] }))).unwrap();
+    publisher
+        .publish(&message(&json!({ "word": "taut", "numbers": [1, 2], "stamp": { "sec": 3 } })))
+        .unwrap();
+    let graph = participant.graph().unwrap();
+
+    let list: Value = serde_json::from_str(&taut(&["topic", "list", "--json"])).unwrap();
+    let expected = json!([{
+        "topic": "/echo", "type": "demo_msgs/msg/Echo", "hash": schema().hash().to_string(), "publishers": 1, "subscriptions": 0,
         "remote_publishers": 0, "remote_subscriptions": 0, "places": [],
     }]);
     assert_eq!(list, expected);
     let table = taut(&["topic", "list"]);
     assert!(table.contains("/echo") && table.contains("demo_msgs/msg/Echo"), "{table}");
-    assert_eq!(taut(&["topic", "echo", "/echo", "--once"]), "word: taut\nnumbers:\n- 1\n- 2\n---\n");
-    let json = taut(&["topic", "echo", "echo", "--once", "--json"]);
-    assert_eq!(json, "{\"word\":\"taut\",\"numbers\":[1,2]}\n");
+    assert_eq!(taut(&["topic", "type", "echo"]), "demo_msgs/msg/Echo\n");
+    assert_eq!(taut(&["topic", "find", "demo_msgs/Echo"]), "/echo\n");
+    assert_eq!(taut(&["topic", "find", "demo_msgs/msg/Echo", "--json"]), "[\"/echo\"]\n");
+
+    let echo = |more: &[&str]| taut(&[&["topic", "echo", "/echo", "-n", "2"], more].concat());
+    let last = "word: taut\nnumbers:\n- 1\n- 2\nstamp:\n  sec: 3\n  nanosec: 0\n---\n";
+    assert!(echo(&[]).ends_with(last), "{}", echo(&[]));
+    assert_eq!(echo(&["--csv"]), "\"a, \"\"b\"\"\",0,0\ntaut,1,2,3,0\n");
+    assert_eq!(echo(&["--field", "stamp.sec"]), "0\n---\n3\n---\n");
+    assert_eq!(echo(&["--field", "numbers", "--no-arr", "--json"]), "[]\n[1,2]\n");
+    assert!(
+        echo(&["--no-arr", "--no-str"])
+            .contains("word: '<string length: <4>>'\nnumbers: '<sequence type: uint8, length: 2>'\nstamp:")
+    );
+    let one = |more: &[&str]| taut(&[&["topic", "echo", "echo", "--once"], more].concat());
+    let of_taut = "{\"word\":\"taut\",\"numbers\":[1,2],\"stamp\":{\"sec\":3,\"nanosec\":0}}\n";
+    assert_eq!(one(&["--filter", ".numbers | length == 2", "--json"]), of_taut);
+    assert_eq!(one(&["--field", "numbers[1]", "--csv"]), "2\n", "the first that has one");
+    let raw = one(&["--raw"]);
+    assert!(raw.starts_with("00010000") && raw.ends_with('\n'), "{raw}");
+
+    // Nobody has noticed.
+    assert_eq!(
+        (publisher.subscription_count(), &participant.graph().unwrap().endpoints),
+        (0, &graph.endpoints)
+    );
+    let (code, words) = refused(&["topic", "echo", "/echo", "--filter", ".word >", "--once"]);
+    assert!(code == 2 && words.contains("no program of jq's"), "{words}");
+    let (code, words) = refused(&["topic", "echo", "/echo", "--field", "stamp.minute", "--once"]);
+    assert!(code == 2 && words.contains("has no field `minute`, it has sec, nanosec"), "{words}");
+    let (code, words) = refused(&["topic", "echo", "/none", "--once", "--timeout", "50ms"]);
+    assert!(code == 1 && words.contains("waited for topic '/none' to exist"), "{words}");
+    let (code, words) = refused(&["topic", "type", "/ecko"]);
+    assert!(code == 1 && words.contains("did you mean /echo?"), "{words}");
+    let (code, words) = refused(&["topic", "find", "demo_msgs/Ecko"]);
+    assert!(code == 1 && words.contains("did you mean demo_msgs/msg/Echo?"), "{words}");
+    assert_eq!(refused(&["topic", "hz", "/echo", "--timeout", "5 s"]).0, 2);
+}
+
+/// Sends at absolute times until told to stop; a rate that is lower than asked for is so for both sides.
+fn flow(
+    publisher: RawPublisher,
+    hz: f64,
+    body: Vec<u8>,
+) -> (std::sync::mpsc::Sender<()>, std::thread::JoinHandle<f64>) {
+    let (stop, stopped) = std::sync::mpsc::channel();
+    let thread = std::thread::spawn(move || {
+        let start_ns = monotonic_ns();
+        for n in 0u64.. {
+            if stopped.try_recv().is_ok() {
+                return n.saturating_sub(1) as f64 * 1e9 / (monotonic_ns() - start_ns) as f64;
+            }
+            sleep_until_monotonic(start_ns + (n as f64 * 1e9 / hz) as u64);
+            publisher.publish(&body).unwrap();
+        }
+        0.0
+    });
+    (stop, thread)
+}
+
+#[test]
+fn rates_are_read_from_the_publishers_own_counts() {
+    let participant = enter(95);
+    let image = message(&json!({ "word": "x".repeat(1 << 20) }));
+    for (topic, hz, body) in [
+        ("/slow", 5.0, message(&json!({}))),
+        ("/quick", 250.0, message(&json!({}))),
+        ("/fast", 20_000.0, message(&json!({}))),
+        ("/image", 50.0, image),
+    ] {
+        let len_bytes = body.len() as f64;
+        let limits = Limits { message_bytes: 2 << 20, ..Limits::default() };
+        let topic_type = TopicType::new("demo_msgs/msg/Echo").with_hash(schema().hash().to_string());
+        let publisher =
+            participant.create_raw_publisher(topic, &topic_type, Qos::keep_last(2), limits).unwrap();
+        let (stop, thread) = flow(publisher, hz, body);
+        for take in [false, true] {
+            // Who takes gets as much as its queue holds.
+            if take && hz > 1000.0 {
+                continue;
+            }
+            let more: &[&str] = if take { &["--take"] } else { &[] };
+            let args =
+                [&["topic", "hz", topic, "--json", "--every", "1s", "--timeout", "1500ms"], more].concat();
+            let lines = taut(&args);
+            let report: Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
+            let found = report["rate_hz"].as_f64().unwrap();
+            assert!((found / hz - 1.0).abs() < 0.01 || found < hz, "{topic}: {report}");
+            let publisher = &report["publishers"][0];
+            assert_eq!(report["from"], json!(if take { "messages" } else { "counts" }));
+            assert_eq!(publisher["mean_bytes"].as_f64(), Some(len_bytes), "{report}");
+            assert_eq!(publisher["period_ms"].is_null(), hz > 1000.0, "{report}");
+            assert_eq!(publisher["lost"], if take { json!(0) } else { Value::Null });
+        }
+        stop.send(()).unwrap();
+        let sent_hz = thread.join().unwrap();
+        eprintln!("{topic}: {sent_hz:.1} Hz of {hz}");
+    }
+}
+
+#[test]
+fn what_was_expected_decides_the_exit_code() {
+    let participant = enter(96);
+    let (stop, thread) =
+        flow(publisher(&participant, "/flow", Qos::keep_last(2)), 100.0, message(&json!({})));
+    let expect = |verb, range| run(&["topic", verb, "/flow", "--expect", range, "--timeout", "1s"]);
+    assert_eq!(expect("hz", "1..1000").status.code(), Some(0));
+    assert_eq!(expect("bw", "..1e6").status.code(), Some(0));
+    let output = expect("hz", "..1");
+    assert_eq!(output.status.code(), Some(1));
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("messages a second, which is not within 0..1"), "{words}");
+    assert_eq!(run(&["topic", "delay", "/flow", "--max", "1ns", "--timeout", "1s"]).status.code(), Some(1));
+    let delay = taut(&["topic", "delay", "/flow", "--max", "1h", "--timeout", "1s", "--json"]);
+    let report: Value = serde_json::from_str(delay.lines().last().unwrap()).unwrap();
+    let ages = &report["publishers"][0];
+    assert!(ages["messages"].as_u64() > Some(10), "{report}");
+    assert!(ages["publish_to_take_ms"]["max"].as_f64() > Some(0.0), "{report}");
+    assert!(ages["stamp_to_publish_ms"]["p50"].as_f64() > Some(3e6), "an hour and more: {report}");
+    stop.send(()).unwrap();
+    thread.join().unwrap();
+}
+
+#[test]
+fn messages_are_published_by_hand() {
+    let participant = enter(97);
+    let mut echo = Running::start(&["topic", "echo", "/hand", "--json"]);
+    // It is there once somebody publishes; what was kept comes, too.
+    let args = ["--qos-durability", "transient_local", "-n", "3", "-r", "100", "--stamp", "now"];
+    let values = "{point: {x: 1.5}}";
+    let publishing = Running::start(
+        &[&["topic", "pub", "/hand", "geometry_msgs/msg/PointStamped", values, "--wait", "1"], &args[..]]
+            .concat(),
+    );
+    // An observer is no subscription that somebody waits for.
+    let topic_type = TopicType::new("geometry_msgs/msg/PointStamped");
+    let subscription =
+        participant.create_raw_subscription("/hand", &topic_type, Qos::default(), Limits::default()).unwrap();
+    let output = publishing.0.wait_with_output().unwrap();
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && words.contains("published 3 messages on '/hand', late by"), "{words}");
+    let lines = [(); 3].map(|()| serde_json::from_str::<Value>(&echo.line()).unwrap());
+    assert!(lines.iter().all(|line| line["point"]["x"] == json!(1.5)
+        && line["header"]["stamp"]["sec"].as_i64() > Some(1_700_000_000)));
+    assert_eq!(subscription.counters().lost(), 0);
+    assert_eq!(echo.interrupt().status.code(), Some(0));
+
+    let (code, words) = refused(&["topic", "pub", "/new", "{data: 1}", "--once"]);
+    assert!(code == 2 && words.contains("the type of '/new' is not known"), "{words}");
+    let (code, words) = refused(&["topic", "pub", "/new", "std_msgs/msg/Strin", "--once"]);
+    assert!(code == 2 && words.contains("std_msgs/msg/Strin"), "{words}");
+    let (code, words) = refused(&["topic", "pub", "/new", "std_msgs/msg/String", "{date: x}", "--once"]);
+    assert!(code == 2 && words.contains("date"), "{words}");
+    let (code, words) = refused(&["topic", "pub", "/new", "std_msgs/msg/String", "--stamp", "now", "--once"]);
+    assert!(code == 2 && words.contains("neither header.stamp nor stamp"), "{words}");
+    let (code, words) =
+        refused(&["topic", "pub", "/new", "std_msgs/msg/String", "--once", "--timeout", "100ms"]);
+    assert!(code == 1 && words.contains("waited for 1 subscriptions of '/new'"), "{words}");
 }

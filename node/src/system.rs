@@ -6,7 +6,7 @@ use crate::qos::QosProfile;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
-use tautline_executor::{CallbackOptions, ProcessInfo, Realtime};
+use tautline_executor::{CallbackOptions, ProcessInfo};
 
 /// A system file, checked, as one host sees it.
 #[derive(Debug)]

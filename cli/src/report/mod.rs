@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crate::domain::DomainArgs;
+use crate::manners::DomainArgs;
 use clap::Args;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 

@@ -38,6 +38,10 @@ impl<'g> Topic<'g> {
         self.name
     }
 
+    pub fn type_name(&self) -> &str {
+        self.type_name
+    }
+
     fn of(&self, kind: EndpointKind) -> impl Iterator<Item = &'g TopicEndpoint> {
         self.ends.iter().copied().filter(move |end| end.kind == kind)
     }

@@ -3,7 +3,7 @@
 
 use super::TraceError;
 use super::file::{Entry, Writer};
-use crate::domain::DomainArgs;
+use crate::manners::DomainArgs;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;

@@ -4,33 +4,69 @@
 use std::fmt::{self, Write};
 
 use crate::number::python_float;
-use crate::{DynamicMessage, List, Schema, Value};
+use crate::{DynamicMessage, FieldType, List, MessageError, Schema, Shape, Value};
 
 /// YAML in block style, a line per value: what `ros2 topic echo --full-length` prints between two `---`, except that
 /// `byte` is a number and `float32` has no more digits than it needs. [`DynamicMessage::from_yaml`] reads it.
 impl fmt::Display for DynamicMessage {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut printer = Printer { out: formatter, schema: &self.schema, most: usize::MAX };
-        printer.fields(0, &self.fields, 0, false)
+        let form = EchoForm { most: usize::MAX, ..EchoForm::default() };
+        Printer { out: formatter, schema: &self.schema, form }.fields(0, &self.fields, 0, false)
+    }
+}
+
+/// How much of a message is printed.
+#[derive(Clone, Copy, Debug)]
+pub struct EchoForm {
+    /// Elements of a list, and characters of a text, at most.
+    pub most: usize,
+    /// Lists are said by their type and length, as with `--no-arr`.
+    pub no_lists: bool,
+    /// Texts are said by their length, as with `--no-str`.
+    pub no_texts: bool,
+}
+
+/// As `ros2 topic echo`: 128 elements or characters.
+impl Default for EchoForm {
+    fn default() -> Self {
+        EchoForm { most: 128, no_lists: false, no_texts: false }
     }
 }
 
 impl DynamicMessage {
-    /// As [`Display`](fmt::Display), with lists and texts cut off after `most` elements or characters, as
-    /// `ros2 topic echo` does after 128.
+    /// As [`Display`](fmt::Display), with what is long cut off, or left out.
     #[must_use]
-    pub fn echo(&self, most: usize) -> String {
+    pub fn echo(&self, form: EchoForm) -> String {
         let mut text = String::new();
         // Writing to a `String` cannot fail.
-        let _ = Printer { out: &mut text, schema: &self.schema, most }.fields(0, &self.fields, 0, false);
+        let _ = Printer { out: &mut text, schema: &self.schema, form }.fields(0, &self.fields, 0, false);
         text
+    }
+
+    /// The same of what is at a path, as `ros2 topic echo --field` prints it.
+    ///
+    /// # Errors
+    ///
+    /// As [`get`](Self::get).
+    pub fn echo_field(&self, path: &str, form: EchoForm) -> Result<String, MessageError> {
+        let (value, nested) = self.find(path)?;
+        let mut text = String::new();
+        let mut printer = Printer { out: &mut text, schema: &self.schema, form };
+        // Writing to a `String` cannot fail.
+        let _ = match &*value {
+            Value::Struct(values) => printer.fields(nested, values, 0, false),
+            Value::List(list) if list.is_empty() => printer.out.write_str("[]\n"),
+            Value::List(list) => printer.list(nested, list, 0),
+            value => printer.scalar(value, 0).and_then(|()| printer.out.write_char('\n')),
+        };
+        Ok(text)
     }
 }
 
 struct Printer<'a, W> {
     out: &'a mut W,
     schema: &'a Schema,
-    most: usize,
+    form: EchoForm,
 }
 
 impl<W: Write> Printer<'_, W> {
@@ -44,7 +80,12 @@ impl<W: Write> Printer<'_, W> {
         for ((field, nested), value) in node.definition.fields.iter().zip(&node.nested).zip(values) {
             let margin = if std::mem::take(&mut continues) { 0 } else { indent };
             write!(self.out, "{:margin$}{}:", "", field.name)?;
-            self.value(nested.unwrap_or(0), value, indent)?;
+            match value {
+                Value::List(list) if self.form.no_lists => {
+                    writeln!(self.out, " {}", single_quoted(&summary(&field.ty, list.len()), 0))?;
+                }
+                value => self.value(nested.unwrap_or(0), value, indent)?,
+            }
         }
         Ok(())
     }
@@ -71,7 +112,7 @@ impl<W: Write> Printer<'_, W> {
     }
 
     fn list(&mut self, nested: usize, list: &List, indent: usize) -> fmt::Result {
-        for index in 0..list.len().min(self.most) {
+        for index in 0..list.len().min(self.form.most) {
             write!(self.out, "{:indent$}- ", "")?;
             if let List::Struct(items) = list {
                 self.fields(nested, &items[index], indent + 2, true)?;
@@ -80,7 +121,7 @@ impl<W: Write> Printer<'_, W> {
                 self.out.write_char('\n')?;
             }
         }
-        if list.len() > self.most { writeln!(self.out, "{:indent$}- '...'", "") } else { Ok(()) }
+        if list.len() > self.form.most { writeln!(self.out, "{:indent$}- '...'", "") } else { Ok(()) }
     }
 
     /// A value in its line; a text with line ends goes on at `indent`.
@@ -89,12 +130,26 @@ impl<W: Write> Printer<'_, W> {
             Value::Bool(value) => write!(self.out, "{value}"),
             Value::F32(value) => self.out.write_str(&yaml_float(python_float(*value))),
             Value::F64(value) => self.out.write_str(&yaml_float(python_float(*value))),
-            Value::String(text) => match text.char_indices().nth(self.most) {
+            Value::String(text) if self.form.no_texts => {
+                let summary = format!("<string length: <{}>>", text.chars().count());
+                self.out.write_str(&single_quoted(&summary, 0))
+            }
+            Value::String(text) => match text.char_indices().nth(self.form.most) {
                 Some((end, _)) => self.out.write_str(&yaml_text(&format!("{}...", &text[..end]), indent)),
                 None => self.out.write_str(&yaml_text(text, indent)),
             },
             integer => write!(self.out, "{}", integer.as_integer().unwrap_or(0)),
         }
+    }
+}
+
+/// A list of `len` elements, as ROS 2's tools say it.
+fn summary(ty: &FieldType, len: usize) -> String {
+    let base = &ty.base;
+    match ty.shape {
+        Shape::Array(size) => format!("<array type: {base}[{size}]>"),
+        Shape::Bounded(most) => format!("<sequence type: {base}[{most}], length: {len}>"),
+        _ => format!("<sequence type: {base}, length: {len}>"),
     }
 }
 

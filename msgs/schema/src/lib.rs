@@ -72,6 +72,7 @@ pub use description::{
     FieldDescription, FieldTypeDescription, HashedTypeDescription, IndividualTypeDescription, NamedHash,
     TypeDescription,
 };
+pub use echo::EchoForm;
 pub use error::{Fault, Place, SchemaError};
 pub use hash::TypeHash;
 pub use layout::{FieldLayout, Layout, NotPlain, Plain, Size};

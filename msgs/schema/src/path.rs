@@ -12,6 +12,11 @@ impl DynamicMessage {
     ///
     /// [`MessageError::Path`] if there is no such field or element.
     pub fn get(&self, path: &str) -> Result<Cow<'_, Value>, MessageError> {
+        Ok(self.find(path)?.0)
+    }
+
+    /// The value at a path, and the type of what it consists of, if that is a message.
+    pub(crate) fn find(&self, path: &str) -> Result<(Cow<'_, Value>, usize), MessageError> {
         let error = |reason| self.no_path(path, reason);
         let mut fields = &self.fields;
         let mut node = 0;
@@ -20,13 +25,12 @@ impl DynamicMessage {
             let (name, index) = part.map_err(error)?;
             let Found { field, nested, .. } = find(&self.schema, node, name).map_err(error)?;
             let last = parts.peek().is_none();
+            let inner = nested.unwrap_or(0);
             fields = match (&fields[field], index) {
-                (value, None) if last => return Ok(Cow::Borrowed(value)),
+                (value, None) if last => return Ok((Cow::Borrowed(value), inner)),
                 (Value::List(list), Some(index)) if last => {
-                    return list
-                        .get(index)
-                        .map(Cow::Owned)
-                        .ok_or_else(|| error(no_element(index, list.len())));
+                    let element = list.get(index).ok_or_else(|| error(no_element(index, list.len())))?;
+                    return Ok((Cow::Owned(element), inner));
                 }
                 (Value::Struct(inner), None) => inner,
                 (Value::List(List::Struct(items)), Some(index)) => {
@@ -34,7 +38,7 @@ impl DynamicMessage {
                 }
                 (value, index) => return Err(error(no_step(name, value, index))),
             };
-            node = nested.unwrap_or(0);
+            node = inner;
         }
         Err(error("the path is empty".to_owned()))
     }

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use tautline_schema::{DecodeFault, DynamicMessage, Endian, MessageError, Schema, Value};
+use tautline_schema::{DecodeFault, DynamicMessage, EchoForm, Endian, MessageError, Schema, Value};
 
 fn schema(text: &str) -> Arc<Schema> {
     Arc::new(Schema::from_text(&"demo_msgs/msg/Demo".parse().unwrap(), text).unwrap())
@@ -219,6 +219,23 @@ fn echo_prints_as_ros2_topic_echo() {
                 - 2\n- 3\ne: {}\nwords:\n- a b\n- '1'\n- ''\n- \"\\t\"\n- 'two\n\n  lines'\n";
     let message = DynamicMessage::from_yaml(&schema, text).unwrap();
     assert_eq!(message.to_string(), text);
-    assert!(message.echo(2).contains("data:\n- 1\n- 2\n- '...'\n"));
-    assert!(message.echo(2).starts_with("text: ye...\n"));
+    let short = EchoForm { most: 2, ..EchoForm::default() };
+    assert!(message.echo(short).contains("data:\n- 1\n- 2\n- '...'\n"));
+    assert!(message.echo(short).starts_with("text: ye...\n"));
+    let brief = message.echo(EchoForm { no_lists: true, no_texts: true, ..EchoForm::default() });
+    let expected = "text: '<string length: <3>>'\nf: 1.0e-05\np:\n  x: -1\n  y: '<sequence type: int8, length: 0>'\n\
+                    all: '<sequence type: demo_msgs/Point, length: 2>'\ndata: '<sequence type: uint8, length: 3>'\ne: {}\n\
+                    words: '<sequence type: string, length: 5>'\n";
+    assert_eq!(brief, expected);
+    for (path, expected) in [
+        ("f", "1.0e-05\n"),
+        ("p", "x: -1\ny: []\n"),
+        ("all[0].y", "- 2\n- 3\n"),
+        ("all[1]", "x: 0\ny: []\n"),
+        ("data[2]", "3\n"),
+        ("all[1].y", "[]\n"),
+    ] {
+        assert_eq!(message.echo_field(path, EchoForm::default()).unwrap(), expected, "{path}");
+    }
+    assert!(message.echo_field("p.z", EchoForm::default()).is_err());
 }

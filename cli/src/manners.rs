@@ -1,0 +1,251 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What all verbs have in common: which domain, how long, in what form; how they wait, and how they end.
+
+use clap::Args;
+use std::cell::Cell;
+use std::error::Error;
+use std::io;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use tautline::Context;
+
+/// Which domain: in any place behind the first word.
+#[derive(Args, Clone, Debug)]
+pub struct DomainArgs {
+    /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
+    domain: Option<u32>,
+}
+
+/// What every verb takes that looks at a domain, in any place behind the first word.
+#[derive(Args, Clone, Debug)]
+pub struct Manners {
+    #[command(flatten)]
+    domain: DomainArgs,
+    /// Print JSON: one value, or one in a line for each of what comes
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// End after this time, such as 500ms or 10s
+    #[arg(long, global = true, value_name = "TIME", value_parser = time)]
+    timeout: Option<Duration>,
+}
+
+impl DomainArgs {
+    /// Its number.
+    pub fn number(&self) -> Result<u32, tautline::Error> {
+        self.domain.map_or_else(Context::domain_of_environment, Ok)
+    }
+
+    /// Whether it was named.
+    pub fn is_named(&self) -> bool {
+        self.domain.is_some()
+    }
+}
+
+impl Manners {
+    /// The domain's number.
+    pub fn domain(&self) -> Result<u32, tautline::Error> {
+        self.domain.number()
+    }
+
+    /// How long the verb may take, if that was said.
+    pub fn timeout(&self) -> Option<Duration> {
+        self.timeout
+    }
+}
+
+/// A number and its unit.
+pub fn time(text: &str) -> Result<Duration, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit_ns = match &text[digits.len()..] {
+        "ns" => 1.0,
+        "us" => 1e3,
+        "ms" => 1e6,
+        "s" | "" => 1e9,
+        "min" => 60e9,
+        "h" => 3600e9,
+        other => return Err(format!("'{other}' is no unit of time: ns, us, ms, s, min, h")),
+    };
+    let number = digits.parse::<f64>().ok().filter(|number| (0.0..1e15).contains(number));
+    let number = number.ok_or_else(|| format!("'{digits}' is no number: a time is 500ms or 10s"))?;
+    Ok(Duration::from_nanos((number * unit_ns) as u64))
+}
+
+/// How a verb ended that did not do what it was asked for: 1, the answer is no; 2, what it was given cannot be used, or the system
+/// refuses.
+#[derive(Debug)]
+pub struct Failure {
+    code: u8,
+    text: String,
+}
+
+/// How a verb ends.
+pub type Outcome<T = ()> = Result<T, Failure>;
+
+impl Failure {
+    /// The answer is no.
+    pub fn no(text: impl Into<String>) -> Self {
+        Failure { code: 1, text: text.into() }
+    }
+
+    /// What was given cannot be used.
+    pub fn unusable(text: impl Into<String>) -> Self {
+        Failure { code: 2, text: text.into() }
+    }
+
+    /// Interrupted before there was an answer.
+    fn interrupted() -> Self {
+        Failure::no("")
+    }
+
+    /// There is no `what` of this name among those that are `there`, which `taut LIST` prints.
+    pub fn unknown<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str>, list: &str) -> Self {
+        let likeness = |other: &str| strsim::jaro_winkler(name, other);
+        let nearest =
+            there.map(|other| (likeness(other), other)).max_by(|one, other| one.0.total_cmp(&other.0));
+        let meant = match nearest {
+            Some((likeness, nearest)) if likeness > 0.8 => format!("; did you mean {nearest}?"),
+            _ => ";".into(),
+        };
+        Failure::no(format!("there is no {what} '{name}'{meant} `taut {list}` prints which there are"))
+    }
+
+    /// Says why, and gives the code.
+    pub fn tell(self) -> ExitCode {
+        if !self.text.is_empty() {
+            eprintln!("taut: {}", self.text);
+        }
+        ExitCode::from(self.code)
+    }
+}
+
+impl<E: Error + 'static> From<E> for Failure {
+    fn from(error: E) -> Self {
+        let io = (&error as &(dyn Error + 'static)).downcast_ref::<io::Error>();
+        match io {
+            // Whoever reads has seen enough.
+            Some(io) if io.kind() == io::ErrorKind::BrokenPipe => Failure { code: 0, text: String::new() },
+            Some(io) => Failure::unusable(format!("the result cannot be printed: {io}")),
+            None => Failure::unusable(error.to_string()),
+        }
+    }
+}
+
+/// When a verb ends that goes on: at Ctrl-C or SIGTERM, or when its time is over.
+pub struct End {
+    interrupted: Arc<AtomicBool>,
+    timeout: Option<Duration>,
+    start: Instant,
+    is_said: Cell<bool>,
+}
+
+/// How often something is looked for that nobody tells of.
+const POLL: Duration = Duration::from_millis(20);
+/// How long is waited without a word.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+impl End {
+    /// From now on signals end no more than this says.
+    pub fn of(manners: &Manners) -> Outcome<Self> {
+        let interrupted = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            signal_hook::flag::register(signal, interrupted.clone())
+                .map_err(|error| Failure::unusable(format!("signals cannot be caught: {error}")))?;
+        }
+        Ok(End { interrupted, timeout: manners.timeout, start: Instant::now(), is_said: Cell::new(false) })
+    }
+
+    /// Whether it is time.
+    pub fn is_reached(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed) || self.left().is_some_and(|left| left.is_zero())
+    }
+
+    /// How long it may go on.
+    pub fn left(&self) -> Option<Duration> {
+        self.timeout.map(|timeout| timeout.saturating_sub(self.start.elapsed()))
+    }
+
+    /// Sleeps, but not past the end, and not long past an interruption.
+    pub fn pause(&self, time: Duration) {
+        let end = Instant::now() + self.left().map_or(time, |left| left.min(time));
+        loop {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() || self.interrupted.load(Ordering::Relaxed) {
+                return;
+            }
+            std::thread::sleep(left.min(POLL));
+        }
+    }
+
+    /// Looks until there is an answer; `pause` sleeps for a time between two looks. After a second it is said what is waited for.
+    ///
+    /// # Errors
+    /// That there was none in time, or until Ctrl-C; those of the look.
+    pub fn wait<T>(
+        &self,
+        what: impl Fn() -> String,
+        mut look: impl FnMut() -> Outcome<Option<T>>,
+    ) -> Outcome<T> {
+        let (start, mut is_said) = (Instant::now(), false);
+        loop {
+            if let Some(found) = look()? {
+                return Ok(found);
+            }
+            if self.interrupted.load(Ordering::Relaxed) {
+                return Err(Failure::interrupted());
+            }
+            if self.is_reached() {
+                let time = self.timeout.unwrap_or_default();
+                return Err(Failure::no(format!("waited for {} for {time:?}, in vain", what())));
+            }
+            if start.elapsed() > PATIENCE && !std::mem::replace(&mut is_said, true) {
+                eprintln!("taut: waiting for {} ...", what());
+            }
+            self.pause(POLL);
+        }
+    }
+
+    /// Says what is waited for, after a second, and once.
+    pub fn say_once(&self, what: impl Fn() -> String) {
+        if self.start.elapsed() > PATIENCE && !self.is_said.replace(true) {
+            eprintln!("taut: waiting for {} ...", what());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_read() {
+        for (text, ns) in
+            [("500ms", 500_000_000), ("1.5s", 1_500_000_000), ("10", 10_000_000_000), ("2us", 2_000)]
+        {
+            assert_eq!(time(text), Ok(Duration::from_nanos(ns)), "{text}");
+        }
+        for wrong in ["", "s", "-1s", "5 s", "3parsec", "1e300s", "nan"] {
+            assert!(time(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_name_is_told() {
+        let there = ["/image", "/odometry"];
+        let failure = Failure::unknown("topic", "/imgae", there.into_iter(), "topic list");
+        assert_eq!(
+            (failure.code, &*failure.text),
+            (1, "there is no topic '/imgae'; did you mean /image? `taut topic list` prints which there are")
+        );
+        let failure = Failure::unknown("topic", "/x", there.into_iter(), "topic list");
+        assert_eq!(failure.text, "there is no topic '/x'; `taut topic list` prints which there are");
+    }
+
+    #[test]
+    fn closed_pipes_end_quietly() {
+        let closed = Failure::from(io::Error::from(io::ErrorKind::BrokenPipe));
+        assert_eq!((closed.code, &*closed.text), (0, ""));
+    }
+}

@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut topic delay`: how old messages are when they are published, and when they are taken.
+
+use super::tap::{ends, full_name, wait_for_type};
+use crate::manners::{End, Failure, Manners, Outcome, time};
+use crate::table::write_table;
+use crate::times::Times;
+use clap::Args;
+use serde_json::{Value as Json, json};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tautline::rt::clock::{monotonic_ns, nanoseconds};
+use tautline::rt::{Policy, set_policy};
+use tautline::{EndpointKind, find_schema};
+use tautline_schema::{DynamicMessage, Endian, Schema};
+use tautline_transport::{Durability, Gid, Limits, Participant, Qos, Reliability, TakeError, TopicType};
+
+/// Prints how old messages are: from their stamp to their publication, and from there until they are taken here
+///
+/// Subscribes as a node does, so that the delay is one: publishers wake this command for each message. The stamp is the field
+/// header.stamp, or stamp, by the system's clock.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut topic delay /scan
+  taut topic delay /scan --priority 80         taken by a thread with SCHED_FIFO
+  taut topic delay /scan --max 5ms --timeout 10s   exits with 1 if one was older when it was taken")]
+pub struct DelayArgs {
+    /// The topic; waited for if it does not exist
+    #[arg(value_name = "TOPIC")]
+    topic: String,
+    /// How often is printed
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
+    every: Duration,
+    /// Take with this priority of SCHED_FIFO
+    #[arg(long, value_name = "1..99", value_parser = clap::value_parser!(u8).range(1..=99))]
+    priority: Option<u8>,
+    /// Exit with 1 if a message was published longer ago when it was taken
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    max: Option<Duration>,
+}
+
+/// How old one publisher's messages are.
+struct Ages {
+    label: String,
+    /// From their stamp, of those that have one, to their publication.
+    published: Times,
+    /// From their publication on this host until they were taken.
+    taken: Times,
+    /// Stamps that are later than the publication.
+    ahead: u64,
+}
+
+impl Ages {
+    fn to_json(&self) -> Json {
+        json!({
+            "publisher": self.label,
+            "messages": self.taken.count(),
+            "stamp_to_publish_ms": self.published.to_json(),
+            "publish_to_take_ms": self.taken.to_json(),
+            "stamps_ahead": self.ahead,
+        })
+    }
+
+    fn row(&self) -> Vec<String> {
+        let n = self.taken.count().to_string();
+        [vec![self.label.clone()], self.published.cells().into(), self.taken.cells().into(), vec![n]].concat()
+    }
+}
+
+/// When a message says that it was made, in ns since 1970.
+fn stamp_of(schema: &Arc<Schema>, body: &[u8]) -> Option<i64> {
+    let message = DynamicMessage::from_body(schema, body, Endian::Little).ok()?;
+    let number =
+        |path: &str| message.get(path).ok()?.as_integer().and_then(|number| i64::try_from(number).ok());
+    let at = |path: &str| {
+        let (sec, nanosec) = (number(&format!("{path}.sec"))?, number(&format!("{path}.nanosec"))?);
+        Some(sec.saturating_mul(1_000_000_000).saturating_add(nanosec))
+    };
+    at("header.stamp").or_else(|| at("stamp"))
+}
+
+pub fn run(args: &DelayArgs, manners: &Manners) -> Outcome {
+    let end = End::of(manners)?;
+    let (domain, topic) = (manners.domain()?, full_name(&args.topic));
+    let topic_type = wait_for_type(domain, &topic, &end)?;
+    let participant = Participant::new(domain)?;
+    let graph = participant.graph()?;
+    let publishers = ends(&graph, &topic).filter(|end| end.kind == EndpointKind::Publisher);
+    let offered = |policy: fn(&Qos) -> bool| publishers.clone().all(|end| policy(&end.qos));
+    let qos = Qos::keep_last(100);
+    let qos = if offered(|qos| qos.reliability == Reliability::Reliable) { qos } else { qos.best_effort() };
+    debug_assert_eq!(qos.durability, Durability::Volatile, "what is kept is old, and no delay");
+    let node = participant.create_node(&format!("taut_delay_{}", std::process::id()), "/")?;
+    let topic_type = TopicType { definition: None, body_bytes: None, ..topic_type };
+    let limits = Limits { held: 1, ..Limits::default() };
+    let subscription =
+        participant.for_node(&node).create_raw_subscription(&topic, &topic_type, qos, limits)?;
+    // Without the definition there are no stamps, and still the way through this host.
+    let schema =
+        topic_type.name.parse().ok().and_then(|name| find_schema(&topic, &name, Some(&topic_type)).ok());
+    if schema.is_none() {
+        eprintln!("taut: the definition of {} is not known, so stamps are not seen", topic_type.name);
+    }
+    let seat = participant.doorbell().claim_sampler()?;
+    if let Some(priority) = args.priority {
+        set_policy(Policy::Fifo(priority))?;
+    }
+    let mut all: BTreeMap<Gid, Ages> = BTreeMap::new();
+    let mut next = Instant::now() + args.every;
+    loop {
+        seat.drain(|_| {});
+        loop {
+            let sample = match subscription.try_take() {
+                Ok(Some(sample)) => sample,
+                Ok(None) => break,
+                Err(TakeError::Invalid(_)) => continue,
+                Err(error) => return Err(error.into()),
+            };
+            let (now_ns, info) = (monotonic_ns(), sample.info());
+            let ages = all.entry(info.publisher_gid).or_insert_with(|| {
+                let graph = participant.graph().unwrap_or_default();
+                let end = ends(&graph, &topic).find(|end| end.gid == info.publisher_gid).cloned();
+                let node = end.and_then(|end| end.node.as_ref().map(|node| node.full_name()));
+                let label = node.unwrap_or_else(|| format!("{:?}", info.publisher_gid));
+                Ages { label, published: Times::new(), taken: Times::new(), ahead: 0 }
+            });
+            ages.taken.record(now_ns.saturating_sub(info.released_ns));
+            if let Some(stamp) = schema.as_ref().and_then(|schema| stamp_of(schema, sample.body())) {
+                match u64::try_from(info.source_timestamp_ns.saturating_sub(stamp)) {
+                    Ok(age_ns) => ages.published.record(age_ns),
+                    Err(_) => ages.ahead += 1,
+                }
+            }
+        }
+        let is_last = end.is_reached();
+        if is_last || Instant::now() >= next {
+            next += args.every;
+            let mut out = io::stdout().lock();
+            if manners.json {
+                let ages: Json = all.values().map(Ages::to_json).collect();
+                writeln!(
+                    out,
+                    "{}",
+                    json!({ "topic": topic, "publishers": ages, "lost": subscription.counters().lost() })
+                )?;
+            } else if all.is_empty() {
+                end.say_once(|| format!("a message on '{topic}'"));
+            } else {
+                let head =
+                    ["publisher", "stamp-pub p50 ms", "p99", "max", "pub-take p50 ms", "p99", "max", "n"];
+                write_table(&head, 1, all.values().map(|ages| (true, ages.row())).collect(), &mut out)?;
+                writeln!(out)?;
+            }
+            out.flush()?;
+        }
+        if is_last {
+            break;
+        }
+        // A signal is seen that late.
+        let patience = Duration::from_millis(50).min(end.left().unwrap_or(Duration::MAX));
+        seat.sleep(Some(monotonic_ns() + nanoseconds(patience)));
+    }
+    let longest = Duration::from_nanos(all.values().map(|ages| ages.taken.max_ns()).max().unwrap_or(0));
+    match args.max.filter(|max| longest > *max) {
+        Some(max) => Err(Failure::no(format!(
+            "'{topic}': a message was taken {longest:?} after its publication, not {max:?}"
+        ))),
+        None => Ok(()),
+    }
+}

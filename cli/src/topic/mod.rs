@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut topic`: the topics of a domain, and what is published on them, without a compiled-in type.
+
+mod delay;
+mod echo;
+mod filter;
+mod info;
+mod publish;
+mod rates;
+mod tap;
+
+use crate::manners::{Manners, Outcome};
+use clap::{Args, Subcommand};
+use rates::Unit;
+use serde_json::Value;
+use std::io::{self, Write};
+use tautline_transport::graph_of;
+
+/// Lists topics; says who publishes and subscribes, how often and how much; prints and publishes messages.
+///
+/// Topics of other hosts are seen if this host runs `taut gateway`.
+/// Types need not be compiled in: processes leave their definitions
+/// in /tmp/tautline_UID/schemas.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut topic list
+  taut topic list --domain 7        another domain
+  taut topic info /joint_states -v  the nodes, and the quality of service of each
+  taut topic echo /joint_states     as ros2 topic echo, until Ctrl-C
+  taut topic hz /scan --expect 39..41
+  taut topic pub /chatter std_msgs/msg/String '{data: hello}' -r 10
+
+Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+pub struct TopicArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the topics with their types, where they are, and how many publishers and subscriptions they have
+    List,
+    /// Prints how many publishers and subscriptions a topic has, and of what type
+    Info {
+        /// The topic
+        #[arg(value_name = "TOPIC")]
+        topic: String,
+        /// Print the node, the identifier and the quality of service of each
+        #[arg(short, long)]
+        verbose: bool,
+    },
+    /// Prints the type of a topic
+    Type {
+        /// The topic
+        #[arg(value_name = "TOPIC")]
+        topic: String,
+    },
+    /// Prints the topics of a type; exits with 1 if there are none
+    Find {
+        /// The type, such as sensor_msgs/msg/Image
+        #[arg(value_name = "TYPE")]
+        type_name: String,
+    },
+    Echo(echo::EchoArgs),
+    /// Prints how often and how regularly each publisher of a topic sends
+    ///
+    /// On this host that is read from what publishers count anyway, and disturbs nobody.
+    #[command(after_help = "Examples:
+  taut topic hz /scan
+  taut topic hz /scan --expect 39..41          exits with 1 if it is not so
+  taut topic hz /imu --take                    periods of what is faster than 400 Hz
+  taut topic hz /scan --json --every 100ms | jq .rate_hz")]
+    Hz(rates::RateArgs),
+    /// Prints how many bytes each publisher of a topic sends, and how long its messages are
+    ///
+    /// On this host that is read from what publishers count anyway, and disturbs nobody.
+    #[command(after_help = "Examples:
+  taut topic bw /camera
+  taut topic bw /camera --expect ..1e8         exits with 1 if it is more")]
+    Bw(rates::RateArgs),
+    Delay(delay::DelayArgs),
+    Pub(publish::PubArgs),
+}
+
+/// Runs the verb.
+pub fn run(args: &TopicArgs) -> Outcome {
+    let manners = &args.manners;
+    match &args.verb {
+        Verb::List => {
+            let graph = graph_of(manners.domain()?)?;
+            Ok(info::list(&info::topics(&graph), manners.json, &mut io::stdout().lock())?)
+        }
+        Verb::Info { topic, verbose } => print_info(manners, topic, *verbose),
+        Verb::Type { topic } => print_type(manners, topic),
+        Verb::Find { type_name } => find(manners, type_name),
+        Verb::Echo(args) => echo::run(args, manners),
+        Verb::Hz(args) => rates::run(args, Unit::Messages, manners),
+        Verb::Bw(args) => rates::run(args, Unit::Bytes, manners),
+        Verb::Delay(args) => delay::run(args, manners),
+        Verb::Pub(args) => publish::run(args, manners),
+    }
+}
+
+fn print_info(manners: &Manners, topic: &str, verbose: bool) -> Outcome {
+    let name = tap::full_name(topic);
+    let graph = graph_of(manners.domain()?)?;
+    let mut topics = info::topics(&graph);
+    topics.retain(|topic| topic.name() == name);
+    if topics.is_empty() {
+        return Err(tap::unknown(&graph, &name));
+    }
+    let mut out = io::stdout().lock();
+    if manners.json {
+        let topics = topics.iter().map(info::Topic::info_json);
+        return Ok(writeln!(out, "{}", Value::from_iter(topics))?);
+    }
+    // More than one if hosts disagree on its type.
+    Ok(topics.iter().try_for_each(|topic| topic.print(verbose, &mut out))?)
+}
+
+fn print_type(manners: &Manners, topic: &str) -> Outcome {
+    let name = tap::full_name(topic);
+    let graph = graph_of(manners.domain()?)?;
+    let topics = info::topics(&graph);
+    let types: Vec<&str> =
+        topics.iter().filter(|topic| topic.name() == name).map(|topic| topic.type_name()).collect();
+    if types.is_empty() {
+        return Err(tap::unknown(&graph, &name));
+    }
+    print_names(manners, &types)
+}
+
+fn find(manners: &Manners, type_name: &str) -> Outcome {
+    // As ROS 2's tools take it.
+    let whole = match type_name.split('/').collect::<Vec<_>>()[..] {
+        [package, name] => format!("{package}/msg/{name}"),
+        _ => type_name.to_owned(),
+    };
+    let graph = graph_of(manners.domain()?)?;
+    let topics = info::topics(&graph);
+    let names: Vec<&str> =
+        topics.iter().filter(|topic| topic.type_name() == whole).map(|topic| topic.name()).collect();
+    if names.is_empty() {
+        let types = topics.iter().map(|topic| topic.type_name());
+        return Err(crate::manners::Failure::unknown("topic of type", &whole, types, "topic list"));
+    }
+    print_names(manners, &names)
+}
+
+fn print_names(manners: &Manners, names: &[&str]) -> Outcome {
+    let mut out = io::stdout().lock();
+    if manners.json {
+        return Ok(writeln!(out, "{}", Value::from(names.to_vec()))?);
+    }
+    Ok(names.iter().try_for_each(|name| writeln!(out, "{name}"))?)
+}

@@ -1,0 +1,219 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut topic pub`: publishes messages written by hand.
+
+use super::tap::full_name;
+use crate::manners::{End, Failure, Manners, Outcome};
+use crate::times::Times;
+use clap::{Args, ValueEnum};
+use serde_json::json;
+use std::time::Duration;
+use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
+use tautline::rt::{Policy, set_policy};
+use tautline::{Context, Node, PublisherUntyped, QosProfile, Realtime};
+use tautline_schema::DynamicMessage;
+use tautline_transport::graph_of;
+
+/// Publishes a message, once or at a rate
+///
+/// Values are YAML or JSON; what is left out has its default. The type need not be said if the topic exists. How regular the
+/// messages were is said at the end.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut topic pub /chatter std_msgs/msg/String '{data: hello}' --once
+  taut topic pub /cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.5}}' -r 50 --priority 40
+  taut topic pub /pose '{header: {frame_id: map}}' --stamp now -r 10 -n 100")]
+pub struct PubArgs {
+    /// The topic
+    #[arg(value_name = "TOPIC")]
+    topic: String,
+    /// The type, such as std_msgs/msg/String, if the topic does not exist, and the values, if they are not the defaults
+    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2)]
+    message: Vec<String>,
+    /// Publish one message, once there is a subscription
+    #[arg(long, conflicts_with_all = ["rate", "count"])]
+    once: bool,
+    /// Messages a second
+    #[arg(short, long, value_name = "HZ", default_value = "1", value_parser = rate)]
+    rate: f64,
+    /// End after N messages
+    #[arg(short = 'n', long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+    /// Set header.stamp, or stamp, of each message
+    #[arg(long, value_enum, value_name = "WHEN")]
+    stamp: Option<Stamp>,
+    /// Wait for so many subscriptions first
+    #[arg(short = 'w', long, value_name = "N")]
+    wait: Option<usize>,
+    /// Publish with this priority of SCHED_FIFO
+    #[arg(long, value_name = "1..99", value_parser = clap::value_parser!(u8).range(1..=99))]
+    priority: Option<u8>,
+    /// Messages that are kept for who is slow
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]
+    qos_depth: u16,
+    #[arg(long, value_enum, default_value_t)]
+    qos_reliability: Reliability,
+    #[arg(long, value_enum, default_value_t)]
+    qos_durability: Durability,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug)]
+enum Stamp {
+    /// The time of its publication
+    Now,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, Default)]
+#[value(rename_all = "snake_case")]
+enum Reliability {
+    #[default]
+    Reliable,
+    BestEffort,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, Default)]
+#[value(rename_all = "snake_case")]
+enum Durability {
+    #[default]
+    Volatile,
+    TransientLocal,
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse::<f64>().map_err(|_| format!("'{text}' is no number"))?;
+    if (1e-6..=1e6).contains(&rate) { Ok(rate) } else { Err("a rate is 0.000001 to 1000000 Hz".into()) }
+}
+
+impl PubArgs {
+    fn qos(&self) -> QosProfile {
+        let qos = QosProfile::default().keep_last(self.qos_depth.into());
+        let qos = match self.qos_reliability {
+            Reliability::Reliable => qos,
+            Reliability::BestEffort => qos.best_effort(),
+        };
+        match self.qos_durability {
+            Durability::Volatile => qos,
+            Durability::TransientLocal => qos.transient_local(),
+        }
+    }
+
+    /// The type and the values. What is no type's name is a value.
+    fn message(&self, domain: u32, topic: &str) -> Outcome<(String, &str)> {
+        match self.message.as_slice() {
+            [type_name, values] => Ok((type_name.clone(), values)),
+            [type_name] if is_type(type_name) => Ok((type_name.clone(), "{}")),
+            rest => {
+                let known = graph_of(domain)?.topic_type(topic).ok_or_else(|| {
+                    Failure::unusable(format!(
+                        "the type of '{topic}' is not known, for nobody has the topic: say it, as in `taut topic pub {topic} \
+                         std_msgs/msg/String '{{data: hello}}'`"
+                    ))
+                })?;
+                Ok((known.name.into_owned(), rest.first().map_or("{}", String::as_str)))
+            }
+        }
+    }
+}
+
+fn is_type(text: &str) -> bool {
+    text.contains('/') && text.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c))
+}
+
+/// Where a type has its stamp.
+fn stamp_path(message: &DynamicMessage) -> Outcome<&'static str> {
+    let has = |path: &str| message.get(&format!("{path}.nanosec")).is_ok();
+    match ["header.stamp", "stamp"].into_iter().find(|path| has(path)) {
+        Some(path) => Ok(path),
+        None => Err(Failure::unusable(format!(
+            "{} has neither header.stamp nor stamp that could be set",
+            message.schema().name()
+        ))),
+    }
+}
+
+fn set_stamp(message: &mut DynamicMessage, path: &str) -> Outcome {
+    let now_ns = wall_ns();
+    message.set(&format!("{path}.sec"), i32::try_from(now_ns / 1_000_000_000).unwrap_or(i32::MAX))?;
+    Ok(message.set(&format!("{path}.nanosec"), (now_ns % 1_000_000_000) as u32)?)
+}
+
+pub fn run(args: &PubArgs, manners: &Manners) -> Outcome {
+    let end = End::of(manners)?;
+    let (domain, topic) = (manners.domain()?, full_name(&args.topic));
+    let (type_name, values) = args.message(domain, &topic)?;
+    let context = Context::builder().domain(domain).realtime(Realtime::Off).build()?;
+    let mut node = Node::create(context, &format!("taut_pub_{}", std::process::id()), "")?;
+    let publisher = node.create_publisher_untyped(&topic, &type_name, args.qos())?;
+    let mut message = DynamicMessage::from_yaml(publisher.schema(), values)?;
+    let stamp = args.stamp.map(|_| stamp_path(&message)).transpose()?;
+    let wanted = args.wait.or(args.once.then_some(1));
+    if let Some(wanted) = wanted {
+        wait_for_subscriptions(&node, &publisher, wanted, &end)?;
+    }
+    if let Some(priority) = args.priority {
+        set_policy(Policy::Fifo(priority))?;
+    }
+    let count = if args.once { Some(1) } else { args.count };
+    let late = send(args, &publisher, &mut message, stamp, count, &end)?;
+    if manners.json {
+        println!(
+            "{}",
+            json!({ "topic": topic, "type": type_name, "published": late.count(), "late_ms": late.to_json() })
+        );
+    } else if let Some([p50, p99, max]) = late.ms().filter(|_| late.count() > 1) {
+        eprintln!(
+            "taut: published {} messages on '{topic}', late by {p50:.3} ms (p50), {p99:.3} (p99), {max:.3} at most",
+            late.count()
+        );
+    }
+    match count.filter(|count| late.count() < *count) {
+        Some(count) => Err(Failure::no(format!("{} of {count} messages were published", late.count()))),
+        None => Ok(()),
+    }
+}
+
+fn wait_for_subscriptions(node: &Node, publisher: &PublisherUntyped, wanted: usize, end: &End) -> Outcome {
+    let what = || format!("{wanted} subscriptions of '{}'", publisher.topic());
+    end.wait(what, || {
+        let graph = node.graph()?;
+        let elsewhere = graph.endpoints.iter().filter(|end| {
+            end.is_remote
+                && end.topic == publisher.topic()
+                && end.kind == tautline::EndpointKind::Subscription
+        });
+        Ok((publisher.subscription_count().max(elsewhere.count()) >= wanted).then_some(()))
+    })
+}
+
+/// Publishes at absolute times; gives how late each message was.
+fn send(
+    args: &PubArgs,
+    publisher: &PublisherUntyped,
+    message: &mut DynamicMessage,
+    stamp: Option<&str>,
+    count: Option<u64>,
+    end: &End,
+) -> Outcome<Times> {
+    let mut late = Times::new();
+    let mut bytes = message.to_cdr();
+    let start_ns = monotonic_ns();
+    for n in 0.. {
+        if count == Some(n) || end.is_reached() {
+            break;
+        }
+        let due_ns = start_ns + (n as f64 * 1e9 / args.rate) as u64;
+        // Up to shortly before, so that Ctrl-C is heard.
+        let ahead = Duration::from_nanos(due_ns.saturating_sub(monotonic_ns()));
+        end.pause(ahead.saturating_sub(Duration::from_millis(100)));
+        if end.is_reached() {
+            break;
+        }
+        sleep_until_monotonic(due_ns);
+        if let Some(path) = stamp {
+            set_stamp(message, path)?;
+            bytes = message.to_cdr();
+        }
+        late.record(monotonic_ns().saturating_sub(due_ns));
+        publisher.publish_raw(&bytes)?;
+    }
+    Ok(late)
+}

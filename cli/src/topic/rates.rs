@@ -1,0 +1,470 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut topic hz` and `taut topic bw`: how often, how regularly and how much publishers send.
+//!
+//! Publishers count what they send where anybody may read it. Looked at often enough, the count shows each message by itself, and
+//! when it was sent. Only what is too fast for that, or comes from elsewhere, has to be taken.
+
+use super::tap::{POLL, Tap, ends, full_name, wait_for_type};
+use crate::manners::{End, Failure, Manners, Outcome, time};
+use crate::table::write_table;
+use crate::times::Times;
+use clap::Args;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::ops::RangeInclusive;
+use std::time::{Duration, Instant};
+use tautline::{EndpointKind, GraphSnapshot};
+use tautline_transport::{Gid, MessageInfo, Sent, Visitor};
+
+/// Below this rate each message is seen by itself.
+const SEEN_HZ: f64 = 400.0;
+/// How often counts are read of what is faster.
+const FAST_POLL: Duration = Duration::from_millis(50);
+/// How long `--expect` looks, if nothing else is said.
+const EXPECT_TIME: Duration = Duration::from_secs(5);
+
+#[derive(Args, Clone, Debug)]
+pub struct RateArgs {
+    /// The topic; waited for if it does not exist
+    #[arg(value_name = "TOPIC")]
+    topic: String,
+    /// How often is printed
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
+    every: Duration,
+    /// Count anew after this time; with --expect nothing is
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = time)]
+    window: Duration,
+    /// Look for 5 s, or --timeout; exit with 1 if all messages a second are not within LOW..HIGH, either of which may be left out
+    #[arg(long, value_name = "LOW..HIGH", value_parser = range)]
+    expect: Option<RangeInclusive<f64>>,
+    /// Take every message, for the periods of what is too fast for counts, and for gaps in the numbers
+    #[arg(long)]
+    take: bool,
+}
+
+/// What is printed first.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    Messages,
+    Bytes,
+}
+
+fn range(text: &str) -> Result<RangeInclusive<f64>, String> {
+    let (low, high) = text.split_once("..").ok_or("a range is LOW..HIGH, such as 95..105")?;
+    let number = |text: &str, other: f64| match text {
+        "" => Ok(other),
+        text => text.parse::<f64>().map_err(|_| format!("'{text}' is no number")),
+    };
+    let (low, high) = (number(low, 0.0)?, number(high, f64::INFINITY)?);
+    if low <= high { Ok(low..=high) } else { Err("no number is both above and below".into()) }
+}
+
+/// What one publisher has sent since it was first looked at.
+struct Flow {
+    label: String,
+    pid: Option<u32>,
+    first: Sent,
+    last: Sent,
+    /// Between two messages.
+    periods: Times,
+    /// Messages whose number or size is not known alone.
+    unseen: u64,
+    /// Least and greatest message.
+    sizes: Option<(u64, u64)>,
+    /// By gaps in the numbers; not known from counts.
+    lost: Option<u64>,
+    number: u64,
+}
+
+impl Flow {
+    fn new(label: String, pid: Option<u32>, first: Sent, lost: Option<u64>) -> Self {
+        let (periods, unseen, sizes, number) = (Times::new(), 0, None, 0);
+        Flow { label, pid, first, last: first, periods, unseen, sizes, lost, number }
+    }
+
+    /// Counts from here on.
+    fn restart(&mut self) {
+        self.first = self.last;
+        self.periods.clear();
+        (self.unseen, self.sizes, self.lost) = (0, None, self.lost.map(|_| 0));
+    }
+
+    /// A later count.
+    fn see(&mut self, sent: Sent) {
+        let new = sent.messages.wrapping_sub(self.last.messages);
+        if new == 0 || new > u64::MAX / 2 {
+            return;
+        }
+        match new {
+            1 => self.see_one(sent.bytes.wrapping_sub(self.last.bytes), sent.last_ns),
+            _ => self.unseen += new,
+        }
+        if self.last.last_ns == 0 {
+            // The first one ever: what follows is counted from it.
+            self.first = sent;
+        }
+        self.last = sent;
+    }
+
+    fn see_one(&mut self, bytes: u64, at_ns: u64) {
+        if self.last.last_ns != 0 {
+            self.periods.record(at_ns.saturating_sub(self.last.last_ns));
+        }
+        let (least, most) = self.sizes.unwrap_or((bytes, bytes));
+        self.sizes = Some((least.min(bytes), most.max(bytes)));
+    }
+
+    /// A message that was taken.
+    fn take(&mut self, info: &MessageInfo, len_bytes: usize) {
+        if self.number != 0 {
+            let gap = info.sequence_number.saturating_sub(self.number + 1);
+            self.lost = self.lost.map(|lost| lost + gap);
+        }
+        self.number = info.sequence_number;
+        let at_ns = u64::try_from(info.source_timestamp_ns).unwrap_or(0);
+        let Sent { messages, bytes, .. } = self.last;
+        self.see(Sent { messages: messages + 1, bytes: bytes + len_bytes as u64, last_ns: at_ns });
+    }
+
+    /// Messages that the rate is made of.
+    fn messages(&self) -> u64 {
+        self.last.messages.wrapping_sub(self.first.messages)
+    }
+
+    /// From the first message to the last one; of one that has fallen silent, until now.
+    fn seconds(&self, now_ns: u64) -> f64 {
+        let span = self.last.last_ns.saturating_sub(self.first.last_ns);
+        let silence = now_ns.saturating_sub(self.last.last_ns);
+        let period = span / self.messages().max(1);
+        let is_silent = self.messages() > 0 && silence > 3 * period.max(10_000_000);
+        (span + if is_silent { silence - period } else { 0 }) as f64 / 1e9
+    }
+
+    fn rate(&self, of: u64, now_ns: u64) -> f64 {
+        match self.seconds(now_ns) {
+            0.0 => 0.0,
+            seconds => of as f64 / seconds,
+        }
+    }
+
+    fn hz(&self, now_ns: u64) -> f64 {
+        self.rate(self.messages(), now_ns)
+    }
+
+    fn bytes_per_second(&self, now_ns: u64) -> f64 {
+        self.rate(self.last.bytes.wrapping_sub(self.first.bytes), now_ns)
+    }
+
+    fn mean_bytes(&self) -> Option<u64> {
+        self.last.bytes.wrapping_sub(self.first.bytes).checked_div(self.messages())
+    }
+
+    /// The periods, if nearly all are known.
+    fn known_periods(&self) -> Option<&Times> {
+        Some(&self.periods).filter(|times| times.count() > 0 && self.unseen * 100 <= self.messages())
+    }
+}
+
+/// Where it is read.
+enum Source {
+    Counts(Visitor),
+    Messages(Tap),
+}
+
+/// All publishers of a topic.
+struct Meter {
+    domain: u32,
+    topic: String,
+    source: Source,
+    flows: BTreeMap<Gid, Flow>,
+}
+
+impl Meter {
+    fn start(domain: u32, topic: &str, take: bool, end: &End) -> Outcome<Self> {
+        let topic_type = wait_for_type(domain, topic, end)?;
+        let mut visitor = Visitor::new(domain)?;
+        let is_elsewhere = is_elsewhere(&*visitor.graph()?, topic);
+        let source = match take || is_elsewhere {
+            true => Source::Messages(Tap::open(domain, topic, topic_type)?),
+            false => Source::Counts(visitor),
+        };
+        Ok(Meter { domain, topic: topic.to_owned(), source, flows: BTreeMap::new() })
+    }
+
+    /// Looks, and says how long to wait until it looks again.
+    fn look(&mut self) -> Outcome<Duration> {
+        let (topic, flows) = (&self.topic, &mut self.flows);
+        match &mut self.source {
+            Source::Counts(visitor) => {
+                let graph = visitor.graph()?;
+                if is_elsewhere(&graph, topic)
+                    && let Some(first) = ends(&graph, topic).next()
+                {
+                    // Somebody on another host has begun to publish, which only who takes it sees.
+                    flows.clear();
+                    self.source = Source::Messages(Tap::open(self.domain, topic, first.topic_type.clone())?);
+                    return Ok(Duration::ZERO);
+                }
+                for end in ends(&graph, topic).filter(|end| end.kind == EndpointKind::Publisher) {
+                    let Some(sent) = visitor.sent(end)? else { continue };
+                    let flow = flows.entry(end.gid);
+                    flow.or_insert_with(|| Flow::new(label(&graph, topic, end.gid), end.pid, sent, None))
+                        .see(sent);
+                }
+                let now_ns = tautline::rt::clock::monotonic_ns();
+                let is_fast = flows.values().any(|flow| flow.messages() > 100 && flow.hz(now_ns) > SEEN_HZ);
+                Ok(if is_fast { FAST_POLL } else { POLL })
+            }
+            Source::Messages(tap) => {
+                while let Some(sample) = tap.take()? {
+                    let info = sample.info();
+                    let flow = flows.entry(info.publisher_gid).or_insert_with(|| {
+                        let graph = tautline_transport::graph_of(self.domain).unwrap_or_default();
+                        let pid = ends(&graph, topic)
+                            .find(|end| end.gid == info.publisher_gid)
+                            .and_then(|end| end.pid);
+                        Flow::new(label(&graph, topic, info.publisher_gid), pid, Sent::default(), Some(0))
+                    });
+                    flow.take(&info, sample.body().len());
+                }
+                Ok(POLL)
+            }
+        }
+    }
+
+    /// Now, by the clock of the flows.
+    fn now_ns(&self) -> u64 {
+        match self.source {
+            Source::Counts(_) => tautline::rt::clock::monotonic_ns(),
+            Source::Messages(_) => u64::try_from(tautline::rt::clock::wall_ns()).unwrap_or(0),
+        }
+    }
+
+    fn hz(&self) -> f64 {
+        let now_ns = self.now_ns();
+        self.flows.values().map(|flow| flow.hz(now_ns)).sum()
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        let now_ns = self.now_ns();
+        self.flows.values().map(|flow| flow.bytes_per_second(now_ns)).sum()
+    }
+
+    fn to_json(&self, since: Instant) -> Value {
+        let now_ns = self.now_ns();
+        let flow = |(gid, flow): (&Gid, &Flow)| {
+            json!({
+                "publisher": flow.label,
+                "pid": flow.pid,
+                "gid": format!("{gid:?}"),
+                "messages": flow.messages(),
+                "rate_hz": flow.hz(now_ns),
+                "period_ms": flow.known_periods().map(Times::to_json),
+                "bytes_per_s": flow.bytes_per_second(now_ns),
+                "mean_bytes": flow.mean_bytes(),
+                "lost": flow.lost,
+            })
+        };
+        json!({
+            "topic": self.topic,
+            "seconds": since.elapsed().as_secs_f64(),
+            "from": match self.source { Source::Counts(_) => "counts", Source::Messages(_) => "messages" },
+            "rate_hz": self.hz(),
+            "bytes_per_s": self.bytes_per_second(),
+            "missed_here": match &self.source { Source::Counts(_) => 0, Source::Messages(tap) => tap.lost() },
+            "publishers": self.flows.iter().map(flow).collect::<Value>(),
+        })
+    }
+
+    fn print(&self, unit: Unit, out: &mut impl Write) -> io::Result<()> {
+        let now_ns = self.now_ns();
+        let row = |flow: &Flow| {
+            let rate = format!("{:.3}", flow.hz(now_ns));
+            let bytes = format!("{}/s", size(flow.bytes_per_second(now_ns)));
+            let mean = flow.mean_bytes().map_or("-".into(), |mean| size(mean as f64));
+            let n = flow.messages().to_string();
+            let mut cells = vec![flow.label.clone()];
+            match unit {
+                Unit::Messages => {
+                    cells.push(rate);
+                    cells
+                        .extend(flow.known_periods().map_or(["-", "-", "-"].map(String::from), Times::cells));
+                    cells.extend([bytes, n]);
+                }
+                Unit::Bytes => {
+                    let (least, most) = match flow.sizes.filter(|_| flow.unseen == 0) {
+                        Some((least, most)) => (size(least as f64), size(most as f64)),
+                        None => ("-".into(), "-".into()),
+                    };
+                    cells.extend([bytes, mean, least, most, rate, n]);
+                }
+            }
+            cells.push(flow.lost.map_or("-".into(), |lost| lost.to_string()));
+            (true, cells)
+        };
+        let head: &[&str] = match unit {
+            Unit::Messages => &["publisher", "Hz", "p50 ms", "p99 ms", "max ms", "bytes", "n", "lost"],
+            Unit::Bytes => &["publisher", "bytes", "mean", "least", "most", "Hz", "n", "lost"],
+        };
+        write_table(head, 1, self.flows.values().map(row).collect(), out)
+    }
+
+    /// What there is to know about where it comes from.
+    fn explain(&self) -> String {
+        match &self.source {
+            Source::Counts(_) => {
+                let is_fast =
+                    self.flows.values().any(|flow| flow.messages() > 0 && flow.known_periods().is_none());
+                let hint = if is_fast { "; too fast for periods: --take has them" } else { "" };
+                format!("(from the publishers' own counts{hint})")
+            }
+            Source::Messages(tap) => {
+                let lost = match tap.lost() {
+                    0 => String::new(),
+                    lost => format!("; {lost} of the lost came faster than they were taken here"),
+                };
+                let seen = if tap.is_seen() { ", which others see as a subscription" } else { "" };
+                format!("(from every message{seen}{lost})")
+            }
+        }
+    }
+}
+
+/// A node and its process, if it has one, or the publisher's identifier.
+fn label(graph: &GraphSnapshot, topic: &str, gid: Gid) -> String {
+    let end = ends(graph, topic).find(|end| end.gid == gid);
+    let node = end.and_then(|end| end.node.as_ref()).map(|node| node.full_name());
+    let same = ends(graph, topic).filter(|other| {
+        other.kind == EndpointKind::Publisher && other.node.as_ref().map(|node| node.full_name()) == node
+    });
+    let is_one = same.count() < 2;
+    match (node, is_one) {
+        (Some(node), true) => node,
+        (Some(node), false) => format!("{node} {gid:?}"),
+        (None, _) => format!("{gid:?}"),
+    }
+}
+
+fn is_elsewhere(graph: &GraphSnapshot, topic: &str) -> bool {
+    ends(graph, topic).any(|end| end.is_remote && end.kind == EndpointKind::Publisher)
+}
+
+/// Bytes as people read them.
+fn size(bytes: f64) -> String {
+    let units = [("GB", 1e9), ("MB", 1e6), ("kB", 1e3)];
+    match units.iter().find(|(_, unit)| bytes >= *unit) {
+        Some((name, unit)) => format!("{:.2} {name}", bytes / unit),
+        None => format!("{bytes:.0} B"),
+    }
+}
+
+pub fn run(args: &RateArgs, unit: Unit, manners: &Manners) -> Outcome {
+    let end = End::of(manners)?;
+    let (domain, topic) = (manners.domain()?, full_name(&args.topic));
+    let mut meter = Meter::start(domain, &topic, args.take, &end)?;
+    let (start, mut since) = (Instant::now(), Instant::now());
+    let time = args.expect.as_ref().map(|_| manners.timeout().unwrap_or(EXPECT_TIME));
+    let is_over = || end.is_reached() || time.is_some_and(|time| start.elapsed() >= time);
+    let mut next = start + args.every;
+    loop {
+        let pause = meter.look()?;
+        let is_last = is_over();
+        if is_last || Instant::now() >= next {
+            next += args.every;
+            let mut out = io::stdout().lock();
+            if manners.json {
+                writeln!(out, "{}", meter.to_json(since))?;
+            } else if meter.flows.is_empty() {
+                end.say_once(|| format!("a publisher of '{topic}'"));
+            } else {
+                meter.print(unit, &mut out)?;
+                writeln!(out, "{}\n", meter.explain())?;
+            }
+            out.flush()?;
+            if time.is_none() && since.elapsed() >= args.window {
+                since = Instant::now();
+                meter.flows.values_mut().for_each(Flow::restart);
+            }
+        }
+        if is_last {
+            break;
+        }
+        let left = time.map(|time| time.saturating_sub(start.elapsed()));
+        end.pause(left.map_or(pause, |left| left.min(pause)));
+    }
+    let Some(expected) = &args.expect else { return Ok(()) };
+    let (found, what) = match unit {
+        Unit::Messages => (meter.hz(), "messages a second"),
+        Unit::Bytes => (meter.bytes_per_second(), "bytes a second"),
+    };
+    match expected.contains(&found) {
+        true => Ok(()),
+        false => Err(Failure::no(format!(
+            "'{topic}': {found:.3} {what}, which is not within {}..{}",
+            expected.start(),
+            expected.end()
+        ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sent(messages: u64, bytes: u64, last_ns: u64) -> Sent {
+        Sent { messages, bytes, last_ns }
+    }
+
+    #[test]
+    fn a_rate_is_of_messages_between_the_first_and_the_last() {
+        let mut flow = Flow::new("x".into(), None, sent(7, 700, 1_000_000_000), None);
+        for n in 1..=10 {
+            flow.see(sent(7 + n, 700 + 50 * n, 1_000_000_000 + n * 100_000_000));
+        }
+        let now_ns = 2_050_000_000;
+        assert!((flow.hz(now_ns) - 10.0).abs() < 1e-9);
+        assert!((flow.bytes_per_second(now_ns) - 500.0).abs() < 1e-9);
+        assert_eq!((flow.mean_bytes(), flow.sizes), (Some(50), Some((50, 50))));
+        let all = flow.known_periods().unwrap().ms().unwrap();
+        assert!(all.iter().all(|ms| (ms - 100.0).abs() <= 0.1), "{all:?}");
+        // Of one that has fallen silent the rate falls.
+        assert!(flow.hz(11_900_000_000) < 1.0);
+    }
+
+    #[test]
+    fn what_is_too_fast_has_a_rate_and_no_periods() {
+        let mut flow = Flow::new("x".into(), None, Sent::default(), None);
+        flow.see(sent(1, 10, 5_000_000_000));
+        for n in 1..=10 {
+            flow.see(sent(1 + 50 * n, 10 + 500 * n, 5_000_000_000 + n * 1_000_000));
+        }
+        assert!((flow.hz(5_010_000_001) - 50_000.0).abs() < 1e-6);
+        assert!(flow.known_periods().is_none());
+    }
+
+    #[test]
+    fn ranges_are_read() {
+        assert_eq!(range("95..105"), Ok(95.0..=105.0));
+        assert_eq!(range("..5"), Ok(0.0..=5.0));
+        assert_eq!(range("1.5.."), Ok(1.5..=f64::INFINITY));
+        for wrong in ["5", "a..b", "9..1"] {
+            assert!(range(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn gaps_in_numbers_are_lost() {
+        let mut flow = Flow::new("x".into(), None, Sent::default(), Some(0));
+        for number in [3, 4, 7, 8] {
+            let info = MessageInfo {
+                sequence_number: number,
+                source_timestamp_ns: 1_000 * number as i64,
+                released_ns: 0,
+                publisher_gid: Gid([0; 16]),
+            };
+            flow.take(&info, 100);
+        }
+        assert_eq!((flow.lost, flow.messages()), (Some(2), 3));
+    }
+}
