@@ -7,6 +7,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline::{Context, Node, QosProfile, Realtime};
 use tautline_schema::{DynamicMessage, Schema};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
 
@@ -260,4 +261,51 @@ fn messages_are_published_by_hand() {
     let (code, words) =
         refused(&["topic", "pub", "/new", "std_msgs/msg/String", "--once", "--timeout", "100ms"]);
     assert!(code == 1 && words.contains("waited for 1 subscriptions of '/new'"), "{words}");
+}
+
+#[derive(tautline::Message, Clone, Copy)]
+#[repr(u8)]
+enum Mode {
+    Idle = 0,
+    Driving = 1,
+}
+
+#[derive(tautline::Message, Clone, Copy)]
+#[repr(C)]
+#[message(nested)]
+struct Wheel {
+    speed: f32,
+    slip: f32,
+}
+
+#[derive(tautline::Message, Clone, Copy)]
+#[repr(C)]
+#[message(name = "car_msgs/msg/Car")]
+struct Car {
+    stamp: tautline::builtin_interfaces::msg::Time,
+    matrix: [[f64; 2]; 2],
+    wheels: [Wheel; 2],
+    r#type: Mode,
+    is_on: bool,
+}
+
+/// Of types that are only written in Rust.
+#[test]
+fn own_types_are_printed_like_those_of_ros() {
+    let _participant = enter(100);
+    let context = Context::builder().domain(100).realtime(Realtime::Off).build().unwrap();
+    let mut node = Node::create(context, "car", "").unwrap();
+    let publisher = node.create_publisher::<Car>("/car", QosProfile::default().transient_local()).unwrap();
+    let stamp = tautline::builtin_interfaces::msg::Time { sec: 7, nanosec: 8 };
+    let wheels = [Wheel { speed: 1.0, slip: 0.5 }, Wheel { speed: 2.0, slip: 0.25 }];
+    let modes = [Mode::Idle, Mode::Driving];
+    let car = Car { stamp, matrix: [[1.0, 2.0], [3.0, 4.0]], wheels, r#type: modes[1], is_on: true };
+    publisher.publish(&car).unwrap();
+    assert_eq!(
+        taut(&["topic", "echo", "/car", "--once"]),
+        "stamp:\n  sec: 7\n  nanosec: 8\nmatrix:\n- 1.0\n- 2.0\n- 3.0\n- 4.0\nwheels:\n- speed: 1.0\n  slip: 0.5\n- speed: 2.0\n  \
+         slip: 0.25\ntype: 1\nis_on: true\n---\n"
+    );
+    let kept = taut(&["topic", "info", "/car", "--json"]);
+    assert!(kept.contains("RIHS01_"), "{kept}");
 }

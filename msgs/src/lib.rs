@@ -34,7 +34,7 @@
 //! |---|---|
 //! | `message` | [`Message`]: name, hash, definition; in place, to CDR and back |
 //! | `body` | [`Body`]: bytes that claim to be a message, where they can be read in place |
-//! | `definition` | [`Definition`]: the text of a type's definition |
+//! | `definition`, `shape` | [`Definition`]: the text of a type's definition; [`definition_text`], also of a derived type |
 //! | `plain` | [`Plain`]: layout and validity; [`from_bytes`], [`write_cdr`] |
 //! | `primitives` | `Plain` for integers, floats, `bool`, `char`, arrays |
 //! | `invalid` | [`Invalid`]: why bytes are not a value |
@@ -57,6 +57,7 @@ mod primitives;
 #[doc(hidden)]
 pub mod serde_fields;
 mod service;
+mod shape;
 
 pub use body::{BODY_ALIGN, Body};
 pub use definition::Definition;
@@ -73,6 +74,9 @@ pub use plain::{dense_end, read_dense, read_dense_vec, view_plain, write_dense};
 #[doc(hidden)]
 pub use serde;
 pub use service::{Action, GoalId, Service};
+pub use shape::definition_text;
+#[doc(hidden)]
+pub use shape::{Shape, StructShape};
 /// Derives [`Plain`] for a struct or field-less enum, and the trait [`Message`](trait@Message) for a struct that is a
 /// topic's type.
 ///

@@ -57,6 +57,10 @@ pub trait Message: Form<Value = Self> + Send + Sync + 'static {
     #[doc(hidden)]
     const PLAIN: Option<PlainView<Self>> = None;
 
+    /// Of [plain](crate::Plain) types: what they consist of.
+    #[doc(hidden)]
+    const SHAPE: Option<&'static crate::Shape> = None;
+
     /// Zeroes the padding between the fields in `memory`, which holds a message that was written as a Rust value. Nothing
     /// to do for what is written field by field.
     #[doc(hidden)]

@@ -3,7 +3,7 @@
 use core::any::type_name;
 
 use crate::cdr::{DecodeError, DecodeFault, EncodeError, Endian, FieldPath, Form, Reader, SLACK, Writer};
-use crate::{Body, Invalid, Message};
+use crate::{Body, Invalid, Message, Shape};
 
 /// A type of fixed size whose C layout is its XCDR1 little-endian layout: a reference to the bytes is a reference to
 /// the value.
@@ -48,6 +48,10 @@ pub unsafe trait Plain: Form<Value = Self> + Copy + Send + Sync + 'static {
 
     /// Bytes of all its primitives: [`CDR_SIZE`](Plain::CDR_SIZE) without the padding between them.
     const CONTENT_SIZE: usize;
+
+    /// What it consists of.
+    #[doc(hidden)]
+    const SHAPE: Shape;
 
     /// Whether any number of values can lie one after the other in a body, wherever the first one does: there is no
     /// padding before, within or after it.

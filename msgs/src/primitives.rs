@@ -4,16 +4,17 @@
 use core::any::type_name;
 
 use crate::layout::{self, next_multiple};
-use crate::{Invalid, Plain};
+use crate::{Invalid, Plain, Shape};
 
 macro_rules! always_valid {
-    ($($primitive:ty)*) => {$(
+    ($($primitive:ty = $name:literal)*) => {$(
         // SAFETY: one primitive, little-endian (checked in lib.rs), any bits are a value. A target that aligns it to
         // less than its size fails the field-by-field proof of the derive.
         unsafe impl Plain for $primitive {
             const CDR_SIZE: usize = size_of::<Self>();
             const FIRST_ALIGN: usize = size_of::<Self>();
             const CONTENT_SIZE: usize = size_of::<Self>();
+            const SHAPE: Shape = Shape::Primitive($name);
             const ALWAYS_VALID: bool = true;
 
             #[inline]
@@ -32,13 +33,17 @@ macro_rules! always_valid {
     )*};
 }
 
-always_valid!(u8 u16 u32 u64 i8 i16 i32 i64 f32 f64);
+always_valid! {
+    u8 = "uint8" u16 = "uint16" u32 = "uint32" u64 = "uint64" i8 = "int8" i16 = "int16" i32 = "int32" i64 = "int64"
+    f32 = "float32" f64 = "float64"
+}
 
 // SAFETY: one byte, of which `validate` accepts 0 and 1, the two bit patterns of `bool`.
 unsafe impl Plain for bool {
     const CDR_SIZE: usize = 1;
     const FIRST_ALIGN: usize = 1;
     const CONTENT_SIZE: usize = 1;
+    const SHAPE: Shape = Shape::Primitive("bool");
     const ALWAYS_VALID: bool = false;
 
     #[inline]
@@ -63,6 +68,7 @@ unsafe impl Plain for char {
     const CDR_SIZE: usize = 4;
     const FIRST_ALIGN: usize = 4;
     const CONTENT_SIZE: usize = 4;
+    const SHAPE: Shape = Shape::Primitive("uint32");
     const ALWAYS_VALID: bool = false;
 
     #[inline]
@@ -94,6 +100,7 @@ unsafe impl<T: Plain, const N: usize> Plain for [T; N] {
     };
     const FIRST_ALIGN: usize = T::FIRST_ALIGN;
     const CONTENT_SIZE: usize = N * T::CONTENT_SIZE;
+    const SHAPE: Shape = Shape::Array(&T::SHAPE, N);
     const ALWAYS_VALID: bool = T::ALWAYS_VALID;
 
     #[inline]

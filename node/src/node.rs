@@ -21,7 +21,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, NodeHandle, Participant, Publisher};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TopicType};
 
 /// A node. It ends when it is dropped and its callbacks, those that were spawned through it, have ended. What was made through it ends
 /// with it: streams give out what had come and end, timers end, nothing can be published or asked any more. Its context lives as long
@@ -293,7 +293,8 @@ impl Node {
     ) -> Result<Publisher<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.participant.create_publisher(&topic, qos_profile.to_transport(), limits)?)
+        let topic_type = topic_type_of::<T>();
+        Ok(self.participant.create_publisher_of(&topic, &topic_type, qos_profile.to_transport(), limits)?)
     }
 
     /// Ends a publisher, by r2r's name. Dropping it does the same.
@@ -325,8 +326,8 @@ impl Node {
     ) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let subscription =
-            self.participant.create_subscription(&topic, qos_profile.to_transport(), limits)?;
+        let (topic_type, qos) = (topic_type_of::<T>(), qos_profile.to_transport());
+        let subscription = self.participant.create_subscription_of(&topic, &topic_type, qos, limits)?;
         Ok(Subscription::new(subscription))
     }
 
@@ -485,3 +486,24 @@ const _: () = {
     is_send::<Node>();
     is_send::<Timer>();
 };
+
+/// What is known of a type: of one that is only written in Rust also its hash, so that tools find its definition and read its messages.
+#[cfg(feature = "untyped")]
+fn topic_type_of<T: Message>() -> TopicType {
+    use tautline_schema::Schema;
+    let topic_type = TopicType::of::<T>();
+    let Some(text) = topic_type.definition.as_ref().filter(|_| topic_type.hash.is_none()) else {
+        return topic_type;
+    };
+    // Fields whose names are none in ROS have no definition there.
+    let schema = T::TYPE_NAME.parse().ok().and_then(|name| Schema::from_text(&name, text).ok());
+    match schema {
+        Some(schema) => topic_type.with_hash(schema.hash().to_string()),
+        None => topic_type,
+    }
+}
+
+#[cfg(not(feature = "untyped"))]
+fn topic_type_of<T: Message>() -> TopicType {
+    TopicType::of::<T>()
+}

@@ -62,6 +62,7 @@ pub fn expand(
             const CDR_SIZE: usize = ::core::mem::size_of::<#integer>();
             const FIRST_ALIGN: usize = ::core::mem::size_of::<#integer>();
             const CONTENT_SIZE: usize = ::core::mem::size_of::<#integer>();
+            const SHAPE: #krate::Shape = <#integer as #krate::Plain>::SHAPE;
             const ALWAYS_VALID: bool = false;
 
             #[inline]

@@ -44,6 +44,10 @@ pub fn expand(
     let proofs = fields.windows(2).map(|pair| proof(name, krate, pair[0], pair[1]));
 
     let form = form(input, krate, &idents, &types, &bounds);
+    let type_name = match &attributes.name {
+        Some(type_name) => quote!(::core::option::Option::Some(#type_name)),
+        None => quote!(::core::option::Option::None),
+    };
 
     // The last line before the impl evaluates the arrays' own proof, also where no field follows them.
     Ok(quote! {
@@ -62,6 +66,11 @@ pub fn expand(
                 ::core::mem::offset_of!(#name, #last_ident) + <#last as #krate::Plain>::CDR_SIZE;
             const FIRST_ALIGN: usize = <#first as #krate::Plain>::FIRST_ALIGN;
             const CONTENT_SIZE: usize = 0 #(+ <#types as #krate::Plain>::CONTENT_SIZE)*;
+            const SHAPE: #krate::Shape = #krate::Shape::Struct(&#krate::StructShape {
+                ident: ::core::stringify!(#name),
+                type_name: #type_name,
+                fields: &[#((::core::stringify!(#idents), &<#types as #krate::Plain>::SHAPE)),*],
+            });
             const ALWAYS_VALID: bool = true #(&& <#types as #krate::Plain>::ALWAYS_VALID)*;
 
             #[inline]

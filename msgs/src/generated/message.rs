@@ -12,6 +12,8 @@ macro_rules! message {
             // SAFETY: see `view`.
             const PLAIN: ::core::option::Option<$crate::PlainView<Self>> =
                 ::core::option::Option::Some(unsafe { $crate::PlainView::new() });
+            const SHAPE: ::core::option::Option<&'static $crate::Shape> =
+                ::core::option::Option::Some(&<Self as $crate::Plain>::SHAPE);
             $crate::message!(@definition $name $definition);
 
             #[inline]

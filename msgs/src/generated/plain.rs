@@ -28,6 +28,11 @@ macro_rules! plain_struct {
                 aligns[0]
             };
             const CONTENT_SIZE: usize = 0 $(+ <$ty as $crate::Plain>::CONTENT_SIZE)+;
+            const SHAPE: $crate::Shape = $crate::Shape::Struct(&$crate::StructShape {
+                ident: ::core::stringify!($type),
+                type_name: ::core::option::Option::Some($name),
+                fields: &[$((::core::stringify!($field), &<$ty as $crate::Plain>::SHAPE)),+],
+            });
             const ALWAYS_VALID: bool = true $(&& <$ty as $crate::Plain>::ALWAYS_VALID)+;
 
             #[inline]

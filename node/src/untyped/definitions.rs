@@ -66,7 +66,7 @@ fn find(
         type_name: name.to_string(),
         stored: match (existing, hash) {
             (None, _) => "it has no publisher or subscription of this type yet".to_owned(),
-            (Some(_), None) => "its type has no hash, as those of #[derive(Message)]".to_owned(),
+            (Some(_), None) => "its type has no hash".to_owned(),
             (Some(_), Some(hash)) => {
                 let path = store.path().join(hash);
                 match unread {

@@ -207,7 +207,24 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<Publisher<T>, TransportError> {
-        Publisher::create(self, topic, qos, limits)
+        self.create_publisher_of(topic, &TopicType::of::<T>(), qos, limits)
+    }
+
+    /// The same for who knows more of the type than `T` tells: the hash of one that is only written in Rust.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_publisher`](Self::create_publisher).
+    pub fn create_publisher_of<T: Message>(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Publisher<T>, TransportError> {
+        Ok(Publisher::new(self.create_raw_publisher(topic, topic_type, qos, limits)?))
     }
 
     /// Creates a subscription of `topic`, a fully qualified name. What is published from now on is queued.
@@ -223,7 +240,24 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<Subscription<T>, TransportError> {
-        Subscription::create(self, topic, qos, limits)
+        self.create_subscription_of(topic, &TopicType::of::<T>(), qos, limits)
+    }
+
+    /// The same for who knows more of the type than `T` tells, as [`create_publisher_of`](Self::create_publisher_of).
+    ///
+    /// # Real-time
+    /// As [`create_subscription`](Self::create_subscription).
+    ///
+    /// # Errors
+    /// As [`create_subscription`](Self::create_subscription).
+    pub fn create_subscription_of<T: Message>(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Subscription<T>, TransportError> {
+        Ok(Subscription::new(self.create_raw_subscription(topic, topic_type, qos, limits)?))
     }
 
     /// Creates a publisher of bytes of `topic`, a fully qualified name.

@@ -4,7 +4,7 @@
 use crate::error::TransportError;
 use crate::graph::record::{MAX_NAME_BYTES, is_type};
 use std::borrow::Cow;
-use tautline_msgs::Message;
+use tautline_msgs::{Message, definition_text};
 
 /// How a type hash begins, and how long it is.
 const HASH_PREFIX: &str = "RIHS01_";
@@ -61,7 +61,7 @@ impl TopicType {
             name: T::TYPE_NAME.into(),
             hash: T::TYPE_HASH.map(Cow::from),
             body_bytes: T::FIXED_LEN,
-            definition: T::DEFINITION.map(|definition| definition.to_text().into()),
+            definition: definition_text::<T>().map(Cow::from),
         }
     }
 

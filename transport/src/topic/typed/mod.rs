@@ -8,12 +8,10 @@ pub use hot::{Loan, Sample, Unwritten};
 pub(crate) use hot::{poll_take, take_valid};
 
 use crate::error::TransportError;
-use crate::participant::Participant;
 use crate::qos::{Limits, Qos};
 use crate::topic::header::Gid;
 use crate::topic::publisher::{Gate, PublisherCounters, RawPublisher};
 use crate::topic::subscription::{Counters, RawSubscription};
-use crate::topic::topic_type::TopicType;
 use std::marker::PhantomData;
 use std::sync::Arc;
 use tautline_msgs::Message;
@@ -28,14 +26,9 @@ pub struct Publisher<T> {
 }
 
 impl<T: Message> Publisher<T> {
-    pub(crate) fn create(
-        participant: &Participant,
-        topic: &str,
-        qos: Qos,
-        limits: Limits,
-    ) -> Result<Self, TransportError> {
-        let raw = participant.create_raw_publisher(topic, &TopicType::of::<T>(), qos, limits)?;
-        Ok(Publisher { raw, _message: PhantomData })
+    /// Of a publisher of bytes that are those of `T`.
+    pub(crate) fn new(raw: RawPublisher) -> Self {
+        Publisher { raw, _message: PhantomData }
     }
 
     /// The same, silent while `gate` is shut: see [`RawPublisher::with_gate`].
@@ -134,14 +127,9 @@ pub struct Subscription<T> {
 }
 
 impl<T: Message> Subscription<T> {
-    pub(crate) fn create(
-        participant: &Participant,
-        topic: &str,
-        qos: Qos,
-        limits: Limits,
-    ) -> Result<Self, TransportError> {
-        let raw = participant.create_raw_subscription(topic, &TopicType::of::<T>(), qos, limits)?;
-        Ok(Subscription { raw, _message: PhantomData })
+    /// Of a subscription to bytes that are those of `T`.
+    pub(crate) fn new(raw: RawSubscription) -> Self {
+        Subscription { raw, _message: PhantomData }
     }
 
     /// The subscription to bytes below.

@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What plain types consist of, from which the definition of those is made that are only written in Rust.
+
+use crate::Message;
+use core::fmt::Write;
+use std::collections::BTreeMap;
+
+/// What a plain type is, as a definition says it.
+#[doc(hidden)]
+#[derive(Debug)]
+pub enum Shape {
+    /// By its name in definitions.
+    Primitive(&'static str),
+    /// So many of one after the other.
+    Array(&'static Shape, usize),
+    /// A derived or generated struct.
+    Struct(&'static StructShape),
+}
+
+/// A struct and its fields.
+#[doc(hidden)]
+#[derive(Debug)]
+pub struct StructShape {
+    /// As Rust calls it.
+    pub ident: &'static str,
+    /// As ROS does, if it was given a name.
+    pub type_name: Option<&'static str>,
+    /// The fields, with their names in Rust.
+    pub fields: &'static [(&'static str, &'static Shape)],
+}
+
+/// The definition of `T` in the form of bags, with those of the types it consists of: see [`Definition::to_text`](crate::Definition::to_text). A derived type's is
+/// made of its fields; a struct that has no ROS name is given its Rust name in the same package, an enum is its integer, an array of
+/// arrays one array.
+///
+/// `None` if no definition can say it: two different structs would have one name.
+///
+/// # Real-time
+///
+/// Setup only: allocates.
+#[must_use]
+pub fn definition_text<T: Message>() -> Option<String> {
+    match (T::DEFINITION, T::SHAPE) {
+        (Some(definition), _) => Some(definition.to_text()),
+        (None, Some(Shape::Struct(shape))) => Text::of(T::TYPE_NAME, shape),
+        _ => None,
+    }
+}
+
+/// The text while it is made.
+struct Text<'n> {
+    package: &'n str,
+    /// Of the types that fields are of, by their names.
+    needed: BTreeMap<String, String>,
+}
+
+impl<'n> Text<'n> {
+    fn of(type_name: &'n str, shape: &StructShape) -> Option<String> {
+        let package = type_name.split('/').next().unwrap_or_default();
+        let mut this = Text { package, needed: BTreeMap::new() };
+        let mut text = this.lines(shape)?;
+        this.needed.remove(type_name);
+        for (name, lines) in &this.needed {
+            // Writing to a `String` cannot fail.
+            let _ = write!(text, "{}\nMSG: {}\n{lines}", "=".repeat(80), name.replacen("/msg/", "/", 1));
+        }
+        Some(text)
+    }
+
+    fn lines(&mut self, shape: &StructShape) -> Option<String> {
+        let mut lines = String::new();
+        for (name, field) in shape.fields {
+            let (base, len) = self.base(field)?;
+            let len = if len == 0 { String::new() } else { format!("[{len}]") };
+            let _ = writeln!(lines, "{base}{len} {}", name.trim_start_matches("r#"));
+        }
+        Some(lines)
+    }
+
+    /// The name of a field's type, and of how many elements it is; 0 for no array.
+    fn base(&mut self, shape: &Shape) -> Option<(String, usize)> {
+        match shape {
+            Shape::Primitive(name) => Some(((*name).to_owned(), 0)),
+            Shape::Array(element, len) => {
+                let (base, inner) = self.base(element)?;
+                Some((base, len * inner.max(1)))
+            }
+            Shape::Struct(shape) => {
+                let own = format!("{}/msg/{}", self.package, shape.ident);
+                let name = shape.type_name.map_or(own, str::to_owned);
+                let lines = self.lines(shape)?;
+                let base = name.replacen("/msg/", "/", 1);
+                let is_same = self.needed.get(&name).is_none_or(|known| *known == lines);
+                self.needed.insert(name, lines);
+                is_same.then_some((base, 0))
+            }
+        }
+    }
+}
