@@ -16,6 +16,7 @@ mod service;
 mod sibling;
 mod table;
 mod times;
+mod top;
 mod topic;
 mod trace;
 
@@ -39,6 +40,7 @@ enum Verb {
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
     Topic(topic::TopicArgs),
+    Top(top::TopArgs),
     Node(node::NodeArgs),
     Service(service::ServiceArgs),
     Trace(trace::TraceArgs),
@@ -64,6 +66,7 @@ fn main() -> ExitCode {
         Verb::Gateway(args) => gateway::run(args).or_else(|error| said(&error)),
         Verb::BridgeRos(args) => bridge_ros::run(args).or_else(|error| said(&error)),
         Verb::Msg(args) => msg::run(args).or_else(|error| said(&error)),
+        Verb::Top(args) => top::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Topic(args) => topic::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Node(args) => node::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Service(args) => service::run(&args).map(|()| ExitCode::SUCCESS),

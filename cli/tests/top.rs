@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut top`: of processes that come, are measured, and are killed; on a terminal.
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::pty;
+use rustix::termios::{Winsize, tcsetwinsize};
+use serde_json::Value;
+use std::fs::File;
+use std::io::{Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tautline_transport::{EndpointKind, graph_of};
+
+const DOMAIN: u32 = 144;
+
+fn taut(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+    command.args(args).env("TAUT_DOMAIN", DOMAIN.to_string());
+    command
+}
+
+fn picture() -> Value {
+    let output = taut(&["top", "--once", "--json", "--every", "300ms"]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn publisher() -> Child {
+    let child = taut(&["topic", "pub", "/tick", "std_msgs/msg/Header", "-r", "200"])
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let end = Instant::now() + Duration::from_secs(30);
+    let is_there = || {
+        let graph = graph_of(DOMAIN).unwrap();
+        graph.endpoints.iter().any(|end| end.topic == "/tick" && end.kind == EndpointKind::Publisher)
+    };
+    while !is_there() {
+        assert!(Instant::now() < end, "nobody publishes");
+        std::thread::yield_now();
+    }
+    child
+}
+
+#[test]
+fn what_runs_is_shown_until_it_dies() {
+    let mut child = publisher();
+    let shown = picture();
+    let topic = shown["topics"].as_array().unwrap().iter().find(|topic| topic["name"] == "/tick").unwrap();
+    assert_eq!((&topic["type"], &topic["publishers"]), (&"std_msgs/msg/Header".into(), &1.into()));
+    assert!(topic["rate_hz"].as_f64() > Some(0.0) && topic["bytes_per_s"].as_f64() > Some(0.0), "{topic}");
+    let cores = shown["cores"].as_array().unwrap();
+    assert!(
+        !cores.is_empty()
+            && cores.iter().all(|core| (0.0..=100.0).contains(&core["load_percent"].as_f64().unwrap()))
+    );
+    let table = taut(&["top", "--once", "--filter", "tick", "--sort", "rate"]).output().unwrap();
+    assert!(String::from_utf8(table.stdout).unwrap().contains("/tick"));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(
+        picture()["topics"],
+        Value::Array(Vec::new()),
+        "who was killed is not there, though nobody buried it"
+    );
+
+    let refused = taut(&["top"]).stdin(Stdio::null()).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8(refused.stderr).unwrap().contains("this is no terminal"));
+}
+
+/// Reads what is drawn until the terminal is as wanted.
+fn read_until(
+    terminal: &mut File,
+    screen: &mut vt100::Parser,
+    what: &str,
+    is_it: impl Fn(&vt100::Screen) -> bool,
+) {
+    let mut bytes = [0; 4096];
+    let patience = Timespec { tv_sec: 30, tv_nsec: 0 };
+    while !is_it(screen.screen()) {
+        let seen = poll(&mut [PollFd::new(terminal, PollFlags::IN)], Some(&patience)).unwrap();
+        assert!(seen > 0, "{what:?} does not come: {}", screen.screen().contents());
+        let len = terminal.read(&mut bytes).unwrap();
+        screen.process(&bytes[..len]);
+    }
+}
+
+#[test]
+fn on_a_terminal_it_goes_on_until_q() {
+    let terminal = pty::openpt(pty::OpenptFlags::RDWR | pty::OpenptFlags::NOCTTY).unwrap();
+    pty::grantpt(&terminal).unwrap();
+    pty::unlockpt(&terminal).unwrap();
+    let size = Winsize { ws_row: 24, ws_col: 120, ws_xpixel: 0, ws_ypixel: 0 };
+    tcsetwinsize(&terminal, size).unwrap();
+    let path = pty::ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
+    let open = || File::options().read(true).write(true).open(&path).unwrap();
+    let mut top =
+        taut(&["top", "--domain", "145", "--every", "100ms"]).stdin(open()).stdout(open()).spawn().unwrap();
+    let mut terminal = File::from(terminal);
+    let mut screen = vt100::Parser::new(24, 120, 0);
+    // Each key once the one before has been answered.
+    for (key, answer) in [
+        ("", "taut top: domain 145, 0 processes"),
+        ("/", "filter: _"),
+        ("x", "filter: x_"),
+        ("\r", "/ filter (x)"),
+        ("s", "s sort (Rate)"),
+        ("\t", "> 0 topics"),
+        (" ", "0 processes, frozen"),
+    ] {
+        terminal.write_all(key.as_bytes()).unwrap();
+        read_until(&mut terminal, &mut screen, answer, |screen| screen.contents().contains(answer));
+    }
+    terminal.write_all(b"q").unwrap();
+    read_until(&mut terminal, &mut screen, "the end", |screen| !screen.alternate_screen());
+    assert!(top.wait().unwrap().success());
+}
