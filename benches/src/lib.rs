@@ -11,6 +11,7 @@
 //! | `network` | what the gateways cost beside plain Zenoh; in a package of its own, for it builds Zenoh |
 //! | `services` | what a request and its answer cost, beside topics, iceoryx2's request-response and r2r |
 //! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
+//! | `tools` | whether a publisher notices that `taut` looks at its topic |
 //! | `trace` | what a trace event costs, recorded and not |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and

@@ -52,6 +52,8 @@ fn publish_and_take(participant: &Participant, part: String) -> Work {
     let (text, larger) = (TopicType::new("test_msgs/msg/Text"), Limits { message_bytes: 5000, ..limits });
     let texts = participant.create_raw_publisher("/text", &text, Qos::default(), larger).unwrap();
     let taken = participant.create_raw_subscription("/text", &text, Qos::default(), larger).unwrap();
+    // A tool looks on, and takes nothing.
+    let observer = participant.create_observer("/quiet", &TopicType::of::<Count>(), 4, limits).unwrap();
     let member = participant.clone();
     let (mut sum, mut is_set_up) = (0, false);
     let work = move || {
@@ -77,6 +79,7 @@ fn publish_and_take(participant: &Participant, part: String) -> Work {
             return true;
         }
         (1..=MESSAGES).for_each(cycle);
+        assert!(observer.has_samples());
         sum == MESSAGES * (MESSAGES + 1) / 2
     };
     (Box::new(work), false)

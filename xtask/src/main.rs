@@ -153,6 +153,15 @@ enum Bench {
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
     },
+    /// Whether a publisher notices that `taut topic hz`, `taut top` or `taut topic echo` looks at its topic
+    Tools {
+        /// Fewer rounds: some seconds
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// What a trace event costs, recorded and not
     Trace {
         /// Fewer rounds: a second
@@ -269,6 +278,11 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Parameters { quick, json }) => {
             steps::run(&mut bench("parameters", quick, json.as_deref()))
         }
+        Verb::Bench(Bench::Tools { quick, json }) => {
+            let mut steps = Steps::new();
+            bench_tools(&mut steps, quick, json.as_deref());
+            steps.finish()
+        }
         Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
         Verb::Bench(Bench::Compare(options)) => compare::run(&options),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
@@ -329,6 +343,13 @@ fn bench_domain(quick: bool, json: Option<&std::path::Path>, arguments: &[String
     }
     command.args(arguments);
     command
+}
+
+/// With the `taut` of this build.
+fn bench_tools(steps: &mut Steps, quick: bool, json: Option<&std::path::Path>) {
+    if steps.command("bench: tools: build", &mut steps::cargo("build --release -p taut")) {
+        steps.command("bench: tools", &mut bench("tools", quick, json));
+    }
 }
 
 fn bench(name: &str, quick: bool, json: Option<&std::path::Path>) -> Command {

@@ -8,9 +8,9 @@ use crate::reports::{
 };
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{
-    bench, bench_domain, bridge, compare as comparison, examples, fuzz, lttng, packages, paper as evaluation,
-    peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips, stress_doorbell,
-    stress_kills,
+    bench, bench_domain, bench_tools, bridge, compare as comparison, examples, fuzz, lttng, packages,
+    paper as evaluation, peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips,
+    stress_doorbell, stress_kills,
 };
 use std::process::{Command, ExitCode};
 
@@ -347,6 +347,7 @@ fn services(steps: &mut Steps) {
 /// It runs; what it says belongs to the machine.
 fn trace(steps: &mut Steps) {
     steps.command("bench: trace", &mut bench("trace", true, None));
+    bench_tools(steps, true, None);
 }
 
 /// A quick run: no process hangs or leaves anything, and the report keeps its promises; what it says belongs to the machine.

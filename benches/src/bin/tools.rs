@@ -1,0 +1,233 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Does a publisher notice that somebody looks?
+//!
+//! A thread publishes at 1 kHz, with a real-time priority if it may have one, and times each publication, while nobody looks and
+//! while `taut` does, in alternating rounds. What the kernel counts for the thread says more than times do: page faults, and how
+//! often it lost its core. That an observer costs no system call is a test (`transport/tests/syscalls.rs`).
+
+use clap::Parser;
+use hdrhistogram::Histogram;
+use rustix::process::{Pid, Signal, kill_process};
+use serde::Serialize;
+use std::error::Error;
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::time::Duration;
+use tautline::geometry_msgs::msg::Point;
+use tautline_benches::{Disturbance, machine};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline_rt::{CoreSet, Policy, set_affinity, set_policy};
+use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
+
+type Result<T = ()> = std::result::Result<T, Box<dyn Error>>;
+
+/// None of ROS 2's own.
+const DOMAIN: u32 = 146;
+const PERIOD_NS: u64 = 1_000_000;
+
+/// Measures what tools cost a publisher whose topic they look at.
+#[derive(Parser)]
+struct Options {
+    /// Fewer rounds: some seconds
+    #[arg(long)]
+    quick: bool,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// The command that looks [default: taut, beside this program]
+    #[arg(long, value_name = "FILE")]
+    taut: Option<PathBuf>,
+}
+
+/// Who looks, and whether that should cost nothing.
+const CASES: [(&str, &[&str], bool); 5] = [
+    ("nobody", &[], true),
+    ("taut topic hz", &["topic", "hz", "/looked_at"], true),
+    ("taut top", &["top", "--json", "--every", "200ms"], true),
+    ("taut topic hz --take", &["topic", "hz", "/looked_at", "--take"], false),
+    ("taut topic echo", &["topic", "echo", "/looked_at"], false),
+];
+
+#[derive(Serialize)]
+struct Case {
+    name: &'static str,
+    messages: u64,
+    p50_us: f64,
+    p99_us: f64,
+    p999_us: f64,
+    max_us: f64,
+    /// Of the publishing thread, in all rounds.
+    page_faults: u64,
+    /// How often it lost its core.
+    preempted: u64,
+}
+
+/// A tool that runs until this is dropped.
+struct Looking(Child);
+
+impl Looking {
+    fn start(taut: &PathBuf, arguments: &[&str]) -> Result<Self> {
+        let mut command = Command::new(taut);
+        command.args(arguments).args(["--domain", &DOMAIN.to_string()]);
+        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+        Ok(Looking(child.map_err(|error| format!("{}: {error}", taut.display()))?))
+    }
+}
+
+impl Drop for Looking {
+    fn drop(&mut self) {
+        if let Some(pid) = i32::try_from(self.0.id()).ok().and_then(Pid::from_raw) {
+            let _ = kill_process(pid, Signal::INT);
+        }
+        let _ = self.0.wait();
+    }
+}
+
+fn main() -> ExitCode {
+    match measure(&Options::parse()) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("tools: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Page faults and involuntary changes of the thread on the core, so far.
+fn counted() -> Result<[u64; 2]> {
+    let text = std::fs::read_to_string("/proc/thread-self/stat")?;
+    let faults =
+        text.rsplit(") ").next().and_then(|rest| rest.split(' ').nth(7)).ok_or("no page faults in stat")?;
+    let status = std::fs::read_to_string("/proc/thread-self/status")?;
+    let lost = status.lines().find_map(|line| line.strip_prefix("nonvoluntary_ctxt_switches:"));
+    Ok([faults.parse()?, lost.ok_or("no switches in status")?.trim().parse()?])
+}
+
+/// Publishes for one round; the subscription is there to have somebody to send to.
+fn round(
+    publisher: &Publisher<Point>,
+    subscription: &Subscription<Point>,
+    messages: u64,
+    times: &mut Histogram<u64>,
+) {
+    let start_ns = monotonic_ns();
+    for n in 0..messages {
+        sleep_until_monotonic(start_ns + n * PERIOD_NS);
+        let before_ns = monotonic_ns();
+        if let Ok(mut loan) = publisher.loan() {
+            loan.x = n as f64;
+            let _ = loan.publish();
+        }
+        times.saturating_record(monotonic_ns() - before_ns);
+        while let Ok(Some(_)) = subscription.try_take() {}
+    }
+}
+
+fn measure(options: &Options) -> Result<bool> {
+    let (rounds, messages) = if options.quick { (2, 500) } else { (10, 3000) };
+    let beside = || Some(std::env::current_exe().ok()?.with_file_name("taut"));
+    let taut = options.taut.clone().or_else(beside).ok_or("where is taut? Say it with --taut FILE")?;
+    // Before this program confines itself to one core.
+    let (machine, disturbance) = (machine(), Disturbance::start());
+    let participant = Participant::new(DOMAIN)?;
+    let publisher = participant.create_publisher::<Point>("/looked_at", Qos::default(), Limits::default())?;
+    let subscription =
+        participant.create_subscription::<Point>("/looked_at", Qos::default(), Limits::default())?;
+    subscription.set_quiet(true);
+    let mut all = Vec::new();
+    for _ in CASES {
+        all.push((Histogram::new_with_bounds(1, 1_000_000_000, 3)?, [0, 0]));
+    }
+    let worker = std::thread::spawn(move || -> std::result::Result<_, String> {
+        let refuse = |error: Box<dyn Error>| error.to_string();
+        if let Some(core) = CoreSet::allowed().ok().and_then(|cores| cores.iter().last()) {
+            set_affinity(CoreSet::one(core)).map_err(|error| refuse(error.into()))?;
+        }
+        if let Err(error) = set_policy(Policy::Fifo(80)) {
+            println!("without a real-time priority: {error}");
+        }
+        // Pages and caches are there.
+        round(&publisher, &subscription, 200, &mut Histogram::new(3).map_err(|error| refuse(error.into()))?);
+        for _ in 0..rounds {
+            for ((_, arguments, _), (times, counts)) in CASES.iter().zip(&mut all) {
+                let looking = match arguments.is_empty() {
+                    true => None,
+                    false => Some(Looking::start(&taut, arguments).map_err(refuse)?),
+                };
+                // It has begun to look, and who is taken from has been set up for it.
+                std::thread::sleep(Duration::from_millis(400));
+                round(
+                    &publisher,
+                    &subscription,
+                    100,
+                    &mut Histogram::new(3).map_err(|error| refuse(error.into()))?,
+                );
+                let before = counted().map_err(refuse)?;
+                round(&publisher, &subscription, messages, times);
+                let after = counted().map_err(refuse)?;
+                for (count, (after, before)) in counts.iter_mut().zip(after.into_iter().zip(before)) {
+                    *count += after - before;
+                }
+                drop(looking);
+            }
+        }
+        Ok(all)
+    });
+    let all = worker.join().map_err(|_| "the publishing thread panicked")??;
+    let case = |((name, ..), (times, [page_faults, preempted])): (
+        &(&'static str, _, _),
+        &(Histogram<u64>, [u64; 2]),
+    )| {
+        let us = |q: f64| times.value_at_quantile(q) as f64 / 1e3;
+        let (messages, max_us) = (times.len(), times.max() as f64 / 1e3);
+        let (page_faults, preempted) = (*page_faults, *preempted);
+        Case {
+            name,
+            messages,
+            p50_us: us(0.5),
+            p99_us: us(0.99),
+            p999_us: us(0.999),
+            max_us,
+            page_faults,
+            preempted,
+        }
+    };
+    let cases: Vec<Case> = CASES.iter().zip(&all).map(case).collect();
+    print(&cases);
+    println!("\n{machine}\n{}", disturbance.report());
+    if let Some(path) = &options.json {
+        std::fs::write(path, serde_json::to_string_pretty(&cases)?)?;
+    }
+    let faulted: Vec<_> =
+        cases.iter().zip(CASES).filter(|(case, (.., is_free))| *is_free && case.page_faults > 0).collect();
+    for (case, _) in &faulted {
+        println!(
+            "\n{}: {} page faults of the publisher, and there should be none",
+            case.name, case.page_faults
+        );
+    }
+    Ok(faulted.is_empty())
+}
+
+fn print(cases: &[Case]) {
+    println!("a publication at 1 kHz, in us, and what the kernel counts of its thread\n");
+    println!(
+        "{:<22}  {:>8}  {:>7}  {:>7}  {:>7}  {:>8}  {:>11}  {:>9}  {:>10}",
+        "who looks", "n", "p50", "p99", "p99.9", "max", "page faults", "preempted", "p99.9 is x"
+    );
+    for case in cases {
+        println!(
+            "{:<22}  {:>8}  {:7.2}  {:7.2}  {:7.2}  {:8.2}  {:>11}  {:>9}  {:>10.2}",
+            case.name,
+            case.messages,
+            case.p50_us,
+            case.p99_us,
+            case.p999_us,
+            case.max_us,
+            case.page_faults,
+            case.preempted,
+            case.p999_us / cases[0].p999_us
+        );
+    }
+}
