@@ -175,7 +175,7 @@ fn what_is_no_recording_is_refused_by_name() {
     std::fs::write(&file, "nothing\n").unwrap();
     for verb in ["latency", "export"] {
         let out = taut(&["trace", verb, &file.display().to_string()]);
-        assert_eq!(out.status.code(), Some(1));
+        assert_eq!(out.status.code(), Some(2));
         let complaint = text(&out.stderr);
         assert!(complaint.contains("notes.txt` is no recording: it does not begin as one"), "{complaint}");
     }

@@ -145,13 +145,15 @@ impl<P: Port> End<P> {
         }
     }
 
-    /// Sets the callback for new messages, or takes it back. The helper calls it, also for what nobody was called for before.
+    /// Sets the callback for new messages, or takes it back. It is called here for what waits and nobody was called for before, as
+    /// other RMWs do it; after that the helper calls it.
     pub(crate) fn set_on_new(self: &Arc<Self>, helper: &Helper, function: Function) {
         self.callback.replace(function);
         self.callback.settle();
         if function.is_none() {
             return;
         }
+        self.tell(None);
         if self.is_served.swap(true, Ordering::AcqRel) {
             return self.go_home();
         }
@@ -171,20 +173,23 @@ impl<P: Port> End<P> {
         poll_fn(|context| match end.upgrade() {
             None => Poll::Ready(()),
             Some(end) => {
-                end.tell(context.waker());
+                end.tell(Some(context.waker()));
                 Poll::Pending
             }
         })
         .await;
     }
 
-    fn tell(&self, task: &Waker) {
+    /// Calls for what nobody was called for; the helper's task hears of what comes after that.
+    fn tell(&self, task: Option<&Waker>) {
         let (call, new) = {
             let (port, route) = &mut *self.side.lock();
-            route.task = Some(task.clone());
+            route.task = task.cloned().or_else(|| route.task.take());
             let Some(call) = self.callback.begin() else { return };
             let subscription = port.subscription();
-            route.hear(subscription, task);
+            if let Some(task) = task {
+                route.hear(subscription, task);
+            }
             let counters = subscription.counters();
             let past = counters.received() + counters.lost() + counters.expired() + counters.invalid();
             let all = past.saturating_add(subscription.waiting());

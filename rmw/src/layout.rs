@@ -1,20 +1,28 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether a type's structs lie in memory as its CDR does.
 
-use tautline_schema::{Base, Definition, Schema, Shape};
+use std::ops::Range;
+use tautline_schema::{Base, Definition, Primitive, Schema, Shape};
 
-/// The length of each message, if every field is at the same place in a struct of C's and in CDR; `None` if one is not, or if there
-/// are none.
-pub(crate) fn is_same_in_memory(schema: &Schema) -> Option<usize> {
-    let mut walk = Walk { schema, cdr: 0 };
+/// Messages that lie in memory as their CDR does.
+pub(crate) struct Same {
+    pub(crate) len_bytes: usize,
+    /// Where their bools are.
+    pub(crate) bools: Vec<Range<usize>>,
+}
+
+/// Whether every field is at the same place in a struct of C's and in CDR; `None` if one is not, or if there are none.
+pub(crate) fn same_in_memory(schema: &Schema) -> Option<Same> {
+    let mut walk = Walk { schema, cdr: 0, bools: Vec::new() };
     let end = walk.message(schema.definition(), 0)?;
-    (end.last > 0 && walk.cdr == end.last).then_some(walk.cdr)
+    (end.last > 0 && walk.cdr == end.last).then_some(Same { len_bytes: walk.cdr, bools: walk.bools })
 }
 
 /// Where the next field is in CDR.
 struct Walk<'s> {
     schema: &'s Schema,
     cdr: usize,
+    bools: Vec<Range<usize>>,
 }
 
 /// The end of a struct: that of its last field, and with what follows it for its alignment.
@@ -34,7 +42,12 @@ impl Walk<'_> {
                 _ => return None,
             };
             match &field.ty.base {
-                Base::Primitive(primitive) => last = self.numbers(primitive.size(), count, last)?,
+                Base::Primitive(primitive) => {
+                    last = self.numbers(primitive.size(), count, last)?;
+                    if *primitive == Primitive::Bool {
+                        self.bools.push(last - count..last);
+                    }
+                }
                 base => {
                     for _ in 0..count {
                         last = self.nested(base, last)?;
@@ -84,8 +97,10 @@ mod tests {
 
     #[test]
     fn a_field_after_a_struct_that_is_padded_is_elsewhere_in_cdr() {
-        let length =
-            |text: &str| is_same_in_memory(&Schema::from_text(&"a/msg/A".parse().unwrap(), text).unwrap());
+        let same =
+            |text: &str| same_in_memory(&Schema::from_text(&"a/msg/A".parse().unwrap(), text).unwrap());
+        let length = |text: &str| same(text).map(|same| same.len_bytes);
+        assert_eq!(same("int32 n\nbool a\nbool[3] b\nuint8 c\nbool d").unwrap().bools, [4..5, 5..8, 9..10]);
         let nested =
             |text: &str| length(&format!("{text}\n{}\nMSG: a/C\nfloat32 f\nuint8 b\n", "=".repeat(80)));
         assert_eq!(length("float64[6] x\nbool b"), Some(49));

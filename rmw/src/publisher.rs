@@ -208,7 +208,8 @@ pub unsafe extern "C" fn rmw_publish_loaned_message(
             return Err(Error::null("the message"));
         }
         let mut side = publisher.side.lock();
-        let loan = side.take_back(message)?;
+        let mut loan = side.take_back(message)?;
+        publisher.message_type.tidy(&mut loan);
         publisher.publish_loan(side, loan)
     })
 }
@@ -309,6 +310,7 @@ pub unsafe extern "C" fn rmw_publish(
             return publisher.publish(len_bytes, |body| {
                 // SAFETY: rmw's word: a message of this type, whose struct begins with its body.
                 unsafe { body.as_mut_ptr().copy_from_nonoverlapping(message.cast(), body.len()) };
+                publisher.message_type.tidy(body);
                 Ok(body.len())
             });
         }

@@ -147,7 +147,8 @@ impl Subscription {
         if body.len() < len_bytes {
             return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
         }
-        if self.message_type.has_bools {
+        if !self.message_type.is_tidy(body) {
+            // It says which.
             DynamicMessage::validate(&self.message_type.schema, body, Endian::Little)
                 .map_err(Error::other)?;
         }

@@ -7,10 +7,10 @@ use crate::error::{Error, Result, without_text};
 use crate::layout;
 use std::collections::HashMap;
 use std::ffi::CStr;
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 use tautline_schema::{
-    Base, Field, FieldDescription, FieldTypeDescription, IndividualTypeDescription, Primitive, Schema,
-    TypeDescription,
+    FieldDescription, FieldTypeDescription, IndividualTypeDescription, Schema, TypeDescription,
 };
 use tautline_transport::{Claim, Limits, ServiceType, TopicType};
 
@@ -27,8 +27,8 @@ pub(crate) struct MessageType {
     pub(crate) topic_type: TopicType,
     /// For bytes of another order.
     pub(crate) schema: Arc<Schema>,
-    /// Whether a field of it, or of what it consists of, is a bool.
-    pub(crate) has_bools: bool,
+    /// Of a plain type: where its bools are.
+    bools: Vec<Range<usize>>,
 }
 
 /// A type of services.
@@ -57,17 +57,35 @@ impl MessageType {
         let known = unsafe { known(hash, description)? };
         let topic_type = TopicType::new(known.schema.name().to_string()).with_hash(known.hash);
         let topic_type = topic_type.with_definition(known.definition);
-        let all = std::iter::once(known.schema.definition()).chain(known.schema.referenced());
-        let is_bool = |field: &Field| field.ty.base == Base::Primitive(Primitive::Bool);
-        let has_bools = all.flat_map(|definition| &definition.fields).any(is_bool);
         // Its generator calls a type plain whose last field alone is where it is in CDR.
-        let length = match callbacks.length() {
-            Length::Plain(bytes) if layout::is_same_in_memory(&known.schema) != Some(bytes) => {
-                Length::AtMost(bytes)
+        let (length, bools) = match (callbacks.length(), layout::same_in_memory(&known.schema)) {
+            (Length::Plain(bytes), Some(same)) if same.len_bytes == bytes => {
+                (Length::Plain(bytes), same.bools)
             }
-            length => length,
+            (Length::Plain(bytes), _) => (Length::AtMost(bytes), Vec::new()),
+            (length, _) => (length, Vec::new()),
         };
-        Ok(MessageType { callbacks, length, topic_type, schema: known.schema, has_bools })
+        Ok(MessageType { callbacks, length, topic_type, schema: known.schema, bools })
+    }
+
+    /// What is written for a bool is 0 or 1, whatever is in memory: C's structs may not have been filled in.
+    ///
+    /// # Real-time
+    /// O(bools); no allocation; no syscall.
+    pub(crate) fn tidy(&self, body: &mut [u8]) {
+        for bools in &self.bools {
+            let bytes = body.get_mut(bools.clone()).unwrap_or_default();
+            bytes.iter_mut().filter(|byte| **byte > 1).for_each(|byte| *byte = 1);
+        }
+    }
+
+    /// Whether each bool of a body is one.
+    ///
+    /// # Real-time
+    /// As [`tidy`](Self::tidy).
+    pub(crate) fn is_tidy(&self, body: &[u8]) -> bool {
+        let mut all = self.bools.iter().filter_map(|bools| body.get(bools.clone()));
+        all.all(|bytes| bytes.iter().all(|byte| *byte <= 1))
     }
 
     /// What an end has room for: memory is claimed when it is first needed, and grows with what is sent.
