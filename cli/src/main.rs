@@ -6,6 +6,7 @@ mod bridge_ros;
 mod check;
 mod component;
 mod demo;
+mod doctor;
 mod gateway;
 mod init;
 mod manners;
@@ -36,6 +37,7 @@ struct Cli {
 enum Verb {
     Demo(demo::DemoArgs),
     Check(check::CheckArgs),
+    Doctor(doctor::DoctorArgs),
     Init(init::InitArgs),
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
@@ -61,6 +63,7 @@ fn main() -> ExitCode {
         Verb::Check(args) => return check::run(&args),
         Verb::Init(args) => return init::run(&args),
         Verb::Report(args) => return report::run(&args),
+        Verb::Doctor(args) => doctor::run(&args),
         Verb::Demo(args) => demo::run(args).or_else(|error| said(&error)),
         Verb::Trace(args) => trace::run(args).or_else(|error| said(&error)),
         Verb::Gateway(args) => gateway::run(args).or_else(|error| said(&error)),

@@ -42,6 +42,17 @@ impl CoreSet {
         self
     }
 
+    /// Reads a list as the kernel writes it, `0-3,8`, or an empty text for no cores; `None` if it is no list.
+    pub fn parse(list: &str) -> Option<CoreSet> {
+        let parts = list.trim().split(',').filter(|part| !part.is_empty());
+        let ranges = parts.map(|part| {
+            let (first, last) = part.split_once('-').unwrap_or((part, part));
+            let (first, last) = (first.parse::<usize>().ok()?, last.parse::<usize>().ok()?);
+            (first <= last).then(|| first..=last.min(first.max(Self::MAX)))
+        });
+        Some(ranges.collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
+    }
+
     /// All cores this process may be bound to: those online that its cpuset grants, however it is bound now.
     ///
     /// # Errors
@@ -213,6 +224,20 @@ mod tests {
             assert_eq!(set.to_string(), text);
             assert_eq!(set.iter().collect::<Vec<_>>(), cores);
             assert_eq!(set.len(), cores.len());
+        }
+    }
+
+    #[test]
+    fn lists_of_the_kernel_are_read() {
+        for list in ["0-3,8,10-11\n", "5", "1023"] {
+            assert_eq!(CoreSet::parse(list).unwrap().to_string(), list.trim());
+        }
+        assert!(CoreSet::parse("\n").unwrap().is_empty());
+        for beyond in ["0-99999", "99999"] {
+            assert!(CoreSet::parse(beyond).unwrap().check().is_err(), "{beyond}");
+        }
+        for wrong in ["garbage", "1-", "3-1", "a-b", "0;3"] {
+            assert_eq!(CoreSet::parse(wrong), None, "{wrong}");
         }
     }
 

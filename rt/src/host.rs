@@ -20,6 +20,19 @@ pub enum Preemption {
     Voluntary,
 }
 
+impl Preemption {
+    /// As the kernel's version says, such as `#1 SMP PREEMPT_RT Debian 6.1` (`uname -v`).
+    pub fn of_version(version: &str) -> Preemption {
+        let has = |word| version.split_whitespace().any(|w| w == word);
+        match () {
+            () if has("PREEMPT_RT") => Preemption::Rt,
+            () if has("PREEMPT_DYNAMIC") => Preemption::Dynamic,
+            () if has("PREEMPT") => Preemption::Full,
+            () => Preemption::Voluntary,
+        }
+    }
+}
+
 impl fmt::Display for Preemption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -55,7 +68,11 @@ impl HostInfo {
         let mode = fs::read_to_string("/sys/kernel/debug/sched/preempt").ok();
         HostInfo {
             kernel: name.release().to_string_lossy().into_owned(),
-            preemption: if is_rt { Preemption::Rt } else { preemption(&name.version().to_string_lossy()) },
+            preemption: if is_rt {
+                Preemption::Rt
+            } else {
+                Preemption::of_version(&name.version().to_string_lossy())
+            },
             preempt_mode: mode.and_then(|text| selected(&text)),
             rt_runtime_us: number("/proc/sys/kernel/sched_rt_runtime_us"),
             rt_period_us: number("/proc/sys/kernel/sched_rt_period_us"),
@@ -75,7 +92,7 @@ pub fn name() -> String {
 pub fn online_cores() -> Result<CoreSet, RtError> {
     let text = fs::read_to_string("/sys/devices/system/cpu/online")
         .map_err(|source| RtError::Kernel { what: "reading /sys/devices/system/cpu/online", source })?;
-    Ok(parse_cores(&text))
+    Ok(CoreSet::parse(&text).unwrap_or_default())
 }
 
 /// Time that the hypervisor gave to others while this machine, or this core, wanted to run, in ticks of 10 ms since
@@ -98,29 +115,10 @@ pub fn raise_open_files() -> u64 {
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }
 
-fn preemption(version: &str) -> Preemption {
-    let has = |word| version.split_whitespace().any(|w| w == word);
-    match () {
-        () if has("PREEMPT_RT") => Preemption::Rt,
-        () if has("PREEMPT_DYNAMIC") => Preemption::Dynamic,
-        () if has("PREEMPT") => Preemption::Full,
-        () => Preemption::Voluntary,
-    }
-}
-
 /// The bracketed word of `none voluntary (full)`.
 fn selected(text: &str) -> Option<String> {
     let (_, rest) = text.split_once('(')?;
     Some(rest.split_once(')')?.0.to_owned())
-}
-
-/// Reads a list such as `0-3,8`.
-fn parse_cores(list: &str) -> CoreSet {
-    let ranges = list.trim().split(',').filter_map(|part| {
-        let (first, last) = part.split_once('-').unwrap_or((part, part));
-        Some(first.parse().ok()?..=last.parse::<usize>().ok()?.min(CoreSet::MAX - 1))
-    });
-    ranges.flatten().collect()
 }
 
 /// The 8th number of the line `cpu` (all cores) or `cpuN`.
@@ -137,13 +135,11 @@ mod tests {
 
     #[test]
     fn kernel_texts_are_read() {
-        assert_eq!(preemption("#1 SMP PREEMPT_RT Debian 6.1"), Preemption::Rt);
-        assert_eq!(preemption("#45-Ubuntu SMP PREEMPT_DYNAMIC Fri"), Preemption::Dynamic);
-        assert_eq!(preemption("#1 SMP PREEMPT Mon"), Preemption::Full);
-        assert_eq!(preemption("#1 SMP Mon"), Preemption::Voluntary);
+        assert_eq!(Preemption::of_version("#1 SMP PREEMPT_RT Debian 6.1"), Preemption::Rt);
+        assert_eq!(Preemption::of_version("#45-Ubuntu SMP PREEMPT_DYNAMIC Fri"), Preemption::Dynamic);
+        assert_eq!(Preemption::of_version("#1 SMP PREEMPT Mon"), Preemption::Full);
+        assert_eq!(Preemption::of_version("#1 SMP Mon"), Preemption::Voluntary);
         assert_eq!(selected("none voluntary (full)\n").as_deref(), Some("full"));
-        assert_eq!(parse_cores("0-3,8,10-11\n").to_string(), "0-3,8,10-11");
-        assert_eq!(parse_cores("garbage").len(), 0);
         let stat =
             "cpu  1 2 3 4 5 6 7 88 9 10\ncpu0 1 2 3 4 5 6 7 40 9 10\ncpu1 1 2 3 4 5 6 7 48 9 10\nintr 5\n";
         assert_eq!([None, Some(0), Some(1), Some(2)].map(|core| parse_steal(stat, core)), [88, 40, 48, 0]);

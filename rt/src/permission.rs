@@ -48,8 +48,8 @@ fn group_without_runtime() -> Option<PathBuf> {
     files.find(|file| fs::read_to_string(file).is_ok_and(|runtime| runtime.trim() == "0"))
 }
 
-/// The path of the cpu controller's group, relative to its mount, in the text of `/proc/self/cgroup`.
-fn cpu_group(text: &str) -> Option<&str> {
+/// The path of the cpu controller's group, relative to its mount, in the text of `/proc/self/cgroup`; `None` under version 2 of cgroups.
+pub fn cpu_group(text: &str) -> Option<&str> {
     text.lines().find_map(|line| {
         let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
         controllers.split(',').any(|c| c == "cpu").then(|| path.trim_start_matches('/'))

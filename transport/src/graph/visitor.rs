@@ -5,7 +5,7 @@ use super::domain::Domain;
 use super::model::{Model, VISITOR};
 use super::{EndpointKind, GraphSnapshot, TopicEndpoint};
 use crate::error::TransportError;
-use crate::participant::check_domain;
+use crate::participant::{check_domain, file::Peer};
 use crate::topic::control::{Head, Sent, View};
 use crate::topic::header::Gid;
 use std::collections::HashMap;
@@ -60,6 +60,14 @@ impl Visitor {
         let graph = self.model.look(domain)?;
         self.heads.retain(|gid, _| self.model.memory_of(*gid).is_some());
         Ok(graph)
+    }
+
+    /// Why participants that live are left out of the [`graph`](Self::graph): they are of another version of Tautline, or damaged.
+    pub fn left_out(&self) -> Vec<TransportError> {
+        let Some(domain) = &self.domain else { return Vec::new() };
+        let number = domain.number();
+        let living = domain.members().filter(|member| Peer::lives(number, member.id));
+        living.filter_map(|member| Peer::open(number, member.id).err()).collect()
     }
 
     /// What a publisher of this host has sent, by its own count. `None`: it has gone, or is elsewhere; ask for the

@@ -1,0 +1,184 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is wrong in a domain: versions mixed, names twice, ends that do not fit each other, files left behind, too little shared memory.
+
+use super::finding::{Finding, Verdict, size};
+use super::host::Tree;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use tautline::rt::domain::shared_folder;
+use tautline::rt::shm::{self, PeerFile};
+use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, TransportError};
+use tautline_trace::is_trace_file;
+use tautline_transport::Visitor;
+
+/// What the least process of a domain reserves: its context, the domain's file and the file for traces (docs/memory.md).
+const LEAST_BYTES: u64 = 6 << 20;
+
+/// Everything about a domain; `tree` says how large its shared memory is.
+pub fn findings(tree: &Tree, domain: u32) -> Vec<Finding> {
+    let mut findings = match look(domain) {
+        Ok((graph, left_out)) => {
+            let mut findings = versions(&left_out);
+            findings.extend(one_or_good("node names", names(&graph), || {
+                format!("{} nodes in domain {domain}, each name once", graph.nodes.len())
+            }));
+            findings.extend(one_or_good("qos", mismatches(&graph), || {
+                format!("the ends of all topics of domain {domain} fit each other")
+            }));
+            findings
+        }
+        // Its own file is of another version.
+        Err(error @ TransportError::Version { .. }) => versions(&[error]),
+        Err(error) => vec![Finding::of("domain", Err(error.to_string()))],
+    };
+    findings.push(Finding::of("left behind", left_behind(domain)));
+    findings.push(Finding::of("shared memory", memory(tree, domain)));
+    findings
+}
+
+fn look(domain: u32) -> Result<(std::sync::Arc<GraphSnapshot>, Vec<TransportError>), TransportError> {
+    let mut visitor = Visitor::new(domain)?;
+    let graph = visitor.graph()?;
+    Ok((graph, visitor.left_out()))
+}
+
+fn one_or_good(check: &'static str, found: Vec<Finding>, good: impl Fn() -> String) -> Vec<Finding> {
+    let found = if found.is_empty() { vec![Finding::good(good())] } else { found };
+    found.into_iter().map(|finding| Finding { check, ..finding }).collect()
+}
+
+fn versions(left_out: &[TransportError]) -> Vec<Finding> {
+    let bad = |error: &TransportError| {
+        Finding::new(Verdict::Bad, error.to_string())
+            .fix("build all programs of the domain with one version of Tautline (docs/troubleshooting.md)")
+    };
+    one_or_good("versions", left_out.iter().map(bad).collect(), || {
+        "all processes of the domain understand each other".into()
+    })
+}
+
+fn names(graph: &GraphSnapshot) -> Vec<Finding> {
+    let twice = graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1);
+    let bad = |same: &[std::sync::Arc<tautline::NodeInfo>]| {
+        let places = same.iter().map(|node| match node.pid {
+            Some(pid) => format!("process {pid}"),
+            None => format!("on {}", crate::table::place(&node.origin).unwrap_or("this host")),
+        });
+        let places = places.collect::<Vec<_>>().join(", ");
+        Finding::new(Verdict::Bad, format!("{} nodes are called {}: {places}", same.len(), same[0].name))
+            .fix("rename one: --ros-args -r __node:=NAME; which of them answers requests for its parameters is chance")
+    };
+    twice.map(bad).collect()
+}
+
+/// Publishers and subscriptions that get nothing from each other, by topic and reason. Pairs of other hosts are theirs to check.
+fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
+    let mut pairs: BTreeMap<(&str, String), BTreeSet<String>> = BTreeMap::new();
+    for topic in graph.endpoints.chunk_by(|one, other| one.topic == other.topic) {
+        let of = |kind| topic.iter().filter(move |end| end.kind == kind);
+        for publisher in of(EndpointKind::Publisher) {
+            for subscription in of(EndpointKind::Subscription) {
+                if (publisher.is_remote && subscription.is_remote) || is_fit(publisher, subscription) {
+                    continue;
+                }
+                let reason = match publisher.qos.incompatibility(&subscription.qos) {
+                    Some(policy) => format!("the {policy} that is offered does not meet what is requested"),
+                    None => "their types differ".into(),
+                };
+                let pair = format!("{} -> {}", label(publisher), label(subscription));
+                pairs.entry((&publisher.topic, reason)).or_default().insert(pair);
+            }
+        }
+    }
+    let bad = |((topic, reason), pairs): ((&str, String), BTreeSet<String>)| {
+        let pairs = pairs.into_iter().collect::<Vec<_>>().join(", ");
+        let fix = format!(
+            "change one of them: `taut topic info {topic} -v` shows both; who fits whom is in docs/qos.md"
+        );
+        Finding::new(Verdict::Bad, format!("{topic}: no message gets from {pairs}: {reason}")).fix(fix)
+    };
+    pairs.into_iter().map(bad).collect()
+}
+
+fn is_fit(publisher: &TopicEndpoint, subscription: &TopicEndpoint) -> bool {
+    publisher.topic_type.agrees_with(&subscription.topic_type)
+        && publisher.qos.incompatibility(&subscription.qos).is_none()
+}
+
+fn label(end: &TopicEndpoint) -> String {
+    end.node.as_ref().map_or_else(|| format!("{:?}", end.gid), |node| node.full_name())
+}
+
+/// What a file takes of /dev/shm.
+fn taken(path: &Path) -> u64 {
+    fs::symlink_metadata(path).map_or(0, |file| file.blocks() * 512)
+}
+
+fn left_behind(domain: u32) -> super::finding::Checked {
+    let folder = shared_folder(domain);
+    let list = |prefix: &str| shm::list(prefix).map_err(|error| error.to_string());
+    let (mut left, mut traces, mut living) = (Vec::new(), Vec::new(), 0);
+    for path in list(&format!("{folder}/"))? {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        // Those two have no owner; they go with the last process.
+        if ["domain", "warden"].contains(&&*name) {
+            continue;
+        }
+        let Ok(file) = PeerFile::open(path.clone(), false) else { continue };
+        match file.is_owned() {
+            true => living += 1,
+            false if is_trace_file(&name) => traces.push(path),
+            false => left.push(path),
+        }
+    }
+    // Of versions that had no folders.
+    left.extend(list(&format!("{folder}_"))?);
+    let bytes = |paths: &[PathBuf]| size(paths.iter().map(|path| taken(path)).sum());
+    let path = Path::new(shm::DIRECTORY).join(&folder);
+    let path = path.display();
+    if left.is_empty() && traces.is_empty() {
+        return Ok(Finding::good("nothing of processes that were killed"));
+    }
+    let value = format!(
+        "of processes that were killed: {} files, {}, and {} traces, {}, in {path}",
+        left.len(),
+        bytes(&left),
+        traces.len(),
+        bytes(&traces)
+    );
+    let fix = match living {
+        0 => format!("no process of the domain runs: rm -r {path}; `taut trace record --seconds 0` saves the traces before"),
+        _ => "`taut trace record --seconds 0` fetches traces and removes them; the domain's processes remove the rest".to_owned(),
+    };
+    Ok(Finding::new(Verdict::Advice, value).fix(fix).script(
+        // Not as a command: when the script runs, processes may.
+        (living == 0).then(|| format!("# If no process of domain {domain} runs: rm -r '{path}'")),
+    ))
+}
+
+/// What is free in /dev/shm.
+pub fn free_bytes(tree: &Tree) -> Result<u64, String> {
+    let stat = rustix::fs::statvfs(tree.path(shm::DIRECTORY));
+    let stat = stat.map_err(|errno| format!("{}: {}", shm::DIRECTORY, std::io::Error::from(errno).kind()))?;
+    Ok(stat.f_bavail.saturating_mul(stat.f_frsize))
+}
+
+fn memory(tree: &Tree, domain: u32) -> super::finding::Checked {
+    let files = shm::list(&format!("{}/", shared_folder(domain))).map_err(|error| error.to_string())?;
+    let (free, taken) = (free_bytes(tree)?, files.iter().map(|path| taken(path)).sum::<u64>());
+    let value = format!("{} free, domain {domain} has {}", size(free), size(taken));
+    let verdict = match free {
+        _ if free < LEAST_BYTES => Verdict::Bad,
+        _ if free < taken => Verdict::Advice,
+        _ => return Ok(Finding::good(value)),
+    };
+    let value = match verdict {
+        Verdict::Bad => format!("{value}: not enough for one more process ({})", size(LEAST_BYTES)),
+        _ => format!("{value}: not enough to start as much again beside it"),
+    };
+    Ok(Finding::new(verdict, value)
+        .fix("mount -o remount,size=4G /dev/shm, in a container --shm-size; or lower depths and limits (docs/memory.md)")
+        .script(["# As large as the topics need (docs/memory.md): mount -o remount,size=4G /dev/shm"]))
+}

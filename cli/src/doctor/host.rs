@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A host as its files tell of it: this one, or a copy of its /proc, /sys, /etc and /run below some folder.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use tautline::CoreSet;
+
+/// The files of a host.
+pub struct Tree {
+    root: PathBuf,
+}
+
+impl Tree {
+    pub fn new(root: PathBuf) -> Self {
+        Tree { root }
+    }
+
+    /// Whether these are the files of the host that this runs on: then something can be tried instead of read.
+    pub fn is_here(&self) -> bool {
+        self.root == Path::new("/")
+    }
+
+    /// Where `/path` is.
+    pub fn path(&self, path: &str) -> PathBuf {
+        self.root.join(path.trim_start_matches('/'))
+    }
+
+    pub fn has(&self, path: &str) -> bool {
+        self.path(path).exists()
+    }
+
+    /// A file's text, without white space around it.
+    pub fn read(&self, path: &str) -> Result<String, String> {
+        let text = fs::read(self.path(path)).map_err(|error| told(path, &error))?;
+        Ok(String::from_utf8_lossy(&text).trim().to_owned())
+    }
+
+    /// As [`read`](Self::read); `None` if there is no such file.
+    pub fn read_if_there(&self, path: &str) -> Result<Option<String>, String> {
+        match fs::symlink_metadata(self.path(path)) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            _ => self.read(path).map(Some),
+        }
+    }
+
+    /// What a file's text says.
+    pub fn parse<T: FromStr>(&self, path: &str) -> Result<T, String> {
+        let text = self.read(path)?;
+        text.parse().map_err(|_| format!("{path} is '{text}'"))
+    }
+
+    pub fn cores(&self, path: &str) -> Result<CoreSet, String> {
+        let text = self.read(path)?;
+        CoreSet::parse(&text).ok_or_else(|| format!("{path} is '{text}', no list of cores"))
+    }
+
+    /// The names in a folder, sorted.
+    pub fn list(&self, path: &str) -> Result<Vec<String>, String> {
+        let entries = fs::read_dir(self.path(path)).map_err(|error| told(path, &error))?;
+        let mut names: Vec<String> =
+            entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        Ok(names)
+    }
+}
+
+fn told(path: &str, error: &io::Error) -> String {
+    // Without the number, and without the path of a copy.
+    let text = error.to_string();
+    format!("{path}: {}", text.split(" (os error").next().unwrap_or_default())
+}
+
+/// A host, and which of its cores and priorities are to be real-time.
+pub struct Host {
+    pub tree: Tree,
+    online: Result<CoreSet, String>,
+    /// What somebody named, or isolated.
+    chosen: Option<CoreSet>,
+    /// The highest priority that is needed.
+    pub priority: u8,
+}
+
+impl Host {
+    /// Real-time cores are those that are named, else those that are isolated, else all.
+    pub fn new(tree: Tree, named: Option<CoreSet>, priority: u8) -> Self {
+        let file = "/sys/devices/system/cpu/online";
+        // Without a core every check would find nothing wrong.
+        let is_some =
+            |cores: CoreSet| (!cores.is_empty()).then_some(cores).ok_or_else(|| format!("{file} is empty"));
+        let online = tree.cores(file).and_then(is_some);
+        let isolated = isolated(&tree).ok().filter(|cores| !cores.is_empty());
+        Host { tree, online, chosen: named.or(isolated), priority }
+    }
+
+    pub fn online(&self) -> Result<CoreSet, String> {
+        self.online.clone()
+    }
+
+    /// The real-time cores.
+    pub fn cores(&self) -> Result<CoreSet, String> {
+        self.chosen.map_or_else(|| self.online(), Ok)
+    }
+
+    /// Whether they are some that were named or isolated.
+    pub fn is_chosen(&self) -> bool {
+        self.chosen.is_some()
+    }
+
+    /// The cores that are left for everything else.
+    pub fn others(&self) -> Result<CoreSet, String> {
+        let cores = self.cores()?;
+        Ok(self.online()?.iter().filter(|core| !cores.contains(*core)).collect())
+    }
+
+    /// `6.18` of the kernel's release.
+    pub fn kernel(&self) -> Result<(u32, u32), String> {
+        let text = self.tree.read("/proc/sys/kernel/osrelease")?;
+        let mut numbers = text.split(|c: char| !c.is_ascii_digit()).map(str::parse);
+        match (numbers.next(), numbers.next()) {
+            (Some(Ok(major)), Some(Ok(minor))) => Ok((major, minor)),
+            _ => Err(format!("/proc/sys/kernel/osrelease is '{text}'")),
+        }
+    }
+
+    /// Whether it runs on a hypervisor, as far as the processor or the kernel says.
+    pub fn is_virtual(&self) -> Result<bool, String> {
+        let info = self.tree.read("/proc/cpuinfo")?;
+        let flags = info.lines().filter(|line| line.starts_with("flags"));
+        let is_told = flags.flat_map(str::split_whitespace).any(|flag| flag == "hypervisor");
+        Ok(is_told || self.tree.has("/sys/hypervisor/type"))
+    }
+}
+
+/// What is kept free of other threads: since booting (isolcpus), or by a cpuset partition.
+pub fn isolated(tree: &Tree) -> Result<CoreSet, String> {
+    let booted = tree.cores("/sys/devices/system/cpu/isolated")?;
+    let partitions = tree.cores("/sys/fs/cgroup/cpuset.cpus.isolated").unwrap_or_default();
+    Ok(booted.iter().chain(partitions.iter()).collect())
+}

@@ -1,0 +1,164 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the kernel and the hypervisor do to real-time threads: preemption, throttling, the clock, stolen time.
+
+use super::finding::{Checked, Cost, Finding, MEASURE, Verdict};
+use super::host::Host;
+use tautline::CoreSet;
+use tautline::rt::clock::monotonic_ns;
+use tautline::rt::host::Preemption;
+
+const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
+const PERIOD: &str = "/proc/sys/kernel/sched_rt_period_us";
+const FAIR_SERVER: &str = "/sys/kernel/debug/sched/fair_server";
+
+pub fn preemption(host: &Host) -> Checked {
+    let tree = &host.tree;
+    let is_rt = tree.read_if_there("/sys/kernel/realtime")?.is_some_and(|text| text == "1");
+    let kind = match is_rt {
+        true => Preemption::Rt,
+        false => Preemption::of_version(&tree.read("/proc/sys/kernel/version")?),
+    };
+    let value = format!("{kind}, Linux {}", tree.read("/proc/sys/kernel/osrelease")?);
+    if kind == Preemption::Rt {
+        return Ok(Finding::good(value));
+    }
+    Ok(Finding::new(Verdict::Bad, format!("{value}: how long the kernel delays a thread has no bound"))
+        .costs(MEASURE)
+        .fix("boot a kernel with CONFIG_PREEMPT_RT (Debian: linux-image-rt-amd64; Ubuntu: pro enable realtime-kernel)")
+        .script([
+            "# Needs another kernel and a reboot. Debian: apt install linux-image-rt-amd64",
+            "# Ubuntu: pro enable realtime-kernel",
+        ]))
+}
+
+/// What real-time threads may use of a period, in µs: runtime (-1: all) and period.
+pub fn rt_limit(host: &Host) -> Result<(i64, i64), String> {
+    Ok((host.tree.parse(RUNTIME)?, host.tree.parse(PERIOD)?))
+}
+
+pub fn throttling(host: &Host) -> Checked {
+    let (runtime, period) = rt_limit(host)?;
+    if runtime < 0 || runtime >= period {
+        return Ok(Finding::good(format!("none (sched_rt_runtime_us is {runtime})")));
+    }
+    // From Linux 6.12 on the limit is one of groups only; what guards other threads is the fair server.
+    let has_groups = host.tree.has("/sys/fs/cgroup/cpu/cpu.rt_runtime_us")
+        || host.tree.has("/sys/fs/cgroup/cpu,cpuacct/cpu.rt_runtime_us");
+    if host.kernel()? >= (6, 12) && !has_groups {
+        return Ok(Finding::good(format!(
+            "sched_rt_runtime_us is {runtime}, which Linux 6.12 and later does not apply without real-time groups"
+        )));
+    }
+    let value = format!("real-time threads get {runtime} of each {period} µs of a core");
+    let source = format!("pause in each period that they want more of; {RUNTIME}");
+    Ok(Finding::new(Verdict::Advice, value)
+        .costs(Cost::Known((period - runtime) as f64, source))
+        .fix("state it in the system file (throttling), or switch it off: sysctl -w kernel.sched_rt_runtime_us=-1; a thread that never sleeps then keeps its core for ever")
+        .script([
+            "echo 'kernel.sched_rt_runtime_us = -1' > /etc/sysctl.d/90-tautline.conf",
+            "sysctl -w kernel.sched_rt_runtime_us=-1",
+        ]))
+}
+
+pub fn fair_server(host: &Host) -> Checked {
+    if host.kernel()? < (6, 12) {
+        return Ok(Finding::good("none before Linux 6.12"));
+    }
+    let cores = host.cores()?;
+    let mut longest: (u64, u64, usize) = (0, 0, 0);
+    for core in cores.iter() {
+        let file = |name| format!("{FAIR_SERVER}/cpu{core}/{name}");
+        let runtime_ns = host.tree.parse(&file("runtime")).map_err(|error| {
+            format!("{error} (debugfs: root, and `mount -t debugfs none /sys/kernel/debug`)")
+        })?;
+        longest = longest.max((runtime_ns, host.tree.parse(&file("period"))?, core));
+    }
+    let (runtime_ns, period_ns, core) = longest;
+    if runtime_ns == 0 {
+        return Ok(Finding::good(format!("off on cores {cores}")));
+    }
+    let off = |core: usize| format!("echo 0 > {FAIR_SERVER}/cpu{core}/runtime");
+    let value =
+        format!("ordinary threads that starve get {} of each {} µs", runtime_ns / 1000, period_ns / 1000);
+    Ok(Finding::new(Verdict::Advice, value)
+        .costs(Cost::Known(runtime_ns as f64 / 1e3, format!("{FAIR_SERVER}/cpu{core}/runtime")))
+        .fix(format!("state it in the system file (throttling), or on each real-time core: {}", off(core)))
+        .script(cores.iter().map(off)))
+}
+
+pub fn clock(host: &Host) -> Checked {
+    let folder = "/sys/devices/system/clocksource/clocksource0";
+    let name = host.tree.read(&format!("{folder}/current_clocksource"))?;
+    // Those that the kernel maps into processes.
+    let is_mapped = [
+        "tsc",
+        "timebase",
+        "arch_sys_counter",
+        "riscv_clocksource",
+        "kvm-clock",
+        "hyperv_clocksource_tsc_page",
+    ]
+    .contains(&&*name);
+    let read_us = host.tree.is_here().then(read_us);
+    let measured = read_us.map(|us| format!(", {us:.2} µs a reading")).unwrap_or_default();
+    if is_mapped {
+        return Ok(Finding::good(format!("{name}{measured}")));
+    }
+    let available = host.tree.read(&format!("{folder}/available_clocksource"))?;
+    let cost = match read_us {
+        Some(us) => Cost::Known((us * 100.0).round() / 100.0, "a reading, measured now".into()),
+        None => Cost::Unknown("not known; it is measured when this runs on that host"),
+    };
+    let value = format!("{name}, of {available}: each reading is a system call and an access to a device");
+    let finding = Finding::new(Verdict::Bad, value).costs(cost);
+    if available.split_whitespace().any(|other| other == "tsc") {
+        let line = format!("echo tsc > {folder}/current_clocksource");
+        return Ok(finding.fix(format!("{line}; if it goes back, boot with tsc=reliable")).script([line]));
+    }
+    Ok(finding.fix("the kernel took the better one away: `dmesg | grep -i clocksource` says why; boot with tsc=reliable if the firmware is at fault"))
+}
+
+/// What one look at the clock takes, in µs.
+fn read_us() -> f64 {
+    const READINGS: u32 = 10_000;
+    let start_ns = monotonic_ns();
+    let end_ns = (0..READINGS).map(|_| monotonic_ns()).last().unwrap_or(start_ns);
+    (end_ns - start_ns) as f64 / 1e3 / f64::from(READINGS)
+}
+
+pub fn steal(host: &Host) -> Checked {
+    let stat = host.tree.read("/proc/stat")?;
+    let cores = host.cores()?;
+    let (stolen, all) =
+        ticks(&stat, cores).ok_or_else(|| format!("/proc/stat has no lines of all cores {cores}"))?;
+    let share = stolen as f64 / all.max(1) as f64 * 100.0;
+    match (stolen, host.is_virtual()?) {
+        (0, false) => Ok(Finding::good("none")),
+        (0, true) => Ok(Finding::new(
+            Verdict::Unknown,
+            "none is told of, but this is a virtual machine: its hypervisor may not tell",
+        )
+        .costs(MEASURE)
+        .fix("--measure; give each virtual processor a physical one of its own")),
+        _ => Ok(Finding::new(
+            Verdict::Bad,
+            format!("{stolen} ticks of 10 ms since booting on cores {cores}, {share:.3} % of the time"),
+        )
+        .costs(MEASURE)
+        .fix("the hypervisor gives these cores to others: give each virtual processor a physical one of its own, or use no virtual machine")),
+    }
+}
+
+/// What was stolen from the real-time cores and all of their time, in ticks.
+fn ticks(stat: &str, cores: CoreSet) -> Option<(u64, u64)> {
+    let mut sum = (0, 0);
+    for core in cores.iter() {
+        let label = format!("cpu{core}");
+        let line = stat.lines().find(|line| line.split_whitespace().next() == Some(&label))?;
+        // user nice system idle iowait irq softirq steal; guest time after them is in user's already.
+        let numbers: Vec<u64> =
+            line.split_whitespace().skip(1).take(8).map(|number| number.parse().unwrap_or(0)).collect();
+        sum = (sum.0 + numbers.get(7)?, sum.1 + numbers.iter().sum::<u64>());
+    }
+    Some(sum)
+}

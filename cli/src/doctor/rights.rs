@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What this user may do: real-time priorities, locked memory, real-time work in its cpu cgroup, keeping its files in /dev/shm.
+
+use super::finding::{Checked, Cost, Finding, Verdict, size};
+use super::host::{Host, Tree};
+use std::collections::BTreeMap;
+use tautline::rt::RtError;
+use tautline::rt::permission::{cpu_group, realtime_permitted};
+
+const REFUSED: Cost = Cost::Unknown("programs do not start in real time");
+/// Numbers of capabilities: see capability.h.
+const SYS_NICE: u32 = 23;
+const IPC_LOCK: u32 = 14;
+
+const LIMITS: &str = "/etc/security/limits.d/90-tautline.conf";
+
+/// The lines that allow it, for a group of users.
+fn allow(limits: &[&str]) -> Vec<String> {
+    let lines = limits.iter().map(|limit| {
+        format!("grep -qs '^@realtime - {limit}$' {LIMITS} || echo '@realtime - {limit}' >> {LIMITS}")
+    });
+    let group =
+        ["groupadd -f realtime".to_owned(), "# usermod -aG realtime USER, who then logs in again".into()];
+    group.into_iter().chain(lines).collect()
+}
+
+pub fn priority(host: &Host) -> Checked {
+    let wanted = host.priority;
+    let fix = format!(
+        "add the line `@realtime - rtprio 98` to {LIMITS}, join the group realtime and log in again; for a unit of systemd LimitRTPRIO=98"
+    );
+    let bad = |value: String, fix: String| {
+        Finding::new(Verdict::Bad, value).costs(REFUSED).fix(fix).script(allow(&["rtprio 98"]))
+    };
+    if host.tree.is_here() {
+        return Ok(match realtime_permitted(wanted) {
+            Ok(()) => Finding::good(format!("SCHED_FIFO {wanted} is granted to this user (tried)")),
+            Err(error) => {
+                let value = format!("SCHED_FIFO {wanted} is refused (tried)");
+                match error {
+                    // Its text names this program, which is not the one that needs it.
+                    RtError::MissingCapability { .. } | RtError::PriorityLimit { .. } => bad(value, fix),
+                    error => bad(value, error.to_string()).script::<String>([]),
+                }
+            }
+        });
+    }
+    let limit = limit(&host.tree, "Max realtime priority")?;
+    if has_capability(&host.tree, SYS_NICE)? {
+        return Ok(Finding::good("CAP_SYS_NICE"));
+    }
+    let is_enough = limit.is_none_or(|limit| limit >= wanted.into());
+    let limit = limit.map_or("none".into(), |limit| limit.to_string());
+    let value = format!("limit {limit} (RLIMIT_RTPRIO), {wanted} is needed");
+    Ok(if is_enough { Finding::good(value) } else { bad(value, fix) })
+}
+
+pub fn locked_memory(host: &Host) -> Checked {
+    let limit = limit(&host.tree, "Max locked memory")?;
+    if has_capability(&host.tree, IPC_LOCK)? {
+        return Ok(Finding::good("CAP_IPC_LOCK"));
+    }
+    Ok(match limit {
+        None => Finding::good("without a limit"),
+        Some(bytes) => Finding::new(Verdict::Bad, format!("at most {} (RLIMIT_MEMLOCK)", size(bytes)))
+            .costs(REFUSED)
+            .fix(format!(
+                "add the line `@realtime - memlock unlimited` to {LIMITS}, join the group realtime and log in again; for a unit of systemd LimitMEMLOCK=infinity"
+            ))
+            .script(allow(&["memlock unlimited"])),
+    })
+}
+
+/// The soft limit of this process; `None`: unlimited.
+fn limit(tree: &Tree, name: &str) -> Result<Option<u64>, String> {
+    let text = tree.read("/proc/self/limits")?;
+    let soft = text.lines().find_map(|line| line.strip_prefix(name)?.split_whitespace().next());
+    match soft {
+        Some("unlimited") => Ok(None),
+        Some(soft) if soft.parse::<u64>().is_ok() => Ok(soft.parse().ok()),
+        _ => Err(format!("/proc/self/limits says nothing of '{name}'")),
+    }
+}
+
+/// The words behind `name:` in /proc/self/status.
+fn status(tree: &Tree, name: &str) -> Result<String, String> {
+    let text = tree.read("/proc/self/status")?;
+    let value = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
+    value.map(|value| value.trim().to_owned()).ok_or_else(|| format!("/proc/self/status has no {name}"))
+}
+
+fn has_capability(tree: &Tree, number: u32) -> Result<bool, String> {
+    let text = status(tree, "CapEff")?;
+    let set =
+        u64::from_str_radix(&text, 16).map_err(|_| format!("CapEff of /proc/self/status is '{text}'"))?;
+    Ok(set & 1 << number != 0)
+}
+
+pub fn cgroup(host: &Host) -> Checked {
+    let tree = &host.tree;
+    let groups = tree.read("/proc/self/cgroup")?;
+    let Some(group) = cpu_group(&groups) else {
+        return Ok(Finding::good("version 2 of cgroups, which has no runtime of groups"));
+    };
+    let mounts = ["/sys/fs/cgroup/cpu", "/sys/fs/cgroup/cpu,cpuacct"];
+    let Some(mount) = mounts.iter().find(|mount| tree.has(&format!("{mount}/{group}"))) else {
+        return Err(format!(
+            "group /{group} of the cpu controller is neither in {} nor in {}",
+            mounts[0], mounts[1]
+        ));
+    };
+    let file = format!("{mount}/{group}/cpu.rt_runtime_us").replace("//", "/");
+    let Some(runtime) = tree.read_if_there(&file)? else {
+        return Ok(Finding::good("version 1 of cgroups, without runtimes of groups"));
+    };
+    if runtime != "0" {
+        return Ok(Finding::good(format!("group /{group} has {runtime} µs of each period")));
+    }
+    Ok(Finding::new(Verdict::Bad, format!("group /{group} has no real-time runtime ({file} is 0)"))
+        .costs(REFUSED)
+        .fix(format!("start the programs in the root group: echo $$ > {mount}/cgroup.procs; or give each group down to this one a runtime"))
+        .script([format!("# In the shell that starts the programs: echo $$ > {mount}/cgroup.procs")]))
+}
+
+/// Users below this number are the system's, whose files logind leaves alone (SYS_UID_MAX).
+const FIRST_USER: u32 = 1000;
+
+pub fn remove_ipc(host: &Host) -> Checked {
+    let tree = &host.tree;
+    if !tree.has("/run/systemd/sessions") {
+        return Ok(Finding::good("no systemd-logind runs"));
+    }
+    let uids = status(tree, "Uid")?;
+    let uid: u32 = uids.split_whitespace().next().and_then(|uid| uid.parse().ok()).ok_or("no Uid")?;
+    if uid < FIRST_USER {
+        return Ok(Finding::good(format!("user {uid} is the system's, whose files stay")));
+    }
+    let (value, file) = setting(tree, "RemoveIPC")?;
+    let is_no = ["no", "false", "off", "0", "n", "f"].contains(&&*value.to_lowercase());
+    if is_no {
+        return Ok(Finding::good(format!("RemoveIPC={value} ({file})")));
+    }
+    Ok(Finding::new(
+        Verdict::Bad,
+        format!("RemoveIPC={value} ({file}): at the last logout of user {uid} its files in /dev/shm go, also from under what still runs"),
+    )
+    .fix("set RemoveIPC=no in a drop-in of logind.conf and restart systemd-logind, or run the programs as a system user's service")
+    .script([
+        "mkdir -p /etc/systemd/logind.conf.d",
+        "printf '[Login]\\nRemoveIPC=no\\n' > /etc/systemd/logind.conf.d/90-tautline.conf",
+        "systemctl restart systemd-logind",
+    ]))
+}
+
+/// What logind takes: its file's value, or that of the last drop-in by name; of drop-ins with one name the first folder's.
+fn setting(tree: &Tree, key: &str) -> Result<(String, String), String> {
+    let mut drop_ins = BTreeMap::new();
+    for folder in ["/usr/lib/systemd", "/run/systemd", "/etc/systemd"] {
+        let folder = format!("{folder}/logind.conf.d");
+        if tree.has(&folder) {
+            let names = tree.list(&folder)?.into_iter().filter(|name| name.ends_with(".conf"));
+            drop_ins.extend(names.map(|name| (name.clone(), format!("{folder}/{name}"))));
+        }
+    }
+    let mut found = ("yes".to_owned(), "the default".to_owned());
+    for file in ["/etc/systemd/logind.conf".to_owned()].into_iter().chain(drop_ins.into_values()) {
+        let text = tree.read_if_there(&file)?.unwrap_or_default();
+        let assigned =
+            text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim().strip_prefix('='));
+        if let Some(value) = assigned.last() {
+            found = (value.trim().to_owned(), file);
+        }
+    }
+    Ok(found)
+}

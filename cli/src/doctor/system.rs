@@ -1,0 +1,243 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `--system`: whether a system file fits this host. Whether it is schedulable says `taut check`.
+
+use super::domain::free_bytes;
+use super::finding::{Checked, Cost, Finding, Verdict, size};
+use super::host::Host;
+use super::kernel::rt_limit;
+use crate::manners::{Failure, Outcome};
+use std::path::Path;
+use tautline::{CoreSet, Limits, find_schema, topic_memory};
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, CoreEntry, SystemFile};
+use tautline_schema::{Layout, Size};
+use tautline_transport::Qos;
+
+/// A system file as one of its hosts sees it.
+pub struct System {
+    file: SystemFile,
+    checked: CheckedSystem,
+    host: String,
+}
+
+impl System {
+    /// The host is `TAUT_HOST`, or the only one.
+    pub fn read(path: &Path) -> Outcome<Self> {
+        let file = SystemFile::read(path).map_err(|error| {
+            crate::check::print_file_error(&error);
+            Failure::unusable("")
+        })?;
+        let wanted = std::env::var("TAUT_HOST").ok().filter(|host| !host.is_empty());
+        let host = file.host(wanted.as_deref()).map(str::to_owned).map_err(|hosts| {
+            let path = path.display();
+            Failure::unusable(format!("which of {path}'s hosts is this? TAUT_HOST=<{}>", hosts.join(", ")))
+        })?;
+        let checked = file.check();
+        Ok(System { file, checked, host })
+    }
+
+    /// The cores of this host, with their places in the file.
+    fn own(&self) -> impl Iterator<Item = (usize, &CoreEntry)> {
+        self.file.cores().iter().enumerate().filter(|(_, core)| core.host == self.host)
+    }
+
+    pub fn cores(&self) -> CoreSet {
+        self.own().map(|(_, core)| core.number).collect()
+    }
+
+    fn callbacks(&self) -> impl Iterator<Item = &CheckedCallback> {
+        self.checked.callbacks.iter().filter(|callback| callback.host == self.host)
+    }
+
+    /// The highest one that a thread of this host has.
+    pub fn priority(&self) -> u8 {
+        let samplers = self.own().map(|(_, core)| core.sampler_priority);
+        samplers.chain(self.callbacks().map(|callback| callback.entry.priority)).max().unwrap_or(1)
+    }
+
+    pub fn findings(&self, host: &Host) -> Vec<Finding> {
+        vec![
+            Finding::of("kernel threads", self.kernel_threads(host)),
+            Finding::of("stated throttling", self.throttling(host)),
+            Finding::of("memory of the file", self.memory(host)),
+        ]
+    }
+
+    /// Threads of the kernel that serve interrupts, timers and RCU and would wait for those of the file.
+    fn kernel_threads(&self, host: &Host) -> Checked {
+        let (highest, cores) = (self.priority(), self.cores());
+        let (mut count, mut waiting) = (0, Vec::new());
+        let numbers = host.tree.list("/proc")?.into_iter().filter(|name| name.parse::<u32>().is_ok());
+        for number in numbers {
+            // One that has ended meanwhile.
+            let Ok(stat) = host.tree.read(&format!("/proc/{number}/stat")) else { continue };
+            let Some(thread) = KernelThread::parse(&stat) else { continue };
+            count += 1;
+            if thread.priority.is_none_or(|priority| priority > highest) || !thread.is_service() {
+                continue;
+            }
+            let status = host.tree.read(&format!("/proc/{number}/status"))?;
+            let allowed = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"));
+            let allowed = allowed
+                .and_then(CoreSet::parse)
+                .ok_or_else(|| format!("/proc/{number}/status has no cores"))?;
+            // One that may run elsewhere, too, need not wait.
+            if allowed.iter().all(|core| cores.contains(core)) {
+                waiting.push(format!("{} ({})", thread.name, thread.priority.unwrap_or(0)));
+            }
+        }
+        if count == 0 {
+            return Err("/proc shows no thread of the kernel (a container's own PID namespace?)".into());
+        }
+        if highest == 99 {
+            return Ok(Finding::new(
+                Verdict::Bad,
+                "the file has priority 99, which is that of the kernel's own most urgent threads",
+            )
+            .fix("stay at 98 or below"));
+        }
+        if waiting.is_empty() {
+            return Ok(Finding::good(format!(
+                "none of those for interrupts, timers and RCU is bound to cores {cores} at {highest} or below"
+            )));
+        }
+        let value =
+            format!("wait on cores {cores} for threads of the file, up to {highest}: {}", waiting.join(", "));
+        Ok(Finding::new(Verdict::Advice, value)
+            .costs(Cost::Unknown("not known: it costs what depends on these, not the file's threads"))
+            .fix("send the interrupts to other cores; what callbacks depend on gets a higher priority: chrt -f -p PRIORITY PID"))
+    }
+
+    /// Whether the analysis knows of the pauses that the kernel makes.
+    fn throttling(&self, host: &Host) -> Checked {
+        let (runtime, period) = rt_limit(host)?;
+        // The same share, or less.
+        let allows = |place: usize| {
+            let stated = self.file.system().cores.get(place).and_then(|core| core.overheads.throttling);
+            stated.is_some_and(|stated| {
+                stated.runtime_ns as f64 / stated.period_ns as f64 <= runtime as f64 / period as f64
+            })
+        };
+        let is_stated = self.own().all(|(place, _)| allows(place));
+        if runtime < 0 || runtime >= period || is_stated {
+            return Ok(Finding::good("the file allows for all that the kernel does"));
+        }
+        let line = format!("throttling = {{ period = \"{period}us\", runtime = \"{runtime}us\" }}");
+        Ok(Finding::new(
+            Verdict::Advice,
+            format!(
+                "the kernel keeps real-time threads to {runtime} of {period} µs, the file does not say so"
+            ),
+        )
+        .costs(Cost::Known(
+            (period - runtime) as f64,
+            "in each period with more work; sched_rt_runtime_us".into(),
+        ))
+        .fix(format!("put into [overheads]: {line}")))
+    }
+
+    /// What its topics will claim, with one publisher for each and the default limits, against what is free.
+    fn memory(&self, host: &Host) -> Checked {
+        let (mut bytes, mut unknown, mut variable) = (0_u64, Vec::new(), 0);
+        let limits = Limits::default();
+        for topic in self.file.topics() {
+            let takers = || self.callbacks().filter(|callback| callback.entry.topics.contains(&topic.name));
+            let size = topic.type_name.as_deref().and_then(|name| body_size(&topic.name, name));
+            let Some(size) = size else {
+                unknown.push(topic.name.as_str());
+                continue;
+            };
+            let body = match size {
+                Size::Fixed(bytes) => bytes,
+                Size::Formula(_) => {
+                    variable += 1;
+                    limits.message_bytes
+                }
+            };
+            let computed = takers().filter_map(|callback| callback.capacity).max();
+            let stated = topic.depth.and_then(|depth| usize::try_from(depth).ok());
+            let depth = stated.or(computed).unwrap_or(Qos::default().depth);
+            let memory = topic_memory(body, Qos::keep_last(depth), limits, takers().count(), depth);
+            bytes = bytes.saturating_add(memory.claimed_bytes as u64);
+        }
+        let free = free_bytes(&host.tree)?;
+        let mut value =
+            format!("its topics claim {} with one publisher each, {} are free", size(bytes), size(free));
+        if variable > 0 {
+            value += &format!(
+                "; {variable} of no fixed size are counted with {} a message",
+                size(limits.message_bytes as u64)
+            );
+        }
+        let grow = "mount -o remount,size=4G /dev/shm, or lower depths (docs/memory.md)";
+        if bytes > free {
+            return Ok(Finding::new(Verdict::Bad, value).fix(grow));
+        }
+        if !unknown.is_empty() {
+            value += &format!(
+                "; without these, whose type is not stated or not known here: {}",
+                unknown.join(", ")
+            );
+            return Ok(Finding::new(Verdict::Unknown, value)
+                .fix("state `type` in [topics], and source the workspace that defines it"));
+        }
+        Ok(Finding::good(value))
+    }
+}
+
+fn body_size(topic: &str, type_name: &str) -> Option<Size> {
+    let schema = find_schema(topic, &type_name.parse().ok()?, None).ok()?;
+    Some(Layout::of(&schema).size)
+}
+
+/// A thread of the kernel, of /proc/PID/stat.
+#[derive(Debug, PartialEq)]
+struct KernelThread {
+    name: String,
+    /// Of SCHED_FIFO or SCHED_RR.
+    priority: Option<u8>,
+}
+
+impl KernelThread {
+    /// `None`: it is none of the kernel's.
+    fn parse(stat: &str) -> Option<Self> {
+        // The name is in parentheses and may have some of its own.
+        let (front, rest) = stat.rsplit_once(')')?;
+        let name = front.split_once('(')?.1.to_owned();
+        let fields: Vec<&str> = rest.split_whitespace().collect();
+        // proc(5) counts from 1, and the first two are before: ppid is 4, rt_priority 40, policy 41. kthreadd is process 2.
+        let field = |number: usize| fields.get(number - 3).and_then(|field| field.parse::<u32>().ok());
+        if field(4)? != 2 {
+            return None;
+        }
+        let is_real_time = matches!(field(41)?, 1 | 2);
+        Some(KernelThread {
+            name,
+            priority: field(40).filter(|_| is_real_time).and_then(|p| p.try_into().ok()),
+        })
+    }
+
+    /// Whether others wait for what it does.
+    fn is_service(&self) -> bool {
+        ["irq/", "ktimers/", "ksoftirqd/", "rcu", "irq_work/"]
+            .iter()
+            .any(|prefix| self.name.starts_with(prefix))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_of_the_kernel_are_read() {
+        let stat = |name: &str, parent: u32, priority: u32, policy: u32| {
+            format!("77 ({name}) S {parent} {} {priority} {policy} 0 0", ["0"; 35].join(" "))
+        };
+        let irq = KernelThread::parse(&stat("irq/36-(nvme) 0", 2, 50, 1)).unwrap();
+        assert_eq!((&*irq.name, irq.priority, irq.is_service()), ("irq/36-(nvme) 0", Some(50), true));
+        let worker = KernelThread::parse(&stat("kworker/0:1", 2, 0, 0)).unwrap();
+        assert_eq!((worker.priority, worker.is_service()), (None, false));
+        assert_eq!(KernelThread::parse(&stat("irq/1", 1, 50, 1)), None, "somebody's process");
+        assert_eq!(KernelThread::parse("garbage"), None);
+    }
+}
