@@ -70,14 +70,15 @@ pub fn interrupts(host: &Host) -> Checked {
     }
     let first = hits.iter().take(4).map(|(count, number, actions)| {
         let count = count.map_or("?".into(), |count| count.to_string());
-        format!("{number} {actions} ({count})")
+        if actions.is_empty() {
+            format!("{number} ({count})")
+        } else {
+            format!("{number} {actions} ({count})")
+        }
     });
-    let rest = if hits.len() > 4 { ", ..." } else { "" };
-    let value = format!(
-        "{} devices interrupt real-time cores {cores}: {}{rest}",
-        hits.len(),
-        first.collect::<Vec<_>>().join(", ")
-    );
+    let first = first.collect::<Vec<_>>().join(", ");
+    let rest = if hits.len() > 4 { format!(", and {} more", hits.len() - 4) } else { String::new() };
+    let value = format!("devices interrupt real-time cores {cores}: {first}{rest}");
     let others = host.others()?;
     if others.is_empty() {
         let fix = "say which cores are for real-time threads (--cores, --system), so that interrupts can go to the others";

@@ -77,8 +77,7 @@ impl Finding {
     /// The finding of the check with this name.
     pub fn of(check: &'static str, found: Checked) -> Self {
         let unread = |tried: String| {
-            let fix =
-                "not read is not good: repeat as root, or look where the kernel or the container hides it";
+            let fix = "run it as root, or find out why the kernel or the container hides it";
             Finding::new(Verdict::Unknown, format!("cannot be read: {tried}")).costs(MEASURE).fix(fix)
         };
         Finding { check, ..found.unwrap_or_else(unread) }

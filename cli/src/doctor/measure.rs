@@ -107,9 +107,9 @@ pub fn finding(seen: &[Seen]) -> Checked {
     let worst = seen.iter().max_by_key(|seen| seen.sum.longest_ns).ok_or("no core was watched")?;
     let unseen: CoreSet = seen.iter().filter(|seen| seen.sum.window_ns == 0).map(|seen| seen.core).collect();
     if !unseen.is_empty() && worst.sum.longest_ns < BAD_NS {
-        return Err(format!(
-            "cores {unseen} were not watched: withheld from this process, or the end came first"
-        ));
+        let value = format!("cores {unseen} were not watched: they are withheld, or the end came first");
+        return Ok(Finding::new(Verdict::Unknown, value)
+            .fix("give this process those cores, and --measure its time"));
     }
     let (core, longest_ns) = (worst.core, worst.sum.longest_ns);
     let value = format!(
@@ -148,7 +148,8 @@ pub fn write(seen: &[Seen], out: &mut impl Write) -> io::Result<()> {
         ];
         (sum.longest_ns < BAD_NS, cells)
     };
-    write_table(&head, 0, seen.iter().map(row).collect(), out)
+    let watched = seen.iter().filter(|seen| seen.sum.window_ns > 0);
+    write_table(&head, 0, watched.map(row).collect(), out)
 }
 
 #[cfg(test)]

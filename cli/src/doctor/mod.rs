@@ -42,7 +42,7 @@ pub struct DoctorArgs {
     /// The cores of real-time threads, such as 2-3,5 [default: those of the system file, else isolated ones, else all]
     #[arg(long, value_name = "LIST", value_parser = cores)]
     cores: Option<CoreSet>,
-    /// Spin on each of these cores in turn, at the highest priority that is needed, and report what interrupts that
+    /// Spin for this time on each of these cores in turn, at the highest priority that is needed, and report what interrupts that
     #[arg(long, value_name = "TIME", value_parser = time)]
     measure: Option<Duration>,
     /// Check that a system file fits this host; of several hosts in it TAUT_HOST names this one
@@ -65,8 +65,10 @@ fn cores(list: &str) -> Result<CoreSet, String> {
 /// The sampler's, unless a system file says more.
 const PRIORITY: u8 = 90;
 
+type Check = (&'static str, fn(&Host) -> Checked);
+
 /// What is looked at on every host.
-const CHECKS: [(&str, fn(&Host) -> Checked); 17] = [
+const CHECKS: [Check; 17] = [
     ("preemption", kernel::preemption),
     ("throttling", kernel::throttling),
     ("fair server", kernel::fair_server),

@@ -127,6 +127,7 @@ const FIRST_USER: u32 = 1000;
 
 pub fn remove_ipc(host: &Host) -> Checked {
     let tree = &host.tree;
+    tree.list("/run")?;
     if !tree.has("/run/systemd/sessions") {
         return Ok(Finding::good("no systemd-logind runs"));
     }
@@ -165,9 +166,9 @@ fn setting(tree: &Tree, key: &str) -> Result<(String, String), String> {
     let mut found = ("yes".to_owned(), "the default".to_owned());
     for file in ["/etc/systemd/logind.conf".to_owned()].into_iter().chain(drop_ins.into_values()) {
         let text = tree.read_if_there(&file)?.unwrap_or_default();
-        let assigned =
+        let mut assigned =
             text.lines().filter_map(|line| line.trim().strip_prefix(key)?.trim().strip_prefix('='));
-        if let Some(value) = assigned.last() {
+        if let Some(value) = assigned.next_back() {
             found = (value.trim().to_owned(), file);
         }
     }
