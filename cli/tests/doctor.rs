@@ -126,7 +126,7 @@ fn a_good_host() {
     let expected = "\
 good     preemption: PREEMPT_RT, Linux 6.6.30-rt30
 good     throttling: none (sched_rt_runtime_us is -1)
-good     fair server: none before Linux 6.12
+good     fair server: off, or a Linux before 6.12
 good     priority: limit 98 (RLIMIT_RTPRIO), 90 is needed
 good     locked memory: without a limit
 good     cgroup: version 2 of cgroups, which has no runtime of groups
@@ -277,6 +277,9 @@ fn virtual_machines_and_versions_of_kernel_and_cgroups() {
 
     put(&root, "proc/sys/kernel/osrelease", "6.12.1\n");
     put(&root, "proc/sys/kernel/sched_rt_runtime_us", "950000\n");
+    // Real-time groups may have been built in, unless it is told that they were not.
+    expect(&root, "throttling", "advice", "950000 of each");
+    put(&root, "boot/config-6.12.1", "CONFIG_SMP=y\n# CONFIG_RT_GROUP_SCHED is not set\n");
     expect(&root, "throttling", "good", "does not apply");
     expect(&root, "fair server", "unknown", "cpu2/runtime: No such file or directory (debugfs");
     for core in [2, 3] {
@@ -291,8 +294,8 @@ fn virtual_machines_and_versions_of_kernel_and_cgroups() {
     put(&root, "sys/fs/cgroup/cpu/robot/tasks", "");
     expect(&root, "cgroup", "good", "without runtimes");
     put(&root, "sys/fs/cgroup/cpu/robot/cpu.rt_runtime_us", "950000\n");
-    put(&root, "sys/fs/cgroup/cpu/cpu.rt_runtime_us", "950000\n");
     expect(&root, "cgroup", "good", "group /robot has 950000 µs");
+    put(&root, "boot/config-6.12.1", "CONFIG_RT_GROUP_SCHED=y\n");
     expect(&root, "throttling", "advice", "950000 of each");
 
     remove(&root, "sys/kernel/mm/transparent_hugepage");
@@ -380,6 +383,10 @@ fn a_system_file_is_checked_against_the_host() {
     assert_eq!(finding(&root, "stated throttling", &args).0, "good");
     put(&root, "proc/sys/kernel/sched_rt_runtime_us", "950000\n");
     assert_eq!(finding(&root, "stated throttling", &args).0, "advice");
+    let text = fs::read_to_string(&file).unwrap();
+    let stated = "[overheads]\nthrottling = { period = \"1000000us\", runtime = \"950000us\" }\n";
+    fs::write(&file, text + stated).unwrap();
+    assert_eq!(finding(&root, "stated throttling", &args).0, "good");
 
     system("[3, 7]", 99);
     assert_eq!(

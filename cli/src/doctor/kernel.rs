@@ -31,20 +31,36 @@ pub fn preemption(host: &Host) -> Checked {
         ]))
 }
 
-/// What real-time threads may use of a period, in µs: runtime (-1: all) and period.
-pub fn rt_limit(host: &Host) -> Result<(i64, i64), String> {
-    Ok((host.tree.parse(RUNTIME)?, host.tree.parse(PERIOD)?))
+/// The limit of real-time threads as it is set, in µs of a period (-1: none), and whether the kernel applies it.
+fn limit(host: &Host) -> Result<(i64, i64, bool), String> {
+    let (runtime, period) = (host.tree.parse(RUNTIME)?, host.tree.parse(PERIOD)?);
+    // From Linux 6.12 on it is one of real-time groups only; what guards other threads is the fair server.
+    let is_applied = host.kernel()? < (6, 12) || has_groups(host)?;
+    Ok((runtime, period, is_applied))
+}
+
+/// Whether the kernel was built with real-time groups; if that is told nowhere, it may have been.
+fn has_groups(host: &Host) -> Result<bool, String> {
+    let config = format!("/boot/config-{}", host.tree.read("/proc/sys/kernel/osrelease")?);
+    let is_built = |config: String| config.lines().any(|line| line == "CONFIG_RT_GROUP_SCHED=y");
+    Ok(host.tree.read(&config).map_or(true, is_built))
+}
+
+/// What is left to real-time threads of each period, both in µs; `None`: all.
+pub fn allowance(host: &Host) -> Result<Option<(i64, i64)>, String> {
+    let (runtime, period, is_applied) = limit(host)?;
+    if is_applied && (0..period).contains(&runtime) {
+        return Ok(Some((runtime, period)));
+    }
+    Ok(server(host)?.map(|(runtime, period, _)| (period - runtime, period)))
 }
 
 pub fn throttling(host: &Host) -> Checked {
-    let (runtime, period) = rt_limit(host)?;
-    if runtime < 0 || runtime >= period {
+    let (runtime, period, is_applied) = limit(host)?;
+    if !(0..period).contains(&runtime) {
         return Ok(Finding::good(format!("none (sched_rt_runtime_us is {runtime})")));
     }
-    // From Linux 6.12 on the limit is one of groups only; what guards other threads is the fair server.
-    let has_groups = host.tree.has("/sys/fs/cgroup/cpu/cpu.rt_runtime_us")
-        || host.tree.has("/sys/fs/cgroup/cpu,cpuacct/cpu.rt_runtime_us");
-    if host.kernel()? >= (6, 12) && !has_groups {
+    if !is_applied {
         return Ok(Finding::good(format!(
             "sched_rt_runtime_us is {runtime}, which Linux 6.12 and later does not apply without real-time groups"
         )));
@@ -60,30 +76,36 @@ pub fn throttling(host: &Host) -> Checked {
         ]))
 }
 
-pub fn fair_server(host: &Host) -> Checked {
+/// What the fair server takes for ordinary threads, of what period, both in µs, and on which core most; `None`: nothing.
+fn server(host: &Host) -> Result<Option<(i64, i64, usize)>, String> {
     if host.kernel()? < (6, 12) {
-        return Ok(Finding::good("none before Linux 6.12"));
+        return Ok(None);
     }
-    let cores = host.cores()?;
-    let mut longest: (u64, u64, usize) = (0, 0, 0);
-    for core in cores.iter() {
-        let file = |name| format!("{FAIR_SERVER}/cpu{core}/{name}");
-        let runtime_ns = host.tree.parse(&file("runtime")).map_err(|error| {
-            format!("{error} (debugfs: root, and `mount -t debugfs none /sys/kernel/debug`)")
-        })?;
-        longest = longest.max((runtime_ns, host.tree.parse(&file("period"))?, core));
+    let mut most = None;
+    for core in host.cores()?.iter() {
+        let us = |name| {
+            let ns = host.tree.parse::<i64>(&format!("{FAIR_SERVER}/cpu{core}/{name}"));
+            ns.map(|ns| ns / 1000).map_err(|error| {
+                format!("{error} (debugfs: root, and `mount -t debugfs none /sys/kernel/debug`)")
+            })
+        };
+        most = most.max(Some((us("runtime")?, us("period")?, core)));
     }
-    let (runtime_ns, period_ns, core) = longest;
-    if runtime_ns == 0 {
-        return Ok(Finding::good(format!("off on cores {cores}")));
-    }
+    Ok(most.filter(|(runtime, ..)| *runtime > 0))
+}
+
+pub fn fair_server(host: &Host) -> Checked {
+    let Some((runtime, period, core)) = server(host)? else {
+        return Ok(Finding::good("off, or a Linux before 6.12"));
+    };
     let off = |core: usize| format!("echo 0 > {FAIR_SERVER}/cpu{core}/runtime");
-    let value =
-        format!("ordinary threads that starve get {} of each {} µs", runtime_ns / 1000, period_ns / 1000);
-    Ok(Finding::new(Verdict::Advice, value)
-        .costs(Cost::Known(runtime_ns as f64 / 1e3, format!("{FAIR_SERVER}/cpu{core}/runtime")))
-        .fix(format!("state it in the system file (throttling), or on each real-time core: {}", off(core)))
-        .script(cores.iter().map(off)))
+    Ok(Finding::new(
+        Verdict::Advice,
+        format!("ordinary threads that starve get {runtime} of each {period} µs"),
+    )
+    .costs(Cost::Known(runtime as f64, format!("{FAIR_SERVER}/cpu{core}/runtime")))
+    .fix(format!("state it in the system file (throttling), or on each real-time core: {}", off(core)))
+    .script(host.cores()?.iter().map(off)))
 }
 
 pub fn clock(host: &Host) -> Checked {

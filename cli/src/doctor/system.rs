@@ -4,7 +4,7 @@
 use super::domain::free_bytes;
 use super::finding::{Checked, Cost, Finding, Verdict, size};
 use super::host::Host;
-use super::kernel::rt_limit;
+use super::kernel::allowance;
 use crate::manners::{Failure, Outcome};
 use std::path::Path;
 use tautline::{CoreSet, Limits, find_schema, topic_memory};
@@ -109,7 +109,8 @@ impl System {
 
     /// Whether the analysis knows of the pauses that the kernel makes.
     fn throttling(&self, host: &Host) -> Checked {
-        let (runtime, period) = rt_limit(host)?;
+        let good = Ok(Finding::good("the file allows for all that the kernel does"));
+        let Some((runtime, period)) = allowance(host)? else { return good };
         // The same share, or less.
         let allows = |place: usize| {
             let stated = self.file.system().cores.get(place).and_then(|core| core.overheads.throttling);
@@ -117,22 +118,19 @@ impl System {
                 stated.runtime_ns as f64 / stated.period_ns as f64 <= runtime as f64 / period as f64
             })
         };
-        let is_stated = self.own().all(|(place, _)| allows(place));
-        if runtime < 0 || runtime >= period || is_stated {
-            return Ok(Finding::good("the file allows for all that the kernel does"));
+        if self.own().all(|(place, _)| allows(place)) {
+            return good;
         }
         let line = format!("throttling = {{ period = \"{period}us\", runtime = \"{runtime}us\" }}");
-        Ok(Finding::new(
-            Verdict::Advice,
-            format!(
-                "the kernel keeps real-time threads to {runtime} of {period} µs, the file does not say so"
-            ),
-        )
-        .costs(Cost::Known(
-            (period - runtime) as f64,
-            "in each period with more work; sched_rt_runtime_us".into(),
-        ))
-        .fix(format!("put into [overheads]: {line}")))
+        let value = format!(
+            "the kernel keeps real-time threads to {runtime} of {period} µs, which the file does not say"
+        );
+        Ok(Finding::new(Verdict::Advice, value)
+            .costs(Cost::Known(
+                (period - runtime) as f64,
+                "in each period with more work; as `throttling` and `fair server`".into(),
+            ))
+            .fix(format!("put into [overheads]: {line}")))
     }
 
     /// What its topics will claim, with one publisher for each and the default limits, against what is free.
