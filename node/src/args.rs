@@ -4,7 +4,7 @@
 
 use crate::error::{Error, Result};
 use crate::logging::LogSeverity;
-use crate::parameters::ParameterError;
+use crate::parameters::read_parameter_file;
 use crate::parameters::yaml::{self, NodeParameters};
 use crate::remap::RemapRules;
 use std::path::Path;
@@ -32,7 +32,7 @@ pub(crate) struct Outputs {
 
 impl Arguments {
     /// # Errors
-    /// [`Error::Argument`] with the one that is not understood; [`ParameterError::File`].
+    /// [`Error::Argument`] with the one that is not understood; [`Error::Parameter`] for a parameter file.
     pub(crate) fn parse(arguments: impl IntoIterator<Item = String>) -> Result<Arguments> {
         let mut parsed = Arguments::default();
         let mut rules = Vec::new();
@@ -69,12 +69,7 @@ impl Arguments {
                     .push(parameter(&rule).map_err(|reason| refuse(&format!("{argument} {rule}"), reason))?);
             }
             "--params-file" => {
-                let path = value("a file")?;
-                let path = Path::new(&path);
-                let read = std::fs::read_to_string(path).map_err(|error| error.to_string());
-                let nodes = read.and_then(|text| yaml::read_file(&text));
-                let wrong = |reason| ParameterError::File { path: path.to_owned(), reason };
-                self.parameters.extend(nodes.map_err(wrong)?);
+                self.parameters.extend(read_parameter_file(Path::new(&value("a file")?))?);
             }
             "--log-level" => {
                 let rule = value("LEVEL or LOGGER:=LEVEL")?;

@@ -76,7 +76,7 @@ pub use node::{Node, NodeOptions};
 pub use parameters::{
     OnSetParameters, Parameter, ParameterDescriptor, ParameterError, ParameterRange, ParameterReader,
     ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, UnknownParameterType,
-    WrongParameterType,
+    WrongParameterType, parameters_of_file,
 };
 pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use qos_events::{

@@ -20,6 +20,7 @@ pub(crate) mod yaml;
 
 pub use descriptor::{ParameterDescriptor, ParameterRange};
 pub use error::ParameterError;
+pub use node::parameters_of_file;
 pub use parameter::Parameter;
 pub use reader::ParameterReader;
 pub use ros_params::RosParams;
@@ -29,5 +30,5 @@ pub use store::{OnSetParameters, Parameters};
 pub use value::{ParameterType, ParameterValue, ParameterVariant, UnknownParameterType, WrongParameterType};
 
 pub(crate) use events::{EventTopic, ParameterEvents};
-pub(crate) use node::given;
+pub(crate) use node::{given, read_parameter_file};
 pub(crate) use store::ParameterMap;

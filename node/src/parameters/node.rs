@@ -2,11 +2,12 @@
 //! What a node does with its parameters.
 
 use super::{
-    Parameter, ParameterDescriptor, ParameterMap, ParameterReader, ParameterValue, ParameterVariant,
-    Parameters, WrongParameterType, yaml,
+    Parameter, ParameterDescriptor, ParameterError, ParameterMap, ParameterReader, ParameterValue,
+    ParameterVariant, Parameters, WrongParameterType, yaml,
 };
 use crate::error::Result;
 use crate::node::Node;
+use std::path::Path;
 
 /// What the command line, parameter files and a node's options give the node of this name. Later ones count.
 pub(crate) fn given(
@@ -17,6 +18,21 @@ pub(crate) fn given(
     let global = rules.iter().filter(|(pattern, _)| yaml::means(pattern, fully_qualified_name));
     let all = global.flat_map(|(_, parameters)| parameters).chain(own);
     all.map(|(name, value)| (name.clone(), Parameter::new(value.clone()))).collect()
+}
+
+/// What a ROS 2 parameter file gives the node of this name, `/**` and other wildcards included. Of two values the later one counts.
+///
+/// # Errors
+/// [`Error::Parameter`](crate::Error::Parameter): it cannot be read, or is no parameter file; the line is said.
+pub fn parameters_of_file(path: &Path, fully_qualified_name: &str) -> Result<Vec<(String, ParameterValue)>> {
+    let given = given(&read_parameter_file(path)?, &[], fully_qualified_name);
+    Ok(given.into_iter().map(|(name, parameter)| (name, parameter.value)).collect())
+}
+
+pub(crate) fn read_parameter_file(path: &Path) -> Result<yaml::NodeParameters> {
+    let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
+    let wrong = |reason| ParameterError::File { path: path.to_owned(), reason };
+    Ok(text.and_then(|text| yaml::read_file(&text)).map_err(wrong)?)
 }
 
 impl Node {
