@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut component`: nodes in shared libraries, in a container that runs them in one process.
 
-use crate::manners::{Failure, Manners, Outcome};
+use crate::asking::{Asking, full_name};
+use crate::manners::{End, Failure, Manners, Outcome};
 use crate::sibling::Sibling;
 use clap::{Args, Subcommand};
-use futures::executor::block_on;
 use serde_json::json;
 use std::ffi::OsString;
 use std::io::{self, Write};
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
 use tautline::rcl_interfaces::msg;
-use tautline::{Context, LogSeverity, Node, ParameterValue, QosProfile, Realtime};
+use tautline::{LogSeverity, ParameterValue};
 use tautline_msgs::Service;
 
 const CONTAINER: Sibling = Sibling {
@@ -112,7 +112,7 @@ pub fn run(args: ComponentArgs) -> Outcome {
                 parameters: params,
                 extra_arguments: extra_argument,
             };
-            let loaded = ask::<LoadNode::Service>(&target, "load_node", &request)?;
+            let loaded = ask::<LoadNode::Service>(&target, "load_node", request)?;
             if !loaded.success {
                 return Err(Failure::no(loaded.error_message));
             }
@@ -120,13 +120,13 @@ pub fn run(args: ComponentArgs) -> Outcome {
         }
         Verb::Unload { id, target } => {
             let request = UnloadNode::Request { unique_id: id };
-            let unloaded = ask::<UnloadNode::Service>(&target, "unload_node", &request)?;
+            let unloaded = ask::<UnloadNode::Service>(&target, "unload_node", request)?;
             if !unloaded.success {
                 return Err(Failure::no(unloaded.error_message));
             }
         }
         Verb::List { target } => {
-            let listed = ask::<ListNodes::Service>(&target, "list_nodes", &ListNodes::Request::default())?;
+            let listed = ask::<ListNodes::Service>(&target, "list_nodes", ListNodes::Request::default())?;
             let rows: Vec<_> = listed.unique_ids.into_iter().zip(listed.full_node_names).collect();
             print(&target, &rows)?;
         }
@@ -149,24 +149,15 @@ fn log_level(level: &str) -> Result<LogSeverity, &'static str> {
     level.parse().map_err(|()| "a level is debug, info, warn, error or fatal")
 }
 
-fn ask<T: Service>(target: &Target, service: &str, request: &T::Request) -> Outcome<T::Response> {
-    let patience = target.manners.timeout().unwrap_or(PATIENCE);
-    let context = Context::builder().domain(target.manners.domain()?).realtime(Realtime::Off).build()?;
-    let mut node = Node::create(context.clone(), "taut_component", "")?;
-    let name = format!("{}/_container/{service}", target.container);
-    let client = node.create_client::<T>(&name, QosProfile::services_default())?;
-    let sampler = std::thread::spawn({
-        let context = context.clone();
-        move || context.spin()
-    });
-    let answer = client.request_timeout(request, patience).and_then(block_on);
-    context.shutdown();
-    let _ = sampler.join();
+fn ask<T: Service>(target: &Target, service: &str, request: T::Request) -> Outcome<T::Response> {
+    let container = &target.container;
+    let (end, domain) = (End::within(PATIENCE, &target.manners)?, target.manners.domain()?);
+    let request = (format!("{}/_container/{service}", full_name(container)), request);
+    let answer = Asking::new(domain, end)?.ask_all::<T>(vec![request])?.remove(0);
     answer.map_err(|source| {
-        let container = &target.container;
         Failure::no(match source {
-            tautline::Error::ServiceTimeout { .. } => format!(
-                "{container} has not answered within {patience:?}: it may still be at work, and then goes on; `taut component \
+            tautline::Error::ServiceTimeout { timeout, .. } => format!(
+                "{container} has not answered within {timeout:?}: it may still be at work, and then goes on; `taut component \
                  list` tells later what came of it"
             ),
             source => format!(

@@ -2,6 +2,8 @@
 //! `taut`, the command line of Tautline.
 #![forbid(unsafe_code)]
 
+mod action;
+mod asking;
 mod bridge_ros;
 mod check;
 mod component;
@@ -9,9 +11,11 @@ mod demo;
 mod doctor;
 mod gateway;
 mod init;
+mod lifecycle;
 mod manners;
 mod msg;
 mod node;
+mod param;
 mod report;
 mod service;
 mod sibling;
@@ -45,6 +49,9 @@ enum Verb {
     Top(top::TopArgs),
     Node(node::NodeArgs),
     Service(service::ServiceArgs),
+    Action(action::ActionArgs),
+    Param(param::ParamArgs),
+    Lifecycle(lifecycle::LifecycleArgs),
     Trace(trace::TraceArgs),
     Gateway(gateway::GatewayArgs),
     BridgeRos(bridge_ros::BridgeRosArgs),
@@ -73,6 +80,9 @@ fn main() -> ExitCode {
         Verb::Topic(args) => topic::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Node(args) => node::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Service(args) => service::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Action(args) => action::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Param(args) => param::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Lifecycle(args) => lifecycle::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Component(args) => component::run(args).map(|()| ExitCode::SUCCESS),
     };
     outcome.unwrap_or_else(Failure::tell)

@@ -96,7 +96,7 @@ impl Failure {
     }
 
     /// Interrupted before there was an answer.
-    fn interrupted() -> Self {
+    pub fn interrupted() -> Self {
         Failure::no("")
     }
 
@@ -141,6 +141,16 @@ pub struct End {
     is_said: Cell<bool>,
 }
 
+/// How a wait ended.
+pub enum Waited<T> {
+    /// With this.
+    For(T),
+    /// The time is over.
+    InVain,
+    /// By Ctrl-C or SIGTERM.
+    Interrupted,
+}
+
 /// How often something is looked for that nobody tells of.
 const POLL: Duration = Duration::from_millis(20);
 /// How long is waited without a word.
@@ -149,17 +159,31 @@ const PATIENCE: Duration = Duration::from_secs(1);
 impl End {
     /// From now on signals end no more than this says.
     pub fn of(manners: &Manners) -> Outcome<Self> {
+        Self::after(manners.timeout)
+    }
+
+    /// Not later than this, unless `--timeout` says otherwise.
+    pub fn within(patience: Duration, manners: &Manners) -> Outcome<Self> {
+        Self::after(manners.timeout.or(Some(patience)))
+    }
+
+    fn after(timeout: Option<Duration>) -> Outcome<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone())
                 .map_err(|error| Failure::unusable(format!("signals cannot be caught: {error}")))?;
         }
-        Ok(End { interrupted, timeout: manners.timeout, start: Instant::now(), is_said: Cell::new(false) })
+        Ok(End { interrupted, timeout, start: Instant::now(), is_said: Cell::new(false) })
     }
 
     /// Whether it is time.
     pub fn is_reached(&self) -> bool {
         self.interrupted.load(Ordering::Relaxed) || self.left().is_some_and(|left| left.is_zero())
+    }
+
+    /// How long it may take in all.
+    pub fn timeout(&self) -> Option<Duration> {
+        self.timeout
     }
 
     /// How long it may go on.
@@ -179,31 +203,57 @@ impl End {
         }
     }
 
-    /// Looks until there is an answer; `pause` sleeps for a time between two looks. After a second it is said what is waited for.
+    /// The time begins anew.
+    pub fn restart(&mut self) {
+        self.start = Instant::now();
+    }
+
+    /// An interruption is forgotten, and from now on there is this much time.
+    pub fn again(&mut self, timeout: Duration) {
+        self.interrupted.store(false, Ordering::Relaxed);
+        self.timeout = Some(timeout);
+        self.restart();
+    }
+
+    /// Looks until there is an answer, from time to time and when this thread is unparked. After a second it is said what is waited for.
     ///
     /// # Errors
     /// That there was none in time, or until Ctrl-C; those of the look.
-    pub fn wait<T>(
+    pub fn wait<T>(&self, what: impl Fn() -> String, look: impl FnMut() -> Outcome<Option<T>>) -> Outcome<T> {
+        match self.look(&what, look)? {
+            Waited::For(found) => Ok(found),
+            Waited::Interrupted => Err(Failure::interrupted()),
+            Waited::InVain => {
+                let time = self.timeout.unwrap_or_default();
+                Err(Failure::no(format!("waited for {} for {time:?}, in vain", what())))
+            }
+        }
+    }
+
+    /// As [`wait`](Self::wait), for who has something to do in the end.
+    ///
+    /// # Errors
+    /// Those of the look.
+    pub fn look<T>(
         &self,
         what: impl Fn() -> String,
         mut look: impl FnMut() -> Outcome<Option<T>>,
-    ) -> Outcome<T> {
+    ) -> Outcome<Waited<T>> {
         let (start, mut is_said) = (Instant::now(), false);
         loop {
             if let Some(found) = look()? {
-                return Ok(found);
+                return Ok(Waited::For(found));
             }
             if self.interrupted.load(Ordering::Relaxed) {
-                return Err(Failure::interrupted());
+                return Ok(Waited::Interrupted);
             }
             if self.is_reached() {
-                let time = self.timeout.unwrap_or_default();
-                return Err(Failure::no(format!("waited for {} for {time:?}, in vain", what())));
+                return Ok(Waited::InVain);
             }
             if start.elapsed() > PATIENCE && !std::mem::replace(&mut is_said, true) {
                 eprintln!("taut: waiting for {} ...", what());
             }
-            self.pause(POLL);
+            std::thread::park_timeout(self.left().map_or(POLL, |left| left.min(POLL)));
         }
     }
 

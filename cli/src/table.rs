@@ -47,6 +47,14 @@ pub fn write_table(
     Ok(())
 }
 
+/// Names, one in a line or as one JSON array.
+pub fn write_names(is_json: bool, names: &[&str], out: &mut impl Write) -> io::Result<()> {
+    if is_json {
+        return writeln!(out, "{}", serde_json::json!(names));
+    }
+    names.iter().try_for_each(|name| writeln!(out, "{name}"))
+}
+
 /// Where the ends of something are: first those on this host.
 pub fn places<'o>(origins: impl Iterator<Item = &'o Origin>) -> String {
     let places: BTreeSet<(bool, &str)> =

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut action`: the actions of a domain, and goals written by hand.
+
+mod send_goal;
+
+use crate::asking::full_name;
+use crate::manners::{Failure, Manners, Outcome};
+use crate::service::{Named, named};
+use clap::{Args, Subcommand};
+use serde_json::Value;
+use std::io::{self, Write};
+use tautline::{GraphSnapshot, ServiceEndpoint, ServiceKind};
+use tautline_transport::graph_of;
+
+/// Lists actions, says who serves them, and sends goals.
+///
+/// Actions of other hosts are seen if this host runs `taut gateway`.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut action list
+  taut action info /fibonacci
+  taut action send_goal /fibonacci '{order: 5}' --feedback
+
+Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+pub struct ActionArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the actions with their types, and how many servers and clients they have
+    List,
+    /// Prints the nodes that serve an action, and those that send it goals
+    Info {
+        /// The action
+        #[arg(value_name = "ACTION")]
+        action: String,
+    },
+    #[command(name = "send_goal", visible_alias = "send-goal")]
+    SendGoal(send_goal::SendGoalArgs),
+}
+
+/// Runs the verb.
+pub fn run(args: &ActionArgs) -> Outcome {
+    let manners = &args.manners;
+    if let Verb::SendGoal(args) = &args.verb {
+        return send_goal::run(args, manners);
+    }
+    let graph = graph_of(manners.domain()?)?;
+    let mut actions = actions(&graph);
+    let mut out = io::stdout().lock();
+    if let Verb::Info { action } = &args.verb {
+        let name = full_name(action);
+        if !actions.iter().any(|action| action.name == name) {
+            let there = actions.iter().map(|action| action.name);
+            return Err(Failure::unknown("action", &name, there, "action list"));
+        }
+        // More than one if nodes disagree on its type.
+        actions.retain(|action| action.name == name);
+        if !manners.json {
+            return Ok(actions.iter().try_for_each(|action| print(action, &mut out))?);
+        }
+    }
+    if manners.json {
+        let actions = actions.iter().map(|action| action.to_json("action"));
+        return Ok(writeln!(out, "{}", Value::from_iter(actions))?);
+    }
+    let head = ["action", "type", "where", "servers", "clients"];
+    Ok(crate::table::write_table(&head, 3, actions.iter().map(Named::row).collect(), &mut out)?)
+}
+
+/// An action is known by the service that takes its goals.
+fn actions(graph: &GraphSnapshot) -> Vec<Named<'_>> {
+    fn of(end: &ServiceEndpoint) -> Option<(&str, &str)> {
+        Some((end.name.strip_suffix("/_action/send_goal")?, end.type_name.strip_suffix("_SendGoal")?))
+    }
+    named(graph, of)
+}
+
+fn print(action: &Named, out: &mut impl Write) -> io::Result<()> {
+    writeln!(out, "Action: {}\nType: {}", action.name, action.type_name)?;
+    for (kind, title) in [(ServiceKind::Client, "clients"), (ServiceKind::Server, "servers")] {
+        writeln!(out, "Action {title}: {}", action.count(kind))?;
+        action.nodes(kind).try_for_each(|node| writeln!(out, "    {node}"))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut action send_goal`: a goal, its feedback, its result; and its end before that.
+
+use crate::asking::{Asking, full_name, polled, type_and_values};
+use crate::manners::{End, Failure, Manners, Outcome, Waited};
+use crate::service::type_to_ask;
+use clap::Args;
+use futures::channel::oneshot;
+use futures::future::{Either, select};
+use futures::{FutureExt, StreamExt};
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+use tautline::{ActionClientUntyped, Error, GoalStatus, GraphSnapshot, Node, find_schema};
+use tautline_schema::{DynamicMessage, Schema};
+use tautline_transport::{TopicType, graph_of};
+
+/// How long an action's server may take to cancel a goal.
+const CANCELLING: Duration = Duration::from_secs(10);
+
+/// Sends a goal, and prints its result
+///
+/// Values are YAML or JSON; what is left out has its default. Ctrl-C, or the end of --timeout, cancels the goal, and the answer to that
+/// is waited for; a second Ctrl-C does not wait.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut action send_goal /fibonacci '{order: 5}' --feedback
+  taut action send_goal /fibonacci example_interfaces/action/Fibonacci '{order: 5}' --timeout 10s
+  taut action send_goal /fibonacci '{order: 5}' --feedback --json | jq .feedback.sequence
+
+Exit codes: 0 the goal has succeeded, 1 it was rejected, aborted or cancelled, 2 it is no goal of the action's type.")]
+pub struct SendGoalArgs {
+    /// The action
+    #[arg(value_name = "ACTION")]
+    action: String,
+    /// The type, if there are servers of several, and the values, if they are not the defaults
+    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2)]
+    goal: Vec<String>,
+    /// Print the feedback
+    #[arg(short, long)]
+    feedback: bool,
+}
+
+pub fn run(args: &SendGoalArgs, manners: &Manners) -> Outcome {
+    let (end, domain, action) = (End::of(manners)?, manners.domain()?, full_name(&args.action));
+    let (type_name, values) = type_and_values(&args.goal, "action");
+    let graph = graph_of(domain)?;
+    let type_name = type_to_ask("action", &action, &super::actions(&graph), type_name)?;
+    let parts = Parts(&graph, &action, &type_name);
+    let goal = DynamicMessage::from_yaml(&parts.goal()?, values)?;
+    let mut asking = Asking::new(domain, end)?;
+    let client = asking.node.create_action_client_untyped(&action, &type_name)?;
+    let shown = Shown { feedback: parts.feedback()?, result: parts.result()?, is_json: manners.json };
+    let (cancel, cancelled) = oneshot::channel();
+    let pursuit = pursue(&client, goal.to_json_value(), args.feedback, cancelled, &shown);
+    let status = wait(&mut asking.end, &action, pursuit, cancel)?;
+    match status {
+        GoalStatus::Succeeded => Ok(()),
+        status => Err(Failure::no(format!("the goal was not reached: it is {status}"))),
+    }
+}
+
+/// Until the goal has ended; the first interruption, and the end of the time, cancel it.
+fn wait(
+    end: &mut End,
+    action: &str,
+    pursuit: impl Future<Output = Outcome<GoalStatus>>,
+    cancel: oneshot::Sender<()>,
+) -> Outcome<GoalStatus> {
+    let (mut look, mut cancel) = (polled(pursuit), Some(cancel));
+    loop {
+        let what = || match cancel {
+            Some(_) => format!("'{action}' to reach the goal"),
+            None => format!("'{action}' to cancel the goal"),
+        };
+        let why = match end.look(what, &mut look)? {
+            Waited::For(status) => return status,
+            Waited::InVain => "not reached in time",
+            Waited::Interrupted => "interrupted",
+        };
+        let Some(cancel) = cancel.take() else {
+            return Err(Failure::no("the goal's end was not waited for: it may go on"));
+        };
+        eprintln!("taut: {why}: cancelling the goal");
+        end.again(CANCELLING);
+        // Ignored: the goal has ended.
+        let _ = cancel.send(());
+    }
+}
+
+async fn pursue(
+    client: &ActionClientUntyped,
+    goal: Value,
+    with_feedback: bool,
+    cancelled: oneshot::Receiver<()>,
+    shown: &Shown,
+) -> Outcome<GoalStatus> {
+    let no = |error: Error| Failure::no(error.to_string());
+    let mut cancelled = cancelled.fuse();
+    // Before there is a goal there is nothing to cancel.
+    match select(Node::is_available(client)?, &mut cancelled).await {
+        Either::Left((available, _)) => available.map_err(no)?,
+        Either::Right(_) => return Err(Failure::no("there is no server yet: nothing was sent")),
+    }
+    let (goal, result, feedback) = match client.send_goal_request(goal)?.await {
+        Err(error @ Error::GoalRejected { .. }) => {
+            shown.line(&json!({ "accepted": false }), || Ok("Goal was rejected.\n".into()))?;
+            return Err(no(error));
+        }
+        sent => sent.map_err(no)?,
+    };
+    let id = goal.uuid.to_string();
+    shown
+        .line(&json!({ "accepted": true, "goal_id": id }), || Ok(format!("Goal accepted with ID: {id}\n")))?;
+    let mut feedback =
+        if with_feedback { feedback.left_stream() } else { futures::stream::empty().right_stream() };
+    let ended = async {
+        // Ends with the goal.
+        while let Some(message) = feedback.next().await {
+            let message = message?;
+            shown.line(&json!({ "feedback": message }), || {
+                Ok(format!("Feedback:\n{}", yaml(&shown.feedback, &message)?))
+            })?;
+        }
+        let (status, result) = result.await.map_err(no)?;
+        let result = result?;
+        let name = status.to_string().to_uppercase();
+        shown.line(&json!({ "status": name, "result": result }), || {
+            Ok(format!("Result:\n{}Goal finished with status: {name}\n", yaml(&shown.result, &result)?))
+        })?;
+        Ok(status)
+    };
+    let refused = async {
+        if cancelled.await.is_err() {
+            return std::future::pending().await;
+        }
+        match goal.cancel() {
+            Ok(answer) => match answer.await {
+                // What became of it comes with the result.
+                Ok(()) | Err(Error::GoalCancelAlreadyTerminated) => std::future::pending().await,
+                Err(error) => error,
+            },
+            Err(error) => error,
+        }
+    };
+    match select(pin!(ended), pin!(refused)).await {
+        Either::Left((ended, _)) => ended,
+        Either::Right((error, _)) => Err(Failure::no(format!("the goal goes on: {error}"))),
+    }
+}
+
+/// How what comes is printed.
+struct Shown {
+    feedback: Arc<Schema>,
+    result: Arc<Schema>,
+    is_json: bool,
+}
+
+impl Shown {
+    fn line(&self, json: &Value, text: impl FnOnce() -> Outcome<String>) -> Outcome {
+        let mut out = io::stdout().lock();
+        match self.is_json {
+            true => writeln!(out, "{json}")?,
+            false => write!(out, "{}", text()?)?,
+        }
+        Ok(out.flush()?)
+    }
+}
+
+fn yaml(schema: &Arc<Schema>, message: &Value) -> Outcome<String> {
+    let text = DynamicMessage::from_json_value(schema, message.clone())?.to_string();
+    Ok(text.lines().map(|line| format!("    {line}\n")).collect())
+}
+
+/// The definitions of an action's goals, feedback and results, which stand in those of its services and topic.
+struct Parts<'a>(&'a GraphSnapshot, &'a str, &'a str);
+
+impl Parts<'_> {
+    fn goal(&self) -> Outcome<Arc<Schema>> {
+        self.of("Goal", "SendGoal", self.service("send_goal"))
+    }
+
+    fn result(&self) -> Outcome<Arc<Schema>> {
+        self.of("Result", "GetResult", self.service("get_result"))
+    }
+
+    fn feedback(&self) -> Outcome<Arc<Schema>> {
+        let Parts(graph, action, _) = self;
+        self.of("Feedback", "FeedbackMessage", graph.topic_type(&format!("{action}/_action/feedback")))
+    }
+
+    fn service(&self, part: &str) -> Option<TopicType> {
+        let Parts(graph, action, _) = self;
+        let name = format!("{action}/_action/{part}");
+        let end = graph.services.iter().find(|end| end.name == name && end.type_hash.is_some())?;
+        Some(TopicType::new(end.type_name.clone()).with_hash(end.type_hash.clone()?))
+    }
+
+    fn of(&self, part: &str, whole: &str, existing: Option<TopicType>) -> Outcome<Arc<Schema>> {
+        let Parts(_, action, type_name) = self;
+        let schema = find_schema(action, &format!("{type_name}_{whole}").parse()?, existing.as_ref())?;
+        Ok(schema.of_part(&format!("{type_name}_{part}").parse()?)?.into())
+    }
+}

@@ -1,0 +1,170 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Asking services and actions: by names as people write them, with a node that comes for it, and with an end.
+
+use crate::manners::{End, Failure, Outcome, Waited};
+use futures::StreamExt;
+use futures::stream::FuturesUnordered;
+use std::collections::BTreeSet;
+use std::future::Future;
+use std::sync::Arc;
+use std::task::{Context as Polled, Wake, Waker};
+use std::thread::{JoinHandle, Thread};
+use tautline::{Client, Context, Error, GraphSnapshot, Node, QosProfile, Realtime, ServiceKind};
+use tautline_msgs::Service;
+use tautline_transport::graph_of;
+
+pub type Answer<T> = Result<<T as Service>::Response, Error>;
+
+/// A node of the domain, and the thread that hears the answers.
+pub struct Asking {
+    pub node: Node,
+    pub end: End,
+    context: Context,
+    sampler: Option<JoinHandle<Result<(), Error>>>,
+}
+
+impl Asking {
+    /// Joins the domain.
+    pub fn new(domain: u32, end: End) -> Outcome<Self> {
+        let context = Context::builder().domain(domain).realtime(Realtime::Off).build()?;
+        let node = Node::create(context.clone(), &format!("taut_{}", std::process::id()), "")?;
+        let spun = context.clone();
+        let sampler = std::thread::spawn(move || spun.spin());
+        Ok(Asking { node, end, context, sampler: Some(sampler) })
+    }
+
+    /// The answer of one service.
+    pub fn ask<T: Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
+        let answer = self.ask_all::<T>(vec![(service.to_owned(), request)])?.remove(0);
+        answer.map_err(|error| Failure::no(no_answer(&error)))
+    }
+
+    /// The answer of each of several services, which are asked at once; [`Error::ServiceTimeout`] of those that are silent to the end.
+    pub fn ask_all<T: Service>(&mut self, requests: Vec<(String, T::Request)>) -> Outcome<Vec<Answer<T>>> {
+        let timeout = self.end.timeout().unwrap_or_default();
+        let graph = self.node.graph()?;
+        let silent = |service: &String| Err(Error::ServiceTimeout { service: service.clone(), timeout });
+        let mut answers: Vec<_> = requests.iter().map(|(service, _)| silent(service)).collect();
+        let (mut waiting, mut asked) = (Vec::new(), FuturesUnordered::new());
+        for (index, (service, request)) in requests.into_iter().enumerate() {
+            let client = self.node.create_client::<T>(&service, QosProfile::services_default())?;
+            let is_there = has_server(&graph, &service);
+            waiting.push(Some(service));
+            asked.push(async move { (index, exchange(client, is_there, request).await) });
+        }
+        // Making clients takes its time where there are hundreds of nodes: that is not theirs.
+        self.end.restart();
+        while !asked.is_empty() {
+            let what = || {
+                let names: Vec<&str> = waiting.iter().flatten().map(String::as_str).collect();
+                format!("{} to answer", names.join(", "))
+            };
+            match self.end.look(what, polled(asked.next()))? {
+                Waited::For(Some((index, answer))) => (waiting[index], answers[index]) = (None, answer),
+                Waited::For(None) | Waited::InVain => break,
+                Waited::Interrupted => return Err(Failure::interrupted()),
+            }
+        }
+        Ok(answers)
+    }
+
+    /// Waits for something else.
+    pub fn wait<T>(&self, what: impl Fn() -> String, future: impl Future<Output = T>) -> Outcome<T> {
+        self.end.wait(what, polled(future))
+    }
+}
+
+impl Drop for Asking {
+    fn drop(&mut self) {
+        self.context.shutdown();
+        if let Some(sampler) = self.sampler.take() {
+            let _ = sampler.join();
+        }
+    }
+}
+
+async fn exchange<T: Service>(client: Client<T>, is_there: bool, request: T::Request) -> Answer<T> {
+    // Gateways and bridges fetch what somebody wants to ask.
+    if is_there {
+        Node::is_available(&client)?.await?;
+    }
+    client.request(&request)?.await
+}
+
+/// What a service that did not answer is said to do.
+pub fn no_answer(error: &Error) -> String {
+    match error {
+        Error::ServiceTimeout { .. } => format!("{error}: its node is stopped, or does not spin"),
+        error => error.to_string(),
+    }
+}
+
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+/// A future as something that is looked for: whoever wakes it unparks this thread.
+pub fn polled<T>(future: impl Future<Output = T>) -> impl FnMut() -> Outcome<Option<T>> {
+    let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
+    let mut future = Box::pin(future);
+    move || match future.as_mut().poll(&mut Polled::from_waker(&waker)) {
+        std::task::Poll::Ready(output) => Ok(Some(output)),
+        std::task::Poll::Pending => Ok(None),
+    }
+}
+
+/// A name as ROS completes it.
+pub fn full_name(name: &str) -> String {
+    if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
+}
+
+/// A type's name as ROS 2's tools take it: without its kind, too.
+pub fn full_type(name: &str, kind: &str) -> String {
+    match name.split('/').collect::<Vec<_>>()[..] {
+        [package, name] => format!("{package}/{kind}/{name}"),
+        _ => name.to_owned(),
+    }
+}
+
+/// `[TYPE] [VALUES]`: what is no type's name is values.
+pub fn type_and_values<'a>(arguments: &'a [String], kind: &str) -> (Option<String>, &'a str) {
+    let is_type = |text: &str| {
+        text.contains('/') && text.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c))
+    };
+    match arguments {
+        [type_name, values] => (Some(full_type(type_name, kind)), values),
+        [type_name] if is_type(type_name) => (Some(full_type(type_name, kind)), "{}"),
+        rest => (None, rest.first().map_or("{}", String::as_str)),
+    }
+}
+
+/// Whether a service has one, here or elsewhere.
+fn has_server(graph: &GraphSnapshot, service: &str) -> bool {
+    graph.services.iter().any(|end| end.kind == ServiceKind::Server && end.name == service)
+}
+
+/// The nodes that have a service of this name below their own.
+pub fn nodes_with(domain: u32, service: &str) -> Outcome<Vec<String>> {
+    let graph = graph_of(domain)?;
+    let servers = graph.services.iter().filter(|end| end.kind == ServiceKind::Server);
+    let nodes = servers.filter_map(|end| end.name.strip_suffix(service)?.strip_suffix('/'));
+    let nodes: BTreeSet<&str> = nodes.collect();
+    Ok(nodes.into_iter().map(str::to_owned).collect())
+}
+
+/// The full name of a node that has this service; `what` is true of one without.
+pub fn node_with(domain: u32, node: &str, service: &str, what: &str) -> Outcome<String> {
+    let (graph, node) = (graph_of(domain)?, full_name(node));
+    let all: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
+    if has_server(&graph, &format!("{node}/{service}")) {
+        return Ok(node);
+    }
+    match all.contains(&node) {
+        true => Err(Failure::no(format!("node '{node}' {what}: there is no service {node}/{service}"))),
+        false => Err(Failure::unknown("node", &node, all.iter().map(String::as_str), "node list")),
+    }
+}

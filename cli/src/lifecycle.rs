@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut lifecycle`: the states of managed nodes, and their transitions.
+
+use crate::asking::{Asking, no_answer, node_with, nodes_with};
+use crate::manners::{End, Failure, Manners, Outcome};
+use clap::{Args, Subcommand};
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::time::Duration;
+use tautline::lifecycle_msgs::msg::{State, TransitionDescription};
+use tautline::lifecycle_msgs::srv::{ChangeState, GetAvailableTransitions, GetState};
+
+/// How long nodes may take to say where they are; not to go elsewhere.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+const STATE: &str = "get_state";
+const UNMANAGED: &str = "is not managed";
+
+/// Says which states managed nodes have, and changes them.
+///
+/// Nodes of other hosts are seen if this host runs `taut gateway`.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut lifecycle nodes
+  taut lifecycle get                of all nodes, asked at once
+  taut lifecycle list /camera       the transitions that it can make now
+  taut lifecycle set /camera configure
+
+Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+pub struct LifecycleArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the nodes that have states
+    Nodes,
+    /// Prints the state of a node, or of all
+    Get {
+        /// The node's name with its namespace; one without is in /
+        #[arg(value_name = "NODE")]
+        node: Option<String>,
+    },
+    /// Prints the transitions that a node can make from where it is
+    List {
+        /// The node's name with its namespace; one without is in /
+        #[arg(value_name = "NODE")]
+        node: String,
+        /// All that there are, from any state
+        #[arg(short, long)]
+        all: bool,
+    },
+    /// Has a node make a transition, and waits for its end; exits with 1 if it fails
+    Set {
+        /// The node's name with its namespace; one without is in /
+        #[arg(value_name = "NODE")]
+        node: String,
+        /// The transition: its label or its number
+        #[arg(value_name = "TRANSITION")]
+        transition: String,
+    },
+}
+
+/// Runs the verb.
+pub fn run(args: &LifecycleArgs) -> Outcome {
+    let manners = &args.manners;
+    match &args.verb {
+        Verb::Nodes => {
+            let nodes = nodes_with(manners.domain()?, STATE)?;
+            let names: Vec<&str> = nodes.iter().map(String::as_str).collect();
+            Ok(crate::table::write_names(manners.json, &names, &mut io::stdout())?)
+        }
+        Verb::Get { node } => get(manners, node.as_deref()),
+        Verb::List { node, all } => list(manners, node, *all),
+        Verb::Set { node, transition } => set(manners, node, transition),
+    }
+}
+
+fn get(manners: &Manners, node: Option<&str>) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+    let nodes = match node {
+        Some(node) => vec![node_with(domain, node, STATE, UNMANAGED)?],
+        None => nodes_with(domain, STATE)?,
+    };
+    let requests =
+        nodes.iter().map(|node| (format!("{node}/{STATE}"), GetState::Request::default())).collect();
+    let answers = Asking::new(domain, end)?.ask_all::<GetState::Service>(requests)?;
+    let (mut told, mut silent, mut out) = (Vec::new(), 0, io::stdout().lock());
+    for (name, answer) in nodes.iter().zip(answers) {
+        let state = answer.map(|answer| answer.current_state);
+        match &state {
+            Err(error) => {
+                silent += 1;
+                eprintln!("taut: {name}: {}", no_answer(error));
+            }
+            Ok(_) if manners.json => {}
+            Ok(State { id, label }) if node.is_some() => writeln!(out, "{label} [{id}]")?,
+            Ok(State { id, label }) => writeln!(out, "{name}: {label} [{id}]")?,
+        }
+        told.push(json!({ "node": name, "state": state.ok() }));
+    }
+    if manners.json {
+        let told = if node.is_some() { told.remove(0) } else { Value::from(told) };
+        writeln!(out, "{told}")?;
+    }
+    match silent {
+        0 => Ok(()),
+        silent => Err(Failure::no(format!("{silent} of {} nodes did not answer", nodes.len()))),
+    }
+}
+
+fn list(manners: &Manners, node: &str, all: bool) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+    let service = if all { "get_transition_graph" } else { "get_available_transitions" };
+    let node = node_with(domain, node, service, UNMANAGED)?;
+    let transitions = transitions(&mut Asking::new(domain, end)?, &node, service)?;
+    let mut out = io::stdout().lock();
+    if manners.json {
+        return Ok(writeln!(out, "{}", json!(transitions))?);
+    }
+    for TransitionDescription { transition, start_state, goal_state } in transitions {
+        writeln!(out, "- {} [{}]", transition.label, transition.id)?;
+        writeln!(out, "\tStart: {}\n\tGoal: {}", start_state.label, goal_state.label)?;
+    }
+    Ok(())
+}
+
+fn transitions(asking: &mut Asking, node: &str, service: &str) -> Outcome<Vec<TransitionDescription>> {
+    let service = format!("{node}/{service}");
+    let request = GetAvailableTransitions::Request::default();
+    Ok(asking.ask::<GetAvailableTransitions::Service>(&service, request)?.available_transitions)
+}
+
+fn set(manners: &Manners, node: &str, wanted: &str) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+    let node = node_with(domain, node, "change_state", UNMANAGED)?;
+    let mut asking = Asking::new(domain, end)?;
+    let available = transitions(&mut asking, &node, "get_available_transitions")?;
+    let mut transitions = available.iter().map(|one| &one.transition);
+    let id = wanted.parse::<u8>().ok();
+    let Some(transition) = transitions.find(|one| one.label == wanted || Some(one.id) == id) else {
+        let labels = available.iter().map(|one| one.transition.label.as_str());
+        let (what, list) = (format!("transition of {node} as it is now"), format!("lifecycle list {node}"));
+        return Err(Failure::unknown(&what, wanted, labels, &list));
+    };
+    // The node may have much to do.
+    asking.end = End::of(manners)?;
+    let request = ChangeState::Request { transition: transition.clone() };
+    let changed = asking.ask::<ChangeState::Service>(&format!("{node}/change_state"), request)?;
+    let mut out = io::stdout().lock();
+    if manners.json {
+        writeln!(
+            out,
+            "{}",
+            json!({ "node": node, "transition": transition, "successful": changed.success })
+        )?;
+    } else if changed.success {
+        writeln!(out, "Transitioning successful")?;
+    }
+    match changed.success {
+        true => Ok(()),
+        false => Err(Failure::no(format!("Transitioning failed: '{}' of {node}", transition.label))),
+    }
+}

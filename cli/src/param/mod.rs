@@ -1,0 +1,352 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut param`: the parameters of nodes, asked for by ROS 2's services.
+
+mod file;
+mod value;
+
+use crate::asking::{Asking, full_name, no_answer, node_with, nodes_with};
+use crate::manners::{End, Failure, Manners, Outcome};
+use clap::{Args, Subcommand};
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tautline::rcl_interfaces::msg::{Parameter, ParameterDescriptor};
+use tautline::rcl_interfaces::srv::{DescribeParameters, GetParameters, ListParameters, SetParameters};
+use tautline::{ParameterType, ParameterValue, parameters_of_file};
+
+/// How long one node may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How long all of them may.
+const PATIENCE_OF_ALL: Duration = Duration::from_secs(1);
+
+const LIST: &str = "list_parameters";
+
+/// Reads and sets the parameters of nodes.
+///
+/// Nodes of other hosts are seen if this host runs `taut gateway`. A node answers within --timeout, or 5 s.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut param list                   of all nodes, asked at once; those that are silent are named
+  taut param get /controller gain
+  taut param set /controller gain 2.5
+  taut param dump /controller > controller.yaml
+  taut param load /controller controller.yaml
+
+Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+pub struct ParamArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+#[derive(Args, Clone, Debug)]
+struct NodeArg {
+    /// The node's name with its namespace; one without is in /
+    #[arg(value_name = "NODE")]
+    node: String,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the names of parameters, of one node or of all; exits with 1 if a node does not answer, here within 1 s
+    List {
+        /// The node's name with its namespace; one without is in /
+        #[arg(value_name = "NODE")]
+        node: Option<String>,
+    },
+    /// Prints the value of a parameter
+    Get {
+        #[command(flatten)]
+        node: NodeArg,
+        /// The parameter
+        #[arg(value_name = "NAME")]
+        name: String,
+        /// Print the value alone
+        #[arg(long)]
+        hide_type: bool,
+    },
+    /// Sets a parameter; exits with 1 if the node refuses
+    #[command(after_help = "Examples:
+  taut param set /controller gain 2.5
+  taut param set /controller frames '[map, odom]'
+  taut param set /controller serial '!!str 0042'")]
+    Set {
+        #[command(flatten)]
+        node: NodeArg,
+        /// The parameter
+        #[arg(value_name = "NAME")]
+        name: String,
+        /// The value, read as YAML
+        #[arg(value_name = "VALUE", allow_hyphen_values = true, value_parser = value)]
+        value: ParameterValue,
+    },
+    /// Prints types, descriptions and ranges of parameters
+    Describe {
+        #[command(flatten)]
+        node: NodeArg,
+        /// The parameters; all, if none is named
+        #[arg(value_name = "NAME")]
+        names: Vec<String>,
+    },
+    /// Deletes a parameter, if its node lets it go
+    Delete {
+        #[command(flatten)]
+        node: NodeArg,
+        /// The parameter
+        #[arg(value_name = "NAME")]
+        name: String,
+    },
+    /// Prints all parameters of a node as a ROS 2 parameter file
+    Dump {
+        #[command(flatten)]
+        node: NodeArg,
+    },
+    /// Sets what a ROS 2 parameter file says for a node, wildcards included; exits with 1 if the node refuses any of it
+    Load {
+        #[command(flatten)]
+        node: NodeArg,
+        /// The file
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+    },
+}
+
+fn value(text: &str) -> Result<ParameterValue, String> {
+    text.parse().map_err(|error: tautline::ParameterError| error.to_string())
+}
+
+/// Runs the verb.
+pub fn run(args: &ParamArgs) -> Outcome {
+    let manners = &args.manners;
+    let node = |node: &NodeArg| Node::find(manners, &node.node);
+    match &args.verb {
+        Verb::List { node: None } => list_all(manners),
+        Verb::List { node: Some(name) } => {
+            let names = Node::find(manners, name)?.names()?;
+            if manners.json {
+                return print_json(&json!({ "node": full_name(name), "parameters": names }));
+            }
+            Ok(names.iter().try_for_each(|name| writeln!(io::stdout(), "{name}"))?)
+        }
+        Verb::Get { node: of, name, hide_type } => {
+            let mut node = node(of)?;
+            let value = node.get(vec![name.clone()])?.remove(0);
+            if value == ParameterValue::NotSet {
+                node.must_have(name)?;
+            }
+            let label = if *hide_type { String::new() } else { value::label(&value) };
+            match manners.json {
+                true => print_json(&json!({
+                    "node": node.name, "name": name, "type": value.type_name(), "value": value::to_json(&value),
+                })),
+                false => Ok(writeln!(io::stdout(), "{label}{}", value::shown(&value))?),
+            }
+        }
+        Verb::Set { node: of, name, value } => {
+            let set = node(of)?.set_one(name, value)?;
+            set.print(manners, "Set parameter successful", "Setting parameter failed")
+        }
+        Verb::Delete { node: of, name } => {
+            let set = node(of)?.set_one(name, &ParameterValue::NotSet)?;
+            set.print(manners, "Deleted parameter successfully", "Deleting parameter failed")
+        }
+        Verb::Describe { node: of, names } => describe(manners, &mut node(of)?, names.clone()),
+        Verb::Dump { node: of } => {
+            let mut node = node(of)?;
+            let names = node.names()?;
+            let values = node.get(names.clone())?;
+            let parameters: Vec<_> = names.into_iter().zip(values).collect();
+            match manners.json {
+                true => print_json(&file::json(&node.name, &parameters)),
+                false => Ok(write!(io::stdout(), "{}", file::yaml(&node.name, &parameters))?),
+            }
+        }
+        Verb::Load { node: of, file } => load(manners, &mut node(of)?, file),
+    }
+}
+
+fn print_json(json: &Value) -> Outcome {
+    Ok(writeln!(io::stdout(), "{json}")?)
+}
+
+fn list_all(manners: &Manners) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE_OF_ALL, manners)?, manners.domain()?);
+    let nodes = nodes_with(domain, LIST)?;
+    let mut asking = Asking::new(domain, end)?;
+    let all = ListParameters::Request::default;
+    let requests = nodes.iter().map(|node| (format!("{node}/{LIST}"), all())).collect();
+    let answers = asking.ask_all::<ListParameters::Service>(requests)?;
+    let (mut listed, mut silent, mut out) = (Vec::new(), 0, io::stdout().lock());
+    for (node, answer) in nodes.iter().zip(answers) {
+        let names = answer.map(|answer| sorted(answer.result.names));
+        if let Err(error) = &names {
+            silent += 1;
+            eprintln!("taut: {node}: {}", no_answer(error));
+        }
+        let names = names.ok();
+        if manners.json {
+            listed.push(json!({ "node": node, "parameters": names }));
+        } else if let Some(names) = names {
+            writeln!(out, "{node}:")?;
+            names.iter().try_for_each(|name| writeln!(out, "  {name}"))?;
+        }
+    }
+    if manners.json {
+        writeln!(out, "{}", Value::from(listed))?;
+    }
+    match silent {
+        0 => Ok(()),
+        silent => Err(Failure::no(format!("{silent} of {} nodes did not answer", nodes.len()))),
+    }
+}
+
+fn sorted(mut names: Vec<String>) -> Vec<String> {
+    names.sort();
+    names
+}
+
+fn describe(manners: &Manners, node: &mut Node, names: Vec<String>) -> Outcome {
+    let names = if names.is_empty() { node.names()? } else { names };
+    let request = DescribeParameters::Request { names: names.clone() };
+    let mut told = node.ask::<DescribeParameters::Service>("describe_parameters", request)?.descriptors;
+    // Of what there is not rclcpp's nodes tell nothing.
+    told.resize_with(names.len(), ParameterDescriptor::default);
+    for (name, told) in names.iter().zip(&told) {
+        if told.type_ == ParameterType::NotSet as u8 {
+            node.must_have(name)?;
+        }
+    }
+    if manners.json {
+        return print_json(&told.iter().map(value::described_json).collect());
+    }
+    Ok(told.iter().try_for_each(|told| write!(io::stdout(), "{}", value::described(told)))?)
+}
+
+fn load(manners: &Manners, node: &mut Node, file: &Path) -> Outcome {
+    let parameters = parameters_of_file(file, &node.name)?;
+    if parameters.is_empty() {
+        let file = file.display();
+        return Err(Failure::unusable(format!(
+            "{file} says nothing for {}: neither by name nor as /**",
+            node.name
+        )));
+    }
+    let mut done = node.set(&parameters)?;
+    // What cannot be changed may be so already, as in a file that `dump` has written.
+    let refused =
+        |done: &[Set]| -> Vec<usize> { (0..done.len()).filter(|i| done[*i].refused.is_some()).collect() };
+    let doubtful = refused(&done);
+    let now = node.get(doubtful.iter().map(|i| parameters[*i].0.clone()).collect())?;
+    for (i, now) in doubtful.into_iter().zip(now) {
+        if now == parameters[i].1 {
+            done[i].refused = None;
+        }
+    }
+    if manners.json {
+        print_json(&done.iter().map(Set::to_json).collect())?;
+    } else {
+        for Set { name, refused, .. } in &done {
+            match refused {
+                None => writeln!(io::stdout(), "Set parameter {name} successful")?,
+                Some(reason) => writeln!(io::stdout(), "Set parameter {name} failed: {reason}")?,
+            }
+        }
+    }
+    match refused(&done).len() {
+        0 => Ok(()),
+        refused => Err(Failure::no(format!("{} refuses {refused} of {}", node.name, done.len()))),
+    }
+}
+
+/// Whether a parameter was set.
+struct Set {
+    node: String,
+    name: String,
+    refused: Option<String>,
+}
+
+impl Set {
+    fn to_json(&self) -> Value {
+        let successful = self.refused.is_none();
+        json!({ "node": self.node, "name": self.name, "successful": successful, "reason": self.refused })
+    }
+
+    fn print(&self, manners: &Manners, done: &str, failed: &str) -> Outcome {
+        if manners.json {
+            print_json(&self.to_json())?;
+        } else if self.refused.is_none() {
+            writeln!(io::stdout(), "{done}")?;
+        }
+        match &self.refused {
+            None => Ok(()),
+            Some(reason) => Err(Failure::no(format!("{failed}: {reason}"))),
+        }
+    }
+}
+
+/// A node whose parameters are asked for.
+struct Node {
+    name: String,
+    asking: Asking,
+}
+
+impl Node {
+    fn find(manners: &Manners, node: &str) -> Outcome<Self> {
+        let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+        let name = node_with(domain, node, LIST, "tells nobody its parameters")?;
+        Ok(Node { name, asking: Asking::new(domain, end)? })
+    }
+
+    fn ask<T: tautline::Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
+        self.asking.ask::<T>(&format!("{}/{service}", self.name), request)
+    }
+
+    fn names(&mut self) -> Outcome<Vec<String>> {
+        let listed = self.ask::<ListParameters::Service>(LIST, ListParameters::Request::default())?;
+        Ok(sorted(listed.result.names))
+    }
+
+    /// Those that there are not are not set.
+    fn get(&mut self, names: Vec<String>) -> Outcome<Vec<ParameterValue>> {
+        let count = names.len();
+        let request = GetParameters::Request { names };
+        let mut values = self.ask::<GetParameters::Service>("get_parameters", request)?.values;
+        // If one is missing rclcpp's nodes tell of none.
+        values.resize_with(count, Default::default);
+        Ok(values.into_iter().map(ParameterValue::try_from).collect::<Result<_, _>>()?)
+    }
+
+    fn set(&mut self, parameters: &[(String, ParameterValue)]) -> Outcome<Vec<Set>> {
+        let message =
+            |(name, value): &(String, ParameterValue)| Parameter { name: name.clone(), value: value.into() };
+        let request = SetParameters::Request { parameters: parameters.iter().map(message).collect() };
+        let results = self.ask::<SetParameters::Service>("set_parameters", request)?.results;
+        let set = parameters.iter().zip(results).map(|((name, _), result)| Set {
+            node: self.name.clone(),
+            name: name.clone(),
+            refused: (!result.successful).then_some(result.reason),
+        });
+        Ok(set.collect())
+    }
+
+    fn set_one(&mut self, name: &str, value: &ParameterValue) -> Outcome<Set> {
+        let set = self.set(&[(name.to_owned(), value.clone())])?.pop();
+        let set = set.ok_or_else(|| Failure::no(format!("{} does not say whether it was set", self.name)))?;
+        if set.refused.is_some() {
+            self.must_have(name)?;
+        }
+        Ok(set)
+    }
+
+    /// Says which parameter may be meant, if there is none of this name.
+    fn must_have(&mut self, name: &str) -> Outcome {
+        let names = self.names()?;
+        if names.iter().any(|there| there == name) {
+            return Ok(());
+        }
+        let (what, list) = (format!("parameter of {}", self.name), format!("param list {}", self.name));
+        Err(Failure::unknown(&what, name, names.iter().map(String::as_str), &list))
+    }
+}

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut service call`: one request written by hand, and its answer.
+
+use super::named::type_to_ask;
+use crate::asking::{Asking, full_name, type_and_values};
+use crate::manners::{End, Failure, Manners, Outcome};
+use clap::Args;
+use std::io::{self, Write};
+use std::sync::Arc;
+use tautline::{ClientUntyped, Error, Node, QosProfile};
+use tautline_schema::{DynamicMessage, Schema};
+use tautline_transport::graph_of;
+
+/// Asks a service, and prints its answer
+///
+/// Values are YAML or JSON; what is left out has its default. The answer is waited for until Ctrl-C, unless there is a --timeout.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut service call /lights '{data: true}'
+  taut service call /lights std_srvs/srv/SetBool '{data: true}' --timeout 2s
+  taut service call /reset --json | jq .success
+
+Exit codes: 0 answered, 1 no such service, or no answer, 2 no request of its type.")]
+pub struct CallArgs {
+    /// The service
+    #[arg(value_name = "SERVICE")]
+    service: String,
+    /// The type, if there are servers of several, and the values, if they are not the defaults
+    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2)]
+    request: Vec<String>,
+}
+
+pub fn run(args: &CallArgs, manners: &Manners) -> Outcome {
+    let (end, domain, service) = (End::of(manners)?, manners.domain()?, full_name(&args.service));
+    let (type_name, values) = type_and_values(&args.request, "srv");
+    let graph = graph_of(domain)?;
+    let type_name = type_to_ask("service", &service, &super::services(&graph), type_name)?;
+    let mut asking = Asking::new(domain, end)?;
+    let client = asking.node.create_client_untyped(&service, &type_name, QosProfile::services_default())?;
+    let request = DynamicMessage::from_yaml(&part(&client, &type_name, "Request")?, values)?.to_json_value();
+    let answer = asking.wait(|| format!("'{service}' to answer"), async {
+        Node::is_available(&client)?.await?;
+        client.request(request)?.await
+    })?;
+    // The answer, once it is there, is a message or it is not: that is no "no".
+    let answer = answer.map_err(|error: Error| Failure::no(error.to_string()))??;
+    let mut out = io::stdout().lock();
+    if manners.json {
+        return Ok(writeln!(out, "{answer}")?);
+    }
+    let response = DynamicMessage::from_json_value(&part(&client, &type_name, "Response")?, answer)?;
+    Ok(write!(out, "{response}")?)
+}
+
+fn part(client: &ClientUntyped, type_name: &str, part: &str) -> Outcome<Arc<Schema>> {
+    Ok(client.schema().of_part(&format!("{type_name}_{part}").parse()?)?.into())
+}

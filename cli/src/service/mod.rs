@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut service`: the services of a domain, and their answers, without a compiled-in type.
+
+mod call;
+mod named;
+
+use crate::asking::{full_name, full_type};
+use crate::manners::{Failure, Manners, Outcome};
+use clap::{Args, Subcommand};
+pub use named::{Named, named, type_to_ask};
+use serde_json::Value;
+use std::io::{self, Write};
+use tautline::GraphSnapshot;
+use tautline_transport::graph_of;
+
+/// Lists services, and asks them.
+///
+/// Services of other hosts are seen if this host runs `taut gateway`.
+/// Types need not be compiled in: processes leave their definitions
+/// in /tmp/tautline_UID/schemas.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut service list
+  taut service list --json          with the nodes that answer
+  taut service find std_srvs/srv/Trigger
+  taut service call /lights '{data: true}'
+
+Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+pub struct ServiceArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the services with their types, and how many servers and clients they have
+    List,
+    /// Prints the type of a service
+    Type {
+        /// The service
+        #[arg(value_name = "SERVICE")]
+        service: String,
+    },
+    /// Prints the services of a type; exits with 1 if there are none
+    Find {
+        /// The type, such as std_srvs/srv/Trigger
+        #[arg(value_name = "TYPE")]
+        type_name: String,
+    },
+    Call(call::CallArgs),
+}
+
+/// Runs the verb.
+pub fn run(args: &ServiceArgs) -> Outcome {
+    let manners = &args.manners;
+    if let Verb::Call(args) = &args.verb {
+        return call::run(args, manners);
+    }
+    let graph = graph_of(manners.domain()?)?;
+    let services = services(&graph);
+    let mut out = io::stdout().lock();
+    match &args.verb {
+        Verb::List if manners.json => {
+            let services = services.iter().map(|service| service.to_json("service"));
+            writeln!(out, "{}", Value::from_iter(services))?;
+        }
+        Verb::List => {
+            let head = ["service", "type", "where", "servers", "clients"];
+            crate::table::write_table(&head, 3, services.iter().map(Named::row).collect(), &mut out)?;
+        }
+        Verb::Type { service } => {
+            let name = full_name(service);
+            let found: Vec<&str> = services
+                .iter()
+                .filter(|service| service.name == name)
+                .map(|service| service.type_name)
+                .collect();
+            if found.is_empty() {
+                return Err(unknown(&services, &name));
+            }
+            crate::table::write_names(manners.json, &found, &mut out)?;
+        }
+        Verb::Find { type_name } => {
+            let wanted = full_type(type_name, "srv");
+            let found: Vec<&str> = services
+                .iter()
+                .filter(|service| service.type_name == wanted)
+                .map(|service| service.name)
+                .collect();
+            if found.is_empty() {
+                let types = services.iter().map(|service| service.type_name);
+                return Err(Failure::unknown("service of type", &wanted, types, "service list"));
+            }
+            crate::table::write_names(manners.json, &found, &mut out)?;
+        }
+        Verb::Call(_) => {}
+    }
+    Ok(())
+}
+
+fn services(graph: &GraphSnapshot) -> Vec<Named<'_>> {
+    named(graph, |end| Some((&end.name, &end.type_name)))
+}
+
+fn unknown(services: &[Named], name: &str) -> Failure {
+    Failure::unknown("service", name, services.iter().map(|service| service.name), "service list")
+}

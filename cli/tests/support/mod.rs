@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What tests of verbs that ask nodes share: such nodes in the test's process, and `taut` beside it.
+#![allow(dead_code, reason = "no test uses all of it")]
+
+use serde_json::Value;
+use std::future::Future;
+use std::io::{BufRead, BufReader, Read};
+use std::pin::Pin;
+use std::process::{Child, Command, Output, Stdio};
+use std::thread::JoinHandle;
+use tautline::{CallbackHandle, CallbackOptions, Context, Node, Realtime};
+
+pub type Served = Pin<Box<dyn Future<Output = ()> + Send>>;
+
+/// A context that spins until this is dropped.
+pub struct Here {
+    pub context: Context,
+    pub domain: u32,
+    served: Vec<CallbackHandle>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Here {
+    pub fn new(domain: u32) -> Self {
+        let context = Context::builder().domain(domain).realtime(Realtime::Off).build().unwrap();
+        let sampler = context.clone();
+        let thread = std::thread::spawn(move || sampler.spin().unwrap());
+        Here { context, domain, served: Vec::new(), thread: Some(thread) }
+    }
+
+    pub fn node(&self, name: &str, namespace: &str) -> Node {
+        Node::create(self.context.clone(), name, namespace).unwrap()
+    }
+
+    /// Runs it on a thread of its own, as long as this is there.
+    pub fn serve(&mut self, node: &mut Node, future: impl Future<Output = ()> + Send + 'static) {
+        self.served.push(node.spawn_callback(CallbackOptions::other().stack_bytes(8 << 20), future).unwrap());
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+        command.args(args).env("TAUT_DOMAIN", self.domain.to_string()).env_remove("RUST_LOG");
+        command
+    }
+
+    /// What a command prints that succeeds.
+    pub fn taut(&self, args: &[&str]) -> String {
+        let output = self.command(args).output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{args:?}: {errors}");
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    pub fn json(&self, args: &[&str]) -> Value {
+        serde_json::from_str(&self.taut(&[args, &["--json"]].concat())).unwrap()
+    }
+
+    /// The exit code of one that does not, what it prints, and its words.
+    pub fn refused(&self, args: &[&str]) -> (i32, String, String) {
+        ended(self.command(args).output().unwrap())
+    }
+
+    /// A command that goes on.
+    pub fn start(&self, args: &[&str]) -> Running {
+        Running(self.command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
+    }
+}
+
+impl Drop for Here {
+    fn drop(&mut self) {
+        self.context.shutdown();
+        if let Some(thread) = self.thread.take() {
+            assert!(thread.join().is_ok() || std::thread::panicking());
+        }
+    }
+}
+
+pub struct Running(Child);
+
+impl Running {
+    /// The next line that it prints.
+    pub fn line(&mut self) -> String {
+        next_line(self.0.stdout.as_mut().unwrap())
+    }
+
+    /// The next line of its words.
+    pub fn words(&mut self) -> String {
+        next_line(self.0.stderr.as_mut().unwrap())
+    }
+
+    /// As Ctrl-C does.
+    pub fn interrupt(&self) {
+        let pid = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    }
+
+    pub fn end(self) -> (i32, String, String) {
+        ended(self.0.wait_with_output().unwrap())
+    }
+}
+
+fn next_line(from: impl Read) -> String {
+    let mut line = String::new();
+    BufReader::with_capacity(1, from).read_line(&mut line).unwrap();
+    line
+}
+
+fn ended(output: Output) -> (i32, String, String) {
+    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.code().unwrap(), out, errors)
+}
+
+/// Whether a command ended with this code, and said this.
+#[track_caller]
+pub fn said(ended: &(i32, String, String), code: i32, words: &str) {
+    assert!(ended.0 == code && ended.2.contains(words), "{ended:?}");
+}
