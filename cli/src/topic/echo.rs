@@ -28,8 +28,7 @@ pub struct EchoArgs {
     /// End after N messages
     #[arg(short = 'n', long = "count", value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
-    /// Print this field alone, such as pose.position.x or ranges[3]
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", help = "Print this field alone, such as pose.position.x or ranges[3]")]
     field: Option<String>,
     /// Print messages for which this program of jq's language gives something else than false and null
     #[arg(long, value_name = "JQ")]
