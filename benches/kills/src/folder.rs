@@ -26,16 +26,17 @@ fn owner(path: &Path) -> Option<u32> {
     if !std::fs::symlink_metadata(path).is_ok_and(|data| data.is_file()) {
         return None;
     }
-    let mut head = [0; 24];
+    let mut head = [0; 40];
     let read = File::open(path).and_then(|file| file.read_at(&mut head, 0)).unwrap_or(0);
-    // As the files of participants and of traces begin.
+    // As the files of participants, of traces and of statistics begin.
     let at = match &head[..8] {
         b"tautpart" => 12,
         b"tauttrac" => 16,
+        b"tautstat" => 32,
         _ => return None,
     };
     let pid = u32::from_ne_bytes(head.get(at..at + 4)?.try_into().ok()?);
-    (read > at + 4 && pid != 0).then_some(pid)
+    (read >= at + 4 && pid != 0).then_some(pid)
 }
 
 /// The inodes that somebody has locked, and who.
