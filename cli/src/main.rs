@@ -11,7 +11,9 @@ mod demo;
 mod doctor;
 mod gateway;
 mod init;
+mod interface;
 mod lifecycle;
+mod log;
 mod manners;
 mod msg;
 mod node;
@@ -45,6 +47,7 @@ enum Verb {
     Init(init::InitArgs),
     Report(report::ReportArgs),
     Msg(msg::MsgArgs),
+    Interface(interface::InterfaceArgs),
     Topic(topic::TopicArgs),
     Top(top::TopArgs),
     Node(node::NodeArgs),
@@ -52,6 +55,7 @@ enum Verb {
     Action(action::ActionArgs),
     Param(param::ParamArgs),
     Lifecycle(lifecycle::LifecycleArgs),
+    Log(log::LogArgs),
     Trace(trace::TraceArgs),
     Gateway(gateway::GatewayArgs),
     BridgeRos(bridge_ros::BridgeRosArgs),
@@ -76,6 +80,7 @@ fn main() -> ExitCode {
         Verb::Gateway(args) => gateway::run(args).or_else(|error| said(&error)),
         Verb::BridgeRos(args) => bridge_ros::run(args).or_else(|error| said(&error)),
         Verb::Msg(args) => msg::run(args).or_else(|error| said(&error)),
+        Verb::Interface(args) => interface::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Top(args) => top::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Topic(args) => topic::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Node(args) => node::run(&args).map(|()| ExitCode::SUCCESS),
@@ -83,6 +88,7 @@ fn main() -> ExitCode {
         Verb::Action(args) => action::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Param(args) => param::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Lifecycle(args) => lifecycle::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Log(args) => log::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Component(args) => component::run(args).map(|()| ExitCode::SUCCESS),
     };
     outcome.unwrap_or_else(Failure::tell)

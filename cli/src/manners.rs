@@ -11,19 +11,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline::Context;
 
-/// Which domain: in any place behind the first word.
-#[derive(Args, Clone, Debug)]
-pub struct DomainArgs {
-    /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
-    domain: Option<u32>,
-}
-
 /// What every verb takes that looks at a domain, in any place behind the first word.
 #[derive(Args, Clone, Debug)]
 pub struct Manners {
-    #[command(flatten)]
-    domain: DomainArgs,
+    /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
+    domain: Option<u32>,
     /// Print JSON: one value, or one in a line for each of what comes
     #[arg(long, global = true)]
     pub json: bool,
@@ -32,22 +25,15 @@ pub struct Manners {
     timeout: Option<Duration>,
 }
 
-impl DomainArgs {
-    /// Its number.
-    pub fn number(&self) -> Result<u32, tautline::Error> {
-        self.domain.map_or_else(Context::domain_of_environment, Ok)
-    }
-
-    /// Whether it was named.
-    pub fn is_named(&self) -> bool {
-        self.domain.is_some()
-    }
-}
-
 impl Manners {
     /// The domain's number.
     pub fn domain(&self) -> Result<u32, tautline::Error> {
-        self.domain.number()
+        self.domain.map_or_else(Context::domain_of_environment, Ok)
+    }
+
+    /// Whether the domain was named in the command.
+    pub fn is_domain_named(&self) -> bool {
+        self.domain.is_some()
     }
 
     /// How long the verb may take, if that was said.
@@ -141,6 +127,10 @@ pub struct End {
     is_said: Cell<bool>,
 }
 
+fn no_signals(error: io::Error) -> Failure {
+    Failure::unusable(format!("signals cannot be caught: {error}"))
+}
+
 /// How a wait ended.
 pub enum Waited<T> {
     /// With this.
@@ -159,19 +149,22 @@ const PATIENCE: Duration = Duration::from_secs(1);
 impl End {
     /// From now on signals end no more than this says.
     pub fn of(manners: &Manners) -> Outcome<Self> {
-        Self::after(manners.timeout)
+        Self::after(manners.timeout).map_err(no_signals)
     }
 
     /// Not later than this, unless `--timeout` says otherwise.
     pub fn within(patience: Duration, manners: &Manners) -> Outcome<Self> {
-        Self::after(manners.timeout.or(Some(patience)))
+        Self::after(manners.timeout.or(Some(patience))).map_err(no_signals)
     }
 
-    fn after(timeout: Option<Duration>) -> Outcome<Self> {
+    /// After this time, or never by itself.
+    ///
+    /// # Errors
+    /// Signals cannot be caught.
+    pub fn after(timeout: Option<Duration>) -> io::Result<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-            signal_hook::flag::register(signal, interrupted.clone())
-                .map_err(|error| Failure::unusable(format!("signals cannot be caught: {error}")))?;
+            signal_hook::flag::register(signal, interrupted.clone())?;
         }
         Ok(End { interrupted, timeout, start: Instant::now(), is_said: Cell::new(false) })
     }

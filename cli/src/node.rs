@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut node`: the nodes of a domain, and what each has.
 
+use crate::asking::full_name;
 use crate::manners::{Failure, Manners, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -50,7 +51,7 @@ pub fn run(args: &NodeArgs) -> Outcome {
         }
         Verb::List => list(&graph.nodes, &mut out)?,
         Verb::Info { node } => {
-            let name = if node.starts_with('/') { node.clone() } else { format!("/{node}") };
+            let name = full_name(node);
             let names: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
             let Some(place) = names.iter().position(|there| *there == name) else {
                 return Err(Failure::unknown("node", &name, names.iter().map(String::as_str), "node list"));

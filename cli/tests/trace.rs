@@ -179,7 +179,10 @@ fn what_is_no_recording_is_refused_by_name() {
         let complaint = text(&out.stderr);
         assert!(complaint.contains("notes.txt` is no recording: it does not begin as one"), "{complaint}");
     }
-    let out = taut(&["trace", "record", "--domain", "231", "--seconds", "0", "-o", "/nowhere/run.trace"]);
+    let out = taut(&["trace", "--domain", "231", "latency", &file.display().to_string()]);
+    assert_eq!(out.status.code(), Some(2));
+    assert!(text(&out.stderr).contains("--domain goes with `taut trace record`"));
+    let out = taut(&["trace", "--domain", "231", "record", "--seconds", "0", "-o", "/nowhere/run.trace"]);
     assert_eq!(out.status.code(), Some(2));
     assert!(text(&out.stderr).contains("`/nowhere/run.trace` cannot be written"));
     std::fs::remove_dir_all(directory).unwrap();

@@ -94,7 +94,7 @@ pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThres
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{
-    PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, WrappedNativeMsgUntyped, find_schema,
+    Bundled, PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, WrappedNativeMsgUntyped, find_schema,
 };
 
 pub use indexmap;

@@ -2,13 +2,19 @@
 //! From what the user wrote to a schema.
 
 use super::MsgError;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::{env, fs};
+use tautline::{Bundled, find_schema};
 use tautline_schema::{HashedTypeDescription, Kind, Packages, Schema, SchemaError, TypeName};
 
 /// The folders that are searched.
 pub struct Finder {
     packages: Packages,
+    bundled: Bundled,
+    /// Whose topics' and services' types are known, too.
+    domain: Option<u32>,
 }
 
 impl Finder {
@@ -26,7 +32,17 @@ impl Finder {
             .cloned()
             .chain(found)
             .for_each(|folder| packages.add_folder(folder));
-        Self { packages }
+        Self { packages, bundled: Bundled::default(), domain: None }
+    }
+
+    /// With the types of this domain.
+    pub fn in_domain(self, domain: u32) -> Self {
+        Self { domain: Some(domain), ..self }
+    }
+
+    /// The types that the folders have.
+    pub fn list(&self) -> BTreeSet<TypeName> {
+        self.packages.list()
     }
 
     /// The schema of a type or of a file.
@@ -35,13 +51,37 @@ impl Finder {
         if path.extension().is_some() || path.is_file() {
             self.file(path)
         } else {
-            Ok(self.named(&name.parse()?)?)
+            self.named_or_known(&name.parse()?)
         }
     }
 
-    /// The schema of a type.
-    pub fn named(&mut self, name: &TypeName) -> Result<Schema, SchemaError> {
-        self.packages.schema(name)
+    /// The schema of a type, of folders and what is built into this program.
+    fn named(&mut self, name: &TypeName) -> Result<Schema, SchemaError> {
+        let Self { packages, bundled, .. } = self;
+        let resolved = Schema::resolve(name, &mut |name| match packages.definition(name)? {
+            Some(definition) => Ok(Some(definition)),
+            None => bundled.definition(name),
+        });
+        // What is wrong is said with where it was looked for.
+        resolved.or_else(|_| packages.schema(name))
+    }
+
+    /// The schema of a type that may be nowhere but in the domain, whose processes leave their definitions.
+    fn named_or_known(&mut self, name: &TypeName) -> Result<Schema, MsgError> {
+        let missing = match self.named(name) {
+            Err(error @ SchemaError::Missing { .. }) => error,
+            found => return Ok(found?),
+        };
+        let graph = self.domain.and_then(|domain| tautline_transport::graph_of(domain).ok());
+        let types = graph.iter().flat_map(|graph| graph.endpoints.iter().map(|end| &end.topic_type));
+        for known in types.filter(|known| known.name == name.as_str()) {
+            match find_schema("", name, Some(known)) {
+                Ok(schema) => return Ok(Arc::unwrap_or_clone(schema)),
+                Err(tautline::Error::UnknownType { .. }) => {}
+                Err(error) => return Err(MsgError::Known(error)),
+            }
+        }
+        Err(missing.into())
     }
 
     fn file(&mut self, path: &Path) -> Result<Schema, MsgError> {

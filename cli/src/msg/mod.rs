@@ -5,6 +5,9 @@ mod decode;
 mod find;
 mod show;
 
+pub use find::Finder;
+pub use show::parts;
+
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -13,8 +16,8 @@ use tautline_schema::{MessageError, SchemaError};
 
 /// Shows definitions, hashes and layouts of ROS 2 types; decodes messages.
 ///
-/// Definitions are searched in --path, in the prefixes of AMENT_PREFIX_PATH (source your ROS 2), and in the ROS 2 that
-/// `cargo xtask ros` makes.
+/// Definitions are searched in --path, in the prefixes of AMENT_PREFIX_PATH (source your ROS 2), in the ROS 2 that
+/// `cargo xtask ros` makes, among those built into this program, and among those of the topics of the domain.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut msg show sensor_msgs/LaserScan          fields, offsets, whether it is read in place
@@ -58,6 +61,8 @@ pub enum MsgError {
     #[error("{0}")]
     Schema(#[from] SchemaError),
     #[error("{0}")]
+    Known(tautline::Error),
+    #[error("{0}")]
     Message(#[from] MessageError),
     #[error("{} cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
@@ -71,9 +76,18 @@ pub enum MsgError {
     Print(io::Error),
 }
 
+impl MsgError {
+    /// Whether this type is defined nowhere.
+    pub fn is_missing(&self, type_name: &str) -> bool {
+        matches!(self, MsgError::Schema(SchemaError::Missing { name, .. }) if name == type_name)
+    }
+}
+
 /// Runs the verb.
 pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
-    let mut finder = find::Finder::new(&args.path);
+    // A domain that cannot be looked at has no types.
+    let domain = tautline::Context::domain_of_environment().unwrap_or_default();
+    let mut finder = Finder::new(&args.path).in_domain(domain);
     let text = match &args.verb {
         Verb::Show { name } => {
             let report = show::Report::of(&mut finder, name)?;
@@ -91,7 +105,7 @@ pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
 }
 
 /// A line per type; the name too if there are several.
-fn hashes(finder: &mut find::Finder, names: &[String], json: bool) -> Result<String, MsgError> {
+fn hashes(finder: &mut Finder, names: &[String], json: bool) -> Result<String, MsgError> {
     let mut hashes = Vec::new();
     for name in names {
         let schema = finder.schema(name)?;

@@ -117,7 +117,7 @@ impl Report {
 }
 
 /// The suffixes of the messages that users of a service or action fill in; none for what is a message itself.
-fn parts(schema: &Schema) -> &'static [&'static str] {
+pub fn parts(schema: &Schema) -> &'static [&'static str] {
     let first = schema.definition().fields.first().map(|field| field.name.as_str());
     match (schema.name().kind(), first) {
         (Kind::Srv | Kind::Action, Some("request_message")) => &["_Request", "_Response"],

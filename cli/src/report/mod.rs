@@ -3,11 +3,9 @@
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crate::manners::DomainArgs;
+use crate::manners::{End, Manners};
 use clap::Args;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
@@ -47,17 +45,14 @@ pub struct ReportArgs {
     /// The system file to compare with, if FILE is a saved run
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
-    #[command(flatten)]
-    domain: DomainArgs,
     /// Write what the report is made of to FILE
     #[arg(long, value_name = "FILE")]
     save: Option<PathBuf>,
-    /// Report again every second until all processes have ended
+    /// Report again every second until all processes have ended, or --timeout
     #[arg(long)]
     watch: bool,
-    /// Print one JSON object instead of the table; with --watch one in each second
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    manners: Manners,
 }
 
 /// Why there is no report.
@@ -88,6 +83,8 @@ pub enum ReportError {
     Statistics(io::Error),
     #[error("`{}` cannot be written: {source}", path.display())]
     Write { path: PathBuf, source: io::Error },
+    #[error("signals cannot be caught: {0}")]
+    Signal(io::Error),
     #[error("the report cannot be printed: {0}")]
     Print(#[from] io::Error),
 }
@@ -136,7 +133,7 @@ fn report(args: &ReportArgs) -> Result<bool, ReportError> {
 }
 
 fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, ReportError> {
-    if args.watch || args.domain.is_named() {
+    if args.watch || args.manners.is_domain_named() {
         return Err(ReportError::SavedLive { path: path.into() });
     }
     let mut run = Run::parse(path, text)?;
@@ -151,15 +148,11 @@ fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, Repo
 }
 
 fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
-    let domain = args.domain.number().map_err(ReportError::Domain)?;
-    let interrupted = Arc::new(AtomicBool::new(false));
+    let domain = args.manners.domain().map_err(ReportError::Domain)?;
+    let end = End::after(args.manners.timeout()).map_err(ReportError::Signal)?;
     let mut watched = Watched::new(domain);
     if args.watch {
-        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-            // At worst the signal ends the program without a last report.
-            let _ = signal_hook::flag::register(signal, interrupted.clone());
-        }
-        watched.wait_for_one(&interrupted)?;
+        watched.wait_for_one(&end)?;
     }
     watched.look()?;
     let path = match &args.file {
@@ -168,10 +161,10 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
     };
     let system = System::parse(&path, &read(&path)?)?;
     loop {
-        let last = !args.watch || interrupted.load(Ordering::Relaxed) || watched.all_ended();
+        let last = !args.watch || end.is_reached() || watched.all_ended();
         let run = watched.gather(&path, &system.text)?;
         // To no terminal, a table that is soon out of date is noise.
-        let shown = last || args.json || io::stdout().is_terminal();
+        let shown = last || args.manners.json || io::stdout().is_terminal();
         let kept = if shown { print(args, &system, &run, args.watch)? } else { true };
         if last {
             watched.tell_killed();
@@ -181,7 +174,7 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
             }
             return Ok(kept);
         }
-        watch::pause(REFRESH, &interrupted);
+        end.pause(REFRESH);
         watched.look()?;
     }
 }
@@ -208,7 +201,7 @@ fn read(path: &Path) -> Result<String, ReportError> {
 fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<bool, ReportError> {
     let comparison = Comparison::new(&system.file, &system.checked, run);
     let mut out = anstream::stdout().lock();
-    if args.json {
+    if args.manners.json {
         json::write(&comparison, &mut out)?;
     } else {
         if in_place && io::stdout().is_terminal() {

@@ -2,13 +2,13 @@
 //! The processes that a report is about, as they come and go.
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tautline::ForeignStatistics;
 
 use super::run::Run;
 use super::{ReportError, killed_text};
+use crate::manners::End;
 
 /// Files stay open, so what a process did can be read after its end.
 pub struct Watched {
@@ -47,13 +47,11 @@ impl Watched {
     }
 
     /// Waits until there is a process.
-    pub fn wait_for_one(&mut self, interrupted: &AtomicBool) -> Result<(), ReportError> {
+    pub fn wait_for_one(&mut self, end: &End) -> Result<(), ReportError> {
         self.look()?;
-        if self.processes.is_empty() {
-            eprintln!("Waiting for a process with a system file in domain {} ...", self.domain);
-        }
-        while self.processes.is_empty() && !interrupted.load(Ordering::Relaxed) {
-            pause(Duration::from_millis(200), interrupted);
+        while self.processes.is_empty() && !end.is_reached() {
+            end.say_once(|| format!("a process with a system file in domain {}", self.domain));
+            end.pause(Duration::from_millis(200));
             self.look()?;
         }
         Ok(())
@@ -99,13 +97,5 @@ impl Watched {
 
     fn nothing(&self) -> ReportError {
         ReportError::Nothing { domain: self.domain, killed: self.killed }
-    }
-}
-
-/// Sleeps, but not past an interruption.
-pub fn pause(time: Duration, interrupted: &AtomicBool) {
-    let end = Instant::now() + time;
-    while !interrupted.load(Ordering::Relaxed) && Instant::now() < end {
-        std::thread::sleep(Duration::from_millis(50));
     }
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic delay`: how old messages are when they are published, and when they are taken.
 
-use super::tap::{ends, full_name, wait_for_type};
+use super::tap::{ends, wait_for_type};
+use crate::asking::full_name;
 use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::table::write_table;
 use crate::times::Times;

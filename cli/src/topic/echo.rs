@@ -2,7 +2,8 @@
 //! `taut topic echo`: messages as they come.
 
 use super::filter::Filter;
-use super::tap::{POLL, Tap, full_name, wait_for_type};
+use super::tap::{POLL, Tap, wait_for_type};
+use crate::asking::full_name;
 use crate::manners::{End, Failure, Manners, Outcome};
 use clap::Args;
 use std::io::{self, Write};

@@ -9,7 +9,9 @@ mod publish;
 mod rates;
 mod tap;
 
+use crate::asking::{full_name, full_type};
 use crate::manners::{Manners, Outcome};
+use crate::table::write_names;
 use clap::{Args, Subcommand};
 use rates::Unit;
 use serde_json::Value;
@@ -104,7 +106,7 @@ pub fn run(args: &TopicArgs) -> Outcome {
 }
 
 fn print_info(manners: &Manners, topic: &str, verbose: bool) -> Outcome {
-    let name = tap::full_name(topic);
+    let name = full_name(topic);
     let graph = graph_of(manners.domain()?)?;
     let mut topics = info::topics(&graph);
     topics.retain(|topic| topic.name() == name);
@@ -121,7 +123,7 @@ fn print_info(manners: &Manners, topic: &str, verbose: bool) -> Outcome {
 }
 
 fn print_type(manners: &Manners, topic: &str) -> Outcome {
-    let name = tap::full_name(topic);
+    let name = full_name(topic);
     let graph = graph_of(manners.domain()?)?;
     let topics = info::topics(&graph);
     let types: Vec<&str> =
@@ -129,15 +131,11 @@ fn print_type(manners: &Manners, topic: &str) -> Outcome {
     if types.is_empty() {
         return Err(tap::unknown(&graph, &name));
     }
-    print_names(manners, &types)
+    Ok(write_names(manners.json, &types, &mut io::stdout().lock())?)
 }
 
 fn find(manners: &Manners, type_name: &str) -> Outcome {
-    // As ROS 2's tools take it.
-    let whole = match type_name.split('/').collect::<Vec<_>>()[..] {
-        [package, name] => format!("{package}/msg/{name}"),
-        _ => type_name.to_owned(),
-    };
+    let whole = full_type(type_name, "msg");
     let graph = graph_of(manners.domain()?)?;
     let topics = info::topics(&graph);
     let names: Vec<&str> =
@@ -146,13 +144,5 @@ fn find(manners: &Manners, type_name: &str) -> Outcome {
         let types = topics.iter().map(|topic| topic.type_name());
         return Err(crate::manners::Failure::unknown("topic of type", &whole, types, "topic list"));
     }
-    print_names(manners, &names)
-}
-
-fn print_names(manners: &Manners, names: &[&str]) -> Outcome {
-    let mut out = io::stdout().lock();
-    if manners.json {
-        return Ok(writeln!(out, "{}", Value::from(names.to_vec()))?);
-    }
-    Ok(names.iter().try_for_each(|name| writeln!(out, "{name}"))?)
+    Ok(write_names(manners.json, &names, &mut io::stdout().lock())?)
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic pub`: publishes messages written by hand.
 
-use super::tap::full_name;
+use crate::asking::{full_name, type_and_values};
 use crate::manners::{End, Failure, Manners, Outcome};
 use crate::times::Times;
 use clap::{Args, ValueEnum};
@@ -98,24 +98,18 @@ impl PubArgs {
 
     /// The type and the values. What is no type's name is a value.
     fn message(&self, domain: u32, topic: &str) -> Outcome<(String, &str)> {
-        match self.message.as_slice() {
-            [type_name, values] => Ok((type_name.clone(), values)),
-            [type_name] if is_type(type_name) => Ok((type_name.clone(), "{}")),
-            rest => {
-                let known = graph_of(domain)?.topic_type(topic).ok_or_else(|| {
-                    Failure::unusable(format!(
-                        "the type of '{topic}' is not known, for nobody has the topic: say it, as in `taut topic pub {topic} \
-                         std_msgs/msg/String '{{data: hello}}'`"
-                    ))
-                })?;
-                Ok((known.name.into_owned(), rest.first().map_or("{}", String::as_str)))
-            }
+        let (type_name, values) = type_and_values(&self.message, "msg");
+        if let Some(type_name) = type_name {
+            return Ok((type_name, values));
         }
+        let known = graph_of(domain)?.topic_type(topic).ok_or_else(|| {
+            Failure::unusable(format!(
+                "the type of '{topic}' is not known, for nobody has the topic: say it, as in `taut topic pub {topic} \
+                 std_msgs/msg/String '{{data: hello}}'`"
+            ))
+        })?;
+        Ok((known.name.into_owned(), values))
     }
-}
-
-fn is_type(text: &str) -> bool {
-    text.contains('/') && text.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c))
 }
 
 /// Where a type has its stamp.

@@ -4,7 +4,8 @@
 //! Publishers count what they send where anybody may read it. Looked at often enough, the count shows each message by itself, and
 //! when it was sent. Only what is too fast for that, or comes from elsewhere, has to be taken.
 
-use super::tap::{POLL, Tap, ends, full_name, wait_for_type};
+use super::tap::{POLL, Tap, ends, wait_for_type};
+use crate::asking::full_name;
 use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::table::write_table;
 use crate::times::Times;

@@ -33,11 +33,6 @@ pub struct Tap {
     lost: u64,
 }
 
-/// A name as ROS completes it.
-pub fn full_name(topic: &str) -> String {
-    if topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") }
-}
-
 /// The ends of a topic.
 pub fn ends<'g>(
     graph: &'g GraphSnapshot,

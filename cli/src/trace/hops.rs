@@ -31,9 +31,6 @@ pub struct HopsArgs {
     /// The recordings
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
-    /// Print one JSON object instead of the table
-    #[arg(long)]
-    json: bool,
 }
 
 /// The same hop of messages of one topic, between the same processes.
@@ -65,17 +62,17 @@ struct Hops<'r> {
 }
 
 /// Runs the verb.
-pub fn run(args: &HopsArgs) -> Result<ExitCode, TraceError> {
+pub fn run(args: &HopsArgs, json: bool) -> Result<ExitCode, TraceError> {
     let recordings = args.files.iter().map(|path| file::read(path)).collect::<Result<Vec<_>, _>>()?;
     let hops = hops(&recordings);
     write_to(Path::new("-"), |to| {
-        if args.json {
+        if json {
             writeln!(to, "{}", to_json(&args.files, &recordings, &hops))
         } else {
             table(&recordings, &hops, to)
         }
     })?;
-    if !args.json {
+    if !json {
         warnings(&args.files, &recordings).for_each(|warning| eprintln!("taut: warning: {warning}"));
     }
     Ok(ExitCode::SUCCESS)

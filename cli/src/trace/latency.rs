@@ -25,9 +25,6 @@ pub struct LatencyArgs {
     /// The recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Print one JSON object instead of the table
-    #[arg(long)]
-    json: bool,
 }
 
 /// The latencies of one callback.
@@ -48,13 +45,13 @@ struct Row {
 }
 
 /// Runs the verb.
-pub fn run(args: &LatencyArgs) -> Result<ExitCode, TraceError> {
+pub fn run(args: &LatencyArgs, json: bool) -> Result<ExitCode, TraceError> {
     let recording = file::read(&args.file)?;
     let rows = rows(&recording);
     write_to(Path::new("-"), |to| {
-        if args.json { writeln!(to, "{}", to_json(&recording, &rows)) } else { table(&rows, to) }
+        if json { writeln!(to, "{}", to_json(&recording, &rows)) } else { table(&rows, to) }
     })?;
-    if !args.json {
+    if !json {
         recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
     }
     Ok(ExitCode::SUCCESS)

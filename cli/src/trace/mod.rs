@@ -11,6 +11,7 @@ mod record;
 mod recording;
 mod ways;
 
+use crate::manners::Manners;
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -31,6 +32,8 @@ TAUT_TRACE=on lets a program record from its first event, before a recorder is t
 pub struct TraceArgs {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    manners: Manners,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -76,6 +79,8 @@ pub enum TraceError {
     Record(#[from] tautline_transport::TransportError),
     #[error(transparent)]
     Domain(tautline::Error),
+    #[error("a recording says itself of which domain it is: --domain goes with `taut trace record`")]
+    DomainOfRecording,
     #[error("`{}` cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
     #[error("`{}` is no recording: {reason}; `taut trace record` makes them", path.display())]
@@ -92,15 +97,17 @@ pub enum TraceError {
 
 /// Runs the verb.
 pub fn run(args: TraceArgs) -> Result<ExitCode, TraceError> {
-    match args.verb {
-        Verb::Record(args) => record::run(&args),
-        Verb::Export(args) => export(&args),
-        Verb::Latency(args) => latency::run(&args),
-        Verb::Hops(args) => hops::run(&args),
+    let manners = &args.manners;
+    match &args.verb {
+        Verb::Record(args) => record::run(args, manners),
+        _ if manners.is_domain_named() => Err(TraceError::DomainOfRecording),
+        Verb::Export(args) => export(args, manners),
+        Verb::Latency(args) => latency::run(args, manners.json),
+        Verb::Hops(args) => hops::run(args, manners.json),
     }
 }
 
-fn export(args: &ExportArgs) -> Result<ExitCode, TraceError> {
+fn export(args: &ExportArgs, manners: &Manners) -> Result<ExitCode, TraceError> {
     let recording = file::read(&args.file)?;
     recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
     let out = args.out.clone().unwrap_or_else(|| {
@@ -112,7 +119,9 @@ fn export(args: &ExportArgs) -> Result<ExitCode, TraceError> {
         Format::Perfetto | Format::Chrome => chrome::write(&recording, to),
         Format::Csv => csv::write(&recording, to),
     })?;
-    if out != Path::new("-") {
+    if manners.json && out != Path::new("-") {
+        println!("{}", serde_json::json!({ "file": out, "events": recording.events.len() }));
+    } else if out != Path::new("-") {
         eprintln!("{}: {} events", out.display(), recording.events.len());
     }
     Ok(ExitCode::SUCCESS)

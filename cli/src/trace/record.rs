@@ -3,7 +3,7 @@
 
 use super::TraceError;
 use super::file::{Entry, Writer};
-use crate::manners::DomainArgs;
+use crate::manners::{End, Manners, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -11,8 +11,6 @@ use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline::rt::{self, Policy};
 use tautline_trace::Record;
@@ -31,22 +29,12 @@ const PERIOD: Duration = Duration::from_millis(10);
   taut trace record --seconds 0                  only what ended processes left: the last events before a crash
   taut trace record --domain 42 --json | jq .events_lost")]
 pub struct RecordArgs {
-    #[command(flatten)]
-    domain: DomainArgs,
-    /// End after this many seconds [default: at Ctrl-C]
-    #[arg(long, value_name = "S", value_parser = seconds)]
+    /// End after this time, as --timeout: a number is of seconds [default: at Ctrl-C]
+    #[arg(long, value_name = "TIME", value_parser = time)]
     seconds: Option<Duration>,
     /// The recording
     #[arg(short, long, value_name = "FILE", default_value = "taut.trace")]
     out: PathBuf,
-    /// Print what was recorded as JSON
-    #[arg(long)]
-    json: bool,
-}
-
-fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse().ok().filter(|seconds| (0.0..=86_400.0).contains(seconds));
-    seconds.map(Duration::from_secs_f64).ok_or_else(|| "seconds go from 0 to 86400".to_owned())
 }
 
 /// What has come so far.
@@ -59,12 +47,9 @@ struct Sum {
 }
 
 /// Runs the verb.
-pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
-    let domain = args.domain.number().map_err(TraceError::Domain)?;
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, stop.clone()).map_err(TraceError::Signal)?;
-    }
+pub fn run(args: &RecordArgs, manners: &Manners) -> Result<ExitCode, TraceError> {
+    let domain = manners.domain().map_err(TraceError::Domain)?;
+    let mut end = End::after(args.seconds.or(manners.timeout())).map_err(TraceError::Signal)?;
     lower_priority()?;
     let mut recorder = tautline_transport::start_recorder(domain)?;
     let refuse = |source| TraceError::Write { path: args.out.clone(), source };
@@ -73,15 +58,15 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
     writer.entry(&session(domain)).map_err(refuse)?;
 
     let (mut sum, start) = (Sum::default(), Instant::now());
-    let until = args.seconds.map(|seconds| start + seconds);
-    let progress = progress(args);
+    end.restart();
+    let progress = progress(manners.json);
     eprintln!(
         "recording domain {domain} into {}{}",
         args.out.display(),
-        if until.is_none() { ", until Ctrl-C" } else { "" }
+        if end.timeout().is_none() { ", until Ctrl-C" } else { "" }
     );
     let mut next_flush = start + Duration::from_secs(1);
-    while !stop.load(Ordering::Relaxed) && until.is_none_or(|until| Instant::now() < until) {
+    while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
         recorder
             .complaints()
@@ -100,8 +85,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
         if let Some(error) = sum.failed.take() {
             return Err(refuse(error));
         }
-        let left = until.map_or(PERIOD, |until| until.saturating_duration_since(Instant::now()));
-        std::thread::sleep(PERIOD.min(left));
+        end.pause(PERIOD);
     }
     recorder.finish(&mut |record| note(&mut writer, &mut sum, &record));
     writer.entry(&Entry::Finished { monotonic_ns: rt::clock::monotonic_ns() }).map_err(refuse)?;
@@ -110,7 +94,7 @@ pub fn run(args: &RecordArgs) -> Result<ExitCode, TraceError> {
         return Err(refuse(error));
     }
     progress.finish_and_clear();
-    print(args, domain, &sum, start.elapsed());
+    print(args, manners, domain, &sum, start.elapsed());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -128,8 +112,8 @@ fn note(writer: &mut Writer<BufWriter<File>>, sum: &mut Sum, record: &Record<'_>
     }
 }
 
-fn print(args: &RecordArgs, domain: u32, sum: &Sum, time: Duration) {
-    if args.json {
+fn print(args: &RecordArgs, manners: &Manners, domain: u32, sum: &Sum, time: Duration) {
+    if manners.json {
         let report = json!({
             "file": args.out, "domain": domain, "seconds": time.as_secs_f64(),
             "processes": sum.processes, "events": sum.events, "events_lost": sum.lost,
@@ -142,8 +126,8 @@ fn print(args: &RecordArgs, domain: u32, sum: &Sum, time: Duration) {
 }
 
 /// On a terminal only, and never beside JSON.
-fn progress(args: &RecordArgs) -> ProgressBar {
-    if args.json {
+fn progress(json: bool) -> ProgressBar {
+    if json {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}");

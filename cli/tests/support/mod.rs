@@ -88,6 +88,10 @@ impl Running {
         next_line(self.0.stderr.as_mut().unwrap())
     }
 
+    pub fn has_ended(&mut self) -> bool {
+        self.0.try_wait().unwrap().is_some()
+    }
+
     /// As Ctrl-C does.
     pub fn interrupt(&self) {
         let pid = self.0.id().to_string();

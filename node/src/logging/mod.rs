@@ -3,7 +3,8 @@
 //!
 //! - [`log_info!`](crate::log_info) and the like take a [`Logger`], as of [`Node::logger`](crate::Node::logger), or a name.
 //! - Levels are the process's and can be changed at any time: [`set_level`], [`Logger::set_level`],
-//!   `--ros-args --log-level warn --log-level robot.arm:=debug`.
+//!   `--ros-args --log-level warn --log-level robot.arm:=debug`, or by other nodes and `taut log level`
+//!   ([`Node::make_logger_handler`](crate::Node::make_logger_handler)).
 //! - A thread with a real-time policy never waits: its line is formatted into 464 bytes (what is longer is cut off) and put
 //!   into a ring of 64 lines; a low-priority thread, `log`, writes it within 20 ms. Lines that find the ring full are
 //!   counted, and a line says how many were lost. Other threads write their lines themselves.
@@ -20,6 +21,8 @@ mod logger;
 mod output;
 mod rings;
 mod rosout;
+#[cfg(feature = "rcl_interfaces")]
+mod services;
 mod severity;
 
 #[cfg(feature = "tracing-layer")]

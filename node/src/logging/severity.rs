@@ -30,8 +30,8 @@ impl LogSeverity {
     ];
 
     /// That of this number.
-    fn of_level(level: u8) -> LogSeverity {
-        Self::ALL.into_iter().find(|severity| *severity as u8 == level).unwrap_or(LogSeverity::Unset)
+    pub(super) fn of_number(number: u32) -> Option<LogSeverity> {
+        Self::ALL.into_iter().find(|severity| *severity as u32 == number)
     }
 
     /// As in a line: `INFO`.
@@ -83,15 +83,26 @@ impl Levels {
 
     /// Sets the level of a logger and those below it. Allocates the first time for each name.
     pub(super) fn set(&self, logger: &str, level: LogSeverity) {
+        self.set_one_of(usize::MAX, logger, level);
+    }
+
+    /// As [`set`](Self::set), unless this would be more than so many loggers with a level of their own: then false. Each makes every
+    /// log statement look at one name more.
+    pub(super) fn set_one_of(&self, most: usize, logger: &str, level: LogSeverity) -> bool {
         let mut place = &self.first;
-        loop {
+        for count in 0.. {
+            if count >= most && place.get().is_none() {
+                return false;
+            }
             let new = || Named { logger: logger.into(), level: AtomicU8::new(0), next: OnceLock::new() };
             let named = place.get_or_init(|| Box::new(new()));
             if named.logger == logger {
-                return named.level.store(level as u8, Ordering::Relaxed);
+                named.level.store(level as u8, Ordering::Relaxed);
+                return true;
             }
             place = &named.next;
         }
+        false
     }
 
     /// The level that this logger has of its own; [`LogSeverity::Unset`]: none.
@@ -99,7 +110,8 @@ impl Levels {
         let mut place = self.first.get();
         while let Some(named) = place {
             if named.logger == logger {
-                return LogSeverity::of_level(named.level.load(Ordering::Relaxed));
+                let level = named.level.load(Ordering::Relaxed);
+                return LogSeverity::of_number(level.into()).unwrap_or(LogSeverity::Unset);
             }
             place = named.next.get();
         }
@@ -156,6 +168,14 @@ mod tests {
         assert!(!levels.enabled("robot.camera.driver", Warn));
         levels.set_all(Fatal);
         assert!(!levels.enabled("a", Error) && levels.enabled("robot.camera", Error));
+    }
+
+    #[test]
+    fn no_more_loggers_have_levels_than_may() {
+        let levels = Levels::new();
+        assert!(levels.set_one_of(2, "a", Debug) && levels.set_one_of(2, "b", Debug));
+        assert!(!levels.set_one_of(2, "c", Debug) && levels.set_one_of(2, "b", Error));
+        assert_eq!(["a", "b", "c"].map(|logger| levels.own(logger)), [Debug, Error, Unset]);
     }
 
     #[test]

@@ -86,7 +86,8 @@ impl Node {
         self.make_parameter_handler()
     }
 
-    fn answer<S: Service>(
+    /// A service below the node's name that is seldom asked, and the future that answers.
+    pub(crate) fn answer<S: Service>(
         &mut self,
         name: &str,
         mut answer: impl FnMut(S::Request) -> S::Response + Send + 'static,
@@ -95,14 +96,14 @@ impl Node {
         S::Request: Clone,
     {
         let name = format!("~/{name}");
-        // Seldom asked, and by no real-time thread: until then it takes no memory for answers, unless somebody wants it to.
+        // Asked by no real-time thread: until then it takes no memory for answers, unless somebody wants it to.
         let limits = Limits { claim: Claim::OnUse, ..Limits::default() };
         self.service_limits.entry(self.resolve_service_name(&name)?).or_insert(limits);
         let requests = self.create_service::<S>(&name, QosProfile::parameters())?;
         let answers = requests.for_each(move |request| {
             let response = answer(request.message.clone());
             if let Err(error) = request.respond(response) {
-                tracing::warn!("a parameter request is not answered: {error}");
+                tracing::warn!("a request is not answered: {error}");
             }
             ready(())
         });

@@ -8,16 +8,32 @@ use tautline_schema::{Definition, Packages, SchemaError, TypeName};
 // Names (`std_msgs/msg/String`) and texts.
 include!(concat!(env!("OUT_DIR"), "/definitions.rs"));
 
-/// Those parsed so far.
-#[derive(Default)]
-pub(super) struct Bundled {
+/// The definitions of ROS's types that are a part of this program.
+///
+/// ```
+/// let mut bundled = tautline::Bundled::default();
+/// assert!(tautline::Bundled::names().any(|name| name == "rcl_interfaces/msg/Log"));
+/// let name = "rcl_interfaces/msg/Log".parse()?;
+/// assert_eq!(bundled.definition(&name)?.unwrap().fields[0].name, "stamp");
+/// # Ok::<(), tautline_schema::SchemaError>(())
+/// ```
+#[derive(Debug, Default)]
+pub struct Bundled {
     packages: Packages,
     parsed: BTreeSet<String>,
 }
 
 impl Bundled {
-    /// A definition, if its package is bundled.
-    pub(super) fn definition(&mut self, name: &TypeName) -> Result<Option<Arc<Definition>>, SchemaError> {
+    /// The names of all, as `std_msgs/msg/String`.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        DEFINITIONS.iter().map(|(name, _)| *name)
+    }
+
+    /// The definition of a type, or of what is derived from a service or action; `None` if it is not bundled.
+    ///
+    /// # Errors
+    /// A definition that is not valid, which none of a released version is.
+    pub fn definition(&mut self, name: &TypeName) -> Result<Option<Arc<Definition>>, SchemaError> {
         if !self.parsed.contains(name.package()) {
             // All of the package: some are derived from others.
             for (other, text) in DEFINITIONS {

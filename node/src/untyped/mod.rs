@@ -7,6 +7,7 @@ mod native;
 mod publisher;
 mod subscription;
 
+pub use bundled::Bundled;
 pub use definitions::find_schema;
 pub use native::WrappedNativeMsgUntyped;
 pub use publisher::PublisherUntyped;

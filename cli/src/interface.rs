@@ -1,0 +1,264 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut interface`: which types there are, and their definitions as ROS 2's tools print them.
+
+use crate::manners::{Failure, Manners, Outcome};
+use crate::msg::{Finder, parts};
+use crate::table::write_names;
+use clap::{Args, Subcommand};
+use serde_json::json;
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+use tautline_schema::{Base, Definition, DynamicMessage, EchoForm, Kind, Schema, TypeName};
+use tautline_transport::graph_of;
+
+/// Lists the types of messages, services and actions; prints their definitions.
+///
+/// Types are searched in --path, in the prefixes of AMENT_PREFIX_PATH (source your ROS 2), among those built into this
+/// program, and among those of the domain's topics and services. `taut msg` shows their layouts and hashes.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut interface show sensor_msgs/msg/LaserScan
+  taut interface show example_interfaces/action/Fibonacci --no-comments
+  taut interface proto geometry_msgs/msg/Twist     the values, to be edited for `taut topic pub`
+  taut interface list --only srvs
+  taut interface package my_msgs --path ~/ws/src
+
+Exit codes: 0 done, 1 there is no such type, 2 what was given cannot be used.")]
+pub struct InterfaceArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Search this folder too: a prefix, a folder of packages, or a package
+    #[arg(long, value_name = "DIR", global = true)]
+    path: Vec<PathBuf>,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the types
+    List {
+        /// Print only these
+        #[arg(long, value_enum, value_name = "KIND")]
+        only: Option<Only>,
+    },
+    /// Prints the types of a package
+    Package {
+        /// The package
+        #[arg(value_name = "PACKAGE")]
+        package: String,
+    },
+    /// Prints the packages that have types
+    Packages {
+        /// Print only packages with these
+        #[arg(long, value_enum, value_name = "KIND")]
+        only: Option<Only>,
+    },
+    /// Prints the definition of a type, with those of its fields
+    Show {
+        /// package/Name, package/srv/Name, package/action/Name, or a file (.msg, .srv, .action)
+        #[arg(value_name = "TYPE")]
+        name: String,
+        /// Leave out comments
+        #[arg(long)]
+        no_comments: bool,
+        /// Print comments of the fields' types too
+        #[arg(long, conflicts_with = "no_comments")]
+        all_comments: bool,
+    },
+    /// Prints the values of a message, request or goal, all with their defaults, as YAML or JSON
+    Proto {
+        /// As for show
+        #[arg(value_name = "TYPE")]
+        name: String,
+    },
+}
+
+#[derive(clap::ValueEnum, Clone, Copy, Debug)]
+enum Only {
+    Msgs,
+    Srvs,
+    Actions,
+}
+
+impl Only {
+    fn kind(self) -> Kind {
+        match self {
+            Only::Msgs => Kind::Msg,
+            Only::Srvs => Kind::Srv,
+            Only::Actions => Kind::Action,
+        }
+    }
+}
+
+/// Runs the verb.
+pub fn run(args: &InterfaceArgs) -> Outcome {
+    let manners = &args.manners;
+    let mut out = io::stdout().lock();
+    match &args.verb {
+        Verb::List { only } => {
+            let mut types = types(args)?;
+            types.retain(|name| only.is_none_or(|only| name.kind() == only.kind()));
+            if manners.json {
+                let names: Vec<&str> = types.iter().map(TypeName::as_str).collect();
+                return Ok(write_names(true, &names, &mut out)?);
+            }
+            for (title, kind) in
+                [("Messages:", Kind::Msg), ("Services:", Kind::Srv), ("Actions:", Kind::Action)]
+            {
+                let mut of_kind = types.iter().filter(|name| name.kind() == kind).peekable();
+                if of_kind.peek().is_some() {
+                    writeln!(out, "{title}")?;
+                    of_kind.try_for_each(|name| writeln!(out, "    {name}"))?;
+                }
+            }
+            Ok(())
+        }
+        Verb::Package { package } => {
+            let types = types(args)?;
+            let names: Vec<&str> =
+                types.iter().filter(|name| name.package() == package).map(TypeName::as_str).collect();
+            if names.is_empty() {
+                let packages: BTreeSet<&str> = types.iter().map(TypeName::package).collect();
+                return Err(Failure::unknown("package", package, packages.into_iter(), "interface packages"));
+            }
+            Ok(write_names(manners.json, &names, &mut out)?)
+        }
+        Verb::Packages { only } => {
+            let types = types(args)?;
+            let wanted = types.iter().filter(|name| only.is_none_or(|only| name.kind() == only.kind()));
+            let names: BTreeSet<&str> = wanted.map(TypeName::package).collect();
+            Ok(write_names(manners.json, &names.into_iter().collect::<Vec<_>>(), &mut out)?)
+        }
+        Verb::Show { name, no_comments, all_comments } => {
+            let schema = find(args, name)?;
+            let depth = match (no_comments, all_comments) {
+                (true, _) => 0,
+                (_, true) => usize::MAX,
+                _ => 1,
+            };
+            let text = shown(&schema, depth);
+            if manners.json {
+                let (name, hash) = (schema.name().to_string(), schema.hash().to_string());
+                return Ok(writeln!(out, "{}", json!({ "type": name, "hash": hash, "definition": text }))?);
+            }
+            Ok(out.write_all(text.as_bytes())?)
+        }
+        Verb::Proto { name } => {
+            let schema = find(args, name)?;
+            let message = match parts(&schema).first() {
+                Some(part) => schema.of_part(&format!("{}{part}", schema.name()).parse()?)?,
+                None => schema,
+            };
+            let message = DynamicMessage::new(&Arc::new(message));
+            match manners.json {
+                true => Ok(writeln!(out, "{}", message.to_json())?),
+                false => Ok(out.write_all(message.echo(EchoForm::default()).as_bytes())?),
+            }
+        }
+    }
+}
+
+/// All that are known: in folders, in this program, and in the domain.
+fn types(args: &InterfaceArgs) -> Outcome<BTreeSet<TypeName>> {
+    let mut types = Finder::new(&args.path).list();
+    types.extend(tautline::Bundled::names().filter_map(|name| name.parse().ok()));
+    let graph = graph_of(args.manners.domain()?)?;
+    let topics = graph.endpoints.iter().map(|end| &*end.topic_type.name);
+    let services = graph.services.iter().map(|end| &*end.type_name);
+    types.extend(topics.chain(services).filter_map(|name| name.parse::<TypeName>().ok()));
+    // What is made of services and actions is not defined by anybody.
+    types.retain(|name| !(name.name().contains('_') && name.kind() != Kind::Msg));
+    Ok(types)
+}
+
+fn find(args: &InterfaceArgs, name: &str) -> Outcome<Schema> {
+    let found = Finder::new(&args.path).in_domain(args.manners.domain()?).schema(name);
+    found.map_err(|error| {
+        let whole = name.parse::<TypeName>().map_or(name.to_owned(), |name| name.to_string());
+        match types(args) {
+            Ok(types) if error.is_missing(&whole) => {
+                Failure::unknown("type", &whole, types.iter().map(TypeName::as_str), "interface list")
+            }
+            _ => Failure::from(error),
+        }
+    })
+}
+
+/// As `ros2 interface show`: comments of the first so many levels, fields of fields indented.
+fn shown(schema: &Schema, comments: usize) -> String {
+    let mut text = String::new();
+    let parts = parts(schema);
+    if parts.is_empty() {
+        print(schema, schema.definition(), 0, comments, &mut text);
+    }
+    for (index, part) in parts.iter().enumerate() {
+        if index > 0 {
+            text.push_str("---\n");
+        }
+        let name = format!("{}{part}", schema.name());
+        if let Some(definition) = schema.referenced().find(|one| one.name.as_str() == name) {
+            print(schema, definition, 0, comments, &mut text);
+        }
+    }
+    text
+}
+
+fn print(schema: &Schema, definition: &Definition, depth: usize, comments: usize, text: &mut String) {
+    let margin = "\t".repeat(depth);
+    let comment = |docs: &str, text: &mut String| {
+        if depth < comments {
+            for line in docs.lines() {
+                // Writing to a `String` cannot fail.
+                let _ = writeln!(text, "{}", format!("{margin}# {line}").trim_end());
+            }
+        }
+    };
+    comment(&definition.docs, text);
+    for constant in &definition.constants {
+        comment(&constant.docs, text);
+        let _ = writeln!(text, "{margin}{} {}={}", constant.ty, constant.name, constant.value);
+    }
+    if definition.is_empty() {
+        return;
+    }
+    for field in &definition.fields {
+        comment(&field.docs, text);
+        let default = field.default.as_ref().map_or_else(String::new, |value| format!(" {value}"));
+        let _ = writeln!(text, "{margin}{} {}{default}", field.ty, field.name);
+        if let Base::Nested(name) = &field.ty.base
+            && let Some(of_field) = schema.referenced().find(|one| one.name == *name)
+        {
+            print(schema, of_field, depth + 1, comments, text);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn definitions_are_printed_with_those_of_their_fields() {
+        let text = "# Where it is\n\nuint8 LOST=255\n# Since the start\nbuiltin_interfaces/Time stamp\nstring<=5[<=3] names [\"a\"]\n";
+        let name = "demo_msgs/msg/Place".parse().unwrap();
+        let schema = Schema::from_text(&name, text).unwrap();
+        let fields =
+            "builtin_interfaces/Time stamp\n\tint32 sec\n\tuint32 nanosec\nstring<=5[<=3] names [\"a\"]\n";
+        assert_eq!(shown(&schema, 0), format!("uint8 LOST=255\n{fields}"));
+        assert_eq!(shown(&schema, 1), format!("# Where it is\nuint8 LOST=255\n# Since the start\n{fields}"));
+    }
+
+    #[test]
+    fn services_have_two_parts() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("demo_msgs/srv/Get.srv");
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        std::fs::write(&file, "---\nstring text\n").unwrap();
+        let schema = Finder::new(&[]).schema(file.to_str().unwrap()).unwrap();
+        assert_eq!(shown(&schema, 1), "---\nstring text\n");
+    }
+}

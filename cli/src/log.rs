@@ -1,0 +1,316 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut log`: what nodes log, and the levels of their loggers.
+
+use crate::asking::{Asking, full_name, node_with};
+use crate::manners::{End, Failure, Manners, Outcome};
+use crate::table::{BAD, WARNING};
+use anstyle::Style;
+use clap::{Args, Subcommand, ValueEnum};
+use serde_json::json;
+use std::collections::BTreeSet;
+use std::io::Write;
+use std::time::{Duration, Instant};
+use tautline::rcl_interfaces::msg::{Log, LoggerLevel};
+use tautline::rcl_interfaces::srv::{GetLoggerLevels, SetLoggerLevels};
+use tautline::{EndpointKind, LogSeverity};
+use tautline_transport::{Gid, GraphSnapshot, Limits, Participant, Qos, Subscription, TakeError, graph_of};
+
+const TOPIC: &str = "/rosout";
+/// As many as ROS 2's nodes keep.
+const DEPTH: usize = 1000;
+/// How often lines are looked for: rarely enough that nobody notices, often enough for people.
+const POLL: Duration = Duration::from_millis(10);
+/// How often it is looked which nodes there are.
+const LOOK: Duration = Duration::from_secs(1);
+/// How long a node may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Prints what nodes log on /rosout, first what they still keep of before; reads and sets levels.
+///
+/// Nodes of other hosts are seen if this host runs `taut gateway`.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut log                                  all lines, until Ctrl-C
+  taut log /robot/arm --level warn          warnings and errors of a node and of loggers below its own
+  taut log --new --json | jq -r .text
+  taut log level /robot/arm                 the level of the node's logger
+  taut log level /robot/arm debug           from now on
+  taut log level /robot/arm warn --logger robot.arm.driver
+
+Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+pub struct LogArgs {
+    #[command(subcommand)]
+    verb: Option<Verb>,
+    #[command(flatten)]
+    lines: LinesArgs,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+#[derive(Args, Clone, Debug)]
+struct LinesArgs {
+    /// Print lines of these nodes only; waited for if they do not exist
+    #[arg(value_name = "NODE")]
+    nodes: Vec<String>,
+    /// Print lines of this severity and above
+    #[arg(short, long, value_enum, value_name = "LEVEL", default_value = "debug")]
+    level: Level,
+    /// Print what is logged from now on, not what nodes keep of before
+    #[arg(long)]
+    new: bool,
+    /// End after N lines
+    #[arg(short = 'n', long = "count", value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+    /// Print the place in the source that logged a line
+    #[arg(long)]
+    source: bool,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    /// Prints the level of a node's logger, or sets it
+    ///
+    /// Nodes of rclcpp and rclpy serve their levels if they were made with `enable_logger_service`, nodes of Tautline if they run
+    /// `Node::make_logger_handler`.
+    Level {
+        /// The node's name with its namespace; one without is in /
+        #[arg(value_name = "NODE")]
+        node: String,
+        /// The least severe lines that are wanted; unset: as of the loggers above
+        #[arg(value_enum, value_name = "LEVEL")]
+        level: Option<Level>,
+        /// Another logger of the node's process than the node's own
+        #[arg(long, value_name = "NAME")]
+        logger: Option<String>,
+    },
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Level {
+    Unset,
+    Debug,
+    Info,
+    Warn,
+    Error,
+    Fatal,
+}
+
+impl Level {
+    fn severity(self) -> LogSeverity {
+        match self {
+            Level::Unset => LogSeverity::Unset,
+            Level::Debug => LogSeverity::Debug,
+            Level::Info => LogSeverity::Info,
+            Level::Warn => LogSeverity::Warn,
+            Level::Error => LogSeverity::Error,
+            Level::Fatal => LogSeverity::Fatal,
+        }
+    }
+}
+
+/// Runs the verb.
+pub fn run(args: &LogArgs) -> Outcome {
+    match &args.verb {
+        None => Lines::open(&args.lines, &args.manners)?.run(),
+        Some(Verb::Level { node, level, logger }) => {
+            let lines = &args.lines;
+            if !lines.nodes.is_empty() || lines.new || lines.count.is_some() || lines.source {
+                return Err(Failure::unusable(
+                    "`taut log level` prints no lines: see `taut log level --help`",
+                ));
+            }
+            self::level(&args.manners, node, *level, logger.as_deref())
+        }
+    }
+}
+
+/// Which lines of /rosout are printed, and how.
+struct Lines<'a> {
+    args: &'a LinesArgs,
+    manners: &'a Manners,
+    /// Loggers whose lines are wanted, and those below them; of all, if there are none.
+    loggers: Vec<String>,
+    end: End,
+    participant: Participant,
+    subscription: Subscription<Log>,
+    /// Publishers of which it was said that their lines do not come.
+    unheard: BTreeSet<Gid>,
+}
+
+impl<'a> Lines<'a> {
+    fn open(args: &'a LinesArgs, manners: &'a Manners) -> Outcome<Self> {
+        let (end, domain) = (End::of(manners)?, manners.domain()?);
+        for node in args.nodes.iter().map(|node| full_name(node)) {
+            let is_there = || {
+                Ok(graph_of(domain)?.nodes.iter().any(|there| there.name.full_name() == node).then_some(()))
+            };
+            end.wait(|| format!("node '{node}' to exist in domain {domain}"), is_there)?;
+        }
+        let participant = Participant::new(domain)?;
+        let node = participant.create_node(&format!("taut_log_{}", std::process::id()), "/")?;
+        let qos = Qos::keep_last(DEPTH);
+        let qos = if args.new { qos.best_effort() } else { qos.transient_local() };
+        let limits = Limits { held: 1, ..Limits::default() };
+        let subscription = participant.for_node(&node).create_subscription(TOPIC, qos, limits)?;
+        let loggers = args.nodes.iter().map(|node| logger_of(&full_name(node))).collect();
+        Ok(Lines { args, manners, loggers, end, participant, subscription, unheard: BTreeSet::new() })
+    }
+
+    fn run(mut self) -> Outcome {
+        let (mut printed, mut looked) = (0, None::<Instant>);
+        let is_enough = |printed| self.args.count.is_some_and(|count| printed >= count);
+        while !is_enough(printed) {
+            if looked.is_none_or(|looked| looked.elapsed() >= LOOK) {
+                looked = Some(Instant::now());
+                let graph = self.participant.graph()?;
+                say_unheard(&graph, &self.subscription, &mut self.unheard);
+            }
+            let sample = match self.subscription.try_take() {
+                Ok(Some(sample)) => sample,
+                Ok(None) if self.end.is_reached() => break,
+                Ok(None) => {
+                    if printed == 0 {
+                        self.end.say_once(|| "a line on /rosout".into());
+                    }
+                    self.end.pause(POLL);
+                    continue;
+                }
+                // Counted.
+                Err(TakeError::Invalid(_)) => continue,
+                Err(error) => return Err(error.into()),
+            };
+            let log = sample.to_owned();
+            if self.is_wanted(&log) {
+                self.print(&log)?;
+                printed += 1;
+            }
+        }
+        let lost = self.subscription.counters().lost();
+        if lost > 0 {
+            eprintln!("taut: {lost} lines came faster than they were printed, and are missing");
+        }
+        match self.args.count.filter(|count| printed < *count) {
+            Some(count) => Err(Failure::no(format!("{printed} of {count} lines came on {TOPIC}"))),
+            None => Ok(()),
+        }
+    }
+
+    fn is_wanted(&self, log: &Log) -> bool {
+        let is_below = |above: &String| {
+            log.name.strip_prefix(above.as_str()).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        };
+        log.level >= self.args.level.severity() as u8
+            && (self.loggers.is_empty() || self.loggers.iter().any(is_below))
+    }
+
+    fn print(&self, log: &Log) -> Outcome {
+        let mut out = anstream::stdout().lock();
+        if self.manners.json {
+            let time_ns = i64::from(log.stamp.sec) * 1_000_000_000 + i64::from(log.stamp.nanosec);
+            let line = json!({
+                "time_ns": time_ns,
+                "level": word(log.level),
+                "logger": log.name,
+                "text": log.msg,
+                "file": log.file,
+                "function": log.function,
+                "line": log.line,
+            });
+            writeln!(out, "{line}")?;
+        } else {
+            let style = match log.level {
+                40.. => BAD,
+                30.. => WARNING,
+                _ => Style::new(),
+            };
+            let source = match self.args.source && !log.file.is_empty() {
+                true => format!(" ({}:{})", log.file, log.line),
+                false => String::new(),
+            };
+            writeln!(
+                out,
+                "{style}[{}] [{:010}.{:09}] [{}]: {}{source}{style:#}",
+                word(log.level),
+                log.stamp.sec,
+                log.stamp.nanosec,
+                log.name,
+                log.msg
+            )?;
+        }
+        Ok(out.flush()?)
+    }
+}
+
+/// Says whose lines do not come, once each.
+fn say_unheard(graph: &GraphSnapshot, subscription: &Subscription<Log>, said: &mut BTreeSet<Gid>) {
+    for end in &graph.endpoints {
+        if end.topic != TOPIC || end.kind != EndpointKind::Publisher {
+            continue;
+        }
+        let Some(policy) = end.qos.incompatibility(&subscription.qos()) else { continue };
+        if said.insert(end.gid) {
+            let node = end.node.as_ref().map_or_else(|| format!("{:?}", end.gid), |node| node.full_name());
+            eprintln!(
+                "taut: lines of {node} do not come, for it keeps none (its {policy} is less than what is requested): --new prints \
+                 lines of all, from now on"
+            );
+        }
+    }
+}
+
+/// A severity as a line has it; numbers between the names are those of their users.
+fn word(level: u8) -> String {
+    match level {
+        10 => "DEBUG".into(),
+        20 => "INFO".into(),
+        30 => "WARN".into(),
+        40 => "ERROR".into(),
+        50 => "FATAL".into(),
+        0 => "UNSET".into(),
+        other => other.to_string(),
+    }
+}
+
+/// The logger of a node.
+fn logger_of(node: &str) -> String {
+    node.trim_start_matches('/').replace('/', ".")
+}
+
+fn level(manners: &Manners, node: &str, level: Option<Level>, logger: Option<&str>) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+    let service = if level.is_some() { "set_logger_levels" } else { "get_logger_levels" };
+    let what = "does not serve the levels of its loggers (rclcpp, rclpy: enable_logger_service; Tautline: make_logger_handler)";
+    let node = node_with(domain, node, service, what)?;
+    let name = logger.map_or_else(|| logger_of(&node), str::to_owned);
+    let mut asking = Asking::new(domain, end)?;
+    let service = format!("{node}/{service}");
+    let mut out = anstream::stdout().lock();
+    let Some(level) = level else {
+        let request = GetLoggerLevels::Request { names: vec![name.clone()] };
+        let answer = asking.ask::<GetLoggerLevels::Service>(&service, request)?;
+        let own = answer.levels.first().map_or(0, |level| u8::try_from(level.level).unwrap_or(u8::MAX));
+        return Ok(match manners.json {
+            true => writeln!(out, "{}", json!({ "node": node, "logger": name, "level": word(own) })),
+            false => writeln!(out, "{name}: {}", word(own)),
+        }?);
+    };
+    let wanted = LoggerLevel { name: name.clone(), level: level.severity() as u32 };
+    let request = SetLoggerLevels::Request { levels: vec![wanted] };
+    let answer = asking.ask::<SetLoggerLevels::Service>(&service, request)?;
+    let result = answer.results.into_iter().next().unwrap_or_default();
+    let now = level.severity().name();
+    if manners.json {
+        let (successful, reason) = (result.successful, &result.reason);
+        writeln!(
+            out,
+            "{}",
+            json!({ "node": node, "logger": name, "level": now, "successful": successful, "reason": reason })
+        )?;
+    } else if result.successful {
+        writeln!(out, "Set {name} to {now}")?;
+    }
+    match result.successful {
+        true => Ok(()),
+        false => Err(Failure::no(format!("{node} does not set the level of '{name}': {}", result.reason))),
+    }
+}
