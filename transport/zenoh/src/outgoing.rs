@@ -9,8 +9,8 @@
 use crate::rules::{BULK_BYTES, Rule, Urgency, ruled};
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
 use std::any::Any;
-use std::sync::{Arc, mpsc};
-use std::time::Duration;
+use std::sync::{Arc, OnceLock, mpsc};
+use std::time::{Duration, Instant};
 use tautline_relay::{Counters, EarlyLimits, FarWriter, Last, Outbound, Outlet, Relay, RelayError, Taken};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
@@ -56,17 +56,49 @@ pub(crate) fn start(
 
 /// A publisher whose samples go out.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Writer {
+pub(crate) struct Identity {
     /// Its gid on the network.
     pub(crate) wire_gid: Gid,
     /// Quality of service.
     pub(crate) qos: WireQos,
 }
 
+/// What stands for it.
+pub(crate) struct Writer {
+    pub(crate) identity: Identity,
+    session: Session,
+    key: TopicKey,
+    /// Declared when its samples are wanted: as long as it is there Zenoh knows who listens to the key. And since when.
+    scout: OnceLock<(Option<Publisher<'static>>, Instant)>,
+}
+
+/// So long Zenoh has to find who listens; a token may tell of somebody who never does.
+const FIND_TIME: Duration = Duration::from_secs(1);
+
+impl Writer {
+    pub(crate) fn new(identity: Identity, session: &Session, key: TopicKey) -> Self {
+        Writer { identity, session: session.clone(), key, scout: OnceLock::new() }
+    }
+
+    fn scout(&self) -> (Option<Publisher<'static>>, Instant) {
+        let scout = self.session.declare_publisher(self.key.to_string());
+        let scout = scout.allowed_destination(Locality::Remote).wait();
+        // A failure is said where samples are to be sent.
+        (scout.ok(), Instant::now())
+    }
+}
+
 impl FarWriter for Writer {
-    /// Samples are taken when there is a subscription elsewhere: Zenoh has its key before its token.
+    /// Zenoh asks the others who listens to a key when a publisher of it is declared; what is put before they answered goes nowhere. What
+    /// is kept is asked for by those who come.
     fn is_matched(&self) -> bool {
-        true
+        if is_keeping(&self.identity) {
+            return true;
+        }
+        let (scout, since) = self.scout.get_or_init(|| self.scout());
+        let is_found =
+            |scout: &Publisher<'_>| !scout.matching_status().wait().is_ok_and(|found| !found.matching());
+        since.elapsed() >= FIND_TIME || scout.as_ref().is_none_or(is_found)
     }
 }
 
@@ -139,7 +171,7 @@ impl Network {
 pub(crate) struct Sender {
     session: Session,
     key: TopicKey,
-    writer: Writer,
+    writer: Identity,
     publisher: Arc<AnyPublisher>,
     urgency: Urgency,
     /// Whether that is a guess, which the first sample's size decides.
@@ -161,7 +193,7 @@ impl Sender {
     pub(crate) fn declare(
         session: &Session,
         key: &TopicKey,
-        writer: &Writer,
+        writer: &Identity,
         rules: &[Rule],
     ) -> zenoh::Result<Self> {
         let rule = ruled(rules, &key.topic);
@@ -204,14 +236,14 @@ impl Sender {
     }
 }
 
-fn is_keeping(writer: &Writer) -> bool {
+fn is_keeping(writer: &Identity) -> bool {
     writer.qos.durability == Durability::TransientLocal
 }
 
 fn declare(
     session: &Session,
     key: &TopicKey,
-    writer: &Writer,
+    writer: &Identity,
     urgency: Urgency,
     is_bulk: bool,
 ) -> zenoh::Result<AnyPublisher> {

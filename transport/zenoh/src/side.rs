@@ -7,7 +7,7 @@ use crate::graph::Graph;
 use crate::incoming::{self, Incoming};
 use crate::locals::{self, wire_node, wire_qos};
 use crate::origin::{ended, ended_tag};
-use crate::outgoing::{Network, Sender, Writer};
+use crate::outgoing::{Identity, Network, Sender, Writer};
 use crate::services::NetworkServices;
 use crate::stats::{ServiceNames, TopicNames, refused_by_reason};
 use crate::tokens::{Tokens, Word};
@@ -340,18 +340,24 @@ impl FarSide for NetworkSide {
         Ok(FoundType { topic_type, schema: self.types.schema(&wire_key.type_id) })
     }
 
-    fn open_writer(&mut self, _: &tautline_relay::TopicKey, publisher: &Publisher) -> Result<Writer, String> {
+    fn open_writer(
+        &mut self,
+        key: &tautline_relay::TopicKey,
+        publisher: &Publisher,
+    ) -> Result<Writer, String> {
         let wire_gid = self.tokens.wire_gid(&publisher.gid);
         let wire_gid = wire_gid.ok_or("its publisher is not announced")?;
-        Ok(Writer { wire_gid, qos: wire_qos(&publisher.qos) })
+        let identity = Identity { wire_gid, qos: wire_qos(&publisher.qos) };
+        Ok(Writer::new(identity, &self.session, self.wire_key(key)?))
     }
 
     fn is_current(&self, publisher: &tautline_transport::Gid, writer: &Writer) -> bool {
-        self.tokens.wire_gid(publisher) == Some(writer.wire_gid)
+        self.tokens.wire_gid(publisher) == Some(writer.identity.wire_gid)
     }
 
     fn sender(&mut self, key: &tautline_relay::TopicKey, writer: &Writer) -> Result<Sender, String> {
-        let sender = Sender::declare(&self.session, &self.wire_key(key)?, writer, &self.options.rules);
+        let sender =
+            Sender::declare(&self.session, &self.wire_key(key)?, &writer.identity, &self.options.rules);
         sender.map_err(|error| error.to_string())
     }
 

@@ -39,6 +39,30 @@ fn bytes_of_every_size_arrive_as_they_were() {
     assert!(out.is_none_or(|out| out.active && out.reading.dropped.is_empty()));
 }
 
+/// Whoever is told that there is a subscription can send: nothing is put on a network that does not know yet who listens.
+#[test]
+fn what_is_published_once_it_is_matched_arrives() {
+    let a = Host::first(107, 107);
+    let b = Host::beside(&a, 108);
+    for n in 0..40u8 {
+        let topic = format!("/at_once_{n}");
+        let qos = Qos::keep_last(10);
+        // Either end may be there first.
+        let here = || a.publisher(&topic, &string_type(), qos);
+        let there = || b.subscription(&topic, &string_type(), qos);
+        let (publisher, subscription) = if n % 2 == 0 {
+            let publisher = here();
+            (publisher, there())
+        } else {
+            let subscription = there();
+            (here(), subscription)
+        };
+        until("a subscription", || publisher.subscription_count() == 1);
+        (0..5).for_each(|m| publisher.publish(&[n, m]).unwrap());
+        (0..5).for_each(|m| assert_eq!(take(&subscription).body(), [n, m]));
+    }
+}
+
 /// Ends of generated types, plain and of any length: written in place on one host, read in place on the other.
 #[test]
 fn messages_are_written_here_and_read_there() {
