@@ -5,6 +5,7 @@ import threading
 import time
 
 import rclpy
+from rclpy.logging import LoggingSeverity
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
@@ -196,6 +197,16 @@ class Peer(ros_peer.Peer):
         self.living = LifecycleNode(name)
         self.spinning.add_node(self.living)
         return True
+
+    def logging_node(self, name, line):
+        """A node whose levels can be set, and which has logged a line."""
+        self.logging = rclpy.create_node(name, enable_logger_service=True)
+        self.spinning.add_node(self.logging)
+        self.logging.get_logger().warning(line)
+        return True
+
+    def logs_debug(self):
+        return self.logging.get_logger().is_enabled_for(LoggingSeverity.DEBUG)
 
     def change_state(self, node, transition):
         """Asks a lifecycle node to change its state: whether it did, and which it has."""

@@ -5,22 +5,33 @@ mod support;
 
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use std::process::{Command, Output};
-use support::{BridgeProcess, Peer, STRING, built, ros, scope, wait_until};
+use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+use support::{BridgeProcess, Peer, STRING, Values, built, ros, scope, wait_until};
+use tautline_schema::{DynamicMessage, Packages};
 
 const DOMAIN: u32 = 34;
+const DOMAIN_OF_TYPES: u32 = 40;
+const DOMAIN_OF_TOPICS: u32 = 41;
 
-struct Tools(PathBuf);
+struct Tools {
+    taut: PathBuf,
+    domain: u32,
+}
 
 impl Tools {
-    fn run(&self, args: &[&str]) -> Output {
-        let mut taut = Command::new(&self.0);
+    fn command(&self, args: &[&str]) -> Command {
+        let mut taut = Command::new(&self.taut);
         taut.args(args)
             .env("TAUT_SCOPE", scope())
-            .env("TAUT_DOMAIN", DOMAIN.to_string())
+            .env("TAUT_DOMAIN", self.domain.to_string())
             .env_remove("RUST_LOG");
+        taut
+    }
+
+    fn run(&self, args: &[&str]) -> Output {
         // ROS's processes answer when they have found each other.
-        taut.args(["--timeout", "60s"]).output().unwrap()
+        self.command(args).args(["--timeout", "60s"]).output().unwrap()
     }
 
     /// What a command prints that succeeds.
@@ -54,8 +65,8 @@ impl Tools {
 #[test]
 fn nodes_of_ros_are_asked_and_told() {
     let Some(venv) = ros() else { return };
-    let Some(program) = built("taut", "taut") else { return };
-    let tools = Tools(program);
+    let Some(taut) = built("taut", "taut") else { return };
+    let tools = Tools { taut, domain: DOMAIN };
     let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
 
@@ -114,7 +125,167 @@ fn nodes_of_ros_are_asked_and_told() {
     let unknown = tools.refused(&["lifecycle", "set", "/living", "configure"]);
     assert!(unknown.contains("there is no transition of /living"), "{unknown}");
 
+    peer.tell(json!({ "do": "logging_node", "name": "talkative", "line": "hot" }));
+    tools.await_services(&["/talkative/get_logger_levels", "/talkative/set_logger_levels"]);
+    let line = tools.json(&["log", "/talkative", "-n", "1"]);
+    assert_eq!(
+        (&line["level"], &line["logger"], &line["text"]),
+        (&json!("WARN"), &json!("talkative"), &json!("hot"))
+    );
+    assert_eq!(peer.tell(json!({ "do": "logs_debug" })), false);
+    assert_eq!(tools.taut(&["log", "level", "/talkative", "debug"]), "Set talkative to DEBUG\n");
+    assert_eq!(peer.tell(json!({ "do": "logs_debug" })), true);
+    assert_eq!(tools.taut(&["log", "level", "talkative"]), "talkative: DEBUG\n");
+
     let publisher = peer.publisher("/text", STRING, json!({ "latched": true }));
     peer.publish_text(publisher, &["from ROS"]);
     assert_eq!(tools.taut(&["topic", "echo", "/text", "--once"]), "data: from ROS\n---\n");
+}
+
+#[test]
+fn topics_of_ros_are_shown_and_measured() {
+    let Some(venv) = ros() else { return };
+    let Some(taut) = built("taut", "taut") else { return };
+    let tools = Tools { taut, domain: DOMAIN_OF_TOPICS };
+    let _bridge = BridgeProcess::start(DOMAIN_OF_TOPICS, DOMAIN_OF_TOPICS, &[]);
+    let mut peer = Peer::start_with_services(&venv, DOMAIN_OF_TOPICS, "there");
+    let publisher = peer.publisher("/heard", STRING, json!({}));
+    let told = peer.subscription("/told", STRING, json!({}));
+    peer.tell(json!({ "do": "service", "name": "/set_bool", "type": "std_srvs/srv/SetBool", "behaviour": "set_bool" }));
+    peer.tell(json!({ "do": "action_server", "name": "/fibonacci" }));
+    tools.await_services(&["/set_bool", "/fibonacci/_action/send_goal"]);
+    wait_until("/heard and /told", || {
+        let list = tools.taut(&["topic", "list"]);
+        list.contains("/heard") && list.contains("/told")
+    });
+
+    assert_eq!(tools.taut(&["topic", "type", "/heard"]), "std_msgs/msg/String\n");
+    assert_eq!(tools.taut(&["topic", "find", STRING]), "/heard\n/told\n");
+    let ends = tools.taut(&["topic", "info", "/heard", "--verbose"]);
+    assert!(ends.contains("Node name: there\n") && ends.contains("Reliability: RELIABLE\n"), "{ends}");
+    assert!(tools.taut(&["node", "list"]).contains("/there"));
+    let parts = tools.taut(&["node", "info", "/there"]);
+    for part in ["/heard: std_msgs/msg/String", "/set_bool: std_srvs/srv/SetBool", "/fibonacci: "] {
+        assert!(parts.contains(part), "{part}: {parts}");
+    }
+    assert!(tools.taut(&["service", "list"]).contains("/set_bool"));
+    assert_eq!(tools.taut(&["service", "find", "std_srvs/srv/SetBool"]), "/set_bool\n");
+    assert!(tools.taut(&["action", "list"]).contains("/fibonacci"));
+    let servers = tools.taut(&["action", "info", "/fibonacci"]);
+    assert!(servers.contains("Action servers: 1\n    /there\n"), "{servers}");
+    assert_eq!(
+        tools.taut(&["interface", "show", "std_srvs/srv/SetBool"]).lines().last(),
+        Some("string message")
+    );
+
+    let picture = tools.json(&["graph", "--rates", "0"]);
+    let edges = picture["edges"].as_array().unwrap();
+    let has = |kind: &str, topic: &str| {
+        let is_it = |edge: &&Value| edge["kind"] == kind && edge["topic"] == topic;
+        edges.iter().find(is_it).is_some_and(|edge| edge["node_name"] == "/there")
+    };
+    assert!(has("publisher", "/heard") && has("subscription", "/told"), "{picture}");
+
+    tools.taut(&["topic", "pub", "/told", STRING, "data: by hand", "--once"]);
+    assert_eq!(peer.take_texts(told, 1), ["by hand"]);
+
+    // All three at once, while there is something to measure.
+    let of = |verb| {
+        let mut command =
+            tools.command(&["topic", verb, "/heard", "--json", "--every", "300ms", "--timeout", "5s"]);
+        command.stdout(Stdio::piped()).spawn().unwrap()
+    };
+    let mut running = ["hz", "bw", "delay"].map(of);
+    while running.iter_mut().any(|one| one.try_wait().unwrap().is_none()) {
+        peer.publish_text(publisher, &["again"]);
+    }
+    let last = running.map(|one| {
+        let output = one.wait_with_output().unwrap();
+        let lines = String::from_utf8(output.stdout).unwrap();
+        let mut lines = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        lines.rfind(|line| line["publishers"].as_array().is_some_and(|all| !all.is_empty())).unwrap()
+    });
+    let [hz, bw, delay] = &last;
+    for rates in [hz, bw] {
+        assert_eq!(
+            (&rates["from"], &rates["publishers"][0]["publisher"]),
+            (&json!("messages"), &json!("/there"))
+        );
+        assert!(
+            rates["rate_hz"].as_f64() > Some(0.0) && rates["bytes_per_s"].as_f64() > Some(0.0),
+            "{rates}"
+        );
+    }
+    assert!(delay["publishers"][0]["messages"].as_u64() > Some(0), "{delay}");
+}
+
+/// Of nine packages: everything that ROS 2's types are made of.
+const TYPES: [&str; 35] = [
+    "builtin_interfaces/msg/Time",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/Polygon",
+    "geometry_msgs/msg/TransformStamped",
+    "geometry_msgs/msg/Twist",
+    "nav_msgs/msg/OccupancyGrid",
+    "nav_msgs/msg/Odometry",
+    "nav_msgs/msg/Path",
+    "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+    "sensor_msgs/msg/BatteryState",
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/NavSatFix",
+    "sensor_msgs/msg/PointCloud2",
+    "std_msgs/msg/Bool",
+    "std_msgs/msg/ColorRGBA",
+    "std_msgs/msg/Float64MultiArray",
+    "std_msgs/msg/Header",
+    "std_msgs/msg/String",
+    "test_msgs/msg/Arrays",
+    "test_msgs/msg/BasicTypes",
+    "test_msgs/msg/BoundedSequences",
+    "test_msgs/msg/Empty",
+    "test_msgs/msg/MultiNested",
+    "test_msgs/msg/Strings",
+    "test_msgs/msg/UnboundedSequences",
+    "test_msgs/msg/WStrings",
+    "trajectory_msgs/msg/JointTrajectory",
+    "visualization_msgs/msg/Marker",
+];
+/// How many are echoed at once: each is a process, and a topic that the bridge joins.
+const AT_ONCE: usize = 7;
+
+#[test]
+fn messages_of_many_types_are_echoed_as_rclpy_has_them() {
+    let Some(venv) = ros() else { return };
+    let Some(taut) = built("taut", "taut") else { return };
+    let tools = Tools { taut, domain: DOMAIN_OF_TYPES };
+    let mut packages = Packages::new();
+    packages.add_folder(&venv);
+    let _bridge = BridgeProcess::start(DOMAIN_OF_TYPES, DOMAIN_OF_TYPES, &[]);
+    let mut peer = Peer::start(&venv, DOMAIN_OF_TYPES, "many");
+    let topic = |name: &str| format!("/{}", name.replace("/msg/", "_").to_lowercase());
+    for names in TYPES.chunks(AT_ONCE) {
+        let mut said = Vec::new();
+        for name in names {
+            let publisher = peer.publisher(&topic(name), name, json!({ "latched": true }));
+            said.push(peer.tell(Values::new(name).prepare(name, 1))[0].clone());
+            peer.tell(json!({ "do": "publish_prepared", "end": publisher, "count": 1 }));
+        }
+        let echoed = |name: &str| tools.taut(&["topic", "echo", &topic(name), "--once", "--json"]);
+        let echoed: Vec<String> = std::thread::scope(|scope| {
+            let all: Vec<_> = names.iter().map(|name| scope.spawn(|| echoed(name))).collect();
+            all.into_iter().map(|one| one.join().unwrap()).collect()
+        });
+        for ((name, said), echoed) in names.iter().zip(said).zip(echoed) {
+            let schema = Arc::new(packages.schema(&name.parse().unwrap()).unwrap());
+            let said = DynamicMessage::from_json(&schema, &said.to_string()).unwrap().to_json();
+            assert_eq!(echoed.trim_end(), said, "{name}");
+        }
+    }
 }

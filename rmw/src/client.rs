@@ -36,6 +36,8 @@ pub(crate) struct Asking {
 const MOST_UNSENT: usize = Depth::ROOM;
 
 impl Port for Asking {
+    const IS_TOPIC: bool = false;
+
     fn subscription(&self) -> &RawSubscription {
         self.raw.responses()
     }

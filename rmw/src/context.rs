@@ -19,8 +19,10 @@ use tautline_trace::SamplerObject;
 use tautline_transport::{GraphEvents, Participant, Slot};
 
 pub(crate) struct Context {
-    // Dropped in this order: what the helper serves is the participant's.
+    // Dropped in this order: what the helper serves is the participant's, and the last participant removes the domain's folder, in which
+    // nothing may be left by then.
     pub(crate) helper: Helper,
+    pub(crate) system: System,
     pub(crate) participant: Participant,
     /// Of its nodes.
     pub(crate) enclave: String,
@@ -31,8 +33,6 @@ pub(crate) struct Context {
     pub(crate) waiters: Arc<Waiters>,
     /// Its waits, as events speak of them.
     pub(crate) waits: Arc<SamplerObject>,
-    /// If callbacks are to be compared with a system file.
-    pub(crate) system: Option<System>,
 }
 
 /// What is triggered when the graph changes.

@@ -16,10 +16,15 @@ use tautline_transport::{MessageInfo, RawSample, RawSubscription, TakeError, Wak
 
 /// What has a queue of messages.
 pub(crate) trait Port: Send + 'static {
+    /// Whether it is a topic's, not a service's.
+    const IS_TOPIC: bool;
+
     fn subscription(&self) -> &RawSubscription;
 }
 
 impl Port for RawSubscription {
+    const IS_TOPIC: bool = true;
+
     fn subscription(&self) -> &RawSubscription {
         self
     }
@@ -47,7 +52,7 @@ struct Route {
 
 impl<P: Port> End<P> {
     pub(crate) fn new(node: &Node, port: P) -> Result<Arc<Self>> {
-        let jobs = Jobs::new(node, port.subscription())?;
+        let jobs = Jobs::new(node, port.subscription(), P::IS_TOPIC)?;
         let (route, callback, is_served) = Default::default();
         Ok(Arc::new(End { side: PiMutex::new((port, route)), jobs, callback, is_served }))
     }

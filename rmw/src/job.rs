@@ -11,14 +11,10 @@ use tautline_executor::{ForeignCallback, foreign};
 use tautline_trace::{Object, SamplerObject};
 use tautline_transport::{Counters, RawSubscription};
 
-/// Those of one end, for who traces and who measures.
+/// Those of one end.
 pub(crate) struct Jobs {
     traced: Object,
-    measured: Option<Measured>,
-}
-
-struct Measured {
-    callback: Arc<ForeignCallback>,
+    measured: Option<Arc<ForeignCallback>>,
     counters: Arc<Counters>,
     depth: u64,
     /// Of the messages lost.
@@ -33,19 +29,13 @@ thread_local! {
 }
 
 impl Jobs {
-    pub(crate) fn new(node: &Node, subscription: &RawSubscription) -> Result<Arc<Self>> {
+    pub(crate) fn new(node: &Node, subscription: &RawSubscription, is_topic: bool) -> Result<Arc<Self>> {
         let topic = subscription.topic();
-        let (name, measured) = match &node.context().system {
-            None => (topic.to_owned(), None),
-            Some(system) => {
-                let (name, callback) = system.callback(&node.full_name, topic)?;
-                let counters = subscription.counters();
-                let noted = AtomicU64::new(counters.lost());
-                (name, Some(Measured { callback, counters, depth: subscription.qos().depth as u64, noted }))
-            }
-        };
+        let (name, measured) = node.context().system.callback(&node.full_name, topic, is_topic)?;
         let traced = tautline_trace::subscription_callback_init(subscription.trace_id(), &name);
-        Ok(Arc::new(Jobs { traced, measured }))
+        let counters = subscription.counters();
+        let noted = AtomicU64::new(counters.lost());
+        Ok(Arc::new(Jobs { traced, measured, counters, depth: subscription.qos().depth as u64, noted }))
     }
 
     /// This thread has a message, released at `released_ns`, and runs the callback.
@@ -56,12 +46,12 @@ impl Jobs {
         if self.measured.is_none() && !tautline_trace::is_on() {
             return;
         }
-        if let Some(Measured { callback, counters, depth, noted }) = &self.measured {
-            let lost = counters.lost();
-            let before = noted.fetch_max(lost, Ordering::Relaxed);
-            let (lost, max_queue) = (lost.saturating_sub(before), counters.max_queue());
-            callback.note_queue(QueueState { lost, max_queue, depth: *depth });
-            callback.begin(released_ns);
+        if let Some(measured) = &self.measured {
+            let lost = self.counters.lost();
+            let before = self.noted.fetch_max(lost, Ordering::Relaxed);
+            let (lost, max_queue) = (lost.saturating_sub(before), self.counters.max_queue());
+            measured.note_queue(QueueState { lost, max_queue, depth: self.depth });
+            measured.begin(released_ns);
         }
         tautline_trace::callback_start(self.traced.id(), released_ns);
         // A thread that is going down has no place for it.
@@ -90,7 +80,7 @@ pub(crate) fn end() -> bool {
     let Some((jobs, released_ns)) = running else { return false };
     tautline_trace::callback_end(jobs.traced.id());
     if let Some(measured) = &jobs.measured {
-        measured.callback.end(released_ns);
+        measured.end(released_ns);
     }
     true
 }

@@ -24,6 +24,8 @@ pub(crate) struct Service {
 }
 
 impl Port for RawServer {
+    const IS_TOPIC: bool = false;
+
     fn subscription(&self) -> &RawSubscription {
         self.requests()
     }

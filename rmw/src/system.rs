@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The system file that `TAUT_SYSTEM` names: which of its callbacks are this process's, and where their statistics lie.
+//! The statistics of this process's callbacks, and what the system file that `TAUT_SYSTEM` names says of them.
 
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -9,21 +9,42 @@ use std::time::Duration;
 use tautline_analysis::file::{CheckedCallback, Client, SystemFile};
 use tautline_executor::{CallbackOptions, ForeignCallback, ProcessInfo, StatisticsFile};
 
-/// A system file as one host's nodes of ROS see it.
+/// What a system file says of one host's nodes of ROS, nothing without one, and the statistics of this process's callbacks.
 pub(crate) struct System {
     callbacks: Vec<CheckedCallback>,
-    statistics: StatisticsFile,
+    /// There is a file, and processor time is compared with it.
+    is_named: bool,
+    /// `None`: the system refused, and there is no file to compare with.
+    statistics: Option<StatisticsFile>,
     /// By their names.
     made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
 }
 
 impl System {
-    /// Of the environment; `None` if that names no file, or one without callbacks of ROS's on this host.
-    pub(crate) fn of_environment(domain: u32) -> Result<Option<Self>> {
-        let Some(path) = std::env::var_os("TAUT_SYSTEM").filter(|path| !path.is_empty()) else {
-            return Ok(None);
+    /// Of the environment.
+    pub(crate) fn of_environment(domain: u32) -> Result<Self> {
+        let path = std::env::var_os("TAUT_SYSTEM").filter(|path| !path.is_empty());
+        let named = path.map(|path| Self::read(std::path::absolute(&path).unwrap_or_else(|_| path.into())));
+        let (callbacks, about) = named.transpose()?.flatten().unwrap_or_else(|| {
+            let realtime = tautline_rt::permission::realtime_permitted(1).is_ok();
+            (Vec::new(), ProcessInfo { realtime, ..ProcessInfo::of_this() })
+        });
+        let is_named = !callbacks.is_empty();
+        let statistics = match StatisticsFile::create(&StatisticsFile::prefix(domain), &about) {
+            Ok(file) => Some(file),
+            Err(error) if is_named => {
+                return Err(Error::other(format!("the statistics in /dev/shm: {error}")));
+            }
+            Err(error) => {
+                tracing::warn!("`taut top` will not show this process's callbacks: /dev/shm: {error}");
+                None
+            }
         };
-        let path = std::path::absolute(&path).unwrap_or_else(|_| PathBuf::from(path));
+        Ok(System { is_named, callbacks, statistics, made: Mutex::default() })
+    }
+
+    /// This host's callbacks of ROS in a system file; `None` if there are none.
+    fn read(path: PathBuf) -> Result<Option<(Vec<CheckedCallback>, ProcessInfo)>> {
         let refuse = |reason: String| Error::other(format!("TAUT_SYSTEM: {reason}"));
         let file = SystemFile::read(&path).map_err(|error| refuse(error.to_string()))?;
         let wanted = std::env::var("TAUT_HOST").ok().filter(|host| !host.is_empty());
@@ -51,14 +72,25 @@ impl System {
             system_hash: file.fingerprint(),
             ..ProcessInfo::of_this()
         };
-        let statistics = StatisticsFile::create(&StatisticsFile::prefix(domain), &about)
-            .map_err(|error| Error::other(format!("the statistics in /dev/shm: {error}")))?;
-        Ok(Some(System { callbacks, statistics, made: Mutex::default() }))
+        Ok(Some((callbacks, about)))
+    }
+
+    /// Whether the processor time of callbacks is measured, which costs a system call for each.
+    pub(crate) fn measures_execution(&self) -> bool {
+        self.is_named
     }
 
     /// The statistics of what `node`, a full name, does with messages of `topic`: under the name that the file has for it. What has one
     /// name there is one callback, however many topics trigger it.
-    pub(crate) fn callback(&self, node: &str, topic: &str) -> Result<(String, Arc<ForeignCallback>)> {
+    ///
+    /// Without a file those of services and clients are not measured, for they take memory and most nodes have seven that nobody asks;
+    /// and nothing fails for want of it.
+    pub(crate) fn callback(
+        &self,
+        node: &str,
+        topic: &str,
+        is_topic: bool,
+    ) -> Result<(String, Option<Arc<ForeignCallback>>)> {
         let short = node.rsplit('/').next().unwrap_or(node);
         let of = |name: &str| {
             let is_it = |callback: &&CheckedCallback| {
@@ -73,16 +105,27 @@ impl System {
                 .deadline(Duration::from_nanos(callback.entry.deadline_ns))
                 .budget(Duration::from_nanos(callback.charged_ns)),
             None => CallbackOptions::other().name(format!("{node} {topic}")),
+        }
+        .execution_time(self.is_named);
+        let Some(statistics) = self.statistics.as_ref().filter(|_| self.is_named || is_topic) else {
+            return Ok((options.name, None));
         };
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(callback) = made.get(&options.name).and_then(Weak::upgrade) {
-            return Ok((options.name, callback));
+            return Ok((options.name, Some(callback)));
         }
         made.retain(|_, callback| callback.strong_count() > 0);
-        let callback = ForeignCallback::new(&self.statistics, &options)
-            .map_err(|error| Error::other(format!("the statistics of '{}': {error}", options.name)))?;
-        let callback = Arc::new(callback);
+        let callback = match ForeignCallback::new(statistics, &options) {
+            Ok(callback) => Arc::new(callback),
+            Err(error) if self.is_named => {
+                return Err(Error::other(format!("the statistics of '{}': {error}", options.name)));
+            }
+            Err(error) => {
+                tracing::warn!("`taut top` will not show '{}': /dev/shm: {error}", options.name);
+                return Ok((options.name, None));
+            }
+        };
         made.insert(options.name.clone(), Arc::downgrade(&callback));
-        Ok((options.name, callback))
+        Ok((options.name, Some(callback)))
     }
 }

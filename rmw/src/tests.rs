@@ -86,6 +86,7 @@ fn said() -> String {
 
 /// A node in a domain of its own, as long as this lives.
 struct World {
+    domain: u32,
     context: Box<rmw_context_t>,
     node: *mut rmw_node_t,
 }
@@ -119,7 +120,7 @@ impl World {
             assert_eq!(options::rmw_init_options_fini(&mut options), RET_OK);
             let node = node::rmw_create_node(&mut *context, c"node".as_ptr(), c"/".as_ptr());
             assert!(!node.is_null(), "{}", said());
-            World { context, node }
+            World { domain: domain as u32, context, node }
         }
     }
 
@@ -157,6 +158,12 @@ impl Drop for World {
             assert_eq!(context::rmw_shutdown(&mut *self.context), RET_OK);
             assert_eq!(context::rmw_context_fini(&mut *self.context), RET_OK);
         }
+        let folder = std::path::Path::new("/dev/shm").join(tautline_rt::domain::shared_folder(self.domain));
+        assert!(
+            !folder.exists() || std::thread::panicking(),
+            "{}: nobody is there any more",
+            folder.display()
+        );
     }
 }
 

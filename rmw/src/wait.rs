@@ -214,7 +214,7 @@ pub unsafe extern "C" fn rmw_create_wait_set(
             }
             let waiter = context.waiters.claim(&context.participant);
             let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
-            let (is_measured, in_use) = (context.system.is_some(), AtomicBool::new(false));
+            let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
             let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),

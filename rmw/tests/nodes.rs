@@ -444,6 +444,30 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
     assert_eq!(of(",/heard,").iter().filter(|kind| **kind == "take").count(), 5, "{events}");
 }
 
+/// Nothing was prepared: no system file, no trace.
+#[test]
+fn callbacks_of_any_node_of_rclpy_are_seen() {
+    let (Some(domain), Some(_)) = (Domain::new(80), built("taut", "taut")) else { return };
+    let number = domain.number.to_string();
+    let mut peer = domain.simple_peer("ordinary");
+    let heard = peer.subscription("/heard", STRING, json!({}));
+    let here = publisher(&domain.participant, "/heard", STRING, Qos::keep_last(10));
+    matched(&here, 1);
+    (0..3).for_each(|n: usize| here.publish(&text_body(&n.to_string())).unwrap());
+    assert_eq!(peer.take_texts(heard, 3).len(), 3);
+    let mut row = Value::Null;
+    wait_until("3 jobs", || {
+        let said = taut(&["top", "--once", "--json", "--domain", &number]).unwrap();
+        let picture: Value = serde_json::from_str(&said).unwrap_or_else(|error| panic!("{error}: {said}"));
+        let mut rows = picture["callbacks"].as_array().unwrap().iter();
+        row = rows.find(|row| row["name"] == "/ordinary /heard").cloned().unwrap_or_default();
+        row["jobs"] == 3
+    });
+    assert!(row["response_max_ms"].as_f64().unwrap() > 0.0, "{row}");
+    assert_eq!(row["execution_max_ms"], Value::Null, "which would cost a system call: {row}");
+    assert_eq!((&row["lost"], &row["bound_ms"]), (&json!(0), &Value::Null), "{row}");
+}
+
 #[test]
 fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     let Some(venv) = ros() else { return };

@@ -89,9 +89,8 @@ pub fn test(steps: &mut Steps) {
     steps.command("bridge-ros: doc", doc.env("RUSTDOCFLAGS", "-Dwarnings"));
     steps.command("bridge-ros: build", &mut building(&format!("test {WHOLE} --no-run")));
     // The program that starts it, which says what is wrong when ROS or the loader ends it; and what carries a domain's topics to
-    // another host. With the features of the workspace's tests, by which nothing is built twice.
-    let programs = "build --locked --workspace --features tautline/ros_all --bin taut --bin taut-gateway";
-    steps.command("bridge-ros: taut and the gateway", &mut cargo(programs));
+    // another host.
+    steps.command("bridge-ros: taut and the gateway", &mut cargo(PROGRAMS));
     let tests = nextest(WHOLE);
     steps.command("bridge-ros: tests", &mut bridge_cargo(&environment, &tests));
     steps.command("bridge-ros: doc tests", &mut bridge_cargo(&environment, &format!("test {WHOLE} --doc")));
@@ -107,6 +106,11 @@ pub fn nextest(whole: &str) -> String {
         "nextest run {whole} --config-file .config/nextest.toml --profile {profile} --no-fail-fast --test-threads 2"
     )
 }
+
+/// The workspace's programs that tests elsewhere run. With a test and the features of the workspace's tests, by which cargo takes
+/// the features that these have of everything, and builds nothing twice.
+pub const PROGRAMS: &str =
+    "build --locked --workspace --features tautline/ros_all --bin taut --bin taut-gateway --test component";
 
 /// All of it, the bench included.
 const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";
