@@ -91,6 +91,11 @@ async fn exchange<T: Service>(client: Client<T>, is_there: bool, request: T::Req
     client.request(&request)?.await
 }
 
+/// The name and type of the action that a service is part of, if it is the one that takes goals: by that an action is known.
+pub fn action_of<'a>(service: &'a str, type_name: &'a str) -> Option<(&'a str, &'a str)> {
+    service.strip_suffix("/_action/send_goal").zip(type_name.strip_suffix("_SendGoal"))
+}
+
 /// What a service that did not answer is said to do.
 pub fn no_answer(error: &Error) -> String {
     match error {

@@ -2,9 +2,10 @@
 //! `taut component`: nodes in shared libraries, in a container that runs them in one process.
 
 use crate::asking::{Asking, full_name};
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome};
 use crate::sibling::Sibling;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueHint};
 use serde_json::json;
 use std::ffi::OsString;
 use std::io::{self, Write};
@@ -20,6 +21,8 @@ const CONTAINER: Sibling = Sibling {
     build: "build it with `cargo build --release -p tautline-container`, or install it with `cargo install --path node/components/container`",
 };
 
+/// The node of a container that is given no name.
+pub const MANAGER: &str = "/ComponentManager";
 /// Making a component may open topics and start threads.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -34,13 +37,15 @@ const PATIENCE: Duration = Duration::from_secs(10);
 pub struct ComponentArgs {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    target: Target,
 }
 
 #[derive(Args, Debug)]
 struct Target {
-    /// The container's node
-    #[arg(long, default_value = "/ComponentManager", value_name = "NODE")]
-    container: String,
+    /// The container's node [default: /ComponentManager]
+    #[arg(long, global = true, value_name = "NODE", add = completions::containers())]
+    container: Option<String>,
     #[command(flatten)]
     manners: Manners,
 }
@@ -57,7 +62,7 @@ enum Verb {
     /// Loads a component into a container that runs, and prints its number and its node
     Load {
         /// A library, or LIBRARY:COMPONENT if it has several
-        #[arg(value_name = "LIBRARY[:COMPONENT]")]
+        #[arg(value_name = "LIBRARY[:COMPONENT]", value_hint = ValueHint::FilePath)]
         what: String,
         /// The node's name; otherwise the last part of the component's, in lower case
         #[arg(long, default_value = "")]
@@ -72,33 +77,38 @@ enum Verb {
         #[arg(long = "param", short = 'p', value_name = "NAME:=VALUE", value_parser = parameter)]
         params: Vec<msg::Parameter>,
         /// The level of the node's logger: debug, info, warn, error or fatal
-        #[arg(long, value_name = "LEVEL", value_parser = log_level)]
+        #[arg(long, value_name = "LEVEL", value_parser = log_level, add = completions::levels())]
         log_level: Option<LogSeverity>,
         /// What ROS 2's containers know, NAME:=VALUE: use_intra_process_comms, forward_global_arguments
         #[arg(long, short = 'e', value_name = "NAME:=VALUE", value_parser = parameter)]
         extra_argument: Vec<msg::Parameter>,
-        #[command(flatten)]
-        target: Target,
     },
     /// Unloads a component: its callbacks end
     Unload {
         /// Its number, as `load` and `list` print it
+        #[arg(add = completions::components())]
         id: u64,
-        #[command(flatten)]
-        target: Target,
     },
     /// Prints the components of a container
-    List {
-        #[command(flatten)]
-        target: Target,
-    },
+    List,
 }
 
 /// Runs the verb. Does not return if it is `run`, and the container could be started.
 pub fn run(args: ComponentArgs) -> Outcome {
-    match args.verb {
-        Verb::Run { arguments } => return Err(CONTAINER.become_it(&arguments).into()),
-        Verb::Load { what, name, namespace, remap, params, log_level, extra_argument, target } => {
+    let ComponentArgs { verb, target } = args;
+    match verb {
+        Verb::Run { mut arguments } => {
+            let Target { container, manners } = &target;
+            if container.is_some() || manners.json || manners.timeout().is_some() {
+                let no = "`taut component run` starts a container: see `taut component run --help`";
+                return Err(Failure::unusable(no));
+            }
+            if manners.is_domain_named() {
+                arguments.splice(..0, ["--domain".into(), manners.domain()?.to_string().into()]);
+            }
+            return Err(CONTAINER.become_it(&arguments).into());
+        }
+        Verb::Load { what, name, namespace, remap, params, log_level, extra_argument } => {
             let (library, component) = what.split_once(':').unwrap_or((&what, ""));
             // The container may be in another folder.
             let library = std::path::absolute(library).unwrap_or_else(|_| PathBuf::from(library));
@@ -118,14 +128,14 @@ pub fn run(args: ComponentArgs) -> Outcome {
             }
             print(&target, &[(loaded.unique_id, loaded.full_node_name)])?;
         }
-        Verb::Unload { id, target } => {
+        Verb::Unload { id } => {
             let request = UnloadNode::Request { unique_id: id };
             let unloaded = ask::<UnloadNode::Service>(&target, "unload_node", request)?;
             if !unloaded.success {
                 return Err(Failure::no(unloaded.error_message));
             }
         }
-        Verb::List { target } => {
+        Verb::List => {
             let listed = ask::<ListNodes::Service>(&target, "list_nodes", ListNodes::Request::default())?;
             let rows: Vec<_> = listed.unique_ids.into_iter().zip(listed.full_node_names).collect();
             print(&target, &rows)?;
@@ -150,7 +160,7 @@ fn log_level(level: &str) -> Result<LogSeverity, &'static str> {
 }
 
 fn ask<T: Service>(target: &Target, service: &str, request: T::Request) -> Outcome<T::Response> {
-    let container = &target.container;
+    let container = target.container.as_deref().unwrap_or(MANAGER);
     let (end, domain) = (End::within(PATIENCE, &target.manners)?, target.manners.domain()?);
     let request = (format!("{}/_container/{service}", full_name(container)), request);
     let answer = Asking::new(domain, end)?.ask_all::<T>(vec![request])?.remove(0);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut interface`: which types there are, and their definitions as ROS 2's tools print them.
 
+use crate::completions;
 use crate::manners::{Failure, Manners, Outcome};
 use crate::msg::{Finder, parts};
 use crate::table::write_names;
@@ -12,7 +13,6 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 use tautline_schema::{Base, Definition, DynamicMessage, EchoForm, Kind, Schema, TypeName};
-use tautline_transport::graph_of;
 
 /// Lists the types of messages, services and actions; prints their definitions.
 ///
@@ -48,7 +48,7 @@ enum Verb {
     /// Prints the types of a package
     Package {
         /// The package
-        #[arg(value_name = "PACKAGE")]
+        #[arg(value_name = "PACKAGE", add = completions::packages())]
         package: String,
     },
     /// Prints the packages that have types
@@ -60,7 +60,7 @@ enum Verb {
     /// Prints the definition of a type, with those of its fields
     Show {
         /// package/Name, package/srv/Name, package/action/Name, or a file (.msg, .srv, .action)
-        #[arg(value_name = "TYPE")]
+        #[arg(value_name = "TYPE", add = completions::interfaces())]
         name: String,
         /// Leave out comments
         #[arg(long)]
@@ -72,7 +72,7 @@ enum Verb {
     /// Prints the values of a message, request or goal, all with their defaults, as YAML or JSON
     Proto {
         /// As for show
-        #[arg(value_name = "TYPE")]
+        #[arg(value_name = "TYPE", add = completions::interfaces())]
         name: String,
     },
 }
@@ -100,7 +100,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
     let mut out = io::stdout().lock();
     match &args.verb {
         Verb::List { only } => {
-            let mut types = types(args)?;
+            let mut types = finder(args)?.list()?;
             types.retain(|name| only.is_none_or(|only| name.kind() == only.kind()));
             if manners.json {
                 let names: Vec<&str> = types.iter().map(TypeName::as_str).collect();
@@ -118,7 +118,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
             Ok(())
         }
         Verb::Package { package } => {
-            let types = types(args)?;
+            let types = finder(args)?.list()?;
             let names: Vec<&str> =
                 types.iter().filter(|name| name.package() == package).map(TypeName::as_str).collect();
             if names.is_empty() {
@@ -128,7 +128,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
             Ok(write_names(manners.json, &names, &mut out)?)
         }
         Verb::Packages { only } => {
-            let types = types(args)?;
+            let types = finder(args)?.list()?;
             let wanted = types.iter().filter(|name| only.is_none_or(|only| name.kind() == only.kind()));
             let names: BTreeSet<&str> = wanted.map(TypeName::package).collect();
             Ok(write_names(manners.json, &names.into_iter().collect::<Vec<_>>(), &mut out)?)
@@ -162,24 +162,17 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
     }
 }
 
-/// All that are known: in folders, in this program, and in the domain.
-fn types(args: &InterfaceArgs) -> Outcome<BTreeSet<TypeName>> {
-    let mut types = Finder::new(&args.path).list();
-    types.extend(tautline::Bundled::names().filter_map(|name| name.parse().ok()));
-    let graph = graph_of(args.manners.domain()?)?;
-    let topics = graph.endpoints.iter().map(|end| &*end.topic_type.name);
-    let services = graph.services.iter().map(|end| &*end.type_name);
-    types.extend(topics.chain(services).filter_map(|name| name.parse::<TypeName>().ok()));
-    // What is made of services and actions is not defined by anybody.
-    types.retain(|name| !(name.name().contains('_') && name.kind() != Kind::Msg));
-    Ok(types)
+fn finder(args: &InterfaceArgs) -> Outcome<Finder> {
+    Ok(Finder::new(&args.path).in_domain(args.manners.domain()?))
 }
 
 fn find(args: &InterfaceArgs, name: &str) -> Outcome<Schema> {
-    let found = Finder::new(&args.path).in_domain(args.manners.domain()?).schema(name);
-    found.map_err(|error| {
+    let mut finder = finder(args)?;
+    finder.schema(name).map_err(|error| {
         let whole = name.parse::<TypeName>().map_or(name.to_owned(), |name| name.to_string());
-        match types(args) {
+        match finder.list() {
+            // The domain has it, and nobody left its definition.
+            Ok(types) if types.iter().any(|name| name.as_str() == whole) => Failure::no(error.to_string()),
             Ok(types) if error.is_missing(&whole) => {
                 Failure::unknown("type", &whole, types.iter().map(TypeName::as_str), "interface list")
             }

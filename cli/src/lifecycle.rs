@@ -2,6 +2,7 @@
 //! `taut lifecycle`: the states of managed nodes, and their transitions.
 
 use crate::asking::{Asking, no_answer, node_with, nodes_with};
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -41,13 +42,13 @@ enum Verb {
     /// Prints the state of a node, or of all
     Get {
         /// The node's name with its namespace; one without is in /
-        #[arg(value_name = "NODE")]
+        #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
         node: Option<String>,
     },
     /// Prints the transitions that a node can make from where it is
     List {
         /// The node's name with its namespace; one without is in /
-        #[arg(value_name = "NODE")]
+        #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
         node: String,
         /// All that there are, from any state
         #[arg(short, long)]
@@ -56,10 +57,10 @@ enum Verb {
     /// Has a node make a transition, and waits for its end; exits with 1 if it fails
     Set {
         /// The node's name with its namespace; one without is in /
-        #[arg(value_name = "NODE")]
+        #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
         node: String,
         /// The transition: its label or its number
-        #[arg(value_name = "TRANSITION")]
+        #[arg(value_name = "TRANSITION", add = completions::transitions())]
         transition: String,
     },
 }

@@ -2,6 +2,8 @@
 //! `taut log`: what nodes log, and the levels of their loggers.
 
 use crate::asking::{Asking, full_name, node_with};
+use crate::completions;
+use crate::fits::label;
 use crate::manners::{End, Failure, Manners, Outcome};
 use crate::table::{BAD, WARNING};
 use anstyle::Style;
@@ -50,7 +52,7 @@ pub struct LogArgs {
 #[derive(Args, Clone, Debug)]
 struct LinesArgs {
     /// Print lines of these nodes only; waited for if they do not exist
-    #[arg(value_name = "NODE")]
+    #[arg(value_name = "NODE", add = completions::nodes())]
     nodes: Vec<String>,
     /// Print lines of this severity and above
     #[arg(short, long, value_enum, value_name = "LEVEL", default_value = "debug")]
@@ -74,7 +76,7 @@ enum Verb {
     /// `Node::make_logger_handler`.
     Level {
         /// The node's name with its namespace; one without is in /
-        #[arg(value_name = "NODE")]
+        #[arg(value_name = "NODE", add = completions::logging_nodes())]
         node: String,
         /// The least severe lines that are wanted; unset: as of the loggers above
         #[arg(value_enum, value_name = "LEVEL")]
@@ -176,6 +178,7 @@ impl<'a> Lines<'a> {
                     continue;
                 }
                 // Counted.
+                Err(TakeError::Invalid(_)) if self.end.is_reached() => break,
                 Err(TakeError::Invalid(_)) => continue,
                 Err(error) => return Err(error.into()),
             };
@@ -184,10 +187,19 @@ impl<'a> Lines<'a> {
                 self.print(&log)?;
                 printed += 1;
             }
+            // Lines may come faster than they are printed.
+            if self.end.is_reached() {
+                break;
+            }
         }
-        let lost = self.subscription.counters().lost();
-        if lost > 0 {
-            eprintln!("taut: {lost} lines came faster than they were printed, and are missing");
+        let counters = self.subscription.counters();
+        for (count, why) in [
+            (counters.lost(), "came faster than they were printed"),
+            (counters.invalid(), "are no valid messages"),
+        ] {
+            if count > 0 {
+                eprintln!("taut: {count} lines {why}, and are missing");
+            }
         }
         match self.args.count.filter(|count| printed < *count) {
             Some(count) => Err(Failure::no(format!("{printed} of {count} lines came on {TOPIC}"))),
@@ -249,7 +261,7 @@ fn say_unheard(graph: &GraphSnapshot, subscription: &Subscription<Log>, said: &m
         }
         let Some(policy) = end.qos.incompatibility(&subscription.qos()) else { continue };
         if said.insert(end.gid) {
-            let node = end.node.as_ref().map_or_else(|| format!("{:?}", end.gid), |node| node.full_name());
+            let node = label(end);
             eprintln!(
                 "taut: lines of {node} do not come, for it keeps none (its {policy} is less than what is requested): --new prints \
                  lines of all, from now on"

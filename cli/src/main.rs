@@ -4,20 +4,27 @@
 
 mod action;
 mod asking;
+mod bag;
 mod bridge_ros;
 mod check;
+mod completions;
 mod component;
+mod counts;
 mod demo;
 mod doctor;
+mod fits;
 mod gateway;
+mod graph;
 mod init;
 mod interface;
 mod lifecycle;
 mod log;
+mod man;
 mod manners;
 mod msg;
 mod node;
 mod param;
+mod record;
 mod report;
 mod service;
 mod sibling;
@@ -27,13 +34,26 @@ mod top;
 mod topic;
 mod trace;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use manners::Failure;
 use std::process::ExitCode;
 
 /// Zero-copy, real-time middleware for robots.
 #[derive(Parser)]
-#[command(version, propagate_version = true, arg_required_else_help = true)]
+#[command(
+    version,
+    propagate_version = true,
+    arg_required_else_help = true,
+    after_help = "Examples:
+  taut demo                         five topics beside their computed bounds, in ten seconds
+  taut doctor                       what on this host spoils real time, and how to mend it
+  taut top                          what runs now
+  taut topic echo /scan --once
+  taut graph -o robot.svg
+  source <(taut completions bash)   names of topics, nodes and types at the tab key
+
+`taut VERB --help` has examples of each verb; docs/tools.md and docs/system-toml.md say more."
+)]
 struct Cli {
     #[command(subcommand)]
     verb: Verb,
@@ -51,18 +71,26 @@ enum Verb {
     Topic(topic::TopicArgs),
     Top(top::TopArgs),
     Node(node::NodeArgs),
+    Graph(graph::GraphArgs),
     Service(service::ServiceArgs),
     Action(action::ActionArgs),
     Param(param::ParamArgs),
     Lifecycle(lifecycle::LifecycleArgs),
     Log(log::LogArgs),
     Trace(trace::TraceArgs),
+    Record(record::RecordArgs),
+    Bag(bag::BagArgs),
     Gateway(gateway::GatewayArgs),
     BridgeRos(bridge_ros::BridgeRosArgs),
     Component(component::ComponentArgs),
+    Completions(completions::CompletionsArgs),
+    Man(man::ManArgs),
 }
 
 fn main() -> ExitCode {
+    if let Some(code) = completions::answer(Cli::command) {
+        return code;
+    }
     // Warnings of the libraries, to standard error; RUST_LOG changes what is shown.
     let filter = tracing_subscriber::EnvFilter::builder()
         .with_default_directive(tracing_subscriber::filter::LevelFilter::WARN.into())
@@ -84,12 +112,28 @@ fn main() -> ExitCode {
         Verb::Top(args) => top::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Topic(args) => topic::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Node(args) => node::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Graph(args) => graph::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Service(args) => service::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Action(args) => action::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Param(args) => param::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Lifecycle(args) => lifecycle::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Log(args) => log::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Record(args) => record::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Bag(args) => bag::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Component(args) => component::run(args).map(|()| ExitCode::SUCCESS),
+        Verb::Completions(args) => completions::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Man(args) => man::run(&args, Cli::command()).map(|()| ExitCode::SUCCESS),
     };
     outcome.unwrap_or_else(Failure::tell)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What clap finds only when a verb is used.
+    #[test]
+    fn every_verb_is_consistent() {
+        Cli::command().debug_assert();
+    }
 }

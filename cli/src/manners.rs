@@ -4,6 +4,7 @@
 use clap::Args;
 use std::cell::Cell;
 use std::error::Error;
+use std::fmt;
 use std::io;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -34,6 +35,16 @@ impl Manners {
     /// Whether the domain was named in the command.
     pub fn is_domain_named(&self) -> bool {
         self.domain.is_some()
+    }
+
+    /// Ends the program after `--timeout`, for verbs that wait for nothing but may be long at work.
+    pub fn bound(&self) {
+        let Some(timeout) = self.timeout else { return };
+        std::thread::spawn(move || {
+            std::thread::sleep(timeout);
+            Failure::no(format!("not done after {timeout:?}")).tell();
+            std::process::exit(1);
+        });
     }
 
     /// How long the verb may take, if that was said.
@@ -107,6 +118,12 @@ impl Failure {
     }
 }
 
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
 impl<E: Error + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
         let io = (&error as &(dyn Error + 'static)).downcast_ref::<io::Error>();
@@ -123,6 +140,8 @@ impl<E: Error + 'static> From<E> for Failure {
 pub struct End {
     interrupted: Arc<AtomicBool>,
     timeout: Option<Duration>,
+    /// The time does not begin anew.
+    is_firm: bool,
     start: Instant,
     is_said: Cell<bool>,
 }
@@ -166,7 +185,16 @@ impl End {
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone())?;
         }
-        Ok(End { interrupted, timeout, start: Instant::now(), is_said: Cell::new(false) })
+        Ok(End { interrupted, timeout, is_firm: false, start: Instant::now(), is_said: Cell::new(false) })
+    }
+
+    /// At this time, whatever is begun before.
+    ///
+    /// # Errors
+    /// Signals cannot be caught.
+    pub fn at(deadline: Instant) -> io::Result<Self> {
+        let left = deadline.saturating_duration_since(Instant::now());
+        Ok(End { is_firm: true, ..Self::after(Some(left))? })
     }
 
     /// Whether it is time.
@@ -196,9 +224,11 @@ impl End {
         }
     }
 
-    /// The time begins anew.
+    /// The time begins anew, unless it ends [`at`](Self::at) a certain one.
     pub fn restart(&mut self) {
-        self.start = Instant::now();
+        if !self.is_firm {
+            self.start = Instant::now();
+        }
     }
 
     /// An interruption is forgotten, and from now on there is this much time.

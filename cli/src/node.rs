@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut node`: the nodes of a domain, and what each has.
 
-use crate::asking::full_name;
+use crate::asking::{action_of, full_name};
+use crate::completions;
 use crate::manners::{Failure, Manners, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -33,7 +34,7 @@ enum Verb {
     /// Prints the topics, services and actions of a node
     Info {
         /// The node's name with its namespace; one without is in /
-        #[arg(value_name = "NODE")]
+        #[arg(value_name = "NODE", add = completions::nodes())]
         node: String,
     },
 }
@@ -105,13 +106,9 @@ impl Parts {
             let own = all(kind).filter(|end| !is_of_action(&end.name));
             own.map(|end| (end.name.clone(), end.type_name.clone())).collect()
         };
-        // An action is known by the first of its services.
         let actions = |kind| {
-            let name = |end: &Arc<tautline::ServiceEndpoint>| {
-                let action = end.name.strip_suffix("/_action/send_goal")?;
-                Some((action.to_owned(), end.type_name.strip_suffix("_SendGoal")?.to_owned()))
-            };
-            all(kind).filter_map(name).collect()
+            let actions = all(kind).filter_map(|end| action_of(&end.name, &end.type_name));
+            actions.map(|(name, type_name)| (name.to_owned(), type_name.to_owned())).collect()
         };
         Parts(vec![
             ("subscribers", topics(EndpointKind::Subscription)),

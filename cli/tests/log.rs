@@ -53,7 +53,7 @@ fn lines_are_printed_by_node_and_level() {
     let (code, out, words) = running.end();
     assert_eq!((code, timeless(&out)), (0, "[INFO] [robot.arm.driver]: later\n".to_owned()), "{words}");
 
-    let (code, out, words) = here.refused(&["log", "/robot/armour", "-n", "2", "--timeout", "100ms"]);
+    let (code, out, words) = here.refused(&["log", "/robot/armour", "-n", "2", "--timeout", "3s"]);
     assert_eq!((code, out.lines().count()), (1, 1));
     assert!(words.contains("1 of 2 lines came on /rosout"), "{words}");
     said(&here.refused(&["log", "/nobody", "--timeout", "50ms"]), 1, "node '/nobody' to exist in domain 57");

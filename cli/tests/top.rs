@@ -86,19 +86,25 @@ fn read_until(
     }
 }
 
-#[test]
-fn on_a_terminal_it_goes_on_until_q() {
-    let terminal = pty::openpt(pty::OpenptFlags::RDWR | pty::OpenptFlags::NOCTTY).unwrap();
+/// `taut top` in a terminal of its own, which is the second value, and what that shows.
+fn on_terminal() -> (Child, File, vt100::Parser) {
+    // The other side must not have this one: it would never hang up.
+    let flags = pty::OpenptFlags::RDWR | pty::OpenptFlags::NOCTTY | pty::OpenptFlags::CLOEXEC;
+    let terminal = pty::openpt(flags).unwrap();
     pty::grantpt(&terminal).unwrap();
     pty::unlockpt(&terminal).unwrap();
     let size = Winsize { ws_row: 24, ws_col: 120, ws_xpixel: 0, ws_ypixel: 0 };
     tcsetwinsize(&terminal, size).unwrap();
     let path = pty::ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
     let open = || File::options().read(true).write(true).open(&path).unwrap();
-    let mut top =
-        taut(&["top", "--domain", "145", "--every", "100ms"]).stdin(open()).stdout(open()).spawn().unwrap();
-    let mut terminal = File::from(terminal);
-    let mut screen = vt100::Parser::new(24, 120, 0);
+    let mut top = taut(&["top", "--domain", "145", "--every", "100ms"]);
+    let top = top.stdin(open()).stdout(open()).stderr(Stdio::null()).spawn().unwrap();
+    (top, File::from(terminal), vt100::Parser::new(24, 120, 0))
+}
+
+#[test]
+fn on_a_terminal_it_goes_on_until_q() {
+    let (mut top, mut terminal, mut screen) = on_terminal();
     // Each key once the one before has been answered.
     for (key, answer) in [
         ("", "taut top: domain 145, 0 processes"),
@@ -108,11 +114,32 @@ fn on_a_terminal_it_goes_on_until_q() {
         ("s", "s sort (Rate)"),
         ("\t", "> 0 topics"),
         (" ", "0 processes, frozen"),
+        (" ", "0 processes "),
     ] {
         terminal.write_all(key.as_bytes()).unwrap();
         read_until(&mut terminal, &mut screen, answer, |screen| screen.contents().contains(answer));
     }
+    for (rows, columns) in [(40, 100), (8, 60)] {
+        tcsetwinsize(&terminal, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 })
+            .unwrap();
+        screen.screen_mut().set_size(rows, columns);
+        let foot = |screen: &vt100::Screen| screen.rows(0, columns).last().unwrap_or_default();
+        read_until(&mut terminal, &mut screen, "another size", |screen| foot(screen).starts_with("q quit"));
+        assert!(screen.screen().contents().starts_with("taut top: domain 145"), "{rows} rows");
+    }
     terminal.write_all(b"q").unwrap();
     read_until(&mut terminal, &mut screen, "the end", |screen| !screen.alternate_screen());
     assert!(top.wait().unwrap().success());
+}
+
+#[test]
+fn it_ends_with_its_terminal() {
+    let (mut top, mut terminal, mut screen) = on_terminal();
+    let is_drawn = |screen: &vt100::Screen| screen.contents().contains("0 processes");
+    read_until(&mut terminal, &mut screen, "the first picture", is_drawn);
+    terminal.write_all(b" ").unwrap();
+    let is_frozen = |screen: &vt100::Screen| screen.contents().contains("frozen");
+    read_until(&mut terminal, &mut screen, "frozen: nothing is written", is_frozen);
+    drop(terminal);
+    assert_eq!(top.wait().unwrap().code(), Some(2));
 }

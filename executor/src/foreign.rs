@@ -35,10 +35,11 @@ thread_local! {
 pub struct ForeignCallback {
     /// Several threads may run it, and each counter has one writer at a time.
     stats: PiMutex<CallbackStats>,
+    measures_execution: bool,
 }
 
 impl ForeignCallback {
-    /// Of the options, the name, the period, the deadline and the budget are used.
+    /// Of the options, the name, the period, the deadline, the budget and whether the execution time is measured are used.
     ///
     /// # Real-time
     /// Setup only.
@@ -50,15 +51,16 @@ impl ForeignCallback {
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
         stats.place(Some(file), false)?;
-        stats.describe_jobs(options.period, true);
-        Ok(ForeignCallback { stats: PiMutex::new(stats) })
+        stats.describe_jobs(options.period, options.execution_time);
+        Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time })
     }
 
     /// A job of it begins in this thread, that was released at `release_ns` of `CLOCK_MONOTONIC`.
     ///
     /// # Real-time
-    /// Waits for another thread that begins or ends a job of it right now, and lends it this one's priority; no allocation; three
-    /// syscalls when another thread ran the job before, and one in a thread's first.
+    /// Waits for another thread that begins or ends a job of it right now, and lends it this one's priority; no allocation;
+    /// four syscalls when another thread ran the job before, one in a thread's first, and one more there where the execution time is
+    /// measured.
     pub fn begin(&self, release_ns: u64) {
         let stats = self.stats.lock();
         let tid = TID.with(|tid| *tid);
@@ -68,16 +70,19 @@ impl ForeignCallback {
             stats.set_thread(&ThreadInfo { tid, name: String::new(), policy, cores });
         }
         stats.release(release_ns);
-        STOPWATCH.with(Stopwatch::begin);
+        if self.measures_execution {
+            STOPWATCH.with(Stopwatch::begin);
+        }
     }
 
-    /// The job ends. It is charged the processor time of this thread since the end of the job before, or since [`idle`].
+    /// The job ends. It is charged the processor time of this thread since the end of the job before, or since [`idle`], if its execution
+    /// time is measured.
     ///
     /// # Real-time
-    /// As [`begin`](Self::begin), with one syscall.
+    /// As [`begin`](Self::begin), with one syscall where the execution time is measured.
     pub fn end(&self, release_ns: u64) {
         let response_ns = monotonic_ns().saturating_sub(release_ns);
-        let execution_ns = Some(STOPWATCH.with(Stopwatch::lap));
+        let execution_ns = self.measures_execution.then(|| STOPWATCH.with(Stopwatch::lap));
         self.stats.lock().complete(&Job { release_ns, response_ns, execution_ns });
     }
 

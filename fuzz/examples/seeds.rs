@@ -2,12 +2,14 @@
 //! Writes the corpus anew, a few inputs for each target from which libFuzzer starts:
 //! `cargo run --example seeds`, in this folder.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{fs, io};
 
 use rand::SeedableRng;
 use rand::rngs::StdRng;
+use tautline_bag::{BagError, Compression, Options, Stamp, Topic, Writer};
 use tautline_schema::{DynamicMessage, HashedTypeDescription, Packages, Schema};
 
 #[path = "../../msgs/ros/tests/values/random.rs"]
@@ -140,5 +142,36 @@ fn main() -> io::Result<()> {
     }
     let (number, stamp_ns) = (7_i64.to_le_bytes(), 1_700_000_000_000_000_000_i64.to_le_bytes());
     write("wire", "attachment", &[&[3], &number, &stamp_ns, &[16], &[5; 16]])?;
-    write("wire", "payload", &[&[3], &[0, 1, 0, 0, 65, 0, 0, 0]])
+    write("wire", "payload", &[&[3], &[0, 1, 0, 0, 65, 0, 0, 0]])?;
+
+    let folder = tempfile::tempdir()?;
+    for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
+        let name = format!("{compression:?}").to_lowercase();
+        let file = bag(&folder.path().join(&name), compression).expect("there is room");
+        write("bag", &name, &[&fs::read(file)?])?;
+    }
+    Ok(())
+}
+
+/// Two topics, two chunks.
+fn bag(folder: &Path, compression: Compression) -> Result<PathBuf, BagError> {
+    let session = BTreeMap::from([("host".to_owned(), "seed".to_owned())]);
+    let mut writer = Writer::create(folder, Options { compression, ..Options::default() }, session.clone())?;
+    let topics = ["/one", "/two"].map(|name| {
+        let (name, type_name) = (name.to_owned(), "std_msgs/msg/String".to_owned());
+        writer.add_topic(Topic {
+            name,
+            type_name,
+            definition: Some("string data\n".into()),
+            ..Topic::default()
+        })
+    });
+    for n in 0..8 {
+        let stamp = Stamp { sequence: n, log_ns: u64::from(n) * 1000, publish_ns: u64::from(n) };
+        writer.write(topics[n as usize % 2], stamp, &[0, 1, 0, 0, 2, 0, 0, 0, b'a', 0])?;
+        if n == 3 {
+            writer.flush()?;
+        }
+    }
+    Ok(writer.finish(session)?.files.remove(0).path)
 }

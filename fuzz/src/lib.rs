@@ -11,14 +11,16 @@
 //! | [`fill`] | type, lengths, memory, value | nothing is written outside of what the lengths say; what is written is a message |
 //! | [`schema`] | definitions, bundles, type descriptions | what is accepted is written as text that says the same |
 //! | [`json`], [`yaml`] | type, text | what is read is written as text that says the same |
+//! | [`bag`] | files of bags | what is whole is read, the rest is damage |
 //! | [`wire`] | keys, tokens and attachments of other hosts | what is accepted is written as what says the same |
 //!
-//! All of them: no panic, no byte read that is not there, and no allocation larger than a multiple of the input, which
-//! each file states: a length that the input claims is not believed.
+//! All of them: no panic, no byte read that is not there, and but for [`bag`], whose chunks are compressed, no allocation larger
+//! than a multiple of the input, which each file states: a length that the input claims is not believed.
 //!
 //! The first bytes of an input choose the type: see `input`.
 
 mod allocations;
+mod bag;
 mod dynamic;
 mod entry;
 mod fill;
@@ -30,6 +32,7 @@ mod text;
 mod wire;
 
 pub use allocations::Counting;
+pub use bag::bag;
 pub use dynamic::dynamic;
 pub use entry::{owned, type_names, view};
 pub use fill::fill;

@@ -142,6 +142,20 @@ fn what_publishers_send_can_be_read_without_a_subscription() {
     assert!(before_ns <= of_typed.last_ns && of_typed.last_ns <= of_bytes.last_ns);
     assert!(of_bytes.last_ns <= after_ns);
     let gid = typed.raw().gid();
+    let lost = subscription.raw().gid();
+    let kept = Qos::default().depth as u64;
+    assert_eq!(
+        visitor.overwritten(&ends[&gid]).unwrap(),
+        [(lost, 1000 - kept)],
+        "each publisher's by itself"
+    );
+    let observer = observer(&participant, "/counted", 10);
+    let taken = std::iter::from_fn(|| subscription.try_take().unwrap()).count() as u64;
+    typed.publish(&Count { n: 0 }).unwrap();
+    let now: BTreeMap<_, _> = visitor.overwritten(&ends[&gid]).unwrap().into_iter().collect();
+    assert_eq!((now.len(), now[&lost], now[&observer.gid()]), (2, 1000 - kept, 0));
+    assert_eq!((taken, subscription.raw().counters().lost()), (kept, 1000 - kept), "as it counts itself");
+    assert_eq!(visitor.overwritten(&ends[&lost]).unwrap(), [], "it sends nothing");
     drop(typed);
     let left = of_topic(&mut visitor, "/counted");
     assert!(left.len() == 2 && !left.contains_key(&gid));

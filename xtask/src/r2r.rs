@@ -70,10 +70,16 @@ pub fn environment() -> Result<Vec<(&'static str, String)>, String> {
         variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", "jazzy".to_owned())]);
         variables.push((RPATH, text(&prefix.join("lib"))));
     }
-    if env::var_os("LIBCLANG_PATH").is_none() && !system_has_libclang() {
-        variables.extend(pypi_libclang()?);
-    }
+    variables.extend(libclang()?);
     Ok(variables)
+}
+
+/// Those of them by which bindgen finds libclang.
+pub fn libclang() -> Result<Vec<(&'static str, String)>, String> {
+    match env::var_os("LIBCLANG_PATH").is_none() && !system_has_libclang() {
+        true => Ok(pypi_libclang()?.into_iter().collect()),
+        false => Ok(Vec::new()),
+    }
 }
 
 /// The ROS 2 that the user has sourced, else the one under the target directory, which is made first: `include` and `lib`.

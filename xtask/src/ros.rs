@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::{fs, io};
 
-const WHEELS: [&str; 15] = [
+const WHEELS: [&str; 18] = [
     "ros-jazzy-rclpy==7.1.6",
     "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
     "ros-jazzy-common-interfaces==5.3.6",
@@ -25,6 +25,10 @@ const WHEELS: [&str; 15] = [
     "colcon-cargo==0.2.0",
     // Not ROS's: what the bridge asks Cyclone DDS is asked of it in a test.
     "cyclonedds==11.0.1",
+    // Nor these: they read what `taut record` writes.
+    "rosbags==0.11.9",
+    "mcap==1.6.0",
+    "mcap-ros2-support==0.6.0",
 ];
 
 /// Makes the environment and says how to use it.

@@ -2,6 +2,7 @@
 //! Commands that are printed before they run, timed, and counted at the end.
 
 use std::process::{Command, ExitCode};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 /// How a step ended.
@@ -69,10 +70,20 @@ fn text(outcome: &Outcome) -> String {
     }
 }
 
+/// Variables that all builds have.
+static VARIABLES: OnceLock<Vec<(&'static str, String)>> = OnceLock::new();
+
+/// From now on builds have these variables. What one of them is changed for is built anew, with all that needs it: so builds that have
+/// some in common should all have them.
+pub fn build_with(variables: Vec<(&'static str, String)>) {
+    // The first ones stay.
+    let _ = VARIABLES.set(variables);
+}
+
 /// `cargo` with these arguments, which contain no spaces.
 pub fn cargo(arguments: &str) -> Command {
     let mut command = Command::new("cargo");
-    command.args(arguments.split(' '));
+    command.args(arguments.split(' ')).envs(VARIABLES.get().into_iter().flatten().cloned());
     command
 }
 

@@ -6,7 +6,7 @@ use crate::reports::{
     check_ablation, check_compare, check_demo, check_domain, check_messages, check_network, check_paper,
     check_reference, check_reference_beside, check_wake,
 };
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{Outcome, Steps, build_with, cargo, execute};
 use crate::{
     bench, bench_domain, bench_tools, bridge, compare as comparison, examples, fuzz, lttng, packages,
     paper as evaluation, peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips,
@@ -23,8 +23,11 @@ const KILLS: u64 = 1000;
 /// Runs every step, whatever fails. `quick` leaves out what takes minutes.
 pub fn run(scope: &Scope, quick: bool) -> ExitCode {
     let mut steps = Steps::new();
-    lints(&mut steps);
     ros(&mut steps);
+    if let Ok(variables) = r2r::libclang() {
+        build_with(variables);
+    }
+    lints(&mut steps);
     tests(&mut steps);
     bridge::test(&mut steps);
     rmw::test(&mut steps);
@@ -145,7 +148,7 @@ fn tests(steps: &mut Steps) {
     } else {
         steps.command("tests", cargo(&format!("test {build} --all-targets")).envs(leak_cycles));
     }
-    steps.command("doc tests", &mut cargo("test --workspace --doc --no-fail-fast"));
+    steps.command("doc tests", &mut cargo(&format!("test {build} --doc")));
 }
 
 /// Three seconds of the demo: it runs and its report keeps its promises; and with the sampler below the callbacks it

@@ -3,13 +3,14 @@
 
 mod send_goal;
 
-use crate::asking::full_name;
+use crate::asking::{action_of, full_name};
+use crate::completions;
 use crate::manners::{Failure, Manners, Outcome};
 use crate::service::{Named, named};
 use clap::{Args, Subcommand};
 use serde_json::Value;
 use std::io::{self, Write};
-use tautline::{GraphSnapshot, ServiceEndpoint, ServiceKind};
+use tautline::{GraphSnapshot, ServiceKind};
 use tautline_transport::graph_of;
 
 /// Lists actions, says who serves them, and sends goals.
@@ -36,7 +37,7 @@ enum Verb {
     /// Prints the nodes that serve an action, and those that send it goals
     Info {
         /// The action
-        #[arg(value_name = "ACTION")]
+        #[arg(value_name = "ACTION", add = completions::actions())]
         action: String,
     },
     #[command(name = "send_goal", visible_alias = "send-goal")]
@@ -72,12 +73,8 @@ pub fn run(args: &ActionArgs) -> Outcome {
     Ok(crate::table::write_table(&head, 3, actions.iter().map(Named::row).collect(), &mut out)?)
 }
 
-/// An action is known by the service that takes its goals.
 fn actions(graph: &GraphSnapshot) -> Vec<Named<'_>> {
-    fn of(end: &ServiceEndpoint) -> Option<(&str, &str)> {
-        Some((end.name.strip_suffix("/_action/send_goal")?, end.type_name.strip_suffix("_SendGoal")?))
-    }
-    named(graph, of)
+    named(graph, |end| action_of(&end.name, &end.type_name))
 }
 
 fn print(action: &Named, out: &mut impl Write) -> io::Result<()> {

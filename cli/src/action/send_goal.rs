@@ -2,6 +2,7 @@
 //! `taut action send_goal`: a goal, its feedback, its result; and its end before that.
 
 use crate::asking::{Asking, full_name, polled, type_and_values};
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome, Waited};
 use crate::service::type_to_ask;
 use clap::Args;
@@ -33,10 +34,10 @@ const CANCELLING: Duration = Duration::from_secs(10);
 Exit codes: 0 the goal has succeeded, 1 it was rejected, aborted or cancelled, 2 it is no goal of the action's type.")]
 pub struct SendGoalArgs {
     /// The action
-    #[arg(value_name = "ACTION")]
+    #[arg(value_name = "ACTION", add = completions::action_servers())]
     action: String,
     /// The type, if there are servers of several, and the values, if they are not the defaults
-    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2)]
+    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2, add = completions::action_types())]
     goal: Vec<String>,
     /// Print the feedback
     #[arg(short, long)]

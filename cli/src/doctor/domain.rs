@@ -3,13 +3,14 @@
 
 use super::finding::{Finding, Verdict, size};
 use super::host::Tree;
+use crate::fits;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use tautline::rt::domain::shared_folder;
 use tautline::rt::shm::{self, PeerFile};
-use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, TransportError};
+use tautline::{GraphSnapshot, TransportError};
 use tautline_trace::is_trace_file;
 use tautline_transport::Visitor;
 
@@ -73,24 +74,12 @@ fn names(graph: &GraphSnapshot) -> Vec<Finding> {
     twice.map(bad).collect()
 }
 
-/// Publishers and subscriptions that get nothing from each other, by topic and reason. Pairs of other hosts are theirs to check.
+/// Publishers and subscriptions that get nothing from each other, by topic and reason.
 fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
     let mut pairs: BTreeMap<(&str, String), BTreeSet<String>> = BTreeMap::new();
-    for topic in graph.endpoints.chunk_by(|one, other| one.topic == other.topic) {
-        let of = |kind| topic.iter().filter(move |end| end.kind == kind);
-        for publisher in of(EndpointKind::Publisher) {
-            for subscription in of(EndpointKind::Subscription) {
-                if (publisher.is_remote && subscription.is_remote) || is_fit(publisher, subscription) {
-                    continue;
-                }
-                let reason = match publisher.qos.incompatibility(&subscription.qos) {
-                    Some(policy) => format!("the {policy} that is offered does not meet what is requested"),
-                    None => "their types differ".into(),
-                };
-                let pair = format!("{} -> {}", label(publisher), label(subscription));
-                pairs.entry((&publisher.topic, reason)).or_default().insert(pair);
-            }
-        }
+    for found in fits::mismatches(graph) {
+        let pair = format!("{} -> {}", fits::label(found.publisher), fits::label(found.subscription));
+        pairs.entry((&found.publisher.topic, found.reason())).or_default().insert(pair);
     }
     let bad = |((topic, reason), pairs): ((&str, String), BTreeSet<String>)| {
         let pairs = pairs.into_iter().collect::<Vec<_>>().join(", ");
@@ -100,15 +89,6 @@ fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
         Finding::new(Verdict::Bad, format!("{topic}: no message gets from {pairs}: {reason}")).fix(fix)
     };
     pairs.into_iter().map(bad).collect()
-}
-
-fn is_fit(publisher: &TopicEndpoint, subscription: &TopicEndpoint) -> bool {
-    publisher.topic_type.agrees_with(&subscription.topic_type)
-        && publisher.qos.incompatibility(&subscription.qos).is_none()
-}
-
-fn label(end: &TopicEndpoint) -> String {
-    end.node.as_ref().map_or_else(|| format!("{:?}", end.gid), |node| node.full_name())
 }
 
 /// What a file takes of /dev/shm.

@@ -3,6 +3,7 @@
 
 use super::MsgError;
 use super::find::Finder;
+use crate::completions;
 use clap::Args;
 use std::fs;
 use std::io::{self, Read};
@@ -13,7 +14,7 @@ use tautline_schema::{DynamicMessage, Endian};
 #[derive(Args, Clone, Debug)]
 pub struct DecodeArgs {
     /// The message's type, as for show
-    #[arg(long = "type", value_name = "TYPE")]
+    #[arg(long = "type", value_name = "TYPE", add = completions::interfaces())]
     name: String,
     /// The bytes as hexadecimal text
     #[arg(long, value_name = "HEX", conflicts_with = "file")]

@@ -6,8 +6,9 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{env, fs};
-use tautline::{Bundled, find_schema};
+use tautline::{Bundled, TransportError, find_schema};
 use tautline_schema::{HashedTypeDescription, Kind, Packages, Schema, SchemaError, TypeName};
+use tautline_transport::graph_of;
 
 /// The folders that are searched.
 pub struct Finder {
@@ -40,9 +41,22 @@ impl Finder {
         Self { domain: Some(domain), ..self }
     }
 
-    /// The types that the folders have.
-    pub fn list(&self) -> BTreeSet<TypeName> {
-        self.packages.list()
+    /// The types that are known: of the folders, built into this program, and in the domain.
+    ///
+    /// # Errors
+    /// The domain cannot be read.
+    pub fn list(&self) -> Result<BTreeSet<TypeName>, TransportError> {
+        let mut types = self.packages.list();
+        types.extend(Bundled::names().filter_map(|name| name.parse().ok()));
+        if let Some(domain) = self.domain {
+            let graph = graph_of(domain)?;
+            let topics = graph.endpoints.iter().map(|end| &*end.topic_type.name);
+            let services = graph.services.iter().map(|end| &*end.type_name);
+            types.extend(topics.chain(services).filter_map(|name| name.parse::<TypeName>().ok()));
+            // What is made of services and actions is not defined by anybody.
+            types.retain(|name| !(name.name().contains('_') && name.kind() != Kind::Msg));
+        }
+        Ok(types)
     }
 
     /// The schema of a type or of a file.
@@ -72,7 +86,7 @@ impl Finder {
             Err(error @ SchemaError::Missing { .. }) => error,
             found => return Ok(found?),
         };
-        let graph = self.domain.and_then(|domain| tautline_transport::graph_of(domain).ok());
+        let graph = self.domain.and_then(|domain| graph_of(domain).ok());
         let types = graph.iter().flat_map(|graph| graph.endpoints.iter().map(|end| &end.topic_type));
         for known in types.filter(|known| known.name == name.as_str()) {
             match find_schema("", name, Some(known)) {

@@ -8,6 +8,7 @@ mod show;
 pub use find::Finder;
 pub use show::parts;
 
+use crate::completions;
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -42,13 +43,13 @@ enum Verb {
     /// Prints fields, constants, offsets, sizes and the hash
     Show {
         /// package/Name, package/srv/Name, package/action/Name, or a file (.msg, .srv, .action, or .json of a package)
-        #[arg(value_name = "TYPE")]
+        #[arg(value_name = "TYPE", add = completions::interfaces())]
         name: String,
     },
     /// Prints the hash (RIHS01) of each type
     Hash {
         /// As for show
-        #[arg(value_name = "TYPE", required = true)]
+        #[arg(value_name = "TYPE", required = true, add = completions::interfaces())]
         names: Vec<String>,
     },
     /// Prints the values of a message, as YAML or JSON

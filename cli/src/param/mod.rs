@@ -5,6 +5,7 @@ mod file;
 mod value;
 
 use crate::asking::{Asking, full_name, no_answer, node_with, nodes_with};
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -44,7 +45,7 @@ pub struct ParamArgs {
 #[derive(Args, Clone, Debug)]
 struct NodeArg {
     /// The node's name with its namespace; one without is in /
-    #[arg(value_name = "NODE")]
+    #[arg(value_name = "NODE", add = completions::parameter_nodes())]
     node: String,
 }
 
@@ -53,7 +54,7 @@ enum Verb {
     /// Prints the names of parameters, of one node or of all; exits with 1 if a node does not answer, here within 1 s
     List {
         /// The node's name with its namespace; one without is in /
-        #[arg(value_name = "NODE")]
+        #[arg(value_name = "NODE", add = completions::parameter_nodes())]
         node: Option<String>,
     },
     /// Prints the value of a parameter
@@ -61,7 +62,7 @@ enum Verb {
         #[command(flatten)]
         node: NodeArg,
         /// The parameter
-        #[arg(value_name = "NAME")]
+        #[arg(value_name = "NAME", add = completions::parameters())]
         name: String,
         /// Print the value alone
         #[arg(long)]
@@ -76,7 +77,7 @@ enum Verb {
         #[command(flatten)]
         node: NodeArg,
         /// The parameter
-        #[arg(value_name = "NAME")]
+        #[arg(value_name = "NAME", add = completions::parameters())]
         name: String,
         /// The value, read as YAML
         #[arg(value_name = "VALUE", allow_hyphen_values = true, value_parser = value)]
@@ -87,7 +88,7 @@ enum Verb {
         #[command(flatten)]
         node: NodeArg,
         /// The parameters; all, if none is named
-        #[arg(value_name = "NAME")]
+        #[arg(value_name = "NAME", add = completions::parameters())]
         names: Vec<String>,
     },
     /// Deletes a parameter, if its node lets it go
@@ -95,7 +96,7 @@ enum Verb {
         #[command(flatten)]
         node: NodeArg,
         /// The parameter
-        #[arg(value_name = "NAME")]
+        #[arg(value_name = "NAME", add = completions::parameters())]
         name: String,
     },
     /// Prints all parameters of a node as a ROS 2 parameter file

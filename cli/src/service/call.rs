@@ -3,6 +3,7 @@
 
 use super::named::type_to_ask;
 use crate::asking::{Asking, full_name, type_and_values};
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome};
 use clap::Args;
 use std::io::{self, Write};
@@ -23,10 +24,10 @@ use tautline_transport::graph_of;
 Exit codes: 0 answered, 1 no such service, or no answer, 2 no request of its type.")]
 pub struct CallArgs {
     /// The service
-    #[arg(value_name = "SERVICE")]
+    #[arg(value_name = "SERVICE", add = completions::servers())]
     service: String,
     /// The type, if there are servers of several, and the values, if they are not the defaults
-    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2)]
+    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2, add = completions::types_of_service())]
     request: Vec<String>,
 }
 

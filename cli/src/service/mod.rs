@@ -5,6 +5,7 @@ mod call;
 mod named;
 
 use crate::asking::{full_name, full_type};
+use crate::completions;
 use crate::manners::{Failure, Manners, Outcome};
 use clap::{Args, Subcommand};
 pub use named::{Named, named, type_to_ask};
@@ -40,13 +41,13 @@ enum Verb {
     /// Prints the type of a service
     Type {
         /// The service
-        #[arg(value_name = "SERVICE")]
+        #[arg(value_name = "SERVICE", add = completions::services())]
         service: String,
     },
     /// Prints the services of a type; exits with 1 if there are none
     Find {
         /// The type, such as std_srvs/srv/Trigger
-        #[arg(value_name = "TYPE")]
+        #[arg(value_name = "TYPE", add = completions::service_types())]
         type_name: String,
     },
     Call(call::CallArgs),

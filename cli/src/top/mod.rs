@@ -9,6 +9,8 @@ use clap::Args;
 use picture::{Gatherer, Order, Picture};
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 use screen::View;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -95,7 +97,7 @@ fn show(
         terminal.draw(|frame| screen::draw(frame, &shown, &mut view))?;
         let mut is_same = true;
         while is_same && !end.is_reached() {
-            if event::poll(KEYS.min(next.saturating_duration_since(Instant::now())))? {
+            if is_answered(KEYS.min(next.saturating_duration_since(Instant::now())))? {
                 is_same = false;
                 if !answer(&event::read()?, &mut view) {
                     return Ok(());
@@ -111,6 +113,30 @@ fn show(
         }
     }
     Ok(())
+}
+
+/// Whether there is a key within this time, or another size.
+///
+/// # Errors
+/// The terminal has hung up, from which crossterm would read for ever.
+fn is_answered(timeout: Duration) -> Outcome<bool> {
+    // What has been read already comes first.
+    for timeout in [Duration::ZERO, timeout] {
+        let stdin = io::stdin();
+        let mut input = [PollFd::new(&stdin, PollFlags::IN)];
+        match poll(&mut input, Timespec::try_from(timeout).ok().as_ref()) {
+            // A signal: of another size.
+            Ok(_) | Err(Errno::INTR) => {}
+            Err(error) => return Err(io::Error::from(error).into()),
+        }
+        if input[0].revents().intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
+            return Err(Failure::unusable("the terminal has hung up"));
+        }
+        if event::poll(Duration::ZERO)? {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
 /// Does what a key says. False if it says to end.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a domain does right now: callbacks, topics and cores, from what is written down anyway.
 
+use crate::counts::{Counts, per_second};
 use crate::manners::Outcome;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tautline::{Bucket, CallbackSnapshot, EndpointKind, HistogramSnapshot};
 use tautline_analysis::file::SystemFile;
-use tautline_transport::{Gid, Sent, Visitor};
+use tautline_transport::{Gid, Visitor};
 
 /// All of it, over the time since the look before.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -30,6 +31,8 @@ pub struct CallbackRow {
     /// Of SCHED_FIFO.
     pub priority: Option<u8>,
     pub core: Option<usize>,
+    /// That have ended.
+    pub jobs: u64,
     pub releases_hz: f64,
     /// Of the jobs since the look before.
     pub response_p50_ms: Option<f64>,
@@ -58,6 +61,8 @@ pub struct TopicRow {
     /// `None` if all its publishers are elsewhere: nobody counts them here.
     pub rate_hz: Option<f64>,
     pub bytes_per_s: Option<f64>,
+    /// Messages that made way for newer ones before a subscription of now took them; as `rate_hz`.
+    pub lost: Option<u64>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -83,7 +88,6 @@ impl CallbackRow {
 #[derive(Default)]
 struct Before {
     callbacks: BTreeMap<(u32, String), (u64, BTreeMap<u64, u64>)>,
-    sent: BTreeMap<Gid, Sent>,
     cores: BTreeMap<usize, CoreTimes>,
 }
 
@@ -102,6 +106,7 @@ type Bounds = BTreeMap<String, (Option<u64>, Option<usize>)>;
 pub struct Gatherer {
     domain: u32,
     visitor: Visitor,
+    counts: Counts,
     before: Before,
     looked: Option<Instant>,
     systems: BTreeMap<PathBuf, Bounds>,
@@ -109,8 +114,8 @@ pub struct Gatherer {
 
 impl Gatherer {
     pub fn new(domain: u32) -> Outcome<Self> {
-        let (before, looked, systems) = Default::default();
-        Ok(Gatherer { domain, visitor: Visitor::new(domain)?, before, looked, systems })
+        let (counts, before, looked, systems) = Default::default();
+        Ok(Gatherer { domain, visitor: Visitor::new(domain)?, counts, before, looked, systems })
     }
 
     pub fn look(&mut self) -> Outcome<Picture> {
@@ -119,7 +124,7 @@ impl Gatherer {
         let mut picture = Picture { domain: self.domain, seconds, ..Picture::default() };
         let before = std::mem::take(&mut self.before);
         picture.callbacks = self.callbacks(&before, seconds)?;
-        picture.topics = self.topics(&before, seconds)?;
+        picture.topics = self.topics()?;
         picture.cores = self.cores(&before);
         Ok(picture)
     }
@@ -147,11 +152,9 @@ impl Gatherer {
                     pid: snapshot.process.pid,
                     priority: callback.priority,
                     core: callback.core,
-                    releases_hz: per_second(
-                        callback.releases,
-                        former.map(|(releases, _)| *releases),
-                        seconds,
-                    ),
+                    jobs: callback.completions,
+                    releases_hz: former
+                        .map_or(0.0, |(before, _)| per_second(callback.releases, *before, seconds)),
                     response_p50_ms: quantile(0.5),
                     response_p99_ms: quantile(0.99),
                     response_max_ms: max(&callback.response),
@@ -192,8 +195,11 @@ impl Gatherer {
         self.systems.entry(path.to_owned()).or_insert_with(|| read().unwrap_or_default()).clone()
     }
 
-    fn topics(&mut self, before: &Before, seconds: f64) -> Outcome<Vec<TopicRow>> {
+    fn topics(&mut self) -> Outcome<Vec<TopicRow>> {
         let graph = self.visitor.graph()?;
+        let rates = self.counts.look(&mut self.visitor, &graph)?;
+        let subscriptions = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Subscription);
+        let subscriptions: BTreeSet<Gid> = subscriptions.map(|end| end.gid).collect();
         let mut rows: BTreeMap<(&str, &str), TopicRow> = BTreeMap::new();
         for end in &graph.endpoints {
             let row = rows.entry((&end.topic, &end.topic_type.name)).or_insert_with(|| TopicRow {
@@ -203,17 +209,21 @@ impl Gatherer {
                 subscriptions: 0,
                 rate_hz: None,
                 bytes_per_s: None,
+                lost: None,
             });
             match end.kind {
                 EndpointKind::Subscription => row.subscriptions += 1,
                 EndpointKind::Publisher => {
                     row.publishers += 1;
-                    let Some(sent) = self.visitor.sent(end)? else { continue };
-                    let former = before.sent.get(&end.gid);
-                    let of = |count: fn(&Sent) -> u64| per_second(count(&sent), former.map(count), seconds);
-                    *row.rate_hz.get_or_insert(0.0) += of(|sent| sent.messages);
-                    *row.bytes_per_s.get_or_insert(0.0) += of(|sent| sent.bytes);
-                    self.before.sent.insert(end.gid, sent);
+                    let lost = self.visitor.overwritten(end)?;
+                    // An observer's are nobody's loss.
+                    let lost = lost.iter().filter(|(gid, _)| subscriptions.contains(gid));
+                    let lost = lost.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
+                    let Some(rate) = rates.get(&end.gid) else { continue };
+                    row.lost = Some(row.lost.unwrap_or(0).saturating_add(lost));
+                    let rate = rate.unwrap_or_default();
+                    *row.rate_hz.get_or_insert(0.0) += rate.messages_hz;
+                    *row.bytes_per_s.get_or_insert(0.0) += rate.bytes_per_s;
                 }
             }
         }
@@ -235,13 +245,6 @@ impl Gatherer {
             }
         };
         self.before.cores.iter().map(row).collect()
-    }
-}
-
-fn per_second(now: u64, before: Option<u64>, seconds: f64) -> f64 {
-    match before {
-        Some(before) if seconds > 0.0 => now.saturating_sub(before) as f64 / seconds,
-        _ => 0.0,
     }
 }
 
@@ -324,7 +327,10 @@ impl Picture {
                 let most = |row: &TopicRow| row.bytes_per_s.unwrap_or(0.0);
                 self.topics.sort_by(|one, other| descending(most(one), most(other)));
             }
-            Order::Trouble => self.callbacks.sort_by_key(|row| !row.is_bad()),
+            Order::Trouble => {
+                self.callbacks.sort_by_key(|row| !row.is_bad());
+                self.topics.sort_by_key(|row| std::cmp::Reverse(row.lost));
+            }
         }
     }
 
@@ -356,6 +362,7 @@ mod tests {
             subscriptions,
             rate_hz: Some(rate_hz),
             bytes_per_s,
+            lost: Some(0),
         }
     }
 

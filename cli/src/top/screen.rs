@@ -39,7 +39,7 @@ const CALLBACKS: [&str; 13] = [
     "lost",
     "prio@core",
 ];
-const TOPICS: [&str; 5] = ["topic", "pub", "sub", "Hz", "bytes/s"];
+const TOPICS: [&str; 6] = ["topic", "pub", "sub", "Hz", "bytes/s", "lost"];
 const CORES: [&str; 4] = ["core", "load %", "steal %", "throttled"];
 
 fn ms(value: Option<f64>) -> String {
@@ -79,7 +79,11 @@ fn rows(picture: &Picture) -> [Rows; 3] {
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
         let bytes = row.bytes_per_s.map_or("-".into(), |bytes| format!("{bytes:.0}"));
         let (publishers, subscriptions) = (row.publishers.to_string(), row.subscriptions.to_string());
-        (true, vec![row.name.clone(), publishers, subscriptions, number(row.rate_hz), bytes])
+        let lost = row.lost.map_or("-".into(), |lost| lost.to_string());
+        (
+            row.lost.is_none_or(|lost| lost == 0),
+            vec![row.name.clone(), publishers, subscriptions, number(row.rate_hz), bytes, lost],
+        )
     };
     let core = |row: &super::picture::CoreRow| {
         let throttled = row.throttled.map_or("-".into(), |count| count.to_string());
@@ -188,6 +192,7 @@ mod tests {
             pid: 42,
             priority: Some(40),
             core: Some(1),
+            jobs: 1000,
             releases_hz: 99.96,
             response_p50_ms: Some(1.0),
             response_p99_ms: Some(2.0),
@@ -209,6 +214,7 @@ mod tests {
             subscriptions: 2,
             rate_hz: Some(100.0),
             bytes_per_s: None,
+            lost: Some(3),
         };
         let core = CoreRow { core: 0, load_percent: 25.0, steal_percent: 0.5, throttled: None };
         Picture { domain: 7, seconds: 1.0, callbacks: vec![callback], topics: vec![topic], cores: vec![core] }
@@ -227,7 +233,7 @@ mod tests {
             "taut top: domain 7, 1 processes",
             "> 1 callbacks",
             "detect   robot 42 100.0  1.000  2.000  3.500 3.000    1.500      -   1/2      0    0      40@1",
-            "/image   1   2 100.0       -",
+            "/image   1   2 100.0       -    3",
             "1 cores",
             "q quit  s sort (Name)",
         ] {

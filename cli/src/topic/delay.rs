@@ -3,6 +3,7 @@
 
 use super::tap::{ends, wait_for_type};
 use crate::asking::full_name;
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::table::write_table;
 use crate::times::Times;
@@ -29,7 +30,7 @@ use tautline_transport::{Durability, Gid, Limits, Participant, Qos, Reliability,
   taut topic delay /scan --max 5ms --timeout 10s   exits with 1 if one was older when it was taken")]
 pub struct DelayArgs {
     /// The topic; waited for if it does not exist
-    #[arg(value_name = "TOPIC")]
+    #[arg(value_name = "TOPIC", add = completions::topics())]
     topic: String,
     /// How often is printed
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]

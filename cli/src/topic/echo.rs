@@ -4,6 +4,7 @@
 use super::filter::Filter;
 use super::tap::{POLL, Tap, wait_for_type};
 use crate::asking::full_name;
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome};
 use clap::Args;
 use std::io::{self, Write};
@@ -21,7 +22,7 @@ use tautline_schema::{DynamicMessage, EchoForm, Endian, Value};
   taut topic echo /scan --filter '.range_max > 10' --json | jq .header.stamp")]
 pub struct EchoArgs {
     /// The topic; waited for if it does not exist
-    #[arg(value_name = "TOPIC")]
+    #[arg(value_name = "TOPIC", add = completions::topics())]
     topic: String,
     /// End after the first message
     #[arg(long, conflicts_with = "count")]
@@ -29,7 +30,7 @@ pub struct EchoArgs {
     /// End after N messages
     #[arg(short = 'n', long = "count", value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
-    #[arg(long, value_name = "PATH", help = "Print this field alone, such as pose.position.x or ranges[3]")]
+    #[arg(long, value_name = "PATH", help = "Print this field alone, such as pose.position.x or ranges[3]", add = completions::fields())]
     field: Option<String>,
     /// Print messages for which this program of jq's language gives something else than false and null
     #[arg(long, value_name = "JQ")]

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::time::Duration;
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
-use tautline_transport::{Durability, History, Reliability};
+use tautline_transport::{Durability, History, Qos, Reliability};
 
 /// A topic of one type, and its ends.
 pub struct Topic<'g> {
@@ -107,7 +107,7 @@ impl<'g> Topic<'g> {
 
 fn print_end(end: &TopicEndpoint, out: &mut impl Write) -> io::Result<()> {
     let node = end.node.as_ref();
-    let qos = words(end);
+    let qos = words(&end.qos);
     writeln!(out)?;
     writeln!(out, "Node name: {}", node.map_or("(none)", |node| &node.name))?;
     writeln!(out, "Node namespace: {}", node.map_or("(none)", |node| &node.namespace))?;
@@ -129,7 +129,7 @@ fn print_end(end: &TopicEndpoint, out: &mut impl Write) -> io::Result<()> {
 }
 
 fn end_json(end: &TopicEndpoint) -> Value {
-    let qos = words(end);
+    let qos = words(&end.qos);
     let ns = |duration: Option<Duration>| duration.map(|duration| duration.as_nanos() as u64);
     json!({
         "node": end.node.as_ref().map(|node| node.full_name()),
@@ -156,21 +156,29 @@ struct Words {
 }
 
 /// As ROS 2's tools write them.
-fn words(end: &TopicEndpoint) -> Words {
+fn words(qos: &Qos) -> Words {
     Words {
-        reliability: match end.qos.reliability {
+        reliability: match qos.reliability {
             Reliability::Reliable => "RELIABLE",
             Reliability::BestEffort => "BEST_EFFORT",
         },
-        history: match end.qos.history {
+        history: match qos.history {
             History::KeepLast => "KEEP_LAST",
             History::KeepAll => "KEEP_ALL",
         },
-        durability: match end.qos.durability {
+        durability: match qos.durability {
             Durability::Volatile => "VOLATILE",
             Durability::TransientLocal => "TRANSIENT_LOCAL",
         },
     }
+}
+
+/// What ends must agree on, and how much is kept, in one line.
+pub fn qos_line(qos: &Qos) -> String {
+    let words = words(qos);
+    let depth = if qos.history == History::KeepLast { format!(" {}", qos.depth) } else { String::new() };
+    let deadline = qos.deadline.map_or_else(String::new, |deadline| format!(", deadline {deadline:?}"));
+    format!("{}, {}, {}{depth}{deadline}", words.reliability, words.durability, words.history)
 }
 
 fn duration(duration: Option<Duration>) -> String {

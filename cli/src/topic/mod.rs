@@ -4,12 +4,13 @@
 mod delay;
 mod echo;
 mod filter;
-mod info;
+pub mod info;
 mod publish;
 mod rates;
-mod tap;
+pub mod tap;
 
 use crate::asking::{full_name, full_type};
+use crate::completions;
 use crate::manners::{Manners, Outcome};
 use crate::table::write_names;
 use clap::{Args, Subcommand};
@@ -47,7 +48,7 @@ enum Verb {
     /// Prints how many publishers and subscriptions a topic has, and of what type
     Info {
         /// The topic
-        #[arg(value_name = "TOPIC")]
+        #[arg(value_name = "TOPIC", add = completions::topics())]
         topic: String,
         /// Print the node, the identifier and the quality of service of each
         #[arg(short, long)]
@@ -56,13 +57,13 @@ enum Verb {
     /// Prints the type of a topic
     Type {
         /// The topic
-        #[arg(value_name = "TOPIC")]
+        #[arg(value_name = "TOPIC", add = completions::topics())]
         topic: String,
     },
     /// Prints the topics of a type; exits with 1 if there are none
     Find {
         /// The type, such as sensor_msgs/msg/Image
-        #[arg(value_name = "TYPE")]
+        #[arg(value_name = "TYPE", add = completions::topic_types())]
         type_name: String,
     },
     Echo(echo::EchoArgs),

@@ -2,16 +2,21 @@
 //! `taut topic pub`: publishes messages written by hand.
 
 use crate::asking::{full_name, type_and_values};
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome};
 use crate::times::Times;
 use clap::{Args, ValueEnum};
 use serde_json::json;
+use std::sync::Arc;
 use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline::rt::{Policy, set_policy};
-use tautline::{Context, Node, PublisherUntyped, QosProfile, Realtime};
+use tautline::{Context, EndpointKind, Node, PublisherUntyped, QosProfile, Realtime, TopicEndpoint};
 use tautline_schema::DynamicMessage;
-use tautline_transport::graph_of;
+use tautline_transport::{Visitor, graph_of};
+
+/// How long a subscription that is elsewhere may take to find who publishes to it there.
+const FAR: Duration = Duration::from_secs(1);
 
 /// Publishes a message, once or at a rate
 ///
@@ -24,12 +29,13 @@ use tautline_transport::graph_of;
   taut topic pub /pose '{header: {frame_id: map}}' --stamp now -r 10 -n 100")]
 pub struct PubArgs {
     /// The topic
-    #[arg(value_name = "TOPIC")]
+    #[arg(value_name = "TOPIC", add = completions::topics())]
     topic: String,
     /// The type, such as std_msgs/msg/String, if the topic does not exist, and the values, if they are not the defaults
-    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2)]
+    #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2, add = completions::message_types())]
     message: Vec<String>,
-    /// Publish one message, once there is a subscription
+    /// Publish one message, once there is a subscription; if that is on another host or in ROS, a second after a gateway or bridge
+    /// has begun to take what is published
     #[arg(long, conflicts_with_all = ["rate", "count"])]
     once: bool,
     /// Messages a second
@@ -141,7 +147,7 @@ pub fn run(args: &PubArgs, manners: &Manners) -> Outcome {
     let stamp = args.stamp.map(|_| stamp_path(&message)).transpose()?;
     let wanted = args.wait.or(args.once.then_some(1));
     if let Some(wanted) = wanted {
-        wait_for_subscriptions(&node, &publisher, wanted, &end)?;
+        wait_for_subscriptions(domain, &node, &publisher, wanted, &end)?;
     }
     if let Some(priority) = args.priority {
         set_policy(Policy::Fifo(priority))?;
@@ -165,17 +171,41 @@ pub fn run(args: &PubArgs, manners: &Manners) -> Outcome {
     }
 }
 
-fn wait_for_subscriptions(node: &Node, publisher: &PublisherUntyped, wanted: usize, end: &End) -> Outcome {
+fn wait_for_subscriptions(
+    domain: u32,
+    node: &Node,
+    publisher: &PublisherUntyped,
+    wanted: usize,
+    end: &End,
+) -> Outcome {
     let what = || format!("{wanted} subscriptions of '{}'", publisher.topic());
     end.wait(what, || {
         let graph = node.graph()?;
         let elsewhere = graph.endpoints.iter().filter(|end| {
-            end.is_remote
-                && end.topic == publisher.topic()
-                && end.kind == tautline::EndpointKind::Subscription
+            end.is_remote && end.topic == publisher.topic() && end.kind == EndpointKind::Subscription
         });
         Ok((publisher.subscription_count().max(elsewhere.count()) >= wanted).then_some(()))
-    })
+    })?;
+    if publisher.subscription_count() >= wanted {
+        return Ok(());
+    }
+    // They are on another host, or in ROS.
+    let (mut visitor, pid) = (Visitor::new(domain)?, Some(std::process::id()));
+    let what = || format!("a gateway or bridge to take '{}'", publisher.topic());
+    end.wait(what, || {
+        let graph = visitor.graph()?;
+        let is_own = |end: &&Arc<TopicEndpoint>| {
+            end.kind == EndpointKind::Publisher && end.pid == pid && end.topic == publisher.topic()
+        };
+        let Some(own) = graph.endpoints.iter().find(is_own) else { return Ok(None) };
+        Ok((!visitor.overwritten(own)?.is_empty()).then_some(()))
+    })?;
+    end.pause(FAR);
+    eprintln!(
+        "taut: subscriptions of '{}' are elsewhere: what arrives there is not known here",
+        publisher.topic()
+    );
+    Ok(())
 }
 
 /// Publishes at absolute times; gives how late each message was.

@@ -6,6 +6,7 @@
 
 use super::tap::{POLL, Tap, ends, wait_for_type};
 use crate::asking::full_name;
+use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::table::write_table;
 use crate::times::Times;
@@ -28,7 +29,7 @@ const EXPECT_TIME: Duration = Duration::from_secs(5);
 #[derive(Args, Clone, Debug)]
 pub struct RateArgs {
     /// The topic; waited for if it does not exist
-    #[arg(value_name = "TOPIC")]
+    #[arg(value_name = "TOPIC", add = completions::topics())]
     topic: String,
     /// How often is printed
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]

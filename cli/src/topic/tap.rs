@@ -59,7 +59,10 @@ impl Tap {
         let (epoch, graph) = (participant.graph_epoch(), participant.graph()?);
         let topic_type = TopicType { definition: None, body_bytes: None, ..topic_type };
         let is_seen = is_elsewhere(&graph, topic, &topic_type);
-        let subscription = subscribe(&participant, &graph, topic, &topic_type, is_seen)?;
+        let subscription = match is_seen {
+            true => subscribe(&participant, &graph, topic, &topic_type, depth(&graph, topic))?,
+            false => observe(&participant, &graph, topic, &topic_type)?,
+        };
         let (topic, looked) = (topic.to_owned(), Instant::now());
         Ok(Tap { topic, participant, topic_type, subscription, is_seen, epoch, looked, lost: 0 })
     }
@@ -113,7 +116,8 @@ impl Tap {
         }
         let graph = self.participant.graph()?;
         if is_elsewhere(&graph, &self.topic, &self.topic_type) {
-            let subscription = subscribe(&self.participant, &graph, &self.topic, &self.topic_type, true)?;
+            let depth = depth(&graph, &self.topic);
+            let subscription = subscribe(&self.participant, &graph, &self.topic, &self.topic_type, depth)?;
             self.lost += self.subscription.counters().lost();
             (self.subscription, self.is_seen) = (subscription, true);
         }
@@ -127,20 +131,24 @@ fn is_elsewhere(graph: &GraphSnapshot, topic: &str, topic_type: &TopicType) -> b
     })
 }
 
-fn subscribe(
+/// Sees what publishers on this host send to anybody.
+fn observe(
     participant: &Participant,
     graph: &GraphSnapshot,
     topic: &str,
     topic_type: &TopicType,
-    is_seen: bool,
 ) -> Outcome<RawSubscription> {
-    let depth = ends(graph, topic).map(|end| end.qos.depth).max().unwrap_or(1).clamp(1, MOST_DEPTH);
-    // Each is read, and given back.
-    let limits = Limits { held: 1, ..Limits::default() };
-    if !is_seen {
-        return Ok(participant.create_observer(topic, topic_type, depth, limits)?);
-    }
-    // What every publisher offers is asked for, and no more, so that none is left out.
+    Ok(participant.create_observer(topic, topic_type, depth(graph, topic), limits())?)
+}
+
+/// What every publisher offers is asked for, and no more, so that none is left out.
+pub fn subscribe(
+    participant: &Participant,
+    graph: &GraphSnapshot,
+    topic: &str,
+    topic_type: &TopicType,
+    depth: usize,
+) -> Outcome<RawSubscription> {
     let publishers = ends(graph, topic).filter(|end| end.kind == EndpointKind::Publisher);
     let offered = |policy: fn(&Qos) -> bool| publishers.clone().all(|end| policy(&end.qos));
     let mut qos = Qos::keep_last(depth.max(10));
@@ -151,7 +159,16 @@ fn subscribe(
         qos = qos.best_effort();
     }
     let node = participant.create_node(&format!("taut_{}", std::process::id()), "/")?;
-    Ok(participant.for_node(&node).create_raw_subscription(topic, topic_type, qos, limits)?)
+    Ok(participant.for_node(&node).create_raw_subscription(topic, topic_type, qos, limits())?)
+}
+
+fn depth(graph: &GraphSnapshot, topic: &str) -> usize {
+    ends(graph, topic).map(|end| end.qos.depth).max().unwrap_or(1).clamp(1, MOST_DEPTH)
+}
+
+/// Each is read, and given back.
+fn limits() -> Limits {
+    Limits { held: 1, ..Limits::default() }
 }
 
 /// No such topic.

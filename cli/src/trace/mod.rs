@@ -98,6 +98,9 @@ pub enum TraceError {
 /// Runs the verb.
 pub fn run(args: TraceArgs) -> Result<ExitCode, TraceError> {
     let manners = &args.manners;
+    if !matches!(args.verb, Verb::Record(_)) {
+        manners.bound();
+    }
     match &args.verb {
         Verb::Record(args) => record::run(args, manners),
         _ if manners.is_domain_named() => Err(TraceError::DomainOfRecording),
@@ -120,7 +123,12 @@ fn export(args: &ExportArgs, manners: &Manners) -> Result<ExitCode, TraceError> 
         Format::Csv => csv::write(&recording, to),
     })?;
     if manners.json && out != Path::new("-") {
-        println!("{}", serde_json::json!({ "file": out, "events": recording.events.len() }));
+        // Whoever reads may have seen enough.
+        let _ = writeln!(
+            io::stdout(),
+            "{}",
+            serde_json::json!({ "file": out, "events": recording.events.len() })
+        );
     } else if out != Path::new("-") {
         eprintln!("{}: {} events", out.display(), recording.events.len());
     }

@@ -68,10 +68,9 @@ pub fn run(args: &RecordArgs, manners: &Manners) -> Result<ExitCode, TraceError>
     let mut next_flush = start + Duration::from_secs(1);
     while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
-        recorder
-            .complaints()
-            .iter()
-            .for_each(|complaint| progress.println(format!("taut: warning: {complaint}")));
+        for complaint in recorder.complaints() {
+            progress.suspend(|| eprintln!("taut: warning: {complaint}"));
+        }
         progress.set_message(format!(
             "{} processes recording, {} events, {} lost",
             recorder.recording(),

@@ -89,6 +89,10 @@ impl Levels {
     /// As [`set`](Self::set), unless this would be more than so many loggers with a level of their own: then false. Each makes every
     /// log statement look at one name more.
     pub(super) fn set_one_of(&self, most: usize, logger: &str, level: LogSeverity) -> bool {
+        if logger.is_empty() {
+            self.set_all(level);
+            return true;
+        }
         let mut place = &self.first;
         for count in 0.. {
             if count >= most && place.get().is_none() {
@@ -107,6 +111,11 @@ impl Levels {
 
     /// The level that this logger has of its own; [`LogSeverity::Unset`]: none.
     pub(super) fn own(&self, logger: &str) -> LogSeverity {
+        // As in ROS 2, the one without a name is all.
+        if logger.is_empty() {
+            return LogSeverity::of_number(self.of_all.load(Ordering::Relaxed).into())
+                .unwrap_or(LogSeverity::Info);
+        }
         let mut place = self.first.get();
         while let Some(named) = place {
             if named.logger == logger {

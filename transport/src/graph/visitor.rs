@@ -6,10 +6,13 @@ use super::model::{Model, VISITOR};
 use super::{EndpointKind, GraphSnapshot, TopicEndpoint};
 use crate::error::TransportError;
 use crate::participant::{check_domain, file::Peer};
-use crate::topic::control::{Head, Sent, View};
+use crate::topic::connection::Connection;
+use crate::topic::control::{Sent, View};
 use crate::topic::header::Gid;
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Looks at a domain of this user, host and scope without being in it: for tools. Changes nothing there, and costs nobody anything.
@@ -27,7 +30,7 @@ pub struct Visitor {
     /// When it was last looked who lives.
     looked: Instant,
     /// Of publishers that were asked for.
-    heads: HashMap<Gid, Head>,
+    views: HashMap<Gid, View>,
 }
 
 impl Visitor {
@@ -40,8 +43,8 @@ impl Visitor {
     /// A number that is no domain's, a `TAUT_SCOPE` that is no scope.
     pub fn new(domain: u32) -> Result<Self, TransportError> {
         check_domain(domain)?;
-        let (model, heads) = (Model::new(VISITOR), HashMap::new());
-        Ok(Visitor { number: domain, domain: None, model, looked: Instant::now(), heads })
+        let (model, views) = (Model::new(VISITOR), HashMap::new());
+        Ok(Visitor { number: domain, domain: None, model, looked: Instant::now(), views })
     }
 
     /// Everything that exists there now. The same as before, without a look at anything else, if nothing has changed.
@@ -58,7 +61,7 @@ impl Visitor {
             self.model.forget_dead(domain);
         }
         let graph = self.model.look(domain)?;
-        self.heads.retain(|gid, _| self.model.memory_of(*gid).is_some());
+        self.views.retain(|gid, _| self.model.memory_of(*gid).is_some());
         Ok(graph)
     }
 
@@ -76,20 +79,48 @@ impl Visitor {
     /// # Errors
     /// The system refuses to map its memory.
     pub fn sent(&mut self, publisher: &TopicEndpoint) -> Result<Option<Sent>, TransportError> {
+        Ok(self.view(publisher)?.map(|view| view.head_map().sent()))
+    }
+
+    /// How many messages of a publisher of this host made way for newer ones before they were taken: of each subscription that it is
+    /// connected to now, observers included, since they were connected. Empty as [`sent`](Self::sent) is `None`.
+    ///
+    /// # Errors
+    /// As [`sent`](Self::sent).
+    pub fn overwritten(&mut self, publisher: &TopicEndpoint) -> Result<Vec<(Gid, u64)>, TransportError> {
+        let gid = publisher.gid;
+        let Some(view) = self.view(publisher)? else { return Ok(Vec::new()) };
+        let missing = view.missing();
+        let Some((peer, _)) = self.model.memory_of(gid) else { return Ok(Vec::new()) };
+        let maps = missing.into_iter().map(|range| Ok((range, peer.map(range, false)?)));
+        let maps = maps.collect::<Result<Vec<_>, TransportError>>()?;
+        let Some(view) = self.views.get_mut(&gid) else { return Ok(Vec::new()) };
+        for (range, map) in maps {
+            // What has gone meanwhile has no connections.
+            let Some(map) = map else { return Ok(Vec::new()) };
+            view.add(range, map);
+        }
+        let count = |connection: &Connection| {
+            let subscription = connection.subscription();
+            let count = connection.block().out.overwritten.load(Ordering::Acquire);
+            // The place may have become another's.
+            (connection.subscription() == subscription).then_some((subscription, count))
+        };
+        Ok(view.connections().iter().filter_map(count).collect())
+    }
+
+    fn view(&mut self, publisher: &TopicEndpoint) -> Result<Option<&View>, TransportError> {
         if publisher.is_remote || publisher.kind != EndpointKind::Publisher {
             return Ok(None);
         }
-        let gid = publisher.gid;
-        if let Some(head) = self.heads.get(&gid) {
-            return Ok(Some(head.sent()));
+        match self.views.entry(publisher.gid) {
+            Entry::Occupied(view) => Ok(Some(view.into_mut())),
+            Entry::Vacant(place) => {
+                let Some((peer, first)) = self.model.memory_of(publisher.gid) else { return Ok(None) };
+                let Some(map) = peer.map(first, false)? else { return Ok(None) };
+                Ok(View::open(first, map, publisher.gid).map(|view| &*place.insert(view)))
+            }
         }
-        let Some((peer, place)) = self.model.memory_of(gid) else { return Ok(None) };
-        let Some(map) = peer.map(place, true)? else { return Ok(None) };
-        let Some(view) = View::open(place, map, gid) else { return Ok(None) };
-        let head = view.head_map();
-        let sent = head.sent();
-        self.heads.insert(gid, head);
-        Ok(Some(sent))
     }
 
     /// Sleeps until something appears in the domain or goes, at most for `timeout`.

@@ -59,6 +59,8 @@ pub(crate) struct Out {
     /// It waits for room in this queue, and wants to be rung.
     pub(crate) waiting: AtomicU32,
     served: AtomicU32,
+    /// Samples that made way for newer ones before they were taken.
+    pub(crate) overwritten: AtomicU64,
 }
 
 impl Out {
@@ -331,6 +333,7 @@ impl Template {
                     alive_ns: AtomicU64::new(0),
                     waiting: AtomicU32::new(0),
                     served: AtomicU32::new(0),
+                    overwritten: AtomicU64::new(0),
                 },
                 back: Back { taken: AtomicU64::new(0), state: AtomicU32::new(0), mapped: AtomicU32::new(0) },
                 submitted: RelocatableSafelyOverflowingIndexQueue::new_uninit(shape.depth),

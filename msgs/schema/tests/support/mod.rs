@@ -7,10 +7,11 @@ use tautline_schema::Packages;
 
 /// The Python environment with ROS 2 that `cargo xtask ros` makes; prints why a test is skipped without it.
 pub fn ros() -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    // Packages that use this lie at different depths.
+    let targets = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|folder| folder.join("target"));
     let target = std::env::var_os("CARGO_TARGET_DIR").map(PathBuf::from);
-    let venvs = target.into_iter().chain([root.join("target")]).map(|target| target.join("ros/venv"));
-    let found = venvs.into_iter().find(|venv| venv.join("wheels.txt").is_file());
+    let mut venvs = target.into_iter().chain(targets).map(|target| target.join("ros/venv"));
+    let found = venvs.find(|venv| venv.join("wheels.txt").is_file());
     if found.is_none() {
         assert!(std::env::var_os("CI").is_none(), "CI needs a ROS 2: run `cargo xtask ros`");
         eprintln!("skipped: no ROS 2 under target/ros: run `cargo xtask ros`");

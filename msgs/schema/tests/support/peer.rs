@@ -16,9 +16,16 @@ pub struct Peer {
 
 impl Peer {
     pub fn start(venv: &Path) -> Self {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../msgs/schema/tests/ros_values.py");
+        let mut folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+        let script = folders.find_map(|folder| {
+            Some(folder.join("msgs/schema/tests/ros_values.py")).filter(|script| script.is_file())
+        });
         let mut command = Command::new(venv.join("bin/python"));
-        command.arg(script).env_remove("LD_LIBRARY_PATH").stdin(Stdio::piped()).stdout(Stdio::piped());
+        command
+            .arg(script.unwrap())
+            .env_remove("LD_LIBRARY_PATH")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let (input, output) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
         Self { child, input, output: BufReader::new(output) }

@@ -37,6 +37,9 @@ struct Args {
     /// The name of the container's own node, by whose services components are loaded and unloaded.
     #[arg(long, default_value = "ComponentManager")]
     name: String,
+    /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
+    domain: Option<u32>,
     /// Without real-time priorities.
     #[arg(long)]
     no_rt: bool,
@@ -57,6 +60,9 @@ fn main() -> ExitCode {
 
 fn run(args: &Args, ros_args: impl Iterator<Item = String>) -> Result<(), Box<dyn Error>> {
     let mut settings = Context::builder().args(ros_args);
+    if let Some(domain) = args.domain {
+        settings = settings.domain(domain);
+    }
     if args.no_rt {
         settings = settings.realtime(Realtime::Off);
     }

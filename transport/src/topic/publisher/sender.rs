@@ -230,6 +230,9 @@ impl Sender {
         }
         // SAFETY: the sending half.
         if let Some(oldest) = unsafe { self.connection.submit(chunk) } {
+            let overwritten = &block.out.overwritten;
+            // The subscription's process can write there, too.
+            overwritten.store(overwritten.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
             release(&mut half.out, oldest, pool);
         }
     }

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a bag was not written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum BagError {
+    /// There is something of this name.
+    #[error("'{}' exists already; choose another folder with -o, or remove it", .0.display())]
+    Exists(PathBuf),
+    /// What is needed for one more message, and to end the file whole, is not there.
+    #[error("the disk of '{}' is full: no room for {bytes} bytes more; the bag is whole up to here", path.display())]
+    Full {
+        /// The file.
+        path: PathBuf,
+        /// How many bytes were to be claimed.
+        bytes: u64,
+    },
+    /// It cannot be written.
+    #[error("'{}' cannot be written: {source}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// It cannot be read.
+    #[error("'{}' cannot be read: {source}", path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// It is no MCAP file, and no folder of some.
+    #[error("'{}' is no bag: {reason}", path.display())]
+    NoBag {
+        /// The file or folder.
+        path: PathBuf,
+        /// What is missing.
+        reason: String,
+    },
+    /// More topics or types than a file can hold.
+    #[error("'{}': {reason}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What does not fit.
+        reason: String,
+    },
+}
+
+impl BagError {
+    pub(crate) fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_owned();
+        |source| BagError::Write { path, source }
+    }
+
+    pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_owned();
+        |source| BagError::Read { path, source }
+    }
+
+    /// What the MCAP library refuses when it writes.
+    pub(crate) fn mcap(path: &Path) -> impl FnOnce(mcap::McapError) -> Self {
+        let path = path.to_owned();
+        |error| match error {
+            mcap::McapError::Io(source) => BagError::Write { path, source },
+            other => BagError::Format { path, reason: other.to_string() },
+        }
+    }
+}

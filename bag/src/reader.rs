@@ -1,0 +1,371 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Reading a bag from its first byte to its last, whatever is in it.
+
+use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
+use mcap::records::{Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use std::collections::{BTreeMap, HashMap};
+use std::fs::{self, File};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+/// What every record begins with: its kind and its length.
+const RECORD_HEAD: u64 = 9;
+/// Zstandard has a block of 128 KiB in four bytes, and nothing has more in less.
+const MOST_RATIO: u64 = 1 << 15;
+/// Of damage more is counted, not told one by one.
+const MOST_DAMAGE: usize = 100;
+
+/// What is in a file.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct FileSummary {
+    /// The file.
+    pub path: PathBuf,
+    /// Its length.
+    pub bytes: u64,
+    /// Messages in it.
+    pub messages: u64,
+    /// The earliest time of reception, in nanoseconds since 1970; 0 without messages.
+    pub start_ns: u64,
+    /// The latest one.
+    pub end_ns: u64,
+    /// By name and type; how many messages.
+    pub topics: BTreeMap<(String, String), (Topic, u64)>,
+    /// How its first chunk is compressed.
+    pub compression: Compression,
+    /// Messages that were received before the one that is in front of them.
+    pub disordered: u64,
+}
+
+impl FileSummary {
+    /// A message more.
+    pub(crate) fn see(&mut self, log_ns: u64) {
+        self.start_ns = if self.messages == 0 { log_ns } else { self.start_ns.min(log_ns) };
+        self.end_ns = self.end_ns.max(log_ns);
+        self.messages += 1;
+    }
+
+    pub(crate) fn count(&mut self, topic: &Topic, messages: u64) {
+        let key = (topic.name.clone(), topic.type_name.clone());
+        self.topics.entry(key).or_insert_with(|| (topic.clone(), 0)).1 += messages;
+    }
+
+    /// The file's own name.
+    pub fn name(&self) -> String {
+        self.path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+    }
+}
+
+/// A part of a file that is not what it should be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Damage {
+    /// Where, in bytes from the file's beginning.
+    pub offset: u64,
+    /// What is wrong.
+    pub what: String,
+}
+
+/// A message of a bag.
+#[derive(Debug)]
+pub struct Message<'b> {
+    /// Its topic.
+    pub topic: &'b Arc<Topic>,
+    /// Its number and times.
+    pub stamp: Stamp,
+    /// With the four bytes of encapsulation.
+    pub cdr: &'b [u8],
+}
+
+/// What comes next.
+#[derive(Debug)]
+pub enum Event<'b> {
+    /// A message.
+    Message(Message<'b>),
+    /// What a file says of itself: a name, and keys and values.
+    Metadata(String, BTreeMap<String, String>),
+}
+
+/// Reads a file.
+pub struct FileReader {
+    file: File,
+    path: PathBuf,
+    bytes: u64,
+    summary: FileSummary,
+    damage: Vec<Damage>,
+    damages: u64,
+    is_ended: bool,
+    schemas: HashMap<u16, (String, Option<String>)>,
+    channels: HashMap<u16, (Arc<Topic>, u64)>,
+    latest_ns: u64,
+}
+
+/// The MCAP files of a folder, in the order of the numbers in their names; or the file itself.
+///
+/// # Errors
+/// There is none.
+pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let is_folder = fs::metadata(path).map_err(BagError::read(path))?.is_dir();
+    if !is_folder {
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut files = Vec::new();
+    for entry in fs::read_dir(path).map_err(BagError::read(path))? {
+        let file = entry.map_err(BagError::read(path))?.path();
+        if file.extension().is_some_and(|extension| extension == "mcap") {
+            files.push(file);
+        }
+    }
+    if files.is_empty() {
+        let reason = "there is no .mcap file in it".to_owned();
+        return Err(BagError::NoBag { path: path.to_owned(), reason });
+    }
+    files.sort_by_cached_key(|file| {
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let number = stem.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
+        (number, stem)
+    });
+    Ok(files)
+}
+
+impl FileReader {
+    /// # Errors
+    /// It cannot be opened, or does not begin as an MCAP file.
+    pub fn open(path: &Path) -> Result<Self, BagError> {
+        let file = File::open(path).map_err(BagError::read(path))?;
+        let metadata = file.metadata().map_err(BagError::read(path))?;
+        let no_bag = |reason: &str| BagError::NoBag { path: path.to_owned(), reason: reason.to_owned() };
+        if !metadata.is_file() {
+            return Err(no_bag("it is no file"));
+        }
+        let (path, bytes) = (path.to_owned(), metadata.len());
+        let mut magic = [0; 8];
+        if bytes < 8 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
+            return Err(no_bag("it does not begin as an MCAP file"));
+        }
+        let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
+        let (schemas, channels) = (HashMap::new(), HashMap::new());
+        let (damage, damages, is_ended, latest_ns) = (Vec::new(), 0, false, 0);
+        Ok(FileReader { file, path, bytes, summary, damage, damages, is_ended, schemas, channels, latest_ns })
+    }
+
+    /// Reads everything that is whole; what a chunk whose checksum is wrong has in it is passed over.
+    ///
+    /// # Errors
+    /// The file cannot be read; those of `visit`, which ends it.
+    pub fn read<E: From<BagError>>(
+        &mut self,
+        visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut position = MAGIC.len() as u64;
+        let mut record = Vec::new();
+        while !self.is_ended {
+            let head = match self.head(position)? {
+                Some(head) if position + RECORD_HEAD + head.1 <= self.bytes => head,
+                _ => {
+                    self.note(position, "the file is cut off");
+                    return Ok(());
+                }
+            };
+            let (kind, len_bytes) = head;
+            let whole = RECORD_HEAD + len_bytes;
+            if !matches!(kind, op::ATTACHMENT | op::MESSAGE_INDEX | op::CHUNK_INDEX) {
+                if whole > 2 * MOST_BYTES as u64 {
+                    self.note(position, &format!("a record of {len_bytes} bytes is longer than any"));
+                } else {
+                    record.resize(whole as usize, 0);
+                    self.file.read_exact_at(&mut record, position).map_err(BagError::read(&self.path))?;
+                    self.record(kind, &record, position, visit)?;
+                }
+            }
+            position += whole;
+        }
+        self.end(position)?;
+        Ok(())
+    }
+
+    /// What is in it, once it was read.
+    pub fn summary(&self) -> FileSummary {
+        let mut summary = self.summary.clone();
+        self.channels.values().for_each(|(topic, messages)| summary.count(topic, *messages));
+        summary
+    }
+
+    /// What is wrong in it, once it was read; and how much there is of that in all.
+    pub fn damage(&self) -> (&[Damage], u64) {
+        (&self.damage, self.damages)
+    }
+
+    fn note(&mut self, offset: u64, what: &str) {
+        self.damages += 1;
+        if self.damage.len() < MOST_DAMAGE {
+            self.damage.push(Damage { offset, what: what.to_owned() });
+        }
+    }
+
+    /// Kind and length of the record that begins here; `None` behind the file's end.
+    fn head(&self, position: u64) -> Result<Option<(u8, u64)>, BagError> {
+        if position + RECORD_HEAD > self.bytes {
+            return Ok(None);
+        }
+        let mut head = [0; RECORD_HEAD as usize];
+        self.file.read_exact_at(&mut head, position).map_err(BagError::read(&self.path))?;
+        let [kind, length @ ..] = head;
+        Ok(Some((kind, u64::from_le_bytes(length).min(self.bytes))))
+    }
+
+    /// What follows the data: the summary, which says nothing new, the footer and the magic bytes again.
+    fn end(&mut self, mut position: u64) -> Result<(), BagError> {
+        while let Some((kind, len_bytes)) = self.head(position)? {
+            position += RECORD_HEAD + len_bytes;
+            if kind == op::FOOTER {
+                let mut magic = [0; 8];
+                let is_there = position + 8 == self.bytes;
+                if is_there {
+                    self.file.read_exact_at(&mut magic, position).map_err(BagError::read(&self.path))?;
+                }
+                if magic == *MAGIC {
+                    return Ok(());
+                }
+                break;
+            }
+        }
+        self.note(position.min(self.bytes), "the file's index is cut off");
+        Ok(())
+    }
+
+    /// `record` is all of it, with kind and length.
+    fn record<E: From<BagError>>(
+        &mut self,
+        kind: u8,
+        record: &[u8],
+        position: u64,
+        visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if kind == op::CHUNK {
+            return self.chunk(record, position, visit);
+        }
+        match mcap::parse_record(kind, &record[RECORD_HEAD as usize..]) {
+            Ok(record) => self.parsed(&record, position, visit),
+            Err(error) => {
+                self.note(position, &error.to_string());
+                Ok(())
+            }
+        }
+    }
+
+    fn chunk<E: From<BagError>>(
+        &mut self,
+        record: &[u8],
+        position: u64,
+        visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let header = match mcap::parse_record(op::CHUNK, &record[RECORD_HEAD as usize..]) {
+            Ok(Record::Chunk { header, .. }) => header,
+            Ok(_) => return Ok(()),
+            Err(error) => {
+                self.note(position, &format!("a chunk: {error}"));
+                return Ok(());
+            }
+        };
+        if header.uncompressed_size > header.compressed_size.saturating_mul(MOST_RATIO) + (1 << 16) {
+            let bytes = header.uncompressed_size;
+            self.note(position, &format!("a chunk says that it is of {bytes} bytes, which it cannot be"));
+            return Ok(());
+        }
+        if self.summary.messages == 0 {
+            self.summary.compression = match &*header.compression {
+                "zstd" => Compression::Zstd,
+                "lz4" => Compression::Lz4,
+                _ => Compression::None,
+            };
+        }
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(MOST_BYTES + (1 << 20));
+        let mut reader = LinearReader::new_with_options(options);
+        let mut rest = record;
+        while let Some(event) = reader.next_event() {
+            match event {
+                Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                    let (now, later) = rest.split_at(wanted.min(rest.len()));
+                    reader.insert(now.len()).copy_from_slice(now);
+                    reader.notify_read(now.len());
+                    rest = later;
+                }
+                Ok(LinearReadEvent::Record { data, opcode }) => match mcap::parse_record(opcode, data) {
+                    Ok(record) => self.parsed(&record, position, visit)?,
+                    Err(error) => self.note(position, &format!("in a chunk: {error}")),
+                },
+                Err(error) => {
+                    self.note(position, &format!("a chunk: {error}"));
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn parsed<E: From<BagError>>(
+        &mut self,
+        record: &Record<'_>,
+        position: u64,
+        visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        match record {
+            Record::DataEnd(_) => self.is_ended = true,
+            Record::Footer(_) => self.note(position, "the footer is before the end of the data"),
+            Record::Schema { header, data } => {
+                self.schemas.insert(header.id, (header.name.clone(), definition(&header.encoding, data)));
+            }
+            Record::Channel(channel) => self.channel(channel),
+            Record::Metadata(metadata) => {
+                return visit(Event::Metadata(metadata.name.clone(), metadata.metadata.clone()));
+            }
+            Record::Message { header, data } => {
+                let Some((topic, messages)) = self.channels.get_mut(&header.channel_id) else {
+                    self.note(
+                        position,
+                        &format!("a message of channel {}, which there is not", header.channel_id),
+                    );
+                    return Ok(());
+                };
+                *messages += 1;
+                self.summary.see(header.log_time);
+                self.summary.disordered += u64::from(header.log_time < self.latest_ns);
+                self.latest_ns = self.latest_ns.max(header.log_time);
+                let (sequence, log_ns, publish_ns) = (header.sequence, header.log_time, header.publish_time);
+                let stamp = Stamp { sequence, log_ns, publish_ns };
+                return visit(Event::Message(Message { topic, stamp, cdr: data }));
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn channel(&mut self, channel: &mcap::records::Channel) {
+        let (type_name, definition) = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+        let of = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
+        let topic = Topic {
+            name: channel.topic.clone(),
+            type_name,
+            type_hash: of("topic_type_hash"),
+            definition,
+            qos: of("offered_qos_profiles"),
+        };
+        // Each chunk may say it again.
+        if self.channels.get(&channel.id).is_none_or(|(known, _)| **known != topic)
+            && let Some((before, messages)) = self.channels.insert(channel.id, (Arc::new(topic), 0))
+        {
+            self.summary.count(&before, messages);
+        }
+    }
+}
+
+/// As a schema has it; of other languages nothing is told.
+pub fn definition(encoding: &str, data: &[u8]) -> Option<String> {
+    (encoding == "ros2msg").then(|| String::from_utf8_lossy(data).into_owned())
+}

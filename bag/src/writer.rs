@@ -1,0 +1,314 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Writing a bag: chunks of a file, files of a folder.
+
+use crate::claim::{Claim, Claimed, Position, create};
+use crate::metadata::write_metadata;
+use crate::reader::FileSummary;
+use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
+use mcap::records::{MessageHeader, Metadata};
+use std::collections::BTreeMap;
+use std::fs;
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+
+/// A chunk is written when it has this many bytes, if it is not [flushed](Writer::flush) before.
+const CHUNK_BYTES: u64 = 4 << 20;
+
+/// What a record takes besides its content: see <https://mcap.dev/spec>.
+const OF_MESSAGE: u64 = 31 + 16;
+const OF_TOPIC: u64 = 256;
+const OF_CHUNK: u64 = 512;
+const OF_CHUNK_AND_TOPIC: u64 = 32;
+const OF_FILE: u64 = 8 << 10;
+
+/// The records that say how a file came to be, and what was lost.
+const SESSION: &str = "tautline:session";
+/// As [`SESSION`].
+const RECORDING: &str = "tautline:recording";
+
+/// How a bag is written.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Options {
+    /// Of its chunks.
+    pub compression: Compression,
+    /// A file begins when the one before has as many bytes.
+    pub split_bytes: Option<u64>,
+    /// A file begins when the messages of the one before are of this many nanoseconds.
+    pub split_ns: Option<u64>,
+    /// The oldest file is removed when there are more.
+    pub keep_files: Option<NonZeroU32>,
+}
+
+/// A topic of a [`Writer`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TopicId(pub(crate) usize);
+
+/// A bag that is written.
+///
+/// A kill leaves whole chunks up to the last flush, for [`recover`](crate::recover).
+pub struct Writer {
+    folder: PathBuf,
+    name: String,
+    options: Options,
+    /// What each file says of the recording.
+    session: BTreeMap<String, String>,
+    topics: Vec<Topic>,
+    file: Option<Open>,
+    number: u32,
+    done: Vec<FileSummary>,
+    /// Files that were removed again.
+    removed: u32,
+}
+
+/// What was written.
+#[derive(Clone, Debug)]
+pub struct Finished {
+    /// The files that are there.
+    pub files: Vec<FileSummary>,
+    /// Files that were removed, because there were more than were to be kept.
+    pub removed: u32,
+}
+
+pub(crate) struct Open {
+    writer: mcap::Writer<Claimed>,
+    claim: Claim,
+    position: Position,
+    summary: FileSummary,
+    /// The file's number of a topic, and its messages.
+    channels: BTreeMap<TopicId, (u16, u64)>,
+    /// Bytes of the chunk, at most.
+    pending: u64,
+    /// Bytes of what ends the file.
+    ending: u64,
+}
+
+impl Writer {
+    /// A bag in a new folder, in files that are called as it is. `session` is written into each of them.
+    ///
+    /// # Errors
+    /// The folder exists or cannot be made.
+    pub fn create(
+        folder: &Path,
+        options: Options,
+        session: BTreeMap<String, String>,
+    ) -> Result<Self, BagError> {
+        if let Some(parent) = folder.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+            fs::create_dir_all(parent).map_err(BagError::write(parent))?;
+        }
+        fs::create_dir(folder).map_err(|source| match source.kind() {
+            std::io::ErrorKind::AlreadyExists => BagError::Exists(folder.to_owned()),
+            _ => BagError::Write { path: folder.to_owned(), source },
+        })?;
+        let name = folder.file_name().map_or("bag".into(), |name| name.to_string_lossy().into_owned());
+        let (folder, topics, done) = (folder.to_owned(), Vec::new(), Vec::new());
+        let mut writer =
+            Writer { folder, name, options, session, topics, file: None, number: 0, done, removed: 0 };
+        // What cannot be written is known before there are messages.
+        writer.open()?;
+        Ok(writer)
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// A topic, which is in a file from its first message on.
+    pub fn add_topic(&mut self, topic: Topic) -> TopicId {
+        self.topics.push(topic);
+        TopicId(self.topics.len() - 1)
+    }
+
+    /// A message, with its four bytes of encapsulation in front.
+    ///
+    /// # Errors
+    /// [`BagError::Full`]: it is not written, and the bag can be [finished](Self::finish). Others: what was flushed is safe.
+    pub fn write(&mut self, topic: TopicId, stamp: Stamp, cdr: &[u8]) -> Result<(), BagError> {
+        if cdr.len() > MOST_BYTES {
+            let reason = format!("a message of {} bytes is longer than {MOST_BYTES}", cdr.len());
+            return Err(BagError::Format { path: self.folder.clone(), reason });
+        }
+        if self.file.as_ref().is_some_and(|file| file.is_over(&self.options, stamp.log_ns)) {
+            self.split()?;
+        }
+        if self.file.is_none() {
+            self.open()?;
+        }
+        match &mut self.file {
+            Some(file) => file.write(topic, &self.topics[topic.0], stamp, cdr),
+            None => Ok(()),
+        }
+    }
+
+    /// All messages are in the file from here on, whatever happens to this process.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn flush(&mut self) -> Result<(), BagError> {
+        self.file.as_mut().map_or(Ok(()), Open::flush)
+    }
+
+    /// Bytes of all files that are there, without what is not flushed.
+    pub fn bytes(&self) -> u64 {
+        let done: u64 = self.done.iter().map(|file| file.bytes).sum();
+        done + self.file.as_ref().map_or(0, |file| file.position.get())
+    }
+
+    /// Ends the bag; `statement` is written into the last file, as a record `tautline:recording`.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(mut self, statement: BTreeMap<String, String>) -> Result<Finished, BagError> {
+        if let Some(mut file) = self.file.take() {
+            file.say(RECORDING, statement)?;
+            self.done.push(file.finish(&self.topics)?);
+        }
+        self.describe()?;
+        Ok(Finished { files: self.done, removed: self.removed })
+    }
+
+    fn open(&mut self) -> Result<(), BagError> {
+        let path = self.folder.join(format!("{}_{}.mcap", self.name, self.number));
+        let mut file = Open::create(&path, self.options.compression)?;
+        file.say(SESSION, self.session.clone())?;
+        file.flush()?;
+        self.file = Some(file);
+        Ok(())
+    }
+
+    /// Ends a file and begins another one.
+    fn split(&mut self) -> Result<(), BagError> {
+        let Some(file) = self.file.take() else { return Ok(()) };
+        self.done.push(file.finish(&self.topics)?);
+        self.number += 1;
+        // The one that is begun is one of them.
+        let keep = self.options.keep_files.map_or(usize::MAX, |keep| keep.get() as usize - 1);
+        while self.done.len() > keep {
+            let oldest = self.done.remove(0);
+            fs::remove_file(&oldest.path).map_err(BagError::write(&oldest.path))?;
+            self.removed += 1;
+        }
+        self.describe()?;
+        self.open()
+    }
+
+    /// What other programs look at first.
+    fn describe(&self) -> Result<(), BagError> {
+        write_metadata(&self.folder, &self.done)
+    }
+}
+
+impl Open {
+    pub(crate) fn create(path: &Path, compression: Compression) -> Result<Self, BagError> {
+        let (mut claim, claimed, position) = create(path)?;
+        claim.up_to(OF_FILE)?;
+        let level = u32::from(compression == Compression::Zstd);
+        let writer = mcap::WriteOptions::new()
+            .profile("ros2")
+            .library(concat!("tautline ", env!("CARGO_PKG_VERSION")))
+            .compression(compression.of_mcap())
+            .compression_level(level)
+            .compression_threads(0)
+            .chunk_size(None)
+            .disable_seeking(true)
+            .calculate_data_section_crc(false)
+            .create(claimed)
+            .map_err(BagError::mcap(path))?;
+        let summary = FileSummary { path: path.to_owned(), ..FileSummary::default() };
+        Ok(Open { writer, claim, position, summary, channels: BTreeMap::new(), pending: 0, ending: OF_FILE })
+    }
+
+    /// Whether the next message, which came at `log_ns`, belongs to another file.
+    fn is_over(&self, options: &Options, log_ns: u64) -> bool {
+        let FileSummary { messages, start_ns, .. } = self.summary;
+        let bytes = self.position.get() + self.pending;
+        messages > 0
+            && (options.split_bytes.is_some_and(|most| bytes >= most)
+                || options.split_ns.is_some_and(|most| log_ns.saturating_sub(start_ns) >= most))
+    }
+
+    /// What is to be written, and what it takes to end the file then, has its space.
+    fn claim(&mut self, bytes: u64, ending: u64) -> Result<(), BagError> {
+        let (pending, ending) = (self.pending + bytes, self.ending + ending);
+        let chunk = OF_CHUNK + OF_CHUNK_AND_TOPIC * self.channels.len() as u64;
+        // What cannot be compressed gets a little longer.
+        self.claim.up_to(self.position.get() + pending + pending / 64 + ending + 2 * chunk)?;
+        (self.pending, self.ending) = (pending, ending);
+        Ok(())
+    }
+
+    pub(crate) fn say(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), BagError> {
+        let bytes: usize = metadata.iter().map(|(key, value)| key.len() + value.len() + 8).sum();
+        // If it has no room, what it says is said elsewhere, too.
+        if self.claim(bytes as u64 + OF_TOPIC, OF_TOPIC).is_err() {
+            return Ok(());
+        }
+        let record = Metadata { name: name.to_owned(), metadata };
+        self.writer.write_metadata(&record).map_err(BagError::mcap(&self.summary.path))
+    }
+
+    pub(crate) fn write(
+        &mut self,
+        topic: TopicId,
+        what: &Topic,
+        stamp: Stamp,
+        cdr: &[u8],
+    ) -> Result<(), BagError> {
+        let channel_id = match self.channels.get(&topic) {
+            Some((channel, _)) => *channel,
+            None => self.add(topic, what)?,
+        };
+        self.claim(cdr.len() as u64 + OF_MESSAGE, 0)?;
+        let Stamp { sequence, log_ns: log_time, publish_ns: publish_time } = stamp;
+        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+        self.writer.write_to_known_channel(&header, cdr).map_err(BagError::mcap(&self.summary.path))?;
+        self.summary.see(log_time);
+        if let Some((_, messages)) = self.channels.get_mut(&topic) {
+            *messages += 1;
+        }
+        if self.pending >= CHUNK_BYTES { self.flush() } else { Ok(()) }
+    }
+
+    fn add(&mut self, topic: TopicId, what: &Topic) -> Result<u16, BagError> {
+        let definition = what.definition.as_deref();
+        let texts = [&what.name, &what.type_name, &what.type_hash, &what.qos, definition.unwrap_or_default()];
+        let bytes = texts.iter().map(|text| text.len() as u64).sum::<u64>() + OF_TOPIC;
+        // Once in a chunk, once in the summary.
+        self.claim(bytes, bytes)?;
+        let mut metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), what.qos.clone())]);
+        if !what.type_hash.is_empty() {
+            metadata.insert("topic_type_hash".to_owned(), what.type_hash.clone());
+        }
+        let encoding = definition.map_or("", |_| "ros2msg");
+        let schema =
+            self.writer.add_schema(&what.type_name, encoding, definition.unwrap_or_default().as_bytes());
+        let channel = schema.and_then(|schema| self.writer.add_channel(schema, &what.name, "cdr", &metadata));
+        let channel = channel.map_err(BagError::mcap(&self.summary.path))?;
+        self.channels.insert(topic, (channel, 0));
+        Ok(channel)
+    }
+
+    fn flush(&mut self) -> Result<(), BagError> {
+        if self.pending == 0 {
+            return Ok(());
+        }
+        self.writer.flush().map_err(BagError::mcap(&self.summary.path))?;
+        self.pending = 0;
+        self.ending += OF_CHUNK + OF_CHUNK_AND_TOPIC * self.channels.len() as u64;
+        Ok(())
+    }
+
+    pub(crate) fn finish(mut self, topics: &[Topic]) -> Result<FileSummary, BagError> {
+        let path = self.summary.path.clone();
+        self.flush()?;
+        self.writer.finish().map_err(BagError::mcap(&path))?;
+        let mut claimed = self.writer.into_inner();
+        std::io::Write::flush(&mut claimed).map_err(BagError::write(&path))?;
+        self.claim.release(self.position.get())?;
+        self.summary.bytes = self.position.get();
+        for (topic, (_, messages)) in self.channels {
+            self.summary.count(&topics[topic.0], messages);
+        }
+        Ok(self.summary)
+    }
+}

@@ -1,0 +1,221 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is written is read again; what is cut off or changed is a bag without what was there, or an error.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+use tautline_bag::{
+    BagError, Compression, Event, FileReader, FileSummary, Finished, Options, Stamp, Topic, Writer, files_of,
+    index_of, recover,
+};
+
+fn topic(name: &str) -> Topic {
+    Topic {
+        name: name.to_owned(),
+        type_name: "std_msgs/msg/String".to_owned(),
+        type_hash: format!("RIHS01_{}", "0".repeat(64)),
+        definition: Some("string data\n".to_owned()),
+        qos: "- history: keep_last\n  depth: 10\n".to_owned(),
+    }
+}
+
+fn stamp(n: u64) -> Stamp {
+    Stamp { sequence: n as u32, log_ns: 1_000_000_000 + n * 1_000_000, publish_ns: n }
+}
+
+/// Words that can be told apart, of any length.
+fn body(n: u64) -> Vec<u8> {
+    let len = 8 + (n * n) as usize % 300;
+    let mut body = vec![n as u8; len];
+    body[..8].copy_from_slice(&n.to_le_bytes());
+    body
+}
+
+fn write(folder: &Path, options: Options, messages: u64) -> Finished {
+    let mut writer = Writer::create(folder, options, BTreeMap::new()).unwrap();
+    let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)));
+    for n in 0..messages {
+        writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
+    }
+    writer.finish(BTreeMap::from([("lost".to_owned(), "0".to_owned())])).unwrap()
+}
+
+/// The numbers of the messages of a file, whose bytes are compared; and what is in it.
+fn read(path: &Path) -> (Vec<u64>, FileSummary, usize) {
+    let mut reader = FileReader::open(path).unwrap();
+    let mut numbers = Vec::new();
+    let read = reader.read(&mut |event| {
+        if let Event::Message(message) = event {
+            let n = u64::from_le_bytes(message.cdr[..8].try_into().unwrap());
+            assert_eq!((message.cdr, message.stamp), (&*body(n), stamp(n)));
+            assert_eq!(**message.topic, topic(["/even", "/odd"][n as usize % 2]));
+            numbers.push(n);
+        }
+        Ok::<_, BagError>(())
+    });
+    read.unwrap();
+    (numbers, reader.summary(), reader.damage().0.len())
+}
+
+fn all(folder: &Path) -> Vec<u64> {
+    files_of(folder).unwrap().iter().flat_map(|file| read(file).0).collect()
+}
+
+#[test]
+fn what_is_written_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
+        let bag = folder.path().join(format!("{compression:?}"));
+        let finished = write(&bag, Options { compression, ..Options::default() }, 1000);
+        assert_eq!((finished.files.len(), finished.removed), (1, 0));
+        let (numbers, summary, damage) = read(&finished.files[0].path);
+        assert_eq!((numbers, damage), ((0..1000).collect(), 0));
+        assert_eq!((summary.messages, summary.compression), (1000, compression));
+        assert_eq!((summary.start_ns, summary.end_ns), (stamp(0).log_ns, stamp(999).log_ns));
+        assert_eq!(summary.topics.values().map(|(_, count)| *count).collect::<Vec<_>>(), [500, 500]);
+        assert_eq!(summary.bytes, fs::metadata(&summary.path).unwrap().len());
+        let (indexed, metadata) = index_of(&summary.path).unwrap().unwrap();
+        assert_eq!(indexed, summary);
+        let names: Vec<_> = metadata.iter().map(|(name, _)| &**name).collect();
+        assert_eq!(names, ["tautline:session", "tautline:recording"]);
+        assert_eq!(metadata[1].1["lost"], "0");
+        let yaml = fs::read_to_string(bag.join("metadata.yaml")).unwrap();
+        assert!(yaml.contains("message_count: 1000") && yaml.contains("        name: \"/odd\""), "{yaml}");
+        assert!(matches!(
+            Writer::create(&bag, Options::default(), BTreeMap::new()),
+            Err(BagError::Exists(_))
+        ));
+    }
+}
+
+#[test]
+fn files_are_split_and_the_oldest_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("by_time");
+    let options = Options { split_ns: Some(100_000_000), ..Options::default() };
+    let finished = write(&bag, options, 1000);
+    assert_eq!(finished.files.iter().map(|file| file.messages).collect::<Vec<_>>(), [100; 10]);
+    assert_eq!(
+        files_of(&bag).unwrap(),
+        finished.files.iter().map(|file| file.path.clone()).collect::<Vec<_>>()
+    );
+    assert_eq!(all(&bag), (0..1000).collect::<Vec<_>>());
+
+    let bag = folder.path().join("by_size");
+    let finished = write(&bag, Options { split_bytes: Some(50_000), ..Options::default() }, 1000);
+    assert!(finished.files.len() > 3, "{finished:?}");
+    for file in &finished.files[..finished.files.len() - 1] {
+        assert!((50_000..70_000).contains(&file.bytes), "{file:?}");
+    }
+    assert_eq!(all(&bag), (0..1000).collect::<Vec<_>>());
+
+    for keep in [1, 3] {
+        let bag = folder.path().join(format!("ring_of_{keep}"));
+        let finished = write(&bag, Options { keep_files: NonZeroU32::new(keep), ..options }, 1000);
+        assert_eq!((finished.files.len() as u32, finished.removed), (keep, 10 - keep));
+        assert_eq!(all(&bag), (1000 - u64::from(keep) * 100..1000).collect::<Vec<_>>());
+        let yaml = fs::read_to_string(bag.join("metadata.yaml")).unwrap();
+        assert!(yaml.contains(&format!("message_count: {}", keep * 100)), "{yaml}");
+    }
+}
+
+/// As a process leaves it that was killed: no end, no index, the last record torn at any byte.
+#[test]
+fn what_was_cut_off_anywhere_is_recovered() {
+    let folder = tempfile::tempdir().unwrap();
+    for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
+        let bag = folder.path().join(format!("{compression:?}"));
+        let mut writer =
+            Writer::create(&bag, Options { compression, ..Options::default() }, BTreeMap::new()).unwrap();
+        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)));
+        let mut flushed = vec![(writer.bytes(), 0)];
+        for n in 0..200 {
+            writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
+            if n % 20 == 19 {
+                writer.flush().unwrap();
+                flushed.push((writer.bytes(), n + 1));
+            }
+        }
+        let file = files_of(&bag).unwrap().remove(0);
+        let whole = fs::read(&file).unwrap();
+        drop(writer);
+        for len in (8..whole.len()).step_by(173).chain([whole.len()]) {
+            fs::write(&file, &whole[..len]).unwrap();
+            let recovered = recover(&bag, &mut |_| {}).unwrap();
+            let numbers = all(&bag);
+            let certain = flushed.iter().filter(|(bytes, _)| *bytes <= len as u64).map(|(_, n)| *n).max();
+            assert!(numbers.len() as u64 >= certain.unwrap_or(0), "{len}: {}", numbers.len());
+            assert_eq!(numbers, (0..numbers.len() as u64).collect::<Vec<_>>(), "{len}");
+            assert_eq!(recovered[0].summary.messages, numbers.len() as u64);
+            assert!(!recovered[0].damage.is_empty(), "{len} of {}", whole.len());
+            assert_eq!(fs::read(recovered[0].before.as_ref().unwrap()).unwrap(), whole[..len]);
+            assert!(index_of(&file).unwrap().is_some());
+            assert!(recover(&bag, &mut |_| {}).unwrap()[0].damage.is_empty(), "once is enough");
+            let yaml = fs::read_to_string(bag.join("metadata.yaml")).unwrap();
+            assert!(yaml.contains(&format!("  message_count: {}\n", numbers.len())), "{yaml}");
+        }
+    }
+}
+
+#[test]
+fn a_changed_byte_costs_no_more_than_its_chunk() {
+    let folder = tempfile::tempdir().unwrap();
+    let seed: u64 = std::env::var("TAUT_SEED").map_or(1, |seed| seed.parse().unwrap());
+    println!("seed {seed}");
+    let mut state = seed;
+    let mut random = |below: usize| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state % below as u64) as usize
+    };
+    for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
+        let bag = folder.path().join(format!("{compression:?}"));
+        let mut writer =
+            Writer::create(&bag, Options { compression, ..Options::default() }, BTreeMap::new()).unwrap();
+        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)));
+        for n in 0..200 {
+            writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
+            if n % 20 == 19 {
+                writer.flush().unwrap();
+            }
+        }
+        let file = writer.finish(BTreeMap::new()).unwrap().files.remove(0).path;
+        let whole = fs::read(&file).unwrap();
+        for _ in 0..300 {
+            let mut bytes = whole.clone();
+            for _ in 0..1 + random(3) {
+                let at = 8 + random(bytes.len() - 8);
+                bytes[at] ^= 1 << random(8);
+            }
+            fs::write(&file, &bytes).unwrap();
+            // Whatever it is, it is an answer: lengths may be wrong, and with them all that follows.
+            let _ = index_of(&file).unwrap();
+            let mut reader = FileReader::open(&file).unwrap();
+            reader.read(&mut |_| Ok::<_, BagError>(())).unwrap();
+            recover(&file, &mut |_| {}).unwrap();
+            let (mut again, before) = (FileReader::open(&file).unwrap(), reader.summary().messages);
+            again.read(&mut |_| Ok::<_, BagError>(())).unwrap();
+            assert_eq!((again.damage().1, again.summary().messages), (0, before));
+        }
+    }
+}
+
+#[test]
+fn what_is_no_bag_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let refused = |path: &PathBuf| match files_of(path).and_then(|files| FileReader::open(&files[0])) {
+        Err(error) => error.to_string(),
+        Ok(_) => panic!("{} is none", path.display()),
+    };
+    assert!(refused(&path("none")).contains("cannot be read"));
+    fs::write(path("text"), "no magic at all").unwrap();
+    assert!(refused(&path("text")).contains("does not begin as an MCAP file"));
+    fs::write(path("short"), b"\x89MC").unwrap();
+    assert!(refused(&path("short")).contains("does not begin as an MCAP file"));
+    fs::create_dir(path("empty")).unwrap();
+    assert!(refused(&path("empty")).contains("there is no .mcap file in it"));
+    assert!(index_of(&path("text")).unwrap().is_none());
+}

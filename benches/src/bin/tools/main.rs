@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut` as users and publishers see it: whether a publisher notices that somebody looks, how long verbs take to answer, whether the
+//! rates that they print are true, and how much a recorder takes.
+
+mod disturbance;
+mod rates;
+mod recording;
+mod start;
+
+use clap::Parser;
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::json;
+use std::error::Error;
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitCode, Stdio};
+use tautline_benches::{Disturbance, machine};
+use tempfile::TempDir;
+
+type Result<T = ()> = std::result::Result<T, Box<dyn Error>>;
+
+/// None of ROS 2's own.
+const DOMAIN: u32 = 146;
+
+/// Measures the command line's tools.
+#[derive(Parser)]
+struct Options {
+    /// Fewer rounds: half a minute
+    #[arg(long)]
+    quick: bool,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// The command [default: taut, beside this program]
+    #[arg(long, value_name = "FILE")]
+    taut: Option<PathBuf>,
+}
+
+/// The command that is measured.
+#[derive(Clone)]
+pub struct Taut(PathBuf);
+
+impl Taut {
+    /// With these arguments, in the domain of the measurement.
+    pub fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(&self.0);
+        command.args(arguments).env("TAUT_DOMAIN", DOMAIN.to_string()).stderr(Stdio::null());
+        command
+    }
+}
+
+/// A tool that runs until this is dropped.
+pub struct Looking {
+    child: Child,
+    _folder: TempDir,
+}
+
+impl Looking {
+    /// Starts the command with these arguments.
+    pub fn start(taut: &Taut, arguments: &[&str]) -> Result<Self> {
+        // For what it writes.
+        let folder = tempfile::tempdir()?;
+        let child = taut.command(arguments).current_dir(folder.path()).stdout(Stdio::null()).spawn();
+        let child = child.map_err(|error| format!("{}: {error}", taut.0.display()))?;
+        Ok(Looking { child, _folder: folder })
+    }
+}
+
+impl Drop for Looking {
+    fn drop(&mut self) {
+        if let Some(pid) = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw) {
+            let _ = kill_process(pid, Signal::INT);
+        }
+        let _ = self.child.wait();
+    }
+}
+
+fn main() -> ExitCode {
+    match measure(&Options::parse()) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("tools: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure(options: &Options) -> Result<bool> {
+    let beside = || Some(std::env::current_exe().ok()?.with_file_name("taut"));
+    let taut = Taut(options.taut.clone().or_else(beside).ok_or("where is taut? Say it with --taut FILE")?);
+    // Before this program confines itself to one core.
+    let (machine, watched) = (machine(), Disturbance::start());
+    let (disturbance, mut broken) = disturbance::measure(&taut, options.quick)?;
+    let (rates, wrong) = rates::measure(&taut, options.quick)?;
+    broken.extend(wrong);
+    let (start, slow) = start::measure(&taut, options.quick)?;
+    broken.extend(slow);
+    let (recording, lossy) = recording::measure(&taut, options.quick)?;
+    broken.extend(lossy);
+    println!("\n{machine}\n{}", watched.report());
+    if let Some(path) = &options.json {
+        let all = json!({ "disturbance": disturbance, "rates": rates, "start": start, "recording": recording, "broken": broken });
+        std::fs::write(path, serde_json::to_string_pretty(&all)?)?;
+    }
+    broken.iter().for_each(|broken| println!("does not hold: {broken}"));
+    Ok(broken.is_empty())
+}

@@ -1,0 +1,321 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The names of what exists now, for the arguments that take them.
+//!
+//! Nothing of it takes long: what lies in shared memory is read, a node is asked, with an end. What has not come in time is left
+//! out, and so is whatever goes wrong.
+
+use super::{ASKED, Asked, paths};
+use crate::asking::{Asking, action_of, full_name, node_with, nodes_with};
+use crate::component::MANAGER;
+use crate::manners::{End, Outcome};
+use crate::msg::Finder;
+use clap_complete::engine::{
+    ArgValueCandidates, ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter,
+};
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::path::PathBuf;
+use std::sync::mpsc;
+use std::thread;
+use std::time::Duration;
+use tautline::composition_interfaces::srv::ListNodes;
+use tautline::lifecycle_msgs::srv::GetAvailableTransitions;
+use tautline::rcl_interfaces::srv::ListParameters;
+use tautline::{ServiceKind, find_schema};
+use tautline_msgs::Service;
+use tautline_schema::{Kind, TypeName};
+use tautline_transport::graph_of;
+
+/// How long after its start this process gives its answer: 100 ms are noticed, and the shell needs some.
+const LIMIT: Duration = Duration::from_millis(80);
+/// How long after its start it goes on waiting for a node: leaving the domain takes its time, too.
+const PATIENCE: Duration = Duration::from_millis(60);
+
+/// Names, and what is said beside each by shells that can.
+type Names = BTreeMap<String, String>;
+type Found<T = Names> = Outcome<Option<T>>;
+/// What begins with the word may be found alone.
+type Find = fn(asked: &'static Asked, word: &str) -> Found;
+
+fn completer(find: Find) -> ArgValueCompleter {
+    ArgValueCompleter::new(move |word: &OsStr| offered(find, word).unwrap_or_default())
+}
+
+fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
+    let (asked, word) = (ASKED.get()?, word.to_str()?);
+    let (tell, told) = mpsc::channel();
+    let typed = word.to_owned();
+    thread::spawn(move || tell.send(find(asked, &typed)));
+    let names = told.recv_timeout(LIMIT.saturating_sub(asked.since.elapsed())).ok()?.ok()??;
+    let candidate = |(name, of_type): (String, String)| {
+        if !asked.shell_takes(&name) {
+            return None;
+        }
+        let value = if name.starts_with(word) {
+            name.clone()
+        } else {
+            let shorter = shorter(&name).filter(|shorter| !word.is_empty() && shorter.starts_with(word))?;
+            if asked.replaces { name.clone() } else { shorter }
+        };
+        // ROS's hidden names.
+        let is_hidden = name.contains("/_");
+        let of_type = Some(of_type).filter(|of_type| !of_type.is_empty());
+        Some(CompletionCandidate::new(value).help(of_type.map(Into::into)).hide(is_hidden))
+    };
+    Some(names.into_iter().filter_map(candidate).collect())
+}
+
+/// What else a name may be written as: without its slash, a type without its kind.
+fn shorter(name: &str) -> Option<String> {
+    match name.split('/').collect::<Vec<_>>()[..] {
+        [package, "msg" | "srv" | "action", name] => Some(format!("{package}/{name}")),
+        _ => name.strip_prefix('/').map(str::to_owned),
+    }
+}
+
+/// The topics of the domain.
+pub fn topics() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let Some(domain) = asked.line.domain() else { return Ok(None) };
+        let graph = graph_of(domain)?;
+        let name = |end: &std::sync::Arc<tautline::TopicEndpoint>| {
+            (end.topic.clone(), end.topic_type.name.to_string())
+        };
+        Ok(Some(graph.endpoints.iter().map(name).collect()))
+    })
+}
+
+/// Types of topics of the domain.
+pub fn topic_types() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let Some(domain) = asked.line.domain() else { return Ok(None) };
+        let graph = graph_of(domain)?;
+        Ok(Some(graph.endpoints.iter().map(|end| (end.topic_type.name.to_string(), String::new())).collect()))
+    })
+}
+
+/// The types of the topic on the line; if it does not exist, of all topics and of what is installed.
+pub fn message_types() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let (Some(domain), [topic]) = (asked.line.domain(), &asked.line.words[..asked.line.place]) else {
+            return Ok(None);
+        };
+        let (graph, topic) = (graph_of(domain)?, full_name(topic));
+        let its_own = graph.endpoints.iter().filter(|end| end.topic == topic);
+        let its_own: Names = its_own.map(|end| (end.topic_type.name.to_string(), String::new())).collect();
+        if !its_own.is_empty() {
+            return Ok(Some(its_own));
+        }
+        let messages = known(asked)?.map(|types| types.filter(|name| name.kind() == Kind::Msg));
+        Ok(messages.map(|types| types.map(|name| (name.to_string(), String::new())).collect()))
+    })
+}
+
+/// The paths of the fields of the topic on the line.
+pub fn fields() -> ArgValueCompleter {
+    completer(|asked, word| {
+        let (Some(domain), Some(topic)) = (asked.line.domain(), asked.line.words.first()) else {
+            return Ok(None);
+        };
+        let (graph, topic) = (graph_of(domain)?, full_name(topic));
+        let Some(end) = graph.endpoints.iter().find(|end| end.topic == topic) else { return Ok(None) };
+        let schema = find_schema(&topic, &end.topic_type.name.parse()?, Some(&end.topic_type))?;
+        Ok(Some(paths::of(&schema, word).into_iter().collect()))
+    })
+}
+
+/// The nodes of the domain.
+pub fn nodes() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let Some(domain) = asked.line.domain() else { return Ok(None) };
+        let graph = graph_of(domain)?;
+        Ok(Some(graph.nodes.iter().map(|node| (node.name.full_name(), String::new())).collect()))
+    })
+}
+
+fn having(asked: &Asked, service: &str) -> Found {
+    let Some(domain) = asked.line.domain() else { return Ok(None) };
+    Ok(Some(nodes_with(domain, service)?.into_iter().map(|node| (node, String::new())).collect()))
+}
+
+/// The nodes that tell their parameters.
+pub fn parameter_nodes() -> ArgValueCompleter {
+    completer(|asked, _| having(asked, "list_parameters"))
+}
+
+/// The nodes that have states.
+pub fn lifecycle_nodes() -> ArgValueCompleter {
+    completer(|asked, _| having(asked, "get_state"))
+}
+
+/// The nodes whose loggers' levels can be set.
+pub fn logging_nodes() -> ArgValueCompleter {
+    completer(|asked, _| having(asked, "set_logger_levels"))
+}
+
+/// The containers of components.
+pub fn containers() -> ArgValueCompleter {
+    completer(|asked, _| having(asked, "_container/list_nodes"))
+}
+
+/// The services of the domain, or the actions, by what `of` takes from the name and the type of a service.
+fn ends(asked: &Asked, with_servers: bool, of: impl Fn(&str, &str) -> Option<(String, String)>) -> Found {
+    let Some(domain) = asked.line.domain() else { return Ok(None) };
+    let graph = graph_of(domain)?;
+    let ends = graph.services.iter().filter(|end| !with_servers || end.kind == ServiceKind::Server);
+    Ok(Some(ends.filter_map(|end| of(&end.name, &end.type_name)).collect()))
+}
+
+fn service(name: &str, type_name: &str) -> Option<(String, String)> {
+    Some((name.to_owned(), type_name.to_owned()))
+}
+
+fn action(name: &str, type_name: &str) -> Option<(String, String)> {
+    action_of(name, type_name).map(|(name, type_name)| (name.to_owned(), type_name.to_owned()))
+}
+
+/// The services of the domain.
+pub fn services() -> ArgValueCompleter {
+    completer(|asked, _| ends(asked, false, service))
+}
+
+/// Those that somebody answers.
+pub fn servers() -> ArgValueCompleter {
+    completer(|asked, _| ends(asked, true, service))
+}
+
+/// Types of services of the domain.
+pub fn service_types() -> ArgValueCompleter {
+    completer(|asked, _| ends(asked, false, |_, type_name| Some((type_name.to_owned(), String::new()))))
+}
+
+/// The actions of the domain.
+pub fn actions() -> ArgValueCompleter {
+    completer(|asked, _| ends(asked, false, action))
+}
+
+/// Those that somebody serves.
+pub fn action_servers() -> ArgValueCompleter {
+    completer(|asked, _| ends(asked, true, action))
+}
+
+/// The types with which the service or action on the line is served.
+fn types_served(asked: &Asked, of: fn(&str, &str) -> Option<(String, String)>) -> Found {
+    let [name] = &asked.line.words[..asked.line.place] else { return Ok(None) };
+    let name = full_name(name);
+    let of_this = |service: &str, type_name: &str| {
+        let (_, type_name) = of(service, type_name).filter(|(service, _)| *service == name)?;
+        Some((type_name, String::new()))
+    };
+    ends(asked, true, of_this)
+}
+
+/// The types of the service on the line.
+pub fn types_of_service() -> ArgValueCompleter {
+    completer(|asked, _| types_served(asked, service))
+}
+
+/// The types of the action on the line.
+pub fn action_types() -> ArgValueCompleter {
+    completer(|asked, _| types_served(asked, action))
+}
+
+/// The types that `taut interface list` lists.
+fn known(asked: &Asked) -> Found<impl Iterator<Item = TypeName> + use<>> {
+    let Some(domain) = asked.line.domain() else { return Ok(None) };
+    let folders: Vec<PathBuf> = asked.line.options("path").map(PathBuf::from).collect();
+    Ok(Some(Finder::new(&folders).in_domain(domain).list()?.into_iter()))
+}
+
+/// The packages that have types.
+pub fn packages() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let packages = |types: &mut dyn Iterator<Item = TypeName>| {
+            types.map(|name| (name.package().to_owned(), String::new())).collect()
+        };
+        Ok(known(asked)?.map(|mut types| packages(&mut types)))
+    })
+}
+
+/// Types that are known, or files with definitions.
+pub fn interfaces() -> ArgValueCompleter {
+    let types: Find = |asked, _| {
+        let names = known(asked)?.map(|types| types.map(|name| (name.to_string(), String::new())));
+        Ok(names.map(Iterator::collect))
+    };
+    ArgValueCompleter::new(move |word: &OsStr| match word.to_str() {
+        Some(text) if !text.starts_with(['.', '/', '~']) => {
+            let mut found = offered(types, word).unwrap_or_default();
+            if found.is_empty() {
+                found = PathCompleter::any().complete(word);
+            }
+            found
+        }
+        _ => PathCompleter::any().complete(word),
+    })
+}
+
+/// What a node's service answers, if it does so in time.
+fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Request) -> Found<T::Response> {
+    let Some(domain) = asked.line.domain() else { return Ok(None) };
+    let node = node_with(domain, node, service, "")?;
+    let mut asking = Asking::new(domain, End::at(asked.since + PATIENCE)?)?;
+    asking.ask::<T>(&format!("{node}/{service}"), request).map(Some)
+}
+
+/// The parameters of the node on the line, which is asked.
+pub fn parameters() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let Some((node, named)) = asked.line.words.split_first() else { return Ok(None) };
+        let request = ListParameters::Request::default();
+        let answer = answer::<ListParameters::Service>(asked, node, "list_parameters", request)?;
+        let names = answer.map(|answer| answer.result.names).unwrap_or_default();
+        let others = names.into_iter().filter(|name| !named.contains(name));
+        Ok(Some(others.map(|name| (name, String::new())).collect()))
+    })
+}
+
+/// What the node on the line can do from where it is.
+pub fn transitions() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let Some(node) = asked.line.words.first() else { return Ok(None) };
+        let (service, request) = ("get_available_transitions", GetAvailableTransitions::Request::default());
+        let answer = answer::<GetAvailableTransitions::Service>(asked, node, service, request)?;
+        let all = answer.map(|answer| answer.available_transitions).unwrap_or_default();
+        let goal = |goal: &str| format!("to {goal}");
+        Ok(Some(all.into_iter().map(|one| (one.transition.label, goal(&one.goal_state.label))).collect()))
+    })
+}
+
+/// The numbers of a container's components.
+pub fn components() -> ArgValueCompleter {
+    completer(|asked, _| {
+        let container = asked.line.option("container").unwrap_or(MANAGER);
+        let request = ListNodes::Request::default();
+        let answer = answer::<ListNodes::Service>(asked, container, "_container/list_nodes", request)?;
+        let Some(listed) = answer else { return Ok(None) };
+        let ids = listed.unique_ids.iter().map(u64::to_string);
+        Ok(Some(ids.zip(listed.full_node_names).collect()))
+    })
+}
+
+/// The levels of loggers.
+pub fn levels() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| {
+        ["debug", "info", "warn", "error", "fatal"].map(CompletionCandidate::new).into()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::shorter;
+
+    #[test]
+    fn names_have_shorter_ones() {
+        let short = |name| shorter(name).unwrap_or_default();
+        assert_eq!(
+            ["/image", "/robot/arm", "std_msgs/msg/String", "gain", "/a/msg/B"].map(short),
+            ["image", "robot/arm", "std_msgs/String", "", "a/msg/B"]
+        );
+    }
+}

@@ -1,0 +1,267 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut completions`: the scripts with which shells ask for completions, and the answers, with names of what exists now.
+//!
+//! A script calls `COMPLETE=SHELL taut -- WORDS` at each press of the tab key. The words are read once by clap's engine, which
+//! knows what may stand where, and once as a [`Line`], from which the completers of arguments ([`live`]) take the domain, the
+//! node or the topic.
+
+mod line;
+mod live;
+mod paths;
+
+pub use live::{
+    action_servers, action_types, actions, components, containers, fields, interfaces, levels,
+    lifecycle_nodes, logging_nodes, message_types, nodes, packages, parameter_nodes, parameters, servers,
+    service_types, services, topic_types, topics, transitions, types_of_service,
+};
+
+use crate::manners::{Failure, Outcome};
+use clap::{Args, Command};
+use clap_complete::engine::{CompletionCandidate, complete};
+use clap_complete::env::{EnvCompleter, Shells};
+use line::Line;
+use std::env;
+use std::ffi::OsString;
+use std::fs::OpenOptions;
+use std::io::{self, Write};
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::OnceLock;
+use std::time::Instant;
+
+/// Names the shell that asks.
+const VARIABLE: &str = "COMPLETE";
+/// Where bash and zsh say which word is completed: by the scripts of clap_complete.
+const INDEX: &str = "_CLAP_COMPLETE_INDEX";
+/// With what bash, zsh and elvish want candidates separated.
+const SEPARATOR: &str = "_CLAP_IFS";
+const SHELLS: Shells<'static> = Shells::builtins();
+
+/// Prints the script with which a shell completes what is typed after `taut`
+///
+/// Verbs and options, and names of what exists now in the domain of --domain or of the environment: topics, nodes, services,
+/// actions, types, fields, transitions, and the parameters of a node, which is asked. Who does not answer within 60 ms is left out.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  source <(taut completions bash)           now; as a line of ~/.bashrc: always
+  source <(taut completions zsh)            in ~/.zshrc, behind compinit
+  taut completions fish | source            in ~/.config/fish/completions/taut.fish
+  eval (taut completions elvish | slurp)    in ~/.config/elvish/rc.elv
+  taut completions powershell | Out-String | Invoke-Expression    in $PROFILE
+
+A file that is loaded at the first use: echo 'source <(taut completions bash)' > ~/.local/share/bash-completion/completions/taut")]
+pub struct CompletionsArgs {
+    #[arg(value_name = "SHELL", help = "The shell")]
+    shell: clap_complete::Shell,
+}
+
+/// Prints the script.
+pub fn run(args: &CompletionsArgs) -> Outcome {
+    let name = args.shell.to_string();
+    let shell = SHELLS.completer(&name).ok_or_else(|| Failure::unusable(format!("no script for {name}")))?;
+    Ok(io::stdout().write_all(&script(shell)?)?)
+}
+
+/// What is completed, for those who look for names.
+struct Asked {
+    line: Line,
+    since: Instant,
+    /// The shell replaces the word by what it is offered, instead of keeping what has the word as its beginning.
+    replaces: bool,
+    /// The shell puts what it is offered on the line as it is; others quote what they must.
+    is_raw: bool,
+}
+
+impl Asked {
+    /// Whether a name, which may be another process's, can stand on the line: as one word, and as nothing but a word.
+    fn shell_takes(&self, name: &str) -> bool {
+        let is_word = |c: char| c.is_alphanumeric() || "/_-.,:+=@%~[]".contains(c);
+        !name.chars().any(char::is_control) && (!self.is_raw || name.chars().all(is_word))
+    }
+}
+
+static ASKED: OnceLock<Asked> = OnceLock::new();
+
+/// Answers if a shell asks, which it does at each press of the tab key: to be called before anything else.
+pub fn answer(command: impl Fn() -> Command) -> Option<ExitCode> {
+    let since = Instant::now();
+    // Others have a variable of this name too.
+    let shell = SHELLS.completer(env::var_os(VARIABLE)?.to_str()?)?;
+    let words: Vec<OsString> = env::args_os().skip_while(|word| word != "--").skip(1).collect();
+    let answer = if words.is_empty() {
+        script(shell)
+    } else {
+        // Nothing but candidates is to be seen on the user's line.
+        if let Ok(null) = OpenOptions::new().write(true).open("/dev/null") {
+            let _ = rustix::stdio::dup2_stderr(null);
+        }
+        let index = env::var(INDEX).ok().and_then(|index| index.parse().ok());
+        let index = index.unwrap_or(words.len() - 1).min(words.len());
+        candidates(command(), shell.name(), words, index, since)
+            .map(|candidates| written(shell.name(), &candidates))
+    };
+    let done = answer.and_then(|text| io::stdout().write_all(&text));
+    Some(if done.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The script, for the program that runs: found in PATH if it was found there, else by its path.
+fn script(shell: &dyn EnvCompleter) -> io::Result<Vec<u8>> {
+    const PROGRAM: &str = "taut_program";
+    let program = env::args_os().next().unwrap_or_else(|| "taut".into());
+    let path = Path::new(&program);
+    let path = if path.components().count() > 1 { std::path::absolute(path)? } else { path.to_owned() };
+    let path = path.to_string_lossy();
+    let mut script = Vec::new();
+    if shell.name() != "bash" {
+        shell.write_registration(VARIABLE, "taut", "taut", &path, &mut script)?;
+        return Ok(script);
+    }
+    // clap_complete puts double quotes around a path that it has quoted if it must be.
+    shell.write_registration(VARIABLE, "taut", "taut", PROGRAM, &mut script)?;
+    let quoted = format!("'{}'", path.replace('\'', r"'\''"));
+    let script = String::from_utf8_lossy(&script).replace(&format!("\"{PROGRAM}\""), &quoted);
+    // Elements of lists have brackets, which are no patterns of files.
+    Ok(script.replacen("COMPREPLY=( $( ", "local -; set -f; COMPREPLY=( $( ", 1).into_bytes())
+}
+
+fn candidates(
+    mut command: Command,
+    shell: &str,
+    mut words: Vec<OsString>,
+    mut index: usize,
+    since: Instant,
+) -> io::Result<Vec<CompletionCandidate>> {
+    let before = if shell == "bash" { join(&mut words, &mut index) } else { 0 };
+    // zsh leaves out an empty last word.
+    if words.len() == index {
+        words.push(OsString::new());
+    }
+    command.build();
+    let line = Line::of(&command, &words, index);
+    let asks_for_options = words[index].as_encoded_bytes().starts_with(b"-");
+    let takes_word = line.takes_word;
+    let replaces = ["bash", "fish", "powershell"].contains(&shell);
+    let is_raw = ["bash", "powershell"].contains(&shell);
+    let _ = ASKED.set(Asked { line, since, replaces, is_raw });
+    let mut found = complete(&mut command, words, index, env::current_dir().ok().as_deref())?;
+    if !asks_for_options && takes_word {
+        found.retain(|candidate| !candidate.get_value().as_encoded_bytes().starts_with(b"-"));
+    }
+    let shortened = |candidate: CompletionCandidate| {
+        let value = candidate.get_value().to_string_lossy().get(before..).map(str::to_owned);
+        CompletionCandidate::new(value.unwrap_or_default())
+    };
+    Ok(if before == 0 { found } else { found.into_iter().map(shortened).collect() })
+}
+
+/// To bash `--option=value` is three words. Returns how much of the word that is completed bash takes for others.
+fn join(words: &mut Vec<OsString>, index: &mut usize) -> usize {
+    let (mut before, mut place) = (0, 2);
+    while place < words.len() {
+        let is_long = words[place - 1].as_encoded_bytes().starts_with(b"--") && words[place - 1] != "--";
+        if !is_long || words[place] != "=" {
+            place += 1;
+            continue;
+        }
+        let value = if place + 1 < words.len() { words.remove(place + 1) } else { OsString::new() };
+        words.remove(place);
+        let option = &mut words[place - 1];
+        option.push("=");
+        if *index == place || *index == place + 1 {
+            before = option.len();
+        }
+        option.push(value);
+        *index -= index.saturating_sub(place - 1).min(2);
+    }
+    before
+}
+
+/// As each shell reads them.
+fn written(shell: &str, candidates: &[CompletionCandidate]) -> Vec<u8> {
+    let one = |candidate: &CompletionCandidate| {
+        let value = candidate.get_value().to_string_lossy();
+        let help = candidate.get_help().map(ToString::to_string).unwrap_or_default();
+        let help = help.lines().next().filter(|help| !help.is_empty());
+        match (shell, help) {
+            ("zsh", help) => {
+                let help = help.map(|help| format!(":{}", help.replace('\\', r"\\")));
+                value.replace('\\', r"\\").replace(':', r"\:") + &help.unwrap_or_default()
+            }
+            ("fish" | "powershell", Some(help)) => format!("{value}\t{help}"),
+            _ => value.into_owned(),
+        }
+    };
+    let separator = env::var(SEPARATOR).unwrap_or_else(|_| "\n".into());
+    candidates.iter().map(one).collect::<Vec<_>>().join(&separator).into_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bash_splits_options_and_their_values() {
+        let joined = |words: &[&str], mut index| {
+            let mut words: Vec<OsString> = words.iter().map(OsString::from).collect();
+            let before = join(&mut words, &mut index);
+            (
+                words.into_iter().map(|word| word.into_string().unwrap()).collect::<Vec<_>>().join(" "),
+                index,
+                before,
+            )
+        };
+        type Joined<'a> = (&'a str, usize, usize);
+        let cases: [(&[&str], usize, Joined); 6] = [
+            (
+                &["taut", "topic", "--domain", "=", "7", "echo", "/i"],
+                6,
+                ("taut topic --domain=7 echo /i", 4, 0),
+            ),
+            (
+                &["taut", "topic", "--domain", "=", "7", "echo", "/i"],
+                1,
+                ("taut topic --domain=7 echo /i", 1, 0),
+            ),
+            (&["taut", "topic", "echo", "--field", "=", "po"], 5, ("taut topic echo --field=po", 3, 8)),
+            (&["taut", "topic", "echo", "--field", "="], 4, ("taut topic echo --field=", 3, 8)),
+            (
+                &["taut", "topic", "--domain", "=", "7", "echo", "--field", "=", "po"],
+                8,
+                ("taut topic --domain=7 echo --field=po", 4, 8),
+            ),
+            (&["taut", "topic", "pub", "a", "=", "b"], 5, ("taut topic pub a = b", 5, 0)),
+        ];
+        for (words, index, (line, now, before)) in cases {
+            assert_eq!(joined(words, index), (line.to_owned(), now, before));
+        }
+    }
+
+    /// Names of parameters and transitions are whatever a node says.
+    #[test]
+    fn a_name_is_nothing_but_a_word() {
+        let taken = |is_raw, name: &str| {
+            let line = Line::default();
+            Asked { line, since: Instant::now(), replaces: false, is_raw }.shell_takes(name)
+        };
+        for name in ["/robot/imu", "arm.speed", "--field=parts[2].at", "größe", "std_msgs/msg/String"] {
+            assert!(taken(true, name) && taken(false, name), "{name}");
+        }
+        for name in ["$(touch x)", "a b", "a;b", "a'b", "`a`", "a|b", "a>b", "{a,b}", "*", "a\\b", "!a"] {
+            assert!(!taken(true, name) && taken(false, name), "{name}");
+        }
+        for name in ["a\nb", "\u{1b}[2J", "a\tb"] {
+            assert!(!taken(true, name) && !taken(false, name), "{name:?}");
+        }
+    }
+
+    #[test]
+    fn shells_read_candidates_each_in_their_way() {
+        let candidates = [
+            CompletionCandidate::new("/a:b").help(Some("One\nand more".into())),
+            CompletionCandidate::new("/c"),
+        ];
+        for (shell, text) in [("bash", "/a:b\n/c"), ("zsh", "/a\\:b:One\n/c"), ("fish", "/a:b\tOne\n/c")] {
+            assert_eq!(String::from_utf8(written(shell, &candidates)).unwrap(), text, "{shell}");
+        }
+    }
+}

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Publishers and subscriptions of one topic that get nothing from each other.
+
+use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
+use tautline_transport::QosPolicyKind;
+
+/// A publisher, and a subscription of its topic that gets none of its messages.
+pub struct Mismatch<'g> {
+    pub publisher: &'g TopicEndpoint,
+    pub subscription: &'g TopicEndpoint,
+    /// What is offered less of than is requested.
+    policy: Option<QosPolicyKind>,
+    types_differ: bool,
+}
+
+impl Mismatch<'_> {
+    /// Why, in a sentence.
+    pub fn reason(&self) -> String {
+        let policy =
+            self.policy.map(|policy| format!("the {policy} that is offered does not meet what is requested"));
+        let types = self.types_differ.then(|| "their types differ".to_owned());
+        policy.into_iter().chain(types).collect::<Vec<_>>().join(", and ")
+    }
+
+    /// Why, in a few words.
+    pub fn words(&self) -> String {
+        let policy = self.policy.map(|policy| format!("QoS: {policy}"));
+        let types = self.types_differ.then(|| "other type".to_owned());
+        policy.into_iter().chain(types).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// All of a domain. Pairs of other hosts are theirs to check.
+pub fn mismatches(graph: &GraphSnapshot) -> Vec<Mismatch<'_>> {
+    let mut found = Vec::new();
+    for topic in graph.endpoints.chunk_by(|one, other| one.topic == other.topic) {
+        let of = |kind| topic.iter().filter(move |end| end.kind == kind);
+        for publisher in of(EndpointKind::Publisher) {
+            for subscription in of(EndpointKind::Subscription) {
+                if publisher.is_remote && subscription.is_remote {
+                    continue;
+                }
+                let policy = publisher.qos.incompatibility(&subscription.qos);
+                let types_differ = !publisher.topic_type.agrees_with(&subscription.topic_type);
+                if policy.is_some() || types_differ {
+                    found.push(Mismatch { publisher, subscription, policy, types_differ });
+                }
+            }
+        }
+    }
+    found
+}
+
+/// Its node, or its identifier if it has none.
+pub fn label(end: &TopicEndpoint) -> String {
+    end.node.as_ref().map_or_else(|| format!("{:?}", end.gid), |node| node.full_name())
+}

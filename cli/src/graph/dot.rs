@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! In the language of Graphviz.
+
+use super::picture::{Edge, Picture, TopicKind, clean};
+use std::fmt::{self, Write};
+
+const RED: &str = "#c01c28";
+
+/// A whole `digraph`.
+pub fn write(picture: &Picture) -> String {
+    let mut dot = String::new();
+    write_graph(picture, &mut dot).expect("a string takes everything");
+    dot
+}
+
+fn write_graph(picture: &Picture, dot: &mut String) -> fmt::Result {
+    writeln!(dot, "digraph taut {{")?;
+    writeln!(dot, "  graph [rankdir=LR, fontname=\"sans-serif\", labelloc=t, labeljust=l];")?;
+    writeln!(dot, "  node [fontname=\"sans-serif\", fontsize=11, style=filled];")?;
+    writeln!(dot, "  edge [fontname=\"sans-serif\", fontsize=10];")?;
+    let caption = picture.caption();
+    let lines = caption.iter().map(|(_, line)| format!("{}\\l", escape(line)));
+    writeln!(dot, "  label=\"{}\";", lines.collect::<String>())?;
+    for (index, node) in picture.nodes.iter().enumerate() {
+        let style = if node.name.is_some() { "filled,rounded" } else { "filled,rounded,dashed" };
+        let label = join([node.label().to_owned(), node.whereabouts()]);
+        writeln!(
+            dot,
+            "  n{index} [shape=box, style=\"{style}\", fillcolor=\"#dbe6f3\", label=\"{label}\"];"
+        )?;
+    }
+    for (index, topic) in picture.topics.iter().enumerate() {
+        let look = match topic.kind {
+            TopicKind::Topic => "shape=box, fillcolor=\"#f4f1e6\"",
+            _ => "shape=box, style=\"filled,dashed\", fillcolor=\"#eeeaf5\"",
+        };
+        let label = join([vec![topic.name.clone()], topic.lines()].concat());
+        writeln!(dot, "  t{index} [{look}, label=\"{label}\"];")?;
+    }
+    picture.edges.iter().try_for_each(|edge| write_edge(edge, dot))?;
+    writeln!(dot, "}}")
+}
+
+fn write_edge(edge: &Edge, dot: &mut String) -> fmt::Result {
+    let (node, topic) = (format!("n{}", edge.node), format!("t{}", edge.topic));
+    let (from, to) = if edge.is_to_node() { (topic, node) } else { (node, topic) };
+    let mut with = vec![format!("edgetooltip=\"{}\"", escape(&format!("{} {}", edge.word(), edge.qos)))];
+    let lines = edge.lines();
+    if !lines.is_empty() {
+        with.push(format!("label=\"{}\"", join(lines)));
+    }
+    if edge.is_service() {
+        with.push("style=dashed".into());
+    }
+    if edge.is_bad() {
+        with.push(format!("color=\"{RED}\", fontcolor=\"{RED}\", penwidth=2"));
+    }
+    writeln!(dot, "  {from} -> {to} [{}];", with.join(", "))
+}
+
+fn join(lines: impl IntoIterator<Item = String>) -> String {
+    lines.into_iter().map(|line| escape(&line)).collect::<Vec<_>>().join("\\n")
+}
+
+/// Graphviz reads backslashes, and entities as HTML has them.
+fn escape(text: &str) -> String {
+    clean(text).replace('\\', "\\\\").replace('"', "\\\"").replace('&', "&amp;")
+}

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A layered layout, from left to right: boxes in columns, lines that pass between them. The same for the same graph.
+//!
+//! Each connected part by itself: against cycles some edges are turned round, columns are longest paths, long edges pass
+//! through places of their own in every column between, sweeps of barycentres order the columns, and least squares place what
+//! is ordered. Of a graph so large that nobody follows its lines, the longest edges go straight.
+
+mod part;
+
+use part::Part;
+use std::collections::BTreeMap;
+
+const PART_GAP: f64 = 36.0;
+
+pub type Point = (f64, f64);
+
+/// A box, by its least size.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Size {
+    pub width: f64,
+    pub height: f64,
+}
+
+/// From one box to another one.
+#[derive(Clone, Copy, Debug)]
+pub struct Link {
+    pub from: usize,
+    pub to: usize,
+    /// How bad it is if it goes from right to left, of more than one link that may.
+    pub weight: i64,
+    /// The room that its text needs.
+    pub label: Option<Size>,
+}
+
+/// Where everything is; the left upper corner is (0, 0).
+#[derive(Debug, Default)]
+pub struct Layout {
+    pub size: Size,
+    /// Of boxes, which may be higher than they need to be: the centre, and the size.
+    pub boxes: Vec<(Point, Size)>,
+    /// Of links: through these points, the odd parts horizontally. Empty for one from a box to itself.
+    pub lines: Vec<Vec<Point>>,
+    /// Of links: the centre of the text.
+    pub labels: Vec<Option<Point>>,
+}
+
+/// Places boxes and the links between them.
+pub fn lay_out(boxes: &[Size], links: &[Link]) -> Layout {
+    let mut layout = Layout {
+        boxes: vec![Default::default(); boxes.len()],
+        lines: vec![Vec::new(); links.len()],
+        labels: vec![None; links.len()],
+        ..Layout::default()
+    };
+    let mut parts: Vec<(Part, Vec<usize>, Vec<usize>)> = Vec::new();
+    for (members, inner) in connected(boxes.len(), links) {
+        let at: BTreeMap<usize, usize> = members.iter().copied().zip(0..).collect();
+        let own = inner.iter().map(|&link| Link {
+            from: at[&links[link].from],
+            to: at[&links[link].to],
+            ..links[link]
+        });
+        let part = Part::new(members.iter().map(|&index| boxes[index]).collect(), own.collect());
+        parts.push((part, members, inner));
+    }
+    // The highest first, in rows about as wide as all is high.
+    parts.sort_by(|one, other| other.0.size.height.total_cmp(&one.0.size.height));
+    let area: f64 =
+        parts.iter().map(|part| (part.0.size.width + PART_GAP) * (part.0.size.height + PART_GAP)).sum();
+    let widest = parts.iter().map(|part| part.0.size.width).fold(1.5 * area.sqrt(), f64::max);
+    let (mut x, mut y, mut row) = (0.0, 0.0, 0.0_f64);
+    for (part, members, inner) in parts {
+        if x > 0.0 && x + part.size.width > widest {
+            (x, y, row) = (0.0, y + row + PART_GAP, 0.0);
+        }
+        let moved = |(px, py): Point| (px + x, py + y);
+        for (local, &index) in members.iter().enumerate() {
+            layout.boxes[index] = (moved(part.centre(local)), part.spots[local].size);
+        }
+        for (local, &link) in inner.iter().enumerate() {
+            layout.lines[link] = part.line(local).into_iter().map(moved).collect();
+            layout.labels[link] = part.chains[local].label.map(|spot| moved(part.centre(spot)));
+        }
+        row = row.max(part.size.height);
+        layout.size.width = layout.size.width.max(x + part.size.width);
+        layout.size.height = y + row;
+        x += part.size.width + PART_GAP;
+    }
+    layout
+}
+
+/// The connected parts: their boxes and their links.
+fn connected(n: usize, links: &[Link]) -> Vec<(Vec<usize>, Vec<usize>)> {
+    fn root(of: &mut [usize], mut index: usize) -> usize {
+        while of[index] != index {
+            of[index] = of[of[index]];
+            index = of[index];
+        }
+        index
+    }
+    let mut of: Vec<usize> = (0..n).collect();
+    for link in links {
+        let (one, other) = (root(&mut of, link.from), root(&mut of, link.to));
+        of[one.max(other)] = one.min(other);
+    }
+    let mut parts: BTreeMap<usize, (Vec<usize>, Vec<usize>)> = BTreeMap::new();
+    (0..n).for_each(|index| parts.entry(root(&mut of, index)).or_default().0.push(index));
+    for (index, link) in links.iter().enumerate().filter(|(_, link)| link.from != link.to) {
+        parts.entry(root(&mut of, link.from)).or_default().1.push(index);
+    }
+    parts.into_values().collect()
+}
+
+/// An order in which few links go back: sources first, sinks last, else who has the most to give (Eades, Lin and Smyth).
+fn order(n: usize, links: &[Link]) -> Vec<usize> {
+    let (mut gives, mut takes) = (vec![0_i64; n], vec![0_i64; n]);
+    let mut beside: Vec<Vec<(usize, bool, i64)>> = vec![Vec::new(); n];
+    for link in links {
+        gives[link.from] += link.weight;
+        takes[link.to] += link.weight;
+        beside[link.from].push((link.to, true, link.weight));
+        beside[link.to].push((link.from, false, link.weight));
+    }
+    let (mut order, mut first, mut last) = (vec![usize::MAX; n], 0, n);
+    while first < last {
+        let left = (0..n).filter(|&index| order[index] == usize::MAX);
+        let rank = |&index: &usize| match (takes[index], gives[index]) {
+            (0, _) => (2, 0),
+            (_, 0) => (1, 0),
+            (takes, gives) => (0, gives - takes),
+        };
+        // The first of equals.
+        let Some(next) = left.rev().max_by_key(rank) else { break };
+        if takes[next] > 0 && gives[next] == 0 {
+            last -= 1;
+            order[next] = last;
+        } else {
+            order[next] = first;
+            first += 1;
+        }
+        for &(other, is_to, weight) in &beside[next] {
+            if is_to { takes[other] -= weight } else { gives[other] -= weight }
+        }
+    }
+    order
+}

@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut graph`: nodes, topics and who has which end of them, as a picture.
+
+mod bounds;
+mod dot;
+mod gather;
+mod json;
+mod layout;
+mod mermaid;
+mod picture;
+mod svg;
+mod text;
+
+use crate::completions;
+use crate::counts::Counts;
+use crate::manners::{Failure, Manners, Outcome, time};
+use bounds::Running;
+use clap::{Args, ValueEnum};
+use gather::Wanted;
+use picture::Picture;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tautline_analysis::file::{CheckedSystem, SystemFile};
+use tautline_transport::Visitor;
+
+/// Draws nodes, topics and rates, as text, SVG, DOT or Mermaid
+///
+/// What does not fit is red: subscriptions that ask for a quality of service that is not offered, or for another type. With a system
+/// file, topics that trigger callbacks have the bounds of their response times that `taut check` computes.
+///
+/// Subscribes to nothing, and disturbs nobody: rates are read from what publishers count anyway. A rate that nobody counts on this
+/// host is a question mark. Nodes of other hosts are seen if this host runs `taut gateway`.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut graph                                  as text
+  taut graph -o robot.svg                     also .dot, .mmd, .json: the name says which format
+  taut graph --format dot | dot -Tpdf -o robot.pdf
+  taut graph --node /camera --services        it, its topics, and who is at their other ends
+  taut graph --system system.toml -o robot.svg
+  taut graph --json | jq '.edges[] | select(.problem)'
+
+Exit codes: 0 done, 1 there is no such node or topic, 2 what was given cannot be used.")]
+pub struct GraphArgs {
+    #[command(flatten)]
+    manners: Manners,
+    /// What is written [default: by the name of the output, else text]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    format: Option<Format>,
+    /// Write to this file
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Show this node, its topics, and the nodes at their other ends
+    #[arg(long, value_name = "NODE", add = completions::nodes())]
+    node: Option<String>,
+    /// Show this topic and the nodes at its ends
+    #[arg(long, value_name = "TOPIC", add = completions::topics())]
+    topic: Option<String>,
+    /// Show services and actions too: dashed, from the client to the server
+    #[arg(long)]
+    services: bool,
+    /// Show /rosout, /parameter_events, parameter services and the parts of actions too
+    #[arg(long)]
+    all: bool,
+    /// Count messages for so long; 0: no rates
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
+    rates: Duration,
+    /// A system file: its bounds are written to what runs
+    #[arg(long, value_name = "FILE")]
+    system: Option<PathBuf>,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Text,
+    Svg,
+    Dot,
+    Mermaid,
+    Json,
+}
+
+impl Format {
+    fn of_name(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()? {
+            "txt" => Some(Format::Text),
+            "svg" => Some(Format::Svg),
+            "dot" | "gv" => Some(Format::Dot),
+            "mmd" | "mermaid" => Some(Format::Mermaid),
+            "json" => Some(Format::Json),
+            _ => None,
+        }
+    }
+
+    fn write(self, picture: &Picture) -> String {
+        match self {
+            Format::Text => text::write(picture),
+            Format::Svg => svg::write(picture),
+            Format::Dot => dot::write(picture),
+            Format::Mermaid => mermaid::write(picture),
+            Format::Json => format!("{}\n", picture.to_json()),
+        }
+    }
+}
+
+/// Runs the verb.
+pub fn run(args: &GraphArgs) -> Outcome {
+    let format = format_of(args)?;
+    let checked = args.system.as_deref().map(read).transpose()?;
+    let picture = look(args, checked.as_ref())?;
+    let written = format.write(&picture);
+    if format == Format::Mermaid && (picture.edges.len() > 500 || written.len() > 50_000) {
+        eprintln!(
+            "taut: Mermaid draws 500 edges and 50000 characters unless its maxEdges and maxTextSize say otherwise; here are {} and \
+             {}: --node and --topic draw a part",
+            picture.edges.len(),
+            written.len()
+        );
+    }
+    match &args.output {
+        Some(path) => {
+            // A file has no colours.
+            std::fs::write(path, anstream::adapter::strip_str(&written).to_string()).map_err(|error| {
+                Failure::unusable(format!("`{}` cannot be written: {error}", path.display()))
+            })
+        }
+        None => {
+            let mut out = anstream::stdout().lock();
+            write!(out, "{written}")?;
+            Ok(out.flush()?)
+        }
+    }
+}
+
+fn format_of(args: &GraphArgs) -> Outcome<Format> {
+    match (args.format, args.manners.json, &args.output) {
+        (Some(format), true, _) if format != Format::Json => {
+            Err(Failure::unusable("--json and another --format: say one of them"))
+        }
+        (Some(format), ..) => Ok(format),
+        (None, true, _) => Ok(Format::Json),
+        (None, false, None) => Ok(Format::Text),
+        (None, false, Some(path)) => Format::of_name(path).ok_or_else(|| {
+            let path = path.display();
+            Failure::unusable(format!(
+                "`{path}` does not say which format: .txt, .svg, .dot, .gv, .mmd and .json do, or --format"
+            ))
+        }),
+    }
+}
+
+/// As `taut check` reads it.
+fn read(path: &Path) -> Outcome<CheckedSystem> {
+    match SystemFile::read(path) {
+        Ok(file) => Ok(file.check()),
+        Err(error) => {
+            crate::check::print_file_error(&error);
+            Err(Failure::unusable(""))
+        }
+    }
+}
+
+fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
+    let domain = args.manners.domain()?;
+    let wanted = Wanted {
+        node: args.node.as_deref(),
+        topic: args.topic.as_deref(),
+        services: args.services,
+        all: args.all,
+    };
+    let (mut visitor, mut counts) = (Visitor::new(domain)?, Counts::default());
+    let mut graph = visitor.graph()?;
+    let mut rates = None;
+    if !args.rates.is_zero() {
+        // Unknown names are not waited for.
+        gather::gather(domain, &graph, None, &wanted)?;
+        counts.look(&mut visitor, &graph)?;
+        let start = Instant::now();
+        let time = args.manners.timeout().map_or(args.rates, |timeout| timeout.min(args.rates));
+        if time > Duration::from_secs(1) {
+            eprintln!("taut: counting messages for {time:?} ...");
+        }
+        // Ctrl-C just ends it.
+        std::thread::sleep(time);
+        graph = visitor.graph()?;
+        let seconds = start.elapsed().as_secs_f64();
+        rates = Some((counts.look(&mut visitor, &graph)?, seconds));
+    }
+    let rates = rates.as_ref().map(|(rates, seconds)| (rates, *seconds));
+    let mut picture = gather::gather(domain, &graph, rates, &wanted)?;
+    if let Some(checked) = checked {
+        let running = Running::new(&graph, callbacks(domain)?);
+        for missing in bounds::add(&mut picture, checked, &running) {
+            eprintln!("taut: {missing}");
+        }
+    }
+    Ok(picture)
+}
+
+/// The processes that run callbacks, by the callbacks' names.
+fn callbacks(domain: u32) -> Outcome<BTreeMap<String, BTreeSet<u32>>> {
+    let mut found: BTreeMap<String, BTreeSet<u32>> = BTreeMap::new();
+    for process in tautline::shared_statistics(domain)?.0 {
+        // One that ends right now, or is of another version, is left out.
+        let Ok(Some(snapshot)) = process.read() else { continue };
+        for callback in snapshot.callbacks.iter().filter(|callback| !callback.ended && !callback.is_group) {
+            found.entry(callback.name.clone()).or_default().insert(snapshot.process.pid);
+        }
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests;

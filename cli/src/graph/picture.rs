@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Nodes, topics, and what lies between them: what is drawn, whatever it is drawn as.
+
+use crate::table::ms;
+
+/// A domain, or a part of it.
+#[derive(Clone, Debug, Default)]
+pub struct Picture {
+    pub domain: u32,
+    /// The time that rates are of; `None`: there are none.
+    pub seconds: Option<f64>,
+    pub nodes: Vec<Node>,
+    /// Services and actions too.
+    pub topics: Vec<Topic>,
+    pub edges: Vec<Edge>,
+    pub mismatches: Vec<Mismatch>,
+    /// Of the system file.
+    pub chains: Vec<Chain>,
+    /// Topics, services and actions that every node has, or that are a part of another one.
+    pub left_out: usize,
+}
+
+/// A node, or what has ends and no node.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Node {
+    /// `None`: these ends were made without a node.
+    pub name: Option<String>,
+    /// Its process, if it is on this host.
+    pub pid: Option<u32>,
+    /// Where else it is.
+    pub place: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum TopicKind {
+    Topic,
+    Service,
+    Action,
+}
+
+#[derive(Clone, Debug)]
+pub struct Topic {
+    pub kind: TopicKind,
+    pub name: String,
+    /// More than one if its ends disagree.
+    pub types: Vec<String>,
+    pub rate: Rate,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rate {
+    /// Nothing to count, or not counted.
+    None,
+    /// Some publishers are elsewhere, or have just come.
+    Unknown,
+    Hz(f64),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum EdgeKind {
+    Publishes,
+    Subscribes,
+    /// A client does.
+    Asks,
+    /// A server does.
+    Serves,
+}
+
+/// Between a node and a topic, a service or an action: by their places in the lists.
+#[derive(Clone, Debug)]
+pub struct Edge {
+    pub kind: EdgeKind,
+    pub node: usize,
+    pub topic: usize,
+    /// Ends that are the same in all of this.
+    pub count: usize,
+    /// The quality of service; empty for services.
+    pub qos: String,
+    pub rate: Rate,
+    /// Why publishers of the topic do not reach this subscription, in a few words.
+    pub problem: Option<String>,
+    /// Of the callbacks that the system file lets the topic trigger in the node.
+    pub bound: Option<Bound>,
+}
+
+/// Publishers and subscriptions that get nothing from each other.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Mismatch {
+    pub topic: String,
+    pub publisher: String,
+    pub subscription: String,
+    pub reason: String,
+}
+
+/// The worst of some callbacks.
+#[derive(Clone, Debug)]
+pub struct Bound {
+    pub callbacks: Vec<String>,
+    pub response_ns: Option<u64>,
+    pub deadline_ns: u64,
+    pub met: bool,
+}
+
+#[derive(Clone, Debug)]
+pub struct Chain {
+    pub name: String,
+    pub latency_ns: Option<u64>,
+    pub deadline_ns: u64,
+    pub met: bool,
+}
+
+impl Node {
+    pub fn label(&self) -> &str {
+        self.name.as_deref().unwrap_or("(no node)")
+    }
+
+    /// Its process, or where else it is.
+    pub fn whereabouts(&self) -> String {
+        match (self.pid, &self.place) {
+            (Some(pid), _) => format!("pid {pid}"),
+            (None, place) => format!("on {}", place.as_deref().unwrap_or("this host")),
+        }
+    }
+}
+
+impl TopicKind {
+    pub fn word(self) -> &'static str {
+        match self {
+            TopicKind::Topic => "topic",
+            TopicKind::Service => "service",
+            TopicKind::Action => "action",
+        }
+    }
+}
+
+impl Topic {
+    /// What is written below its name.
+    pub fn lines(&self) -> Vec<String> {
+        let types = self.types.join(" and ");
+        let types =
+            if self.kind == TopicKind::Topic { types } else { format!("{} {types}", self.kind.word()) };
+        [Some(types), self.rate.text()].into_iter().flatten().collect()
+    }
+}
+
+impl Rate {
+    pub fn text(self) -> Option<String> {
+        match self {
+            Rate::None => None,
+            Rate::Unknown => Some("? Hz".into()),
+            Rate::Hz(hz) if hz >= 10_000.0 => Some(format!("{:.1} kHz", hz / 1e3)),
+            Rate::Hz(hz) => Some(format!("{hz:.1} Hz")),
+        }
+    }
+
+    /// Of both together.
+    pub fn plus(self, other: Rate) -> Rate {
+        match (self, other) {
+            (Rate::None, rate) | (rate, Rate::None) => rate,
+            (Rate::Hz(one), Rate::Hz(other)) => Rate::Hz(one + other),
+            _ => Rate::Unknown,
+        }
+    }
+}
+
+impl Edge {
+    /// Whether messages, or requests, go to the node.
+    pub fn is_to_node(&self) -> bool {
+        matches!(self.kind, EdgeKind::Subscribes | EdgeKind::Serves)
+    }
+
+    /// Whether it is of a service or an action.
+    pub fn is_service(&self) -> bool {
+        matches!(self.kind, EdgeKind::Asks | EdgeKind::Serves)
+    }
+
+    pub fn word(&self) -> &'static str {
+        match self.kind {
+            EdgeKind::Publishes => "publisher",
+            EdgeKind::Subscribes => "subscription",
+            EdgeKind::Asks => "client",
+            EdgeKind::Serves => "server",
+        }
+    }
+
+    pub fn is_bad(&self) -> bool {
+        self.problem.is_some() || self.bound.as_ref().is_some_and(|bound| !bound.met)
+    }
+
+    /// What is written at it.
+    pub fn lines(&self) -> Vec<String> {
+        let count = (self.count > 1).then(|| format!("{} {}s", self.count, self.word()));
+        [count, self.problem.clone(), self.bound.as_ref().map(Bound::text)].into_iter().flatten().collect()
+    }
+}
+
+impl Bound {
+    pub fn text(&self) -> String {
+        bound_text(self.response_ns, self.deadline_ns, self.met)
+    }
+}
+
+/// As far as it needs to be said.
+fn bound_text(ns: Option<u64>, deadline_ns: u64, met: bool) -> String {
+    match ns {
+        None => "no bound".into(),
+        Some(_) if met => format!("≤ {} ms", ms(ns)),
+        Some(_) => format!("≤ {} ms, deadline {} ms", ms(ns), ms(Some(deadline_ns))),
+    }
+}
+
+impl Picture {
+    /// What is to be said beside it, and whether that is as it should be.
+    pub fn caption(&self) -> Vec<(bool, String)> {
+        let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        let of = |kind| self.topics.iter().filter(|topic| topic.kind == kind).count();
+        let mut first = format!(
+            "Domain {}: {}, {}",
+            self.domain,
+            count(self.nodes.iter().filter(|node| node.name.is_some()).count(), "node"),
+            count(of(TopicKind::Topic), "topic")
+        );
+        for kind in [TopicKind::Service, TopicKind::Action] {
+            if of(kind) > 0 {
+                first.push_str(&format!(", {}", count(of(kind), kind.word())));
+            }
+        }
+        if let Some(seconds) = self.seconds {
+            first.push_str(&format!("; rates of {seconds:.1} s"));
+        }
+        if self.left_out > 0 {
+            first.push_str(&format!("; {} left out, --all shows them", self.left_out));
+        }
+        let chain = |chain: &Chain| {
+            let bound = bound_text(chain.latency_ns, chain.deadline_ns, chain.met);
+            (
+                chain.met,
+                format!(
+                    "Chain {}: {}{bound}",
+                    chain.name,
+                    if chain.latency_ns.is_some() { "latency " } else { "" }
+                ),
+            )
+        };
+        let mismatch = |found: &Mismatch| {
+            let Mismatch { topic, publisher, subscription, reason } = found;
+            (false, format!("{topic}: no message gets from {publisher} to {subscription}: {reason}"))
+        };
+        let chains = self.chains.iter().map(chain);
+        std::iter::once((true, first)).chain(chains).chain(self.mismatches.iter().map(mismatch)).collect()
+    }
+}
+
+/// One line, without what no format can carry, or what would turn the rest of it round.
+pub fn clean(text: &str) -> String {
+    let is_kept = |c: char| {
+        !c.is_control()
+            && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{fffe}' | '\u{ffff}')
+    };
+    text.chars().map(|c| if is_kept(c) { c } else { '\u{fffd}' }).collect()
+}

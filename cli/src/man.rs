@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut man`: a manual page for each verb, from what the verbs say of themselves.
+
+use crate::manners::{Failure, Outcome};
+use clap::{Args, Command};
+use clap_mangen::Man;
+use clap_mangen::roff::{Roff, roman};
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Writes the manual pages: taut.1, taut-topic.1, taut-topic-echo.1 and so on
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut man ~/.local/share/man/man1     then: man taut-topic-echo
+  taut man man && man -l man/taut.1")]
+pub struct ManArgs {
+    /// The folder, which is made if it is not there
+    #[arg(value_name = "DIR", value_hint = clap::ValueHint::DirPath)]
+    folder: PathBuf,
+}
+
+/// Writes the pages of a command.
+pub fn run(args: &ManArgs, command: Command) -> Outcome {
+    let mut command = command.disable_help_subcommand(true);
+    command.build();
+    let version = command.get_version().unwrap_or_default().to_owned();
+    let failed =
+        |path: &Path, error| Failure::unusable(format!("{} cannot be written: {error}", path.display()));
+    fs::create_dir_all(&args.folder).map_err(|error| failed(&args.folder, error))?;
+    let mut pages = Vec::new();
+    collect(&command, &version, None, &mut pages);
+    for (name, page) in &pages {
+        let path = args.folder.join(name);
+        fs::write(&path, page).map_err(|error| failed(&path, error))?;
+    }
+    Ok(writeln!(io::stdout(), "Wrote {} pages to {}", pages.len(), args.folder.display())?)
+}
+
+/// A command's page, and those of its verbs; `above` is the name of the page that it is a verb of.
+fn collect(command: &Command, version: &str, above: Option<&str>, pages: &mut Vec<(String, Vec<u8>)>) {
+    let name = command.get_display_name().unwrap_or_else(|| command.get_name());
+    pages.push((format!("{name}.1"), page(command, name, version, above)));
+    for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
+        collect(verb, version, Some(name), pages);
+    }
+}
+
+fn page(command: &Command, name: &str, version: &str, above: Option<&str>) -> Vec<u8> {
+    // clap_mangen's own title loses an empty date, and with it the places of what follows.
+    let title = format!(".TH \"{}\" \"1\" \"\" \"taut {version}\" \"Tautline\"\n", name.to_uppercase());
+    let mut page = title.into_bytes();
+    // Nothing is written but into memory.
+    let _ = sections(&Man::new(command.clone()), command, above, &mut page);
+    page
+}
+
+fn sections(man: &Man, command: &Command, above: Option<&str>, page: &mut Vec<u8>) -> io::Result<()> {
+    man.render_name_section(page)?;
+    man.render_synopsis_section(page)?;
+    man.render_description_section(page)?;
+    if command.get_arguments().any(|argument| !argument.is_hide_set()) {
+        man.render_options_section(page)?;
+    }
+    if command.has_subcommands() {
+        man.render_subcommands_section(page)?;
+    }
+    let help = command.get_after_long_help().or(command.get_after_help()).map(ToString::to_string);
+    let mut more = Roff::new();
+    for part in help.unwrap_or_default().split("\n\n") {
+        if let Some(examples) = part.strip_prefix("Examples:\n") {
+            // As they are, each in its line.
+            more.control("SH", ["EXAMPLES"]).control("nf", []);
+            for line in examples.lines() {
+                more.text([roman(line.strip_prefix("  ").unwrap_or(line))]);
+            }
+            more.control("fi", []);
+        } else if let Some(codes) = part.strip_prefix("Exit codes: ") {
+            more.control("SH", ["EXIT STATUS"]).text([roman(codes)]);
+        } else if !part.is_empty() {
+            more.control("SH", ["NOTES"]).text([roman(part)]);
+        }
+    }
+    if let Some(above) = above {
+        more.control("SH", ["SEE ALSO"]).text([roman(format!("{above}(1)"))]);
+    }
+    more.to_writer(page)
+}

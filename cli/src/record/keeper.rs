@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who writes messages to the disk, from the ring.
+
+use super::ring::{HEAD_BYTES, Head};
+use crate::manners::Outcome;
+use rtrb::Consumer;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant};
+use tautline::rt::{Policy, ThreadBuilder};
+use tautline_bag::{BagError, Finished, Stamp, Topic, TopicId, Writer};
+
+/// What a kill can cost.
+const FLUSH: Duration = Duration::from_millis(500);
+/// How often is looked whether there is something to write.
+const PERIOD: Duration = Duration::from_millis(2);
+
+pub struct Keeper {
+    statement: Sender<BTreeMap<String, String>>,
+    thread: tautline::rt::JoinHandle<Written>,
+}
+
+/// What is on the disk.
+pub struct Written {
+    pub finished: Result<Finished, BagError>,
+    /// Why nothing more was written.
+    pub failed: Option<BagError>,
+    pub messages: u64,
+    /// The longest that the disk took for a write.
+    pub stall: Duration,
+}
+
+impl Keeper {
+    pub fn start(
+        writer: Writer,
+        consumer: Consumer<u8>,
+        topics: Receiver<Topic>,
+        is_over: Arc<AtomicBool>,
+    ) -> Outcome<Self> {
+        let (statement, stated) = channel();
+        let thread = ThreadBuilder::new("keeper").policy(Policy::Other { nice: 0 });
+        let work = Work { writer, consumer, topics, ids: Vec::new(), scratch: Vec::new(), messages: 0 };
+        let thread = thread.spawn(move || move || work.run(&is_over, &stated))?;
+        Ok(Keeper { statement, thread })
+    }
+
+    /// When all is in the ring: the rest is written, and this.
+    pub fn finish(self, statement: BTreeMap<String, String>) -> Outcome<Written> {
+        // If it ended before, it says why.
+        let _ = self.statement.send(statement);
+        Ok(self.thread.join()?)
+    }
+}
+
+struct Work {
+    writer: Writer,
+    consumer: Consumer<u8>,
+    topics: Receiver<Topic>,
+    ids: Vec<TopicId>,
+    /// A message that goes over the ring's end.
+    scratch: Vec<u8>,
+    messages: u64,
+}
+
+impl Work {
+    fn run(mut self, is_over: &AtomicBool, stated: &Receiver<BTreeMap<String, String>>) -> Written {
+        let (mut flushed, mut stall) = (Instant::now(), Duration::ZERO);
+        let failed = loop {
+            let start = Instant::now();
+            let written = self.some().and_then(|is_more| {
+                if flushed.elapsed() >= FLUSH {
+                    flushed = Instant::now();
+                    self.writer.flush()?;
+                }
+                Ok(is_more)
+            });
+            stall = stall.max(start.elapsed());
+            match written {
+                Err(error) => break Some(error),
+                Ok(true) => {}
+                // Nobody puts anything in any more.
+                Ok(false) if self.consumer.is_abandoned() && self.consumer.is_empty() => break None,
+                Ok(false) => std::thread::sleep(PERIOD),
+            }
+        };
+        let Work { writer, consumer, messages, .. } = self;
+        // The taker does not wait for room.
+        drop(consumer);
+        is_over.store(true, Ordering::Release);
+        let finished = match &failed {
+            None | Some(BagError::Full { .. }) => writer.finish(stated.recv().unwrap_or_default()),
+            Some(_) => Ok(Finished { files: Vec::new(), removed: 0 }),
+        };
+        Written { finished, failed, messages, stall }
+    }
+
+    /// Writes a message; `false` if there is none.
+    fn some(&mut self) -> Result<bool, BagError> {
+        let mut head = [0; HEAD_BYTES];
+        let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES) else { return Ok(false) };
+        let (first, second) = chunk.as_slices();
+        head[..first.len()].copy_from_slice(first);
+        head[first.len()..].copy_from_slice(second);
+        let head = Head::from_bytes(head);
+        let whole = HEAD_BYTES + head.cdr_bytes as usize;
+        // The taker is not through with it.
+        let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };
+        while self.ids.len() <= head.topic as usize {
+            // Told before its first message.
+            let Ok(topic) = self.topics.recv() else { return Ok(false) };
+            self.ids.push(self.writer.add_topic(topic));
+        }
+        let (first, second) = chunk.as_slices();
+        let cdr = if second.is_empty() {
+            &first[HEAD_BYTES..]
+        } else {
+            self.scratch.clear();
+            self.scratch.extend_from_slice(first);
+            self.scratch.extend_from_slice(second);
+            &self.scratch[HEAD_BYTES..]
+        };
+        let stamp =
+            Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns };
+        self.writer.write(self.ids[head.topic as usize], stamp, cdr)?;
+        chunk.commit_all();
+        self.messages += 1;
+        Ok(true)
+    }
+}

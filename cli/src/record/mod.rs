@@ -1,0 +1,336 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut record`: messages of topics into a bag, unseen by those that publish them.
+//!
+//! This thread looks who is there; `taker` takes what comes and copies it once, into a ring of locked memory; `keeper` writes from there
+//! to the disk.
+
+mod choice;
+mod keeper;
+mod ring;
+mod seats;
+mod statement;
+mod taker;
+
+use crate::completions;
+use crate::manners::{End, Failure, Manners, Outcome, time};
+use choice::Choice;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use keeper::Keeper;
+use seats::Seats;
+use statement::Statement;
+use std::collections::BTreeMap;
+use std::io::{self, IsTerminal, Write};
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use taker::{Pace, Taker};
+use tautline::rt::{self, MemoryLock, Policy, ThreadBuilder};
+use tautline_bag::{Compression, Options, Writer};
+use tautline_transport::Participant;
+
+/// How often is looked who is there.
+const LOOK: Duration = Duration::from_millis(20);
+/// How often is said what has come, on a terminal.
+const SAY: Duration = Duration::from_millis(500);
+
+/// Records topics into a bag, as rosbag2 writes them: MCAP files and a metadata.yaml
+///
+/// Publishers do not notice: nobody waits for the recorder, wakes it, or sees it in a list. What is lost all the same is counted, and
+/// what stall of the recorder each topic survives is said: a queue of `--depth` messages over the rate of its fastest publisher.
+/// Ctrl-C ends. What was killed is made whole by `taut bag recover`; all but the last half second is there.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut record /scan /odom                          until Ctrl-C, into a new folder
+  taut record -a --exclude 'camera|/rosout' -o run1
+  taut record --type sensor_msgs/msg/Image --compression zstd --max-size 1GB
+  taut record -a --max-time 5min --keep 12         the last hour
+  taut record /scan --throttle /scan=1 --timeout 60s --json
+
+Exit codes: 0 nothing was lost; 1 something was, or a named topic did not come; 2 it could not be written.
+On a terminal the enter key pauses and goes on; so does SIGUSR1.")]
+pub struct RecordArgs {
+    #[command(flatten)]
+    manners: Manners,
+    /// Topics; those that do not exist are waited for
+    #[arg(value_name = "TOPIC", add = completions::topics())]
+    topics: Vec<String>,
+    /// Every topic, and those that come
+    #[arg(short, long)]
+    all: bool,
+    /// Topics whose name this regular expression is found in
+    #[arg(short = 'e', long, value_name = "REGEX")]
+    regex: Option<String>,
+    /// Topics of this type; may be given several times
+    #[arg(long = "type", value_name = "TYPE")]
+    types: Vec<String>,
+    /// But none whose name this regular expression is found in
+    #[arg(short = 'x', long, value_name = "REGEX")]
+    exclude: Option<String>,
+    /// Topics of other hosts and of ROS as well, which they send for it: they see a subscription
+    #[arg(long)]
+    fetch: bool,
+    /// The bag: a folder that is not there yet [default: bag_ and the time]
+    #[arg(short, long, value_name = "FOLDER")]
+    output: Option<PathBuf>,
+    /// How chunks are compressed
+    #[arg(long, value_enum, default_value_t = Compressed::None)]
+    compression: Compressed,
+    /// A new file when one has this size, such as 500MB or 4GiB
+    #[arg(long, value_name = "SIZE", value_parser = size)]
+    max_size: Option<u64>,
+    /// A new file when one has messages of this time
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    max_time: Option<Duration>,
+    /// Keep no more files than this: the oldest is removed
+    #[arg(long, value_name = "N")]
+    keep: Option<NonZeroU32>,
+    /// At most so many messages a second of this topic; may be given several times
+    #[arg(long, value_name = "TOPIC=HZ", value_parser = throttle)]
+    throttle: Vec<(String, f64)>,
+    /// Begin without recording
+    #[arg(long)]
+    paused: bool,
+    /// Memory for what the disk does not take at once, locked and touched at the start
+    #[arg(long, value_name = "SIZE", default_value = "128MB", value_parser = size)]
+    budget: u64,
+    /// Messages that wait in the queue of each publisher [default: what its own are, or as many as have 1 MiB, up to 1000]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    depth: Option<u32>,
+    /// How often is looked for messages
+    #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = time)]
+    period: Duration,
+    /// Take messages at an ordinary priority, instead of SCHED_FIFO 1 where that is permitted
+    #[arg(long)]
+    no_rt: bool,
+}
+
+#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Compressed {
+    /// Not at all
+    None,
+    /// Small
+    Zstd,
+    /// Fast
+    Lz4,
+}
+
+impl From<Compressed> for Compression {
+    fn from(compressed: Compressed) -> Self {
+        match compressed {
+            Compressed::None => Compression::None,
+            Compressed::Zstd => Compression::Zstd,
+            Compressed::Lz4 => Compression::Lz4,
+        }
+    }
+}
+
+/// A number of bytes and its unit.
+pub fn size(text: &str) -> Result<u64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit: f64 = match &text[digits.len()..] {
+        "" | "B" => 1.0,
+        "kB" | "KB" | "k" | "K" => 1e3,
+        "MB" | "M" => 1e6,
+        "GB" | "G" => 1e9,
+        "TB" | "T" => 1e12,
+        "KiB" => 1024.0,
+        "MiB" => 1048576.0,
+        "GiB" => 1073741824.0,
+        "TiB" => 1099511627776.0,
+        other => return Err(format!("'{other}' is no unit: B, kB, MB, GB, TB, KiB, MiB, GiB, TiB")),
+    };
+    let number = digits.parse::<f64>().ok().map(|number| number * unit).filter(|n| (1.0..1e18).contains(n));
+    number.map(|bytes| bytes as u64).ok_or_else(|| format!("'{text}' is no size: 500MB or 4GiB is one"))
+}
+
+fn throttle(text: &str) -> Result<(String, f64), String> {
+    let (topic, hz) = text.rsplit_once('=').ok_or("TOPIC=HZ, such as /scan=10")?;
+    let hz = hz.parse::<f64>().ok().filter(|hz| (1e-6..1e9).contains(hz));
+    let hz = hz.ok_or("HZ is a number of messages a second, above 0")?;
+    Ok((crate::asking::full_name(topic), hz))
+}
+
+pub fn run(args: &RecordArgs) -> Outcome {
+    let choice = Choice::new(args)?;
+    let domain = args.manners.domain()?;
+    let mut end = End::of(&args.manners)?;
+    let is_paused = Arc::new(AtomicBool::new(args.paused));
+    listen(&is_paused)?;
+    // Before anything else: what is locked, and what it costs, is there before the first message.
+    if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
+        say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
+    }
+    let (producer, consumer) = ring::touched(args.budget)?;
+    let folder = args.output.clone().unwrap_or_else(|| default_folder().into());
+    let participant = Participant::new(domain)?;
+    let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
+    let (seats, coming) = Seats::new(participant, choice, args);
+    let (stop, is_over) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let keeper = Keeper::start(writer, consumer, coming.topics, is_over.clone())?;
+    let pace =
+        Pace { period_ns: rt::clock::nanoseconds(args.period).max(100_000), is_paused: is_paused.clone() };
+    let taker = Taker::new(producer, coming.seats, pace, stop.clone());
+    let priority = if args.no_rt { None } else { rt::permission::realtime_permitted(1).is_ok().then_some(1) };
+    let policy = priority.map_or(Policy::Other { nice: 0 }, Policy::Fifo);
+    let thread = ThreadBuilder::new("taker").policy(policy);
+    let thread = thread.spawn(move || move || taker.run())?;
+
+    end.restart();
+    let until = if end.timeout().is_some() { "" } else { ", until Ctrl-C" };
+    say(&format!("recording domain {domain} into {}{until}", folder.display()));
+    let watched = watch(args, &end, seats, &is_over, &is_paused);
+    // What was sent until now is taken, then written; whatever happened.
+    stop.store(true, Ordering::Release);
+    let taken = thread.join()?;
+    let seats = match watched {
+        Ok(seats) => seats,
+        Err(failure) => {
+            // The bag is whole all the same.
+            keeper.finish(BTreeMap::new())?;
+            return Err(failure);
+        }
+    };
+    let statement = Statement::new(seats, taken, args.period);
+    let written = keeper.finish(statement.for_the_file());
+    statement.print(&folder, written, args.manners.json)
+}
+
+/// Until the end. Whoever writes may have none to write to before.
+fn watch(
+    args: &RecordArgs,
+    end: &End,
+    mut seats: Seats,
+    is_over: &AtomicBool,
+    is_paused: &AtomicBool,
+) -> Outcome<Seats> {
+    let progress = progress(args.manners.json);
+    let mut said = Instant::now();
+    while !end.is_reached() && !is_over.load(Ordering::Acquire) {
+        seats.look(|words| progress.suspend(|| say(&format!("taut: {words}"))))?;
+        if said.elapsed() >= SAY {
+            said = Instant::now();
+            let state = if is_paused.load(Ordering::Relaxed) { "paused, " } else { "" };
+            progress.set_message(format!("{state}{}", seats.progress()));
+        }
+        if seats.is_empty() {
+            end.say_once(|| "a topic to record".to_owned());
+        }
+        end.pause(LOOK);
+    }
+    progress.finish_and_clear();
+    Ok(seats)
+}
+
+/// Whoever started it may listen no more: that ends no recording.
+fn say(words: &str) {
+    let _ = writeln!(io::stderr(), "{words}");
+}
+
+/// On a terminal only, and never beside JSON.
+fn progress(json: bool) -> ProgressBar {
+    if json {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{spinner} {elapsed} {msg}");
+    let progress =
+        ProgressBar::new_spinner().with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+    progress.enable_steady_tick(SAY);
+    progress
+}
+
+/// What pauses, and goes on.
+fn listen(is_paused: &Arc<AtomicBool>) -> Outcome {
+    let toggled = is_paused.clone();
+    let handle = move || {
+        toggled.fetch_xor(true, Ordering::Relaxed);
+    };
+    let mut signals = signal_hook::iterator::Signals::new([signal_hook::consts::SIGUSR1])
+        .map_err(|error| Failure::unusable(format!("SIGUSR1 cannot be caught: {error}")))?;
+    let on_signal = handle.clone();
+    std::thread::spawn(move || signals.forever().for_each(|_| on_signal()));
+    if io::stdin().is_terminal() {
+        std::thread::spawn(move || io::stdin().lines().map_while(Result::ok).for_each(|_| handle()));
+    }
+    Ok(())
+}
+
+impl RecordArgs {
+    fn options(&self) -> Options {
+        Options {
+            compression: self.compression.into(),
+            split_bytes: self.max_size,
+            split_ns: self.max_time.map(rt::clock::nanoseconds),
+            keep_files: self.keep,
+        }
+    }
+}
+
+/// What each file says of where it was recorded.
+fn session(domain: u32) -> BTreeMap<String, String> {
+    let (wall, monotonic) = (rt::clock::wall_ns(), rt::clock::monotonic_ns());
+    let offset = i128::from(wall) - i128::from(monotonic);
+    [
+        ("host", rt::host::name()),
+        ("domain", domain.to_string()),
+        ("taut", env!("CARGO_PKG_VERSION").to_owned()),
+        ("started_unix_ns", wall.to_string()),
+        ("started_monotonic_ns", monotonic.to_string()),
+        // Times of reception are CLOCK_MONOTONIC and this, whatever happens to the other clock.
+        ("log_time_minus_monotonic_ns", offset.to_string()),
+    ]
+    .map(|(key, value)| (key.to_owned(), value))
+    .into()
+}
+
+/// `bag_` and the time, UTC.
+fn default_folder() -> String {
+    format!("bag_{}", date(rt::clock::wall_ns()).replace(' ', "-").replace(':', "_"))
+}
+
+/// As `2026-11-23 10:00:00`, of UTC.
+pub fn date(unix_ns: i64) -> String {
+    let seconds = unix_ns.div_euclid(1_000_000_000);
+    let (days, second) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
+    let (year, month, day) = civil(days);
+    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}")
+}
+
+/// The date so many days after 1970-01-01, by the Gregorian calendar: years that begin in March have their leap day at the end.
+fn civil(days: i64) -> (i64, i64, i64) {
+    let days = days + 719_468;
+    let (era, day_of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
+    let year = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year + year / 4 - year / 100);
+    let month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month + 2) / 5 + 1;
+    let is_next = month >= 10;
+    (year + era * 400 + i64::from(is_next), if is_next { month - 9 } else { month + 3 }, day)
+}
+
+pub fn failed(error: tautline_bag::BagError) -> Failure {
+    Failure::unusable(error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_dates_are_read_and_written() {
+        assert_eq!([size("500MB"), size("4GiB"), size("7")], [Ok(500_000_000), Ok(4 << 30), Ok(7)]);
+        for wrong in ["", "0", "-1MB", "5 MB", "3 parsec", "1e30GB", "nan"] {
+            assert!(size(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(throttle("scan=10"), Ok(("/scan".into(), 10.0)));
+        for wrong in ["/scan", "/scan=", "/scan=0", "/scan=x", "/scan=-1"] {
+            assert!(throttle(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!([civil(0), civil(11_016), civil(20_780)], [(1970, 1, 1), (2000, 2, 29), (2026, 11, 23)]);
+        assert_eq!([civil(-1), civil(11_017)], [(1969, 12, 31), (2000, 3, 1)]);
+        assert_eq!(date(-1), "1969-12-31 23:59:59");
+    }
+}

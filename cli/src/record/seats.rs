@@ -1,0 +1,242 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who is there: the topics that are recorded, and an observer for each.
+
+use super::RecordArgs;
+use super::choice::Choice;
+use crate::manners::Outcome;
+use crate::topic::tap;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};
+use tautline_bag::Topic;
+use tautline_transport::{
+    Durability, Gid, History, Limits, Liveliness, Participant, Qos, RawSubscription, Reliability, TopicType,
+};
+
+/// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].
+const DEEP: usize = 1000;
+const QUEUE_BYTES: usize = 1 << 20;
+
+/// What the taker is given for a topic. One of the number of another replaces its subscription.
+pub struct Seat {
+    pub number: usize,
+    pub subscription: RawSubscription,
+    /// The least time between two messages that are kept.
+    pub throttle_ns: Option<u64>,
+    pub counts: Arc<Counts>,
+}
+
+/// What came so far, for who looks on.
+#[derive(Default)]
+pub struct Counts {
+    pub messages: AtomicU64,
+    pub bytes: AtomicU64,
+    pub lost: AtomicU64,
+}
+
+/// A topic that is recorded.
+pub struct Seated {
+    pub topic: Topic,
+    pub depth: usize,
+    topic_type: TopicType,
+    is_fetched: bool,
+    counts: Arc<Counts>,
+}
+
+pub struct Seats {
+    participant: Participant,
+    choice: Choice,
+    depth: Option<usize>,
+    is_fetching: bool,
+    throttle: Vec<(String, f64)>,
+    epoch: Option<u32>,
+    seated: Vec<Seated>,
+    /// Of a topic; more than one if its publishers have different types.
+    numbers: HashMap<String, Vec<usize>>,
+    /// Topics that cannot be recorded.
+    refused: BTreeSet<String>,
+    /// Publishers that were there when the recording began.
+    before: HashSet<Gid>,
+    /// Topics whose publishers are elsewhere, which was said.
+    elsewhere: HashSet<String>,
+    to_taker: Sender<Seat>,
+    to_keeper: Sender<Topic>,
+}
+
+/// What the other threads are told of it: each topic, then the seat of the same number.
+pub struct Coming {
+    pub seats: Receiver<Seat>,
+    pub topics: Receiver<Topic>,
+}
+
+impl Seats {
+    pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> (Self, Coming) {
+        let ((to_taker, seats), (to_keeper, topics)) = (channel(), channel());
+        let here = Seats {
+            participant,
+            choice,
+            depth: args.depth.map(|depth| depth as usize),
+            is_fetching: args.fetch,
+            throttle: args.throttle.clone(),
+            epoch: None,
+            seated: Vec::new(),
+            numbers: HashMap::new(),
+            refused: BTreeSet::new(),
+            before: HashSet::new(),
+            elsewhere: HashSet::new(),
+            to_taker,
+            to_keeper,
+        };
+        (here, Coming { seats, topics })
+    }
+
+    /// Looks whether there are topics that are new.
+    pub fn look(&mut self, tell: impl Fn(&str)) -> Outcome {
+        let epoch = Some(self.participant.graph_epoch());
+        if epoch == std::mem::replace(&mut self.epoch, epoch) {
+            return Ok(());
+        }
+        let graph = self.participant.graph()?;
+        let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
+        graph.endpoints.iter().for_each(|end| topics.entry(&end.topic).or_default().push(end));
+        if self.before.is_empty() && self.seated.is_empty() {
+            self.before = topics.values().flat_map(|ends| publishers(ends)).map(|end| end.gid).collect();
+        }
+        for (topic, ends) in topics {
+            for end in publishers(&ends) {
+                if !self.choice.takes(topic, &end.topic_type.name) {
+                    continue;
+                }
+                if let Err(failure) = self.seat(&graph, &ends, end, &tell) {
+                    tell(&format!("warning: {topic} cannot be recorded: {failure}"));
+                    self.refused.insert(topic.to_owned());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// `ends` are those of the topic, `end` is one of its publishers.
+    fn seat(
+        &mut self,
+        graph: &GraphSnapshot,
+        ends: &[&TopicEndpoint],
+        end: &TopicEndpoint,
+        tell: &impl Fn(&str),
+    ) -> Outcome {
+        let of_topic = self.numbers.get(&end.topic).map_or(&[][..], Vec::as_slice);
+        let agrees = |number: &&usize| self.seated[**number].topic_type.agrees_with(&end.topic_type);
+        let known = of_topic.iter().find(agrees).copied();
+        let is_fetched = end.is_remote && self.is_fetching;
+        if end.is_remote && !is_fetched && self.elsewhere.insert(end.topic.clone()) {
+            tell(&format!(
+                "warning: {} has publishers on another host or in ROS: what they send is recorded while somebody here subscribes to it, \
+                 or with --fetch",
+                end.topic
+            ));
+        }
+        let is_seated = known.is_some_and(|known| self.seated[known].is_fetched || !is_fetched);
+        if is_seated || self.refused.contains(&end.topic) {
+            return Ok(());
+        }
+        let topic_type = TopicType { definition: None, body_bytes: None, ..end.topic_type.clone() };
+        let depth = self.depth.unwrap_or_else(|| depth(ends, end));
+        let subscription = match is_fetched {
+            true => tap::subscribe(&self.participant, graph, &end.topic, &topic_type, depth)?,
+            false => {
+                let limits = Limits { held: 1, ..Limits::default() };
+                self.participant.create_observer(&end.topic, &topic_type, depth, limits)?
+            }
+        };
+        let number = known.unwrap_or(self.seated.len());
+        if known.is_none() {
+            let topic = described(ends, end, tell);
+            // The keeper ends before this only with an error of its own, which is told.
+            let _ = self.to_keeper.send(topic.clone());
+            let counts = Arc::default();
+            self.seated.push(Seated { topic, depth, topic_type, is_fetched, counts });
+            self.numbers.entry(end.topic.clone()).or_default().push(number);
+        }
+        self.seated[number].is_fetched = is_fetched;
+        let hz = self.throttle.iter().find(|(topic, _)| *topic == end.topic).map(|(_, hz)| *hz);
+        let throttle_ns = hz.map(|hz| (1e9 / hz) as u64);
+        let counts = self.seated[number].counts.clone();
+        let _ = self.to_taker.send(Seat { number, subscription, throttle_ns, counts });
+        Ok(())
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.seated.is_empty()
+    }
+
+    /// In a line.
+    pub fn progress(&self) -> String {
+        let sum = |of: fn(&Counts) -> &AtomicU64| -> u64 {
+            self.seated.iter().map(|seated| of(&seated.counts).load(Ordering::Relaxed)).sum()
+        };
+        let (topics, messages) = (self.seated.len(), sum(|counts| &counts.messages));
+        let (megabytes, lost) = (sum(|counts| &counts.bytes) as f64 / 1e6, sum(|counts| &counts.lost));
+        format!("{topics} topics, {messages} messages, {megabytes:.1} MB, {lost} lost")
+    }
+
+    /// Topics in the order of their numbers; publishers that were there before; topics that should be there, and why they are not.
+    pub fn end(self) -> (Vec<Seated>, HashSet<Gid>, Vec<String>) {
+        let named = self.choice.named().iter().filter(|name| !self.numbers.contains_key(*name));
+        let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
+        (self.seated, self.before, absent.into_iter().collect())
+    }
+}
+
+fn publishers<'e>(ends: &'e [&'e TopicEndpoint]) -> impl Iterator<Item = &'e TopicEndpoint> {
+    ends.iter().copied().filter(|end| end.kind == EndpointKind::Publisher)
+}
+
+/// A deeper queue than the topic has costs its publishers memory: as many times what they reserve for a message, which is known only of
+/// types of fixed size.
+fn depth(ends: &[&TopicEndpoint], end: &TopicEndpoint) -> usize {
+    let own = ends.iter().map(|end| end.qos.depth).max().unwrap_or(1).clamp(1, DEEP);
+    end.topic_type.body_bytes.map_or(own, |bytes| own.max((QUEUE_BYTES / (bytes + 64)).min(DEEP)))
+}
+
+fn described(ends: &[&TopicEndpoint], end: &TopicEndpoint, tell: &impl Fn(&str)) -> Topic {
+    let name = end.topic_type.name.parse().ok();
+    let schema = name.and_then(|name| find_schema(&end.topic, &name, Some(&end.topic_type)).ok());
+    if schema.is_none() {
+        tell(&format!(
+            "warning: the definition of {} is not known: what reads the bag needs it from elsewhere",
+            end.topic_type.name
+        ));
+    }
+    Topic {
+        name: end.topic.clone(),
+        type_name: end.topic_type.name.to_string(),
+        type_hash: end.topic_type.hash.as_deref().unwrap_or_default().to_owned(),
+        definition: schema.map(|schema| schema.to_text()),
+        qos: publishers(ends).map(|publisher| profile(&publisher.qos)).collect(),
+    }
+}
+
+/// As rosbag2 writes it from version 9 on: an entry of a list, in YAML.
+fn profile(qos: &Qos) -> String {
+    let time = |time: Option<std::time::Duration>| {
+        // What ROS 2 has for "none".
+        let none = std::time::Duration::new(9_223_372_036, 854_775_807);
+        let time = time.unwrap_or(none);
+        format!("\n    sec: {}\n    nsec: {}", time.as_secs(), time.subsec_nanos())
+    };
+    let history = if qos.history == History::KeepAll { "keep_all" } else { "keep_last" };
+    let reliability = if qos.reliability == Reliability::Reliable { "reliable" } else { "best_effort" };
+    let durability =
+        if qos.durability == Durability::TransientLocal { "transient_local" } else { "volatile" };
+    let liveliness = if qos.liveliness == Liveliness::Automatic { "automatic" } else { "manual_by_topic" };
+    format!(
+        "- history: {history}\n  depth: {}\n  reliability: {reliability}\n  durability: {durability}\n  deadline:{}\n  lifespan:{}\n  \
+         liveliness: {liveliness}\n  liveliness_lease_duration:{}\n  avoid_ros_namespace_conventions: false\n",
+        qos.depth,
+        time(qos.deadline),
+        time(qos.lifespan),
+        time(qos.liveliness_lease_duration),
+    )
+}

@@ -1,0 +1,273 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who takes messages: looks at every topic once in a period, and copies what is there into the ring.
+//!
+//! # Real-time
+//! At SCHED_FIFO 1, where that is permitted: below all callbacks. No call for memory but for a publisher or topic that is new; waits
+//! for nobody. A message for which the ring has no room stays where it is, in the observer's queue.
+
+use super::ring::{HEAD_BYTES, Head};
+use super::seats::{Counts, Seat};
+use rtrb::Producer;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
+use tautline_bag::MOST_BYTES;
+use tautline_transport::{Gid, RawSample, RawSubscription, TakeError};
+
+/// So many of a topic in one look: others have their turn.
+const MOST_AT_ONCE: usize = 4096;
+/// How long is waited for the disk in the end.
+const PATIENCE_NS: u64 = 30_000_000_000;
+
+/// How often is looked, and whether what comes is kept.
+pub struct Pace {
+    pub period_ns: u64,
+    pub is_paused: Arc<AtomicBool>,
+}
+
+pub struct Taker {
+    producer: Producer<u8>,
+    coming: Receiver<Seat>,
+    pace: Pace,
+    stop: Arc<AtomicBool>,
+    places: Vec<Place>,
+    /// From `CLOCK_MONOTONIC` to the times in the bag.
+    offset_ns: i64,
+    began_ns: u64,
+    waited: u64,
+}
+
+/// What became of a topic's messages.
+#[derive(Clone, Debug, Default)]
+pub struct Taken {
+    pub messages: u64,
+    pub bytes: u64,
+    /// Overwritten in the queue, by the publishers' numbers.
+    pub lost: u64,
+    /// Longer than the ring, or than a bag's message may be.
+    pub oversized: u64,
+    /// Left out as was asked for.
+    pub throttled: u64,
+    pub paused: u64,
+    /// The longest time between two looks.
+    pub stall_ns: u64,
+    pub ports: Vec<Port>,
+}
+
+/// A publisher.
+#[derive(Clone, Copy, Debug)]
+pub struct Port {
+    pub gid: Gid,
+    /// The number of its first message that was taken.
+    pub first: u64,
+    /// The most that it sent in a second.
+    pub peak: u64,
+    second_ns: u64,
+    in_second: u64,
+}
+
+/// All of it.
+pub struct Harvest {
+    pub topics: Vec<Taken>,
+    /// Looks that found no room in the ring.
+    pub waited: u64,
+    pub began_ns: u64,
+    pub ended_ns: u64,
+}
+
+struct Place {
+    subscription: RawSubscription,
+    throttle_ns: Option<u64>,
+    due_ns: u64,
+    counts: Arc<Counts>,
+    /// Taken, without room in the ring.
+    held: Option<RawSample>,
+    looked_ns: u64,
+    /// By subscriptions of before.
+    lost_before: u64,
+    taken: Taken,
+}
+
+impl Taker {
+    pub fn new(producer: Producer<u8>, coming: Receiver<Seat>, pace: Pace, stop: Arc<AtomicBool>) -> Self {
+        let began_ns = monotonic_ns();
+        let offset_ns = wall_ns() - began_ns.cast_signed();
+        Taker { producer, coming, pace, stop, places: Vec::new(), offset_ns, began_ns, waited: 0 }
+    }
+
+    pub fn run(mut self) -> Harvest {
+        let mut next_ns = self.began_ns;
+        loop {
+            let is_last = self.stop.load(Ordering::Acquire);
+            self.admit();
+            self.look();
+            if is_last {
+                break;
+            }
+            next_ns = (next_ns + self.pace.period_ns).max(monotonic_ns());
+            sleep_until_monotonic(next_ns);
+        }
+        self.drain();
+        let topics =
+            self.places.into_iter().map(|place| Taken { lost: place.lost(), ..place.taken }).collect();
+        Harvest { topics, waited: self.waited, began_ns: self.began_ns, ended_ns: monotonic_ns() }
+    }
+
+    /// What was sent before the end is taken, as soon as there is room for it.
+    fn drain(&mut self) {
+        let ended_ns = monotonic_ns();
+        for place in &mut self.places {
+            place.looked_ns = u64::MAX;
+        }
+        while !self.producer.is_abandoned() && monotonic_ns() - ended_ns < PATIENCE_NS {
+            let waited = self.waited;
+            let took = self.look();
+            if self.waited != waited {
+                sleep_until_monotonic(monotonic_ns() + self.pace.period_ns);
+            } else if !took {
+                return;
+            }
+        }
+    }
+
+    fn admit(&mut self) {
+        while let Ok(seat) = self.coming.try_recv() {
+            let Seat { number, subscription, throttle_ns, counts } = seat;
+            match self.places.get_mut(number) {
+                Some(place) => {
+                    place.lost_before = place.lost();
+                    place.subscription = subscription;
+                }
+                None => self.places.push(Place {
+                    subscription,
+                    throttle_ns,
+                    due_ns: 0,
+                    counts,
+                    held: None,
+                    looked_ns: u64::MAX,
+                    lost_before: 0,
+                    taken: Taken::default(),
+                }),
+            }
+        }
+    }
+
+    /// Whether there was something.
+    fn look(&mut self) -> bool {
+        let mut took = false;
+        let is_paused = self.pace.is_paused.load(Ordering::Relaxed);
+        for (number, place) in self.places.iter_mut().enumerate() {
+            let now_ns = monotonic_ns();
+            place.taken.stall_ns = place.taken.stall_ns.max(now_ns.saturating_sub(place.looked_ns));
+            if place.looked_ns != u64::MAX || !self.stop.load(Ordering::Relaxed) {
+                place.looked_ns = now_ns;
+            }
+            for _ in 0..MOST_AT_ONCE {
+                let Some(sample) = place.next() else { break };
+                took = true;
+                if !place.wants(&sample, is_paused) {
+                    continue;
+                }
+                if HEAD_BYTES + sample.body().len() + 4 > self.producer.buffer().capacity().min(MOST_BYTES) {
+                    place.taken.oversized += 1;
+                    continue;
+                }
+                let (released_ns, began_ns) = (sample.info().released_ns, self.began_ns);
+                // What a publisher kept for late joiners came when this one joined.
+                let received_ns = released_ns.max(began_ns).min(now_ns.max(began_ns));
+                let log_ns = received_ns.cast_signed().saturating_add(self.offset_ns).max(0).cast_unsigned();
+                if copy(&mut self.producer, number, log_ns, &sample) {
+                    place.note(&sample);
+                } else {
+                    place.held = Some(sample);
+                    self.waited += 1;
+                    break;
+                }
+            }
+            place.counts.lost.store(place.lost(), Ordering::Relaxed);
+        }
+        took
+    }
+}
+
+/// The one copy. `false`: there is no room.
+fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, sample: &RawSample) -> bool {
+    let (body, info) = (sample.body(), sample.info());
+    let head = Head {
+        topic: number as u32,
+        cdr_bytes: body.len() as u32 + 4,
+        sequence: info.sequence_number,
+        log_ns,
+        publish_ns: info.source_timestamp_ns.max(0).cast_unsigned(),
+    };
+    if producer.slots() < HEAD_BYTES + 4 + body.len() {
+        return false;
+    }
+    // There is room for all three.
+    let parts: [&[u8]; 3] = [&head.to_bytes(), &tautline_msgs::HEADER, body];
+    parts.iter().all(|part| producer.push_entire_slice(part).is_ok())
+}
+
+impl Place {
+    fn lost(&self) -> u64 {
+        self.lost_before + self.subscription.counters().lost()
+    }
+
+    fn next(&mut self) -> Option<RawSample> {
+        if let Some(held) = self.held.take() {
+            return Some(held);
+        }
+        loop {
+            match self.subscription.try_take() {
+                Ok(taken) => return taken,
+                // Counted by the subscription.
+                Err(TakeError::Invalid(_)) => {}
+                Err(TakeError::TooManyHeld) => return None,
+            }
+        }
+    }
+
+    /// Whether it is kept.
+    fn wants(&mut self, sample: &RawSample, is_paused: bool) -> bool {
+        if is_paused {
+            self.taken.paused += 1;
+            return false;
+        }
+        let Some(interval_ns) = self.throttle_ns else { return true };
+        let released_ns = sample.info().released_ns;
+        if released_ns < self.due_ns {
+            self.taken.throttled += 1;
+            return false;
+        }
+        // On a grid, so that a period that is no multiple does not lower the rate.
+        self.due_ns = match released_ns - self.due_ns {
+            late if late < interval_ns => self.due_ns + interval_ns,
+            _ => released_ns + interval_ns,
+        };
+        true
+    }
+
+    fn note(&mut self, sample: &RawSample) {
+        let bytes = sample.body().len() as u64 + 4;
+        self.taken.messages += 1;
+        self.taken.bytes += bytes;
+        self.counts.messages.store(self.taken.messages, Ordering::Relaxed);
+        self.counts.bytes.store(self.taken.bytes, Ordering::Relaxed);
+        let (gid, released_ns) = (sample.port_gid(), sample.info().released_ns);
+        let port = match self.taken.ports.iter().position(|port| port.gid == gid) {
+            Some(at) => &mut self.taken.ports[at],
+            None => {
+                let first = sample.port_sequence_number();
+                self.taken.ports.push(Port { gid, first, peak: 0, second_ns: released_ns, in_second: 0 });
+                let last = self.taken.ports.len() - 1;
+                &mut self.taken.ports[last]
+            }
+        };
+        if released_ns.saturating_sub(port.second_ns) >= 1_000_000_000 {
+            (port.second_ns, port.in_second) = (released_ns, 0);
+        }
+        port.in_second += 1;
+        port.peak = port.peak.max(port.in_second);
+    }
+}

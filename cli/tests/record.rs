@@ -1,0 +1,542 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut record` and `taut bag`: what is published is in the bag, or counted as lost; what others read of it; what a kill leaves.
+
+#[path = "../../msgs/schema/tests/support/peer.rs"]
+mod peer;
+#[path = "../../msgs/schema/tests/support/mod.rs"]
+mod ros;
+
+use peer::{Peer, hex};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Arc;
+use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
+use tautline_bag::{BagError, Event, FileReader, Stamp, files_of};
+use tautline_msgs::Message;
+use tautline_schema::{DynamicMessage, Kind};
+use tautline_transport::{
+    EndpointKind, Gid, Limits, Participant, Publisher, Qos, RawPublisher, TopicType, Visitor,
+};
+use tempfile::TempDir;
+
+#[derive(Message, Clone, Copy, Debug, PartialEq)]
+#[message(name = "demo_msgs/msg/Count", crate = "tautline_msgs")]
+#[repr(C)]
+struct Count {
+    n: u64,
+}
+
+#[derive(Message, Clone, Copy, Debug, PartialEq)]
+#[message(name = "demo_msgs/msg/Other", crate = "tautline_msgs")]
+#[repr(C)]
+struct Other {
+    n: u32,
+}
+
+/// A domain, a folder for bags, and `taut` beside them.
+struct Place {
+    domain: u32,
+    participant: Participant,
+    folder: TempDir,
+}
+
+impl Place {
+    fn new(domain: u32) -> Self {
+        let (participant, folder) = (Participant::new(domain).unwrap(), tempfile::tempdir().unwrap());
+        Place { domain, participant, folder }
+    }
+
+    fn publisher<M: Message>(&self, topic: &str, qos: Qos) -> Publisher<M> {
+        self.participant.create_publisher(topic, qos, Limits::default()).unwrap()
+    }
+
+    fn bag(&self) -> PathBuf {
+        self.folder.path().join("bag")
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+        command.args(args).env("TAUT_DOMAIN", self.domain.to_string()).env_remove("RUST_LOG");
+        command.current_dir(self.folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    fn run(&self, args: &[&str]) -> (i32, String, String) {
+        ended(self.command(args).output().unwrap())
+    }
+
+    /// Records into `bag`, and has begun.
+    fn record(&self, args: &[&str]) -> Recorder {
+        let args = [&["record", "-o", "bag", "--budget", "8MB"], args].concat();
+        let mut child = self.command(&args).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::with_capacity(1, child.stderr.as_mut().unwrap()).read_line(&mut line).unwrap();
+        assert!(line.starts_with("recording domain") || line.starts_with("taut: warning"), "{line}");
+        Recorder(child)
+    }
+
+    /// Waits until the recorder is connected to a publisher, which nobody but a visitor sees.
+    fn wait_for_observer(&self, publisher: Gid) {
+        let mut visitor = Visitor::new(self.domain).unwrap();
+        wait_for("an observer", || {
+            let graph = visitor.graph().unwrap();
+            let end = graph.endpoints.iter().find(|end| end.gid == publisher);
+            end.is_some_and(|end| {
+                assert_eq!(end.kind, EndpointKind::Publisher);
+                !visitor.overwritten(end).unwrap().is_empty()
+            })
+        });
+        // The publishing thread is handed the connection a moment after it is there to be seen, which nobody sees.
+        sleep_until_monotonic(monotonic_ns() + 50_000_000);
+    }
+
+    fn read(&self) -> BTreeMap<String, Vec<(Stamp, Vec<u8>)>> {
+        read(&self.bag())
+    }
+}
+
+fn wait_for(what: &str, mut is_so: impl FnMut() -> bool) {
+    let start_ns = monotonic_ns();
+    while !is_so() {
+        assert!(monotonic_ns() - start_ns < 60_000_000_000, "waited for {what} for a minute");
+        std::thread::yield_now();
+    }
+}
+
+struct Recorder(Child);
+
+impl Recorder {
+    fn signal(&self, name: &str) {
+        let pid = self.0.id().to_string();
+        assert!(Command::new("kill").args([name, &pid]).status().unwrap().success());
+    }
+
+    /// As Ctrl-C ends it.
+    fn end(self) -> (i32, String, String) {
+        self.signal("-INT");
+        ended(self.0.wait_with_output().unwrap())
+    }
+}
+
+fn ended(output: Output) -> (i32, String, String) {
+    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.code().unwrap(), out, errors)
+}
+
+fn read(bag: &Path) -> BTreeMap<String, Vec<(Stamp, Vec<u8>)>> {
+    let mut topics = BTreeMap::<_, Vec<_>>::new();
+    for file in files_of(bag).unwrap() {
+        let mut reader = FileReader::open(&file).unwrap();
+        let visit = &mut |event: Event<'_>| {
+            if let Event::Message(message) = event {
+                assert_eq!(message.cdr[..4], [0, 1, 0, 0]);
+                let of_topic = topics.entry(message.topic.name.clone()).or_default();
+                of_topic.push((message.stamp, message.cdr[4..].to_vec()));
+            }
+            Ok::<_, BagError>(())
+        };
+        reader.read(visit).unwrap();
+        assert_eq!(reader.damage().1, 0, "{:?}", reader.damage());
+    }
+    topics
+}
+
+fn numbers(messages: &[(Stamp, Vec<u8>)]) -> Vec<u64> {
+    messages.iter().map(|(_, body)| u64::from_le_bytes(body[..8].try_into().unwrap())).collect()
+}
+
+#[test]
+fn what_is_published_is_in_the_bag() {
+    let place = Place::new(5);
+    let latched = place.publisher::<Count>("/latched", Qos::keep_last(3).transient_local());
+    (1..=5).for_each(|n| latched.publish(&Count { n }).unwrap());
+    let many = place.publisher::<Count>("/many", Qos::default());
+    many.publish(&Count { n: 0 }).unwrap();
+    let recorder = place.record(&["-a", "--depth", "20000", "--json", "--max-size", "100kB"]);
+    place.wait_for_observer(many.gid());
+    place.wait_for_observer(latched.gid());
+    let before_ns = wall_ns() as u64;
+    (1..=10_000).for_each(|n| many.publish(&Count { n }).unwrap());
+    // Nobody waits for it, or sees it.
+    assert_eq!((many.subscription_count(), latched.subscription_count()), (0, 0));
+    let (code, out, errors) = recorder.end();
+    let after_ns = wall_ns() as u64;
+    assert_eq!(code, 0, "{errors}");
+    let report: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((&report["lost"], &report["messages"]), (&0.into(), &10_003.into()), "{report}");
+    assert!(report["files"].as_array().unwrap().len() > 2, "{report}");
+    let topics = place.read();
+    assert_eq!(numbers(&topics["/latched"]), [3, 4, 5]);
+    assert_eq!(numbers(&topics["/many"]), (1..=10_000).collect::<Vec<_>>());
+    for (at, (stamp, _)) in topics["/many"].iter().enumerate() {
+        assert_eq!(stamp.sequence as usize, at + 2, "as the publisher counts");
+        assert!((before_ns..=after_ns).contains(&stamp.publish_ns), "{stamp:?}");
+        assert!(stamp.log_ns >= before_ns - 1_000_000 && stamp.log_ns <= after_ns + 1_000_000, "{stamp:?}");
+    }
+    let logged: Vec<_> = topics["/many"].iter().map(|(stamp, _)| stamp.log_ns).collect();
+    assert!(logged.is_sorted());
+
+    let (code, out, _) = place.run(&["bag", "info", "bag", "--json"]);
+    let info: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, &info["messages"]), (0, &10_003.into()));
+    let many = &info["recording"]["/many"];
+    assert_eq!(
+        (&many["messages"], &many["lost"], &many["depth"]),
+        (&10_000.into(), &0.into(), &20_000.into())
+    );
+    assert!(many["survives_stall_ns"].as_u64() > many["longest_stall_ns"].as_u64(), "{many}");
+    let (code, out, errors) = place.run(&["bag", "check", "bag"]);
+    assert!(code == 0 && out.contains("10003 messages"), "{out}{errors}");
+    let (code, _, errors) = place.run(&["record", "-a", "-o", "bag"]);
+    assert!(code == 2 && errors.contains("'bag' exists already; choose another folder with -o"), "{errors}");
+}
+
+#[test]
+fn bags_are_cut_and_merged() {
+    let place = Place::new(13);
+    let [one, two] = ["/one", "/two"].map(|topic| place.publisher::<Count>(topic, Qos::default()));
+    let recorder = place.record(&["-a", "--depth", "1000", "--max-size", "20kB"]);
+    place.wait_for_observer(one.gid());
+    place.wait_for_observer(two.gid());
+    let start_ns = monotonic_ns();
+    for n in 0..500 {
+        sleep_until_monotonic(start_ns + n * 1_000_000);
+        one.publish(&Count { n }).unwrap();
+        two.publish(&Count { n }).unwrap();
+    }
+    assert_eq!(recorder.end().0, 0);
+    let cut = |args: &[&str]| {
+        let (code, out, errors) = place.run(&[&["bag", "cut", "bag"], args].concat());
+        assert_eq!(code, 0, "{out}{errors}");
+    };
+    cut(&["--to", "200ms", "-o", "begin", "--compression", "zstd"]);
+    cut(&["--from", "200ms", "-o", "end"]);
+    cut(&["/two", "-o", "two"]);
+    cut(&["-x", "tw", "-o", "one"]);
+    let all = place.read();
+    let read = |bag: &str| read(&place.folder.path().join(bag));
+    for (bag, topic) in [("one", "/one"), ("two", "/two")] {
+        assert_eq!(read(bag), [(topic.to_owned(), all[topic].clone())].into());
+    }
+    let (begin, end) = (read("begin"), read("end"));
+    let last = |messages: &[(Stamp, Vec<u8>)]| messages.iter().map(|(stamp, _)| stamp.log_ns).max().unwrap();
+    let first = |messages: &[(Stamp, Vec<u8>)]| messages.iter().map(|(stamp, _)| stamp.log_ns).min().unwrap();
+    let span =
+        last(&begin["/one"]).max(last(&begin["/two"])) - first(&begin["/one"]).min(first(&begin["/two"]));
+    assert!((150_000_000..200_000_000).contains(&span), "{span}");
+    assert!(first(&end["/one"]) - first(&all["/one"]).min(first(&all["/two"])) >= 200_000_000);
+    for topics in [["begin", "end"], ["one", "two"]] {
+        let (code, out, errors) = place.run(&["bag", "merge", topics[0], topics[1], "-o", "merged"]);
+        assert_eq!(code, 0, "{out}{errors}");
+        assert_eq!(read("merged"), all);
+        assert_eq!(place.run(&["bag", "check", "merged"]).0, 0);
+        std::fs::remove_dir_all(place.folder.path().join("merged")).unwrap();
+    }
+    let refused = |args: &[&str]| {
+        let (code, _, errors) = place.run(&[&["bag", "cut", "bag", "-o", "x"], args].concat());
+        assert!(!place.folder.path().join("x").exists());
+        (code, errors)
+    };
+    let (code, errors) = refused(&["/twi"]);
+    assert!(code == 1 && errors.contains("did you mean /two?"), "{errors}");
+    let (code, errors) = refused(&["--from", "1h"]);
+    assert!(code == 2 && errors.contains("there is nothing between"), "{errors}");
+    let (code, errors) = refused(&["-x", "("]);
+    assert!(code == 2 && errors.contains("regex parse error"), "{errors}");
+}
+
+#[test]
+fn what_is_lost_is_counted() {
+    let place = Place::new(6);
+    let publisher = place.publisher::<Count>("/lossy", Qos::default());
+    let recorder = place.record(&["/lossy", "/never", "--depth", "10"]);
+    place.wait_for_observer(publisher.gid());
+    recorder.signal("-STOP");
+    wait_for("the recorder to stop", || {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", recorder.0.id())).unwrap();
+        status.lines().any(|line| line.starts_with("State:\tT"))
+    });
+    (1..=1000).for_each(|n| publisher.publish(&Count { n }).unwrap());
+    recorder.signal("-CONT");
+    // A publisher that comes later, and sends before anybody can be connected.
+    let late = place.publisher::<Count>("/lossy", Qos::default());
+    late.publish(&Count { n: 1 }).unwrap();
+    place.wait_for_observer(late.gid());
+    late.publish(&Count { n: 2 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert!(code == 1 && errors.contains("did not come or could not be: /never"), "{errors}");
+    let lossy = out.lines().find(|line| line.starts_with("/lossy")).unwrap();
+    let lost: u64 = lossy.split_whitespace().nth(3).unwrap().parse().unwrap();
+    let kept = place.read()["/lossy"].len() as u64;
+    assert_eq!(kept + lost, 1002, "{out}");
+    assert!((990..=991).contains(&lost) && out.contains("LOST"), "{out}");
+    let (_, info, _) = place.run(&["bag", "info", "bag"]);
+    assert!(info.contains(&format!("lost {lost} messages")), "{info}");
+}
+
+#[test]
+fn topics_are_chosen() {
+    let place = Place::new(7);
+    let publishers: Vec<Publisher<Count>> =
+        ["/a/one", "/a/two", "/b/three"].map(|topic| place.publisher(topic, Qos::default())).into();
+    let other: Publisher<Other> = place.publisher("/c/four", Qos::default());
+    let wanted = ["-e", "^/a", "-x", "two", "--type", "demo_msgs/Other", "/b/three", "--depth", "100"];
+    let recorder = place.record(&wanted);
+    [0, 2].into_iter().for_each(|n| place.wait_for_observer(publishers[n].gid()));
+    place.wait_for_observer(other.gid());
+    publishers.iter().for_each(|publisher| publisher.publish(&Count { n: 1 }).unwrap());
+    other.publish(&Other { n: 1 }).unwrap();
+    // One that comes later, kept for who is late; and a topic that is of another type from now on.
+    let late = place.publisher::<Count>("/a/late", Qos::keep_last(10).transient_local());
+    (1..=7).for_each(|n| late.publish(&Count { n }).unwrap());
+    place.wait_for_observer(late.gid());
+    drop(other);
+    let changed = place.publisher::<Count>("/c/four", Qos::default());
+    changed.publish(&Count { n: 1 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}{out}");
+    let topics = place.read();
+    let counts: Vec<_> = topics.iter().map(|(name, messages)| (&**name, messages.len())).collect();
+    assert_eq!(counts, [("/a/late", 7), ("/a/one", 1), ("/b/three", 1), ("/c/four", 1)]);
+
+    let (code, _, errors) = place.run(&["record", "-o", "x"]);
+    assert!(code == 2 && errors.contains("name topics, or give -a"), "{errors}");
+    let (code, _, errors) = place.run(&["record", "-e", "(", "-o", "x"]);
+    assert!(code == 2 && errors.contains("regex parse error"), "{errors}");
+    let (code, _, errors) = place.run(&["record", "-a", "-o", "/proc/none/bag"]);
+    assert!(code == 2 && errors.contains("'/proc/none' cannot be written"), "{errors}");
+    let (code, _, errors) = place.run(&["record", "-a", "--budget", "900TB", "-o", "x"]);
+    assert!(code == 2 && errors.contains("more than there is"), "{errors}");
+}
+
+#[test]
+fn a_type_that_changes_is_another_topic() {
+    let place = Place::new(9);
+    let first = place.publisher::<Other>("/changing", Qos::keep_last(1).transient_local());
+    first.publish(&Other { n: 7 }).unwrap();
+    let recorder = place.record(&["/changing"]);
+    place.wait_for_observer(first.gid());
+    drop(first);
+    let second = place.publisher::<Count>("/changing", Qos::keep_last(1).transient_local());
+    second.publish(&Count { n: 8 }).unwrap();
+    place.wait_for_observer(second.gid());
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}{out}");
+    let (_, info, _) = place.run(&["bag", "info", "bag", "--json"]);
+    let info: Value = serde_json::from_str(&info).unwrap();
+    let of =
+        |at: usize| (info["topics"][at]["type"].as_str().unwrap(), info["topics"][at]["messages"].as_u64());
+    assert_eq!(of(0), ("demo_msgs/msg/Count", Some(1)));
+    assert_eq!(of(1), ("demo_msgs/msg/Other", Some(1)));
+}
+
+#[test]
+fn a_recording_is_thinned_out_and_paused() {
+    let place = Place::new(14);
+    let [all, some] = ["/all", "/some"].map(|topic| place.publisher::<Count>(topic, Qos::default()));
+    let recorder = place.record(&["-a", "--depth", "2000", "--throttle", "some=100", "--paused", "--json"]);
+    place.wait_for_observer(all.gid());
+    place.wait_for_observer(some.gid());
+    all.publish(&Count { n: 1 }).unwrap();
+    some.publish(&Count { n: 1 }).unwrap();
+    // Nobody sees when it has looked: a hundred periods later it has.
+    sleep_until_monotonic(monotonic_ns() + 200_000_000);
+    recorder.signal("-USR1");
+    sleep_until_monotonic(monotonic_ns() + 200_000_000);
+    let start_ns = monotonic_ns();
+    for n in 0..1000 {
+        sleep_until_monotonic(start_ns + n * 1_000_000);
+        all.publish(&Count { n: n + 2 }).unwrap();
+        some.publish(&Count { n: n + 2 }).unwrap();
+    }
+    let seconds = (monotonic_ns() - start_ns) as f64 / 1e9;
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}{out}");
+    let topics = place.read();
+    assert_eq!(numbers(&topics["/all"]), (2..1002).collect::<Vec<_>>());
+    let kept = topics["/some"].len() as f64;
+    assert!(kept <= 100.0 * seconds + 2.0 && kept >= 90.0, "{kept} in {seconds} s");
+    let report: Value = serde_json::from_str(&out).unwrap();
+    let some = report["topics"].as_array().unwrap().iter().find(|topic| topic["topic"] == "/some").unwrap();
+    assert_eq!((&some["paused"], &some["throttled"]), (&1.into(), &(1000 - kept as u64).into()));
+}
+
+/// Killed at random instants, it leaves a bag of all but the last second. `TAUT_KILLS` says how often.
+#[test]
+fn a_kill_costs_no_more_than_the_last_second() {
+    let kills: u64 = std::env::var("TAUT_KILLS").map_or(6, |kills| kills.parse().unwrap());
+    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand_seed(), |seed| seed.parse().unwrap());
+    println!("TAUT_SEED={seed}");
+    let place = Place::new(16);
+    let mut state = seed | 1;
+    for kill in 0..kills {
+        // The recorder before may still be somebody to its topic.
+        let topic = format!("/killed_{kill}");
+        let publisher = place.publisher::<Count>(&topic, Qos::default());
+        let compression = ["none", "zstd", "lz4"][kill as usize % 3];
+        let mut recorder = place.record(&[&topic, "--depth", "1000", "--compression", compression]);
+        place.wait_for_observer(publisher.gid());
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        let (start_ns, time_ns) = (monotonic_ns(), state % 2_000_000_000);
+        let mut sent = Vec::new();
+        for n in 0.. {
+            sleep_until_monotonic(start_ns + n * 1_000_000);
+            let now_ns = monotonic_ns();
+            if now_ns > start_ns + time_ns {
+                break;
+            }
+            publisher.publish(&Count { n }).unwrap();
+            sent.push(now_ns);
+        }
+        recorder.0.kill().unwrap();
+        let killed_ns = monotonic_ns();
+        recorder.0.wait().unwrap();
+        let (code, out, errors) = place.run(&["bag", "recover", "bag"]);
+        assert_eq!(code, 0, "{out}{errors}");
+        let topics = place.read();
+        let kept = topics.get(&topic).map_or(Vec::new(), |messages| numbers(messages));
+        let first = kept.first().copied().unwrap_or(0);
+        assert_eq!(kept, (first..first + kept.len() as u64).collect::<Vec<_>>());
+        let certain = sent.iter().filter(|sent_ns| killed_ns - *sent_ns > 1_000_000_000).count();
+        let until = first as usize + kept.len();
+        assert!(
+            first < 100 && until >= certain,
+            "kill {kill} after {time_ns} ns: {first}..{until} of {certain}"
+        );
+        assert_eq!(place.run(&["bag", "check", "bag"]).0, 0);
+        std::fs::remove_dir_all(place.bag()).unwrap();
+    }
+}
+
+fn rand_seed() -> u64 {
+    wall_ns().cast_unsigned()
+}
+
+/// On a disk of 4 MB: what is in the bag is whole.
+#[test]
+fn a_full_disk_ends_a_bag_that_is_whole() {
+    let place = Place::new(75);
+    let disk = place.folder.path().join("disk");
+    std::fs::create_dir(&disk).unwrap();
+    let limits = Limits { message_bytes: 10_000, ..Limits::default() };
+    let topic_type = TopicType::new("demo_msgs/msg/Bytes");
+    let publisher: RawPublisher =
+        place.participant.create_raw_publisher("/bytes", &topic_type, Qos::keep_last(100), limits).unwrap();
+    let script = "mount -t tmpfs -o size=4m none disk && { \"$0\" record /bytes -o disk/bag --budget 8MB; code=$?; \
+                  cp -r disk/bag bag; exit $code; }";
+    let user: &[&str] = if rustix::process::geteuid().is_root() { &[] } else { &["--map-root-user"] };
+    let tried = Command::new("unshare")
+        .arg("--mount")
+        .args(user)
+        .args(["mount", "-t", "tmpfs", "none"])
+        .arg(&disk)
+        .output();
+    if !tried.is_ok_and(|output| output.status.success()) {
+        assert!(std::env::var_os("CI").is_none(), "CI must permit `unshare --mount`");
+        eprintln!("skipped: no mount namespaces are permitted");
+        return;
+    }
+    let mut command = Command::new("unshare");
+    command.arg("--mount").args(user).args(["sh", "-c", script, env!("CARGO_BIN_EXE_taut")]);
+    command.env("TAUT_DOMAIN", place.domain.to_string()).current_dir(place.folder.path());
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut recorder = Recorder(child);
+    place.wait_for_observer(publisher.gid());
+    for n in 0u64.. {
+        let mut body = vec![n as u8; 10_000];
+        body[..8].copy_from_slice(&n.to_le_bytes());
+        publisher.publish(&body).unwrap();
+        sleep_until_monotonic(monotonic_ns() + 200_000);
+        if recorder.0.try_wait().unwrap().is_some() {
+            break;
+        }
+    }
+    let (code, out, errors) = ended(recorder.0.wait_with_output().unwrap());
+    assert!(code == 2 && errors.contains("is full"), "{code}: {out}{errors}");
+    let messages = &place.read()["/bytes"];
+    assert!(messages.len() > 300, "{}: {out}", messages.len());
+    let (code, out, errors) = place.run(&["bag", "check", "bag"]);
+    assert_eq!(code, 0, "{out}{errors}");
+}
+
+/// Every type of a real ROS 2, random values: rclpy's bytes through Tautline and the recorder to readers that are not ours.
+#[test]
+fn others_read_every_value() {
+    let Some(venv) = ros::ros() else { return };
+    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand_seed(), |seed| seed.parse().unwrap());
+    println!("TAUT_SEED={seed}");
+    let place = Place::new(197);
+    let mut packages = ros::packages(&venv);
+    let mut peer = Peer::start(&venv);
+    let names: Vec<_> = packages.list().into_iter().filter(|name| name.kind() == Kind::Msg).collect();
+    let (mut publishers, mut expected, mut narrow) = (Vec::new(), String::new(), 0);
+    for name in &names {
+        let schema = packages.schema(name).unwrap();
+        let topic = format!("/{}", name.as_str().replace('/', "_").to_lowercase());
+        let topic_type = TopicType::new(name.to_string())
+            .with_hash(schema.hash().to_string())
+            .with_definition(schema.to_text());
+        narrow += usize::from(!schema.to_text().contains("wstring"));
+        let limits = Limits { message_bytes: 64, ..Limits::default() };
+        let publisher = place.participant.create_raw_publisher(
+            &topic,
+            &topic_type,
+            Qos::keep_last(5).transient_local(),
+            limits,
+        );
+        let messages = peer.messages(name, 5, seed).unwrap();
+        // What comes of them is not asked for.
+        peer.answer(&messages.iter().map(|(cdr, _)| format!("{} \"\"\n", hex(cdr))).collect::<String>());
+        // As the middleware has them: what serialize_message() allocated beyond them is none of it.
+        let schema = Arc::new(schema);
+        let bodies =
+            messages.iter().map(|(cdr, _)| DynamicMessage::from_cdr(&schema, cdr).unwrap().to_body());
+        publishers.push((publisher.unwrap(), bodies.collect::<Vec<_>>()));
+        messages.iter().for_each(|(_, json)| expected += &format!("{topic} {json}\n"));
+    }
+    for (publisher, bodies) in &publishers {
+        bodies.iter().for_each(|body| publisher.publish(body).unwrap());
+    }
+    for compression in ["none", "zstd", "lz4"] {
+        let recorder = place.record(&["-a", "--compression", compression]);
+        publishers.iter().for_each(|(publisher, _)| place.wait_for_observer(publisher.gid()));
+        let (code, out, errors) = recorder.end();
+        assert_eq!(code, 0, "{out}{errors}");
+        let wanted = place.folder.path().join("expected");
+        std::fs::File::create(&wanted).unwrap().write_all(expected.as_bytes()).unwrap();
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bag_values.py");
+        let mut readers = Command::new(venv.join("bin/python"));
+        readers.arg(script).arg(place.bag()).arg(wanted).env_remove("LD_LIBRARY_PATH");
+        let (code, out, errors) = ended(readers.output().unwrap());
+        assert_eq!(code, 0, "{out}{errors}");
+        let read = format!("rosbags {0}\nmcap-ros2-support {0}\nother hashes", narrow * 5);
+        let rest = out.strip_prefix(&read).unwrap_or_else(|| panic!("{out}"));
+        // It takes ROS's char for another type than ROS does.
+        for name in rest.split_whitespace() {
+            let schema = packages.schema(&name.parse().unwrap()).unwrap();
+            assert!(schema.to_text().contains("char"), "{name}");
+        }
+        std::fs::remove_dir_all(place.bag()).unwrap();
+    }
+    assert!(narrow > 160, "{narrow} types of {}", names.len());
+}
+
+#[test]
+fn what_is_no_bag_is_said() {
+    let place = Place::new(180);
+    let (code, _, errors) = place.run(&["bag", "info", "none"]);
+    assert!(code == 2 && errors.contains("'none' cannot be read"), "{errors}");
+    std::fs::write(place.folder.path().join("text.mcap"), "no magic at all, but more bytes than it takes")
+        .unwrap();
+    for verb in ["info", "check", "recover"] {
+        let (code, _, errors) = place.run(&["bag", verb, "text.mcap"]);
+        assert!(code == 2 && errors.contains("does not begin as an MCAP file"), "{verb}: {errors}");
+    }
+    let (code, _, errors) = place.run(&["bag", "info", "text.mcap", "--domain", "3"]);
+    assert!(code == 2 && errors.contains("a bag is of no domain"), "{errors}");
+}
