@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a file says of itself at its end, without reading the rest.
 
-use crate::reader::{FileSummary, definition};
-use crate::{BagError, Compression, MOST_BYTES, Topic};
-use mcap::records::Record;
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
-use std::collections::BTreeMap;
+use crate::reader::{FileSummary, MAGIC, definition, topic};
+use crate::record::{parse, records};
+use crate::{BagError, Compression, MOST_BYTES};
+use mcap::records::{Record, op};
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{Read, Seek};
+use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
+
+/// The footer, a record of 29 bytes, and the magic bytes.
+const END: u64 = 29 + 8;
 
 /// Keys and values of a record, and its name.
 pub type Metadata = (String, BTreeMap<String, String>);
@@ -19,70 +22,74 @@ pub type Metadata = (String, BTreeMap<String, String>);
 /// # Errors
 /// It cannot be read.
 pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, BagError> {
-    let mut file = File::open(path).map_err(BagError::read(path))?;
+    let file = File::open(path).map_err(BagError::read(path))?;
     let found = file.metadata().map_err(BagError::read(path))?;
     if !found.is_file() {
         return Err(BagError::NoBag { path: path.to_owned(), reason: "it is no file".to_owned() });
     }
     let bytes = found.len();
-    let Some(summary) = summary(&mut file, bytes).map_err(BagError::read(path))? else { return Ok(None) };
-    let stats = summary.stats.unwrap_or_default();
-    let compression = match summary.chunk_indexes.first().map(|chunk| &*chunk.compression) {
-        Some("zstd") => Compression::Zstd,
-        Some("lz4") => Compression::Lz4,
-        _ => Compression::None,
-    };
-    let mut of_file = FileSummary {
-        path: path.to_owned(),
-        bytes,
-        messages: stats.message_count,
-        start_ns: stats.message_start_time,
-        end_ns: stats.message_end_time.max(stats.message_start_time),
-        compression,
-        ..FileSummary::default()
-    };
-    for (id, channel) in &summary.channels {
-        let of = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-        let schema = channel.schema.as_ref();
-        let topic = Topic {
-            name: channel.topic.clone(),
-            type_name: schema.map(|schema| schema.name.clone()).unwrap_or_default(),
-            type_hash: of("topic_type_hash"),
-            definition: schema.and_then(|schema| definition(&schema.encoding, &schema.data)),
-            qos: of("offered_qos_profiles"),
-        };
-        of_file.count(&topic, stats.channel_message_counts.get(id).copied().unwrap_or(0));
-    }
-    let metadata = summary.metadata_indexes.iter().filter_map(|index| metadata(&file, bytes, index));
-    Ok(Some((of_file, metadata.collect())))
-}
-
-fn summary(file: &mut File, bytes: u64) -> std::io::Result<Option<mcap::Summary>> {
-    let options = SummaryReaderOptions::default().with_file_size(bytes).with_record_length_limit(MOST_BYTES);
-    let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event {
-            Ok(SummaryReadEvent::ReadRequest(wanted)) => {
-                let read = file.read(reader.insert(wanted))?;
-                reader.notify_read(read);
+    let read = |from, to| read(&file, from, to).map_err(BagError::read(path));
+    let Some(end) = read(bytes.saturating_sub(END), bytes)? else { return Ok(None) };
+    let Some(from) = start(&end) else { return Ok(None) };
+    let Some(section) = read(from, bytes - END)? else { return Ok(None) };
+    let mut of_file = FileSummary { path: path.to_owned(), bytes, ..FileSummary::default() };
+    let (mut schemas, mut channels, mut counts) = (HashMap::new(), Vec::new(), BTreeMap::new());
+    let (mut is_compressed, mut metadata) = (false, Vec::new());
+    for (kind, body) in records(&section) {
+        match parse(kind, body) {
+            Ok(Some(Record::Schema { header, data })) => {
+                schemas.insert(header.id, (header.name, definition(&header.encoding, &data)));
             }
-            // A place that is none is the file's fault.
-            Ok(SummaryReadEvent::SeekRequest(to)) => match file.seek(to) {
-                Ok(position) => reader.notify_seeked(position),
-                Err(_) => return Ok(None),
-            },
+            Ok(Some(Record::Channel(channel))) => channels.push(channel),
+            Ok(Some(Record::ChunkIndex(chunk))) if !is_compressed => {
+                is_compressed = true;
+                of_file.compression = Compression::of_name(&chunk.compression);
+            }
+            Ok(Some(Record::Statistics(stats))) => {
+                of_file.messages = stats.message_count;
+                of_file.start_ns = stats.message_start_time;
+                of_file.end_ns = stats.message_end_time.max(stats.message_start_time);
+                counts = stats.channel_message_counts;
+            }
+            Ok(Some(Record::MetadataIndex(index))) => {
+                let record =
+                    read(index.offset, index.offset.saturating_add(index.length))?.unwrap_or_default();
+                if let Some((op::METADATA, body)) = records(&record).next()
+                    && let Ok(Some(Record::Metadata(found))) = parse(op::METADATA, body)
+                {
+                    metadata.push((found.name, found.metadata));
+                }
+            }
+            Ok(_) => {}
             Err(_) => return Ok(None),
         }
     }
-    Ok(reader.finish())
+    for channel in &channels {
+        let schema = schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+        of_file.count(&topic(channel, schema), counts.get(&channel.id).copied().unwrap_or(0));
+    }
+    Ok(Some((of_file, metadata)))
 }
 
-fn metadata(file: &File, bytes: u64, index: &mcap::records::MetadataIndex) -> Option<Metadata> {
-    let end = index.offset.checked_add(index.length).filter(|end| *end <= bytes)?;
-    let mut record = vec![0; usize::try_from(end - index.offset).ok().filter(|len| *len <= MOST_BYTES)?];
-    file.read_exact_at(&mut record, index.offset).ok()?;
-    match mcap::parse_record(*record.first()?, record.get(9..)?) {
-        Ok(Record::Metadata(metadata)) => Some((metadata.name, metadata.metadata)),
+/// Where the summary begins, by the last [`END`] bytes of a file.
+fn start(end: &[u8]) -> Option<u64> {
+    let is_whole = end.ends_with(MAGIC) && end.len() as u64 == END;
+    match is_whole.then(|| records(end).next()).flatten() {
+        Some((op::FOOTER, body)) => match parse(op::FOOTER, body) {
+            Ok(Some(Record::Footer(footer))) => (footer.summary_start > 0).then_some(footer.summary_start),
+            _ => None,
+        },
         _ => None,
     }
+}
+
+/// `None`: that is no part of the file, or more than anybody holds in memory.
+fn read(file: &File, from: u64, to: u64) -> io::Result<Option<Vec<u8>>> {
+    let bytes = file.metadata()?.len();
+    let Some(len) = to.checked_sub(from).filter(|len| to <= bytes && *len <= MOST_BYTES as u64) else {
+        return Ok(None);
+    };
+    let mut read = vec![0; len as usize];
+    file.read_exact_at(&mut read, from)?;
+    Ok(Some(read))
 }

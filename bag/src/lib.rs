@@ -11,6 +11,7 @@ mod error;
 mod index;
 mod metadata;
 mod reader;
+mod record;
 mod recover;
 mod rewrite;
 mod writer;
@@ -35,6 +36,15 @@ pub enum Compression {
 }
 
 impl Compression {
+    /// As a chunk names it.
+    fn of_name(name: &str) -> Self {
+        match name {
+            "zstd" => Compression::Zstd,
+            "lz4" => Compression::Lz4,
+            _ => Compression::None,
+        }
+    }
+
     fn of_mcap(self) -> Option<mcap::Compression> {
         match self {
             Compression::None => None,

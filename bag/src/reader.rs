@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading a bag from its first byte to its last, whatever is in it.
 
+use crate::record::parse;
 use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -10,7 +11,7 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// What every record begins with: its kind and its length.
 const RECORD_HEAD: u64 = 9;
 /// Zstandard has a block of 128 KiB in four bytes, and nothing has more in less.
@@ -246,13 +247,12 @@ impl FileReader {
         if kind == op::CHUNK {
             return self.chunk(record, position, visit);
         }
-        match mcap::parse_record(kind, &record[RECORD_HEAD as usize..]) {
-            Ok(record) => self.parsed(&record, position, visit),
-            Err(error) => {
-                self.note(position, &error.to_string());
-                Ok(())
-            }
+        match parse(kind, &record[RECORD_HEAD as usize..]) {
+            Ok(Some(record)) => return self.parsed(&record, position, visit),
+            Ok(None) => {}
+            Err(error) => self.note(position, &error),
         }
+        Ok(())
     }
 
     fn chunk<E: From<BagError>>(
@@ -261,8 +261,8 @@ impl FileReader {
         position: u64,
         visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let header = match mcap::parse_record(op::CHUNK, &record[RECORD_HEAD as usize..]) {
-            Ok(Record::Chunk { header, .. }) => header,
+        let header = match parse(op::CHUNK, &record[RECORD_HEAD as usize..]) {
+            Ok(Some(Record::Chunk { header, .. })) => header,
             Ok(_) => return Ok(()),
             Err(error) => {
                 self.note(position, &format!("a chunk: {error}"));
@@ -275,11 +275,7 @@ impl FileReader {
             return Ok(());
         }
         if self.summary.messages == 0 {
-            self.summary.compression = match &*header.compression {
-                "zstd" => Compression::Zstd,
-                "lz4" => Compression::Lz4,
-                _ => Compression::None,
-            };
+            self.summary.compression = Compression::of_name(&header.compression);
         }
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
@@ -296,8 +292,11 @@ impl FileReader {
                     reader.notify_read(now.len());
                     rest = later;
                 }
-                Ok(LinearReadEvent::Record { data, opcode }) => match mcap::parse_record(opcode, data) {
-                    Ok(record) => self.parsed(&record, position, visit)?,
+                Ok(LinearReadEvent::Record { data, opcode }) => match parse(opcode, data) {
+                    Ok(Some(
+                        record @ (Record::Schema { .. } | Record::Channel(_) | Record::Message { .. }),
+                    )) => self.parsed(&record, position, visit)?,
+                    Ok(_) => self.note(position, &format!("a record of kind {opcode} in a chunk")),
                     Err(error) => self.note(position, &format!("in a chunk: {error}")),
                 },
                 Err(error) => {
@@ -347,15 +346,7 @@ impl FileReader {
     }
 
     fn channel(&mut self, channel: &mcap::records::Channel) {
-        let (type_name, definition) = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-        let of = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-        let topic = Topic {
-            name: channel.topic.clone(),
-            type_name,
-            type_hash: of("topic_type_hash"),
-            definition,
-            qos: of("offered_qos_profiles"),
-        };
+        let topic = topic(channel, self.schemas.get(&channel.schema_id).cloned().unwrap_or_default());
         // Each chunk may say it again.
         if self.channels.get(&channel.id).is_none_or(|(known, _)| **known != topic)
             && let Some((before, messages)) = self.channels.insert(channel.id, (Arc::new(topic), 0))
@@ -368,4 +359,12 @@ impl FileReader {
 /// As a schema has it; of other languages nothing is told.
 pub fn definition(encoding: &str, data: &[u8]) -> Option<String> {
     (encoding == "ros2msg").then(|| String::from_utf8_lossy(data).into_owned())
+}
+
+/// What a channel says of its topic, whose type has this name and definition.
+pub(crate) fn topic(channel: &mcap::records::Channel, schema: (String, Option<String>)) -> Topic {
+    let of = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
+    let (type_name, definition) = schema;
+    let (name, qos) = (channel.topic.clone(), of("offered_qos_profiles"));
+    Topic { name, type_name, type_hash: of("topic_type_hash"), definition, qos }
 }

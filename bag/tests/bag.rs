@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is written is read again; what is cut off or changed is a bag without what was there, or an error.
 
+use rustix::process::{Resource, Rlimit, setrlimit};
 use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroU32;
@@ -198,6 +199,27 @@ fn a_changed_byte_costs_no_more_than_its_chunk() {
             let (mut again, before) = (FileReader::open(&file).unwrap(), reader.summary().messages);
             again.read(&mut |_| Ok::<_, BagError>(())).unwrap();
             assert_eq!((again.damage().1, again.summary().messages), (0, before));
+        }
+    }
+}
+
+#[test]
+fn a_length_is_a_claim() {
+    // What reserves three GiB because a file says so ends here.
+    let limit = Rlimit { current: Some(1 << 31), maximum: Some(1 << 31) };
+    setrlimit(Resource::As, limit).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
+        let bag = folder.path().join(format!("{compression:?}"));
+        let file = write(&bag, Options { compression, ..Options::default() }, 4).files.remove(0).path;
+        let whole = fs::read(&file).unwrap();
+        for at in 8..whole.len() - 4 {
+            let mut bytes = whole.clone();
+            bytes[at..at + 4].copy_from_slice(&0xC000_0000_u32.to_le_bytes());
+            fs::write(&file, &bytes).unwrap();
+            let _ = index_of(&file).unwrap();
+            let mut reader = FileReader::open(&file).unwrap();
+            reader.read(&mut |_| Ok::<_, BagError>(())).unwrap();
         }
     }
 }

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Records, whose lengths are claims: what parses them reserves what they claim, up to 4 GiB for a name.
+
+use mcap::records::{Record, op};
+
+/// What has its length in front of it, in four bytes.
+#[derive(Clone, Copy)]
+enum Part {
+    Bytes,
+    /// Bytes that are keys and values, each with its length.
+    Texts,
+}
+use Part::{Bytes, Texts};
+
+/// The parts of a record with a length of their own, each with how many bytes are before it. `None`: nobody here reads it.
+fn parts(kind: u8) -> Option<&'static [(usize, Part)]> {
+    Some(match kind {
+        op::FOOTER | op::MESSAGE | op::DATA_END => &[],
+        op::HEADER => &[(0, Bytes), (0, Bytes)],
+        op::SCHEMA => &[(2, Bytes), (0, Bytes), (0, Bytes)],
+        op::CHANNEL => &[(4, Bytes), (0, Bytes), (0, Texts)],
+        op::CHUNK => &[(28, Bytes)],
+        op::CHUNK_INDEX => &[(32, Bytes), (8, Bytes)],
+        op::STATISTICS => &[(42, Bytes)],
+        op::METADATA => &[(0, Bytes), (0, Texts)],
+        op::METADATA_INDEX => &[(16, Bytes)],
+        _ => return None,
+    })
+}
+
+/// What a record says; `None`: nothing that is asked.
+pub fn parse(kind: u8, body: &[u8]) -> Result<Option<Record<'_>>, String> {
+    let Some(parts) = parts(kind) else { return Ok(None) };
+    let mut rest = body;
+    for (before, part) in parts {
+        let whole = rest.get(*before..).and_then(split);
+        let Some((bytes, behind)) = whole else {
+            return Err("a record says that it is longer than it is".to_owned());
+        };
+        if let (Texts, mut texts) = (part, bytes) {
+            while !texts.is_empty() {
+                (_, texts) = split(texts).ok_or("a key or a value is longer than what it is in")?;
+            }
+        }
+        rest = behind;
+    }
+    mcap::parse_record(kind, body).map(Some).map_err(|error| error.to_string())
+}
+
+/// What a length is in front of, and what is behind that.
+fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
+}
+
+/// Kind and body of each record, as long as they are whole.
+pub fn records(mut bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    std::iter::from_fn(move || {
+        let (kind, rest) = bytes.split_first()?;
+        let (length, rest) = rest.split_first_chunk()?;
+        let (body, behind) = rest.split_at_checked(u64::from_le_bytes(*length).try_into().ok()?)?;
+        bytes = behind;
+        Some((*kind, body))
+    })
+}
