@@ -7,10 +7,12 @@ use mcap::records::{Record, op};
 #[derive(Clone, Copy)]
 enum Part {
     Bytes,
-    /// Bytes that are keys and values, each with its length.
+    /// Keys and values, each with its length. Whoever parses them reads on behind them, if a value is missing.
     Texts,
+    /// Channels and what is of each, two bytes and eight.
+    Numbers,
 }
-use Part::{Bytes, Texts};
+use Part::{Bytes, Numbers, Texts};
 
 /// The parts of a record with a length of their own, each with how many bytes are before it. `None`: nobody here reads it.
 fn parts(kind: u8) -> Option<&'static [(usize, Part)]> {
@@ -20,8 +22,8 @@ fn parts(kind: u8) -> Option<&'static [(usize, Part)]> {
         op::SCHEMA => &[(2, Bytes), (0, Bytes), (0, Bytes)],
         op::CHANNEL => &[(4, Bytes), (0, Bytes), (0, Texts)],
         op::CHUNK => &[(28, Bytes)],
-        op::CHUNK_INDEX => &[(32, Bytes), (8, Bytes)],
-        op::STATISTICS => &[(42, Bytes)],
+        op::CHUNK_INDEX => &[(32, Numbers), (8, Bytes)],
+        op::STATISTICS => &[(42, Numbers)],
         op::METADATA => &[(0, Bytes), (0, Texts)],
         op::METADATA_INDEX => &[(16, Bytes)],
         _ => return None,
@@ -37,10 +39,13 @@ pub fn parse(kind: u8, body: &[u8]) -> Result<Option<Record<'_>>, String> {
         let Some((bytes, behind)) = whole else {
             return Err("a record says that it is longer than it is".to_owned());
         };
-        if let (Texts, mut texts) = (part, bytes) {
-            while !texts.is_empty() {
-                (_, texts) = split(texts).ok_or("a key or a value is longer than what it is in")?;
-            }
+        let mut texts = if let Texts = part { bytes } else { &[] };
+        while !texts.is_empty() {
+            let value = split(texts).and_then(|(_, behind_key)| split(behind_key));
+            (_, texts) = value.ok_or("a key or a value is longer than what it is in")?;
+        }
+        if matches!(part, Numbers) && bytes.len() % 10 != 0 {
+            return Err("numbers of channels end in the middle of one".to_owned());
         }
         rest = behind;
     }
