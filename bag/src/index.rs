@@ -2,7 +2,7 @@
 //! What a file says of itself at its end, without reading the rest.
 
 use crate::reader::{FileSummary, MAGIC, definition, topic};
-use crate::record::{parse, records};
+use crate::record::{Records, parse};
 use crate::{BagError, Compression, MOST_BYTES};
 use mcap::records::{Record, op};
 use std::collections::{BTreeMap, HashMap};
@@ -35,7 +35,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
     let mut of_file = FileSummary { path: path.to_owned(), bytes, ..FileSummary::default() };
     let (mut schemas, mut channels, mut counts) = (HashMap::new(), Vec::new(), BTreeMap::new());
     let (mut is_compressed, mut metadata) = (false, Vec::new());
-    for (kind, body) in records(&section) {
+    for (kind, body) in Records(&section) {
         match parse(kind, body) {
             Ok(Some(Record::Schema { header, data })) => {
                 schemas.insert(header.id, (header.name, definition(&header.encoding, &data)));
@@ -54,7 +54,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
             Ok(Some(Record::MetadataIndex(index))) => {
                 let record =
                     read(index.offset, index.offset.saturating_add(index.length))?.unwrap_or_default();
-                if let Some((op::METADATA, body)) = records(&record).next()
+                if let Some((op::METADATA, body)) = Records(&record).next()
                     && let Ok(Some(Record::Metadata(found))) = parse(op::METADATA, body)
                 {
                     metadata.push((found.name, found.metadata));
@@ -74,7 +74,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
 /// Where the summary begins, by the last [`END`] bytes of a file.
 fn start(end: &[u8]) -> Option<u64> {
     let is_whole = end.ends_with(MAGIC) && end.len() as u64 == END;
-    match is_whole.then(|| records(end).next()).flatten() {
+    match is_whole.then(|| Records(end).next()).flatten() {
         Some((op::FOOTER, body)) => match parse(op::FOOTER, body) {
             Ok(Some(Record::Footer(footer))) => (footer.summary_start > 0).then_some(footer.summary_start),
             _ => None,

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading a bag from its first byte to its last, whatever is in it.
 
-use crate::record::parse;
+use crate::record::{Records, parse};
 use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
-use mcap::records::{Record, op};
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::records::{ChunkHeader, Record, op};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
+use std::io::Read;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,8 +14,6 @@ use std::sync::Arc;
 pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// What every record begins with: its kind and its length.
 const RECORD_HEAD: u64 = 9;
-/// Zstandard has a block of 128 KiB in four bytes, and nothing has more in less.
-const MOST_RATIO: u64 = 1 << 15;
 /// Of damage more is counted, not told one by one.
 const MOST_DAMAGE: usize = 100;
 
@@ -261,49 +259,33 @@ impl FileReader {
         position: u64,
         visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let header = match parse(op::CHUNK, &record[RECORD_HEAD as usize..]) {
-            Ok(Some(Record::Chunk { header, .. })) => header,
+        let result = match parse(op::CHUNK, &record[RECORD_HEAD as usize..]) {
+            Ok(Some(Record::Chunk { header, data })) => unpack(&header, &data).map(|bytes| (header, bytes)),
             Ok(_) => return Ok(()),
+            Err(error) => Err(error),
+        };
+        let (header, bytes) = match result {
+            Ok(whole) => whole,
             Err(error) => {
                 self.note(position, &format!("a chunk: {error}"));
                 return Ok(());
             }
         };
-        if header.uncompressed_size > header.compressed_size.saturating_mul(MOST_RATIO) + (1 << 16) {
-            let bytes = header.uncompressed_size;
-            self.note(position, &format!("a chunk says that it is of {bytes} bytes, which it cannot be"));
-            return Ok(());
-        }
         if self.summary.messages == 0 {
             self.summary.compression = Compression::of_name(&header.compression);
         }
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(MOST_BYTES + (1 << 20));
-        let mut reader = LinearReader::new_with_options(options);
-        let mut rest = record;
-        while let Some(event) = reader.next_event() {
-            match event {
-                Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                    let (now, later) = rest.split_at(wanted.min(rest.len()));
-                    reader.insert(now.len()).copy_from_slice(now);
-                    reader.notify_read(now.len());
-                    rest = later;
+        let mut records = Records(&bytes);
+        for (kind, body) in &mut records {
+            match parse(kind, body) {
+                Ok(Some(record @ (Record::Schema { .. } | Record::Channel(_) | Record::Message { .. }))) => {
+                    self.parsed(&record, position, visit)?;
                 }
-                Ok(LinearReadEvent::Record { data, opcode }) => match parse(opcode, data) {
-                    Ok(Some(
-                        record @ (Record::Schema { .. } | Record::Channel(_) | Record::Message { .. }),
-                    )) => self.parsed(&record, position, visit)?,
-                    Ok(_) => self.note(position, &format!("a record of kind {opcode} in a chunk")),
-                    Err(error) => self.note(position, &format!("in a chunk: {error}")),
-                },
-                Err(error) => {
-                    self.note(position, &format!("a chunk: {error}"));
-                    break;
-                }
+                Ok(_) => self.note(position, &format!("a record of kind {kind} in a chunk")),
+                Err(error) => self.note(position, &format!("in a chunk: {error}")),
             }
+        }
+        if !records.0.is_empty() {
+            self.note(position, "a chunk ends in the middle of a record");
         }
         Ok(())
     }
@@ -354,6 +336,32 @@ impl FileReader {
             self.summary.count(&before, messages);
         }
     }
+}
+
+/// The records of a chunk. Memory grows with what is there, not with what the chunk says, and to 1 GiB at most.
+fn unpack(header: &ChunkHeader, data: &[u8]) -> Result<Vec<u8>, String> {
+    if header.uncompressed_size > MOST_BYTES as u64 + (1 << 20) {
+        return Err(format!(
+            "it says that it is of {} bytes, which is more than any",
+            header.uncompressed_size
+        ));
+    }
+    let mut bytes = Vec::new();
+    let mut unpack = |from: &mut dyn Read| from.take(header.uncompressed_size + 1).read_to_end(&mut bytes);
+    let unpacked = match &*header.compression {
+        "" => unpack(&mut &*data),
+        "zstd" => zstd::Decoder::with_buffer(data).and_then(|mut data| unpack(&mut data)),
+        "lz4" => lz4::Decoder::new(data).and_then(|mut data| unpack(&mut data)),
+        other => return Err(format!("its compression {other:?} is unknown: neither zstd nor lz4")),
+    };
+    unpacked.map_err(|error| format!("it cannot be decompressed: {error}"))?;
+    if bytes.len() as u64 != header.uncompressed_size {
+        return Err(format!("it says that it is of {} bytes, and is not", header.uncompressed_size));
+    }
+    if header.uncompressed_crc != 0 && header.uncompressed_crc != crc32fast::hash(&bytes) {
+        return Err("its checksum is another".to_owned());
+    }
+    Ok(bytes)
 }
 
 /// As a schema has it; of other languages nothing is told.

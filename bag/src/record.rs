@@ -58,13 +58,17 @@ fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
-/// Kind and body of each record, as long as they are whole.
-pub fn records(mut bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
-    std::iter::from_fn(move || {
-        let (kind, rest) = bytes.split_first()?;
+/// Kind and body of each record, as long as they are whole; then what is left.
+pub struct Records<'b>(pub &'b [u8]);
+
+impl<'b> Iterator for Records<'b> {
+    type Item = (u8, &'b [u8]);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (kind, rest) = self.0.split_first()?;
         let (length, rest) = rest.split_first_chunk()?;
         let (body, behind) = rest.split_at_checked(u64::from_le_bytes(*length).try_into().ok()?)?;
-        bytes = behind;
+        self.0 = behind;
         Some((*kind, body))
-    })
+    }
 }
