@@ -96,7 +96,8 @@ pub struct FileReader {
     damages: u64,
     is_ended: bool,
     schemas: HashMap<u16, (String, Option<String>)>,
-    channels: HashMap<u16, (Arc<Topic>, u64)>,
+    /// In order: of two channels of one topic the first says how it is.
+    channels: BTreeMap<u16, (Arc<Topic>, u64)>,
     latest_ns: u64,
 }
 
@@ -144,7 +145,7 @@ impl FileReader {
             return Err(no_bag("it does not begin as an MCAP file"));
         }
         let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
-        let (schemas, channels) = (HashMap::new(), HashMap::new());
+        let (schemas, channels) = (HashMap::new(), BTreeMap::new());
         let (damage, damages, is_ended, latest_ns) = (Vec::new(), 0, false, 0);
         Ok(FileReader { file, path, bytes, summary, damage, damages, is_ended, schemas, channels, latest_ns })
     }
