@@ -13,6 +13,8 @@ use std::path::Path;
 
 /// The footer, a record of 29 bytes, and the magic bytes.
 const END: u64 = 29 + 8;
+/// More than any disk has room for.
+const MOST_MESSAGES: u64 = 1 << 45;
 
 /// Keys and values of a record, and its name.
 pub type Metadata = (String, BTreeMap<String, String>);
@@ -50,6 +52,10 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
                 of_file.start_ns = stats.message_start_time;
                 of_file.end_ns = stats.message_end_time.max(stats.message_start_time);
                 counts = stats.channel_message_counts;
+                // They are added up, here and elsewhere.
+                if of_file.messages > MOST_MESSAGES || counts.values().any(|count| *count > MOST_MESSAGES) {
+                    return Ok(None);
+                }
             }
             Ok(Some(Record::MetadataIndex(index))) => {
                 let record =
