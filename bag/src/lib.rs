@@ -10,6 +10,7 @@ mod claim;
 mod error;
 mod index;
 mod metadata;
+mod ordered;
 mod reader;
 mod record;
 mod recover;
@@ -18,6 +19,7 @@ mod writer;
 
 pub use error::BagError;
 pub use index::{Metadata, index_of};
+pub use ordered::{Ordered, OwnedMessage};
 pub use reader::{Damage, Event, FileReader, FileSummary, Message, files_of};
 pub use recover::{Recovered, recover};
 pub use rewrite::rewrite;

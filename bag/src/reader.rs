@@ -99,6 +99,22 @@ pub struct FileReader {
     /// In order: of two channels of one topic the first says how it is.
     channels: BTreeMap<u16, (Arc<Topic>, u64)>,
     latest_ns: u64,
+    /// Of which one is read.
+    record: Vec<u8>,
+}
+
+/// A chunk, or a message outside of any.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Extent {
+    pub(crate) position: u64,
+    pub(crate) whole: u64,
+    /// The earliest time of reception in it, by what the file says.
+    pub(crate) start_ns: u64,
+    pub(crate) end_ns: u64,
+}
+
+fn number(bytes: &[u8]) -> u64 {
+    bytes.try_into().map_or(0, u64::from_le_bytes)
 }
 
 /// The MCAP files of a folder, in the order of the numbers in their names; or the file itself.
@@ -146,8 +162,20 @@ impl FileReader {
         }
         let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
         let (schemas, channels) = (HashMap::new(), BTreeMap::new());
-        let (damage, damages, is_ended, latest_ns) = (Vec::new(), 0, false, 0);
-        Ok(FileReader { file, path, bytes, summary, damage, damages, is_ended, schemas, channels, latest_ns })
+        let (damage, damages, is_ended, latest_ns, record) = (Vec::new(), 0, false, 0, Vec::new());
+        Ok(FileReader {
+            file,
+            path,
+            bytes,
+            summary,
+            damage,
+            damages,
+            is_ended,
+            schemas,
+            channels,
+            latest_ns,
+            record,
+        })
     }
 
     /// Reads everything that is whole; what a chunk whose checksum is wrong has in it is passed over.
@@ -159,30 +187,84 @@ impl FileReader {
         visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut position = MAGIC.len() as u64;
-        let mut record = Vec::new();
         while !self.is_ended {
-            let head = match self.head(position)? {
-                Some(head) if position + RECORD_HEAD + head.1 <= self.bytes => head,
-                _ => {
-                    self.note(position, "the file is cut off");
-                    return Ok(());
-                }
-            };
-            let (kind, len_bytes) = head;
-            let whole = RECORD_HEAD + len_bytes;
+            let Some((kind, whole)) = self.whole(position)? else { return Ok(()) };
             if !matches!(kind, op::ATTACHMENT | op::MESSAGE_INDEX | op::CHUNK_INDEX) {
-                if whole > 2 * MOST_BYTES as u64 {
-                    self.note(position, &format!("a record of {len_bytes} bytes is longer than any"));
-                } else {
-                    record.resize(whole as usize, 0);
-                    self.file.read_exact_at(&mut record, position).map_err(BagError::read(&self.path))?;
-                    self.record(kind, &record, position, visit)?;
-                }
+                self.read_at(position, whole, visit)?;
             }
             position += whole;
         }
         self.end(position)?;
         Ok(())
+    }
+
+    /// Where its messages are, in no order, without reading them. What topics it has is known then.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub(crate) fn extents(&mut self) -> Result<Vec<Extent>, BagError> {
+        let (mut position, mut extents) = (MAGIC.len() as u64, Vec::new());
+        while let Some((kind, whole)) = self.head(position)?.map(|(kind, len)| (kind, RECORD_HEAD + len)) {
+            let mut times = [0; 16];
+            match kind {
+                _ if position + whole > self.bytes => break,
+                op::CHUNK | op::MESSAGE if whole >= RECORD_HEAD + 16 && !self.is_ended => {
+                    let at = position + RECORD_HEAD;
+                    self.file.read_exact_at(&mut times, at).map_err(BagError::read(&self.path))?;
+                    let [start_ns, end_ns] = match kind {
+                        op::CHUNK => [number(&times[..8]), number(&times[8..])],
+                        // Channel and sequence number are before it.
+                        _ => [number(&times[6..14]); 2],
+                    };
+                    extents.push(Extent { position, whole, start_ns, end_ns });
+                }
+                op::SCHEMA | op::CHANNEL | op::DATA_END => {
+                    self.read_at(position, whole, &mut |_| Ok::<_, BagError>(()))?;
+                }
+                _ => {}
+            }
+            position += whole;
+        }
+        // Channels are in the summary behind the data, or only where their messages are.
+        if !self.is_ended || self.channels.is_empty() {
+            self.is_ended = false;
+            self.read(&mut |_| Ok::<_, BagError>(()))?;
+        }
+        Ok(extents)
+    }
+
+    /// Reads the record that is here and so long.
+    pub(crate) fn read_at<E: From<BagError>>(
+        &mut self,
+        position: u64,
+        whole: u64,
+        visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if whole > 2 * MOST_BYTES as u64 {
+            self.note(position, &format!("a record of {} bytes is longer than any", whole - RECORD_HEAD));
+            return Ok(());
+        }
+        let mut record = std::mem::take(&mut self.record);
+        record.resize(whole as usize, 0);
+        self.file.read_exact_at(&mut record, position).map_err(BagError::read(&self.path))?;
+        let done = self.record(record.first().copied().unwrap_or_default(), &record, position, visit);
+        self.record = record;
+        done
+    }
+
+    /// Kind and whole length of the record that begins here, if all of it is there.
+    fn whole(&mut self, position: u64) -> Result<Option<(u8, u64)>, BagError> {
+        let head = self.head(position)?.map(|(kind, len)| (kind, RECORD_HEAD + len));
+        let there = head.filter(|(_, whole)| position + whole <= self.bytes);
+        if there.is_none() {
+            self.note(position, "the file is cut off");
+        }
+        Ok(there)
+    }
+
+    /// Its topics, of those that it came to.
+    pub(crate) fn topics(&self) -> impl Iterator<Item = &Arc<Topic>> {
+        self.channels.values().map(|(topic, _)| topic)
     }
 
     /// What is in it, once it was read.

@@ -23,9 +23,12 @@ mod man;
 mod manners;
 mod msg;
 mod node;
+mod offers;
 mod param;
+mod play;
 mod record;
 mod report;
+mod ring;
 mod service;
 mod sibling;
 mod table;
@@ -79,6 +82,7 @@ enum Verb {
     Log(log::LogArgs),
     Trace(trace::TraceArgs),
     Record(record::RecordArgs),
+    Play(play::PlayArgs),
     Bag(bag::BagArgs),
     Gateway(gateway::GatewayArgs),
     BridgeRos(bridge_ros::BridgeRosArgs),
@@ -119,6 +123,7 @@ fn main() -> ExitCode {
         Verb::Lifecycle(args) => lifecycle::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Log(args) => log::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Record(args) => record::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Play(args) => play::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Bag(args) => bag::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Component(args) => component::run(args).map(|()| ExitCode::SUCCESS),
         Verb::Completions(args) => completions::run(&args).map(|()| ExitCode::SUCCESS),

@@ -9,7 +9,7 @@ mod ros;
 use peer::{Peer, hex};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
@@ -80,15 +80,21 @@ impl Place {
 
     /// Waits until the recorder is connected to a publisher, which nobody but a visitor sees.
     fn wait_for_observer(&self, publisher: Gid) {
+        self.wait_for_observers([publisher]);
+    }
+
+    fn wait_for_observers(&self, publishers: impl IntoIterator<Item = Gid>) {
         let mut visitor = Visitor::new(self.domain).unwrap();
-        wait_for("an observer", || {
-            let graph = visitor.graph().unwrap();
-            let end = graph.endpoints.iter().find(|end| end.gid == publisher);
-            end.is_some_and(|end| {
-                assert_eq!(end.kind, EndpointKind::Publisher);
-                !visitor.overwritten(end).unwrap().is_empty()
-            })
-        });
+        for publisher in publishers {
+            wait_for("an observer", || {
+                let graph = visitor.graph().unwrap();
+                let end = graph.endpoints.iter().find(|end| end.gid == publisher);
+                end.is_some_and(|end| {
+                    assert_eq!(end.kind, EndpointKind::Publisher);
+                    !visitor.overwritten(end).unwrap().is_empty()
+                })
+            });
+        }
         // The publishing thread is handed the connection a moment after it is there to be seen, which nobody sees.
         sleep_until_monotonic(monotonic_ns() + 50_000_000);
     }
@@ -464,7 +470,8 @@ fn a_full_disk_ends_a_bag_that_is_whole() {
     assert_eq!(code, 0, "{out}{errors}");
 }
 
-/// Every type of a real ROS 2, random values: rclpy's bytes through Tautline and the recorder to readers that are not ours.
+/// Every type of a real ROS 2, random values: rclpy's bytes through Tautline and the recorder to readers that are not ours; from a bag that
+/// is written by one of them through `taut play` and the recorder again.
 #[test]
 fn others_read_every_value() {
     let Some(venv) = ros::ros() else { return };
@@ -502,18 +509,17 @@ fn others_read_every_value() {
     for (publisher, bodies) in &publishers {
         bodies.iter().for_each(|body| publisher.publish(body).unwrap());
     }
-    for compression in ["none", "zstd", "lz4"] {
-        let recorder = place.record(&["-a", "--compression", compression]);
-        publishers.iter().for_each(|(publisher, _)| place.wait_for_observer(publisher.gid()));
-        let (code, out, errors) = recorder.end();
+    let script = |name: &str, args: &[&Path]| {
+        let mut script = Command::new(venv.join("bin/python"));
+        script.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(name)).args(args);
+        let (code, out, errors) = ended(script.env_remove("LD_LIBRARY_PATH").output().unwrap());
         assert_eq!(code, 0, "{out}{errors}");
-        let wanted = place.folder.path().join("expected");
-        std::fs::File::create(&wanted).unwrap().write_all(expected.as_bytes()).unwrap();
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bag_values.py");
-        let mut readers = Command::new(venv.join("bin/python"));
-        readers.arg(script).arg(place.bag()).arg(wanted).env_remove("LD_LIBRARY_PATH");
-        let (code, out, errors) = ended(readers.output().unwrap());
-        assert_eq!(code, 0, "{out}{errors}");
+        out
+    };
+    let [wanted, theirs] = ["expected", "theirs"].map(|name| place.folder.path().join(name));
+    std::fs::write(&wanted, expected).unwrap();
+    let mut others_read = || {
+        let out = script("bag_values.py", &[&place.bag(), &wanted]);
         let read = format!("rosbags {0}\nmcap-ros2-support {0}\nother hashes", narrow * 5);
         let rest = out.strip_prefix(&read).unwrap_or_else(|| panic!("{out}"));
         // It takes ROS's char for another type than ROS does.
@@ -521,8 +527,34 @@ fn others_read_every_value() {
             let schema = packages.schema(&name.parse().unwrap()).unwrap();
             assert!(schema.to_text().contains("char"), "{name}");
         }
+    };
+    for compression in ["none", "zstd", "lz4"] {
+        let recorder = place.record(&["-a", "--compression", compression]);
+        place.wait_for_observers(publishers.iter().map(|(publisher, _)| publisher.gid()));
+        let (code, out, errors) = recorder.end();
+        assert_eq!(code, 0, "{out}{errors}");
+        others_read();
+        if compression == "lz4" {
+            script("bag_copy.py", &[&place.bag(), &theirs]);
+        }
         std::fs::remove_dir_all(place.bag()).unwrap();
     }
+    let count = publishers.len();
+    drop(publishers);
+    let recorder = place.record(&["-a"]);
+    let player = Recorder(place.command(&["play", "theirs", "--paused"]).spawn().unwrap());
+    let mut graph = place.participant.graph().unwrap();
+    wait_for("the player", || {
+        graph = place.participant.graph().unwrap();
+        graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher).count() == count
+    });
+    place.wait_for_observers(graph.endpoints.iter().map(|end| end.gid));
+    player.signal("-USR1");
+    let (code, out, errors) = ended(player.0.wait_with_output().unwrap());
+    assert!(code == 0 && out.contains(&format!("{} messages", count * 5)), "{out}{errors}");
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{out}{errors}");
+    others_read();
     assert!(narrow > 160, "{narrow} types of {}", names.len());
 }
 

@@ -7,7 +7,7 @@ use std::os::fd::AsRawFd;
 use std::os::unix::fs::FileExt;
 use std::path::PathBuf;
 use std::sync::LazyLock;
-use tautline_bag::{BagError, Event, FileReader, index_of};
+use tautline_bag::{BagError, Event, FileReader, Ordered, index_of};
 
 /// A file in memory, and where it can be opened.
 static FILE: LazyLock<(File, PathBuf)> = LazyLock::new(|| {
@@ -24,6 +24,10 @@ pub fn bag(input: &[u8]) {
     let _ = index_of(path).expect("damage is no error");
     let Ok(mut reader) = FileReader::open(path) else { return };
     let (mut messages, mut bytes) = (0, 0);
+    let mut ordered = Ordered::open(path, &mut |_| {}).expect("it was a file before");
+    while let Some(message) = ordered.next_message().expect("damage is no error") {
+        assert!(message.topic < ordered.topics().len());
+    }
     let read = reader.read(&mut |event| {
         if let Event::Message(message) = event {
             (messages, bytes) = (messages + 1, bytes + message.cdr.len());

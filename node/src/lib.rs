@@ -95,6 +95,7 @@ pub use timer::Timer;
 #[cfg(feature = "untyped")]
 pub use untyped::{
     Bundled, PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, WrappedNativeMsgUntyped, find_schema,
+    type_of,
 };
 
 pub use indexmap;

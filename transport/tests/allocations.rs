@@ -111,7 +111,7 @@ fn publish_and_take() {
     assert!(support::traced(DOMAIN) > 3 * CYCLES, "publish and takes");
 }
 
-/// What gateways and bridges do with each message.
+/// What gateways and bridges do with each message, and who plays a recording.
 #[test]
 fn passing_on() {
     let _alone = alone();
@@ -127,6 +127,8 @@ fn passing_on() {
         port.loan(8).unwrap().publish_as(source).unwrap();
         let sample = subscription.try_take().unwrap().unwrap();
         sender.passage((sample.port_gid(), sample.port_sequence_number()), number).record();
+        port.loan(8).unwrap().publish_again(source).unwrap();
+        assert!(subscription.try_take().unwrap().is_some());
     };
     cycle(1);
     assert_eq!(count(|| (0..CYCLES as u64).for_each(cycle)), NONE);

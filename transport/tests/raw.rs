@@ -317,6 +317,13 @@ fn relayed_messages_keep_their_origin_and_losses_stay_the_ports() {
     assert_eq!((subscription.counters().lost(), subscription.counters().received()), (0, 7));
     assert_eq!(take(&last).unwrap().body(), [9]);
     assert_eq!(last.counters().lost(), 6, "what it did not take");
+    // Of a recording: as it was, but of this publisher, and released when it says.
+    for (number, seen) in [(70, 70), (0, 9)] {
+        publisher.loan(0).unwrap().publish_again(source(1, number)).unwrap();
+        let again = take(&subscription).unwrap().info();
+        assert_eq!(again, MessageInfo { publisher_gid: publisher.gid(), ..source(1, seen) });
+    }
+    assert_eq!(subscription.counters().lost(), 0);
     // A full queue is seen as well.
     for n in 0..3 {
         publisher.loan(0).unwrap().publish_as(source(3, n)).unwrap();

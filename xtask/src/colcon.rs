@@ -29,6 +29,17 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
     if !has_wheels && !machine::is_ci() && !packages::runs("colcon", &["--help"]) {
         return steps.skip(NAME, "sudo apt install python3-colcon-common-extensions");
     }
+    let cmake = packages::prepare(&["cmake", "make"], || {
+        if ["cmake", "make"].iter().all(|program| packages::runs(program, &["--version"])) {
+            Ok(())
+        } else {
+            Err("cmake")
+        }
+    });
+    if !matches!(cmake, Outcome::Ok) {
+        steps.step(NAME, || cmake);
+        return;
+    }
     // A workspace of which this repository is the source.
     let workspace = machine::target_dir().join("ros/colcon");
     let command = |program: &str| {

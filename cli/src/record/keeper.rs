@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who writes messages to the disk, from the ring.
 
-use super::ring::{HEAD_BYTES, Head};
 use crate::manners::Outcome;
+use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Consumer;
 use std::collections::BTreeMap;
 use std::sync::Arc;

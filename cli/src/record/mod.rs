@@ -6,7 +6,6 @@
 
 mod choice;
 mod keeper;
-mod ring;
 mod seats;
 mod statement;
 mod taker;
@@ -163,7 +162,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
         say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
     }
-    let (producer, consumer) = ring::touched(args.budget)?;
+    let (producer, consumer) = crate::ring::touched(args.budget)?;
     let folder = args.output.clone().unwrap_or_else(|| default_folder().into());
     let participant = Participant::new(domain)?;
     let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
@@ -225,12 +224,12 @@ fn watch(
 }
 
 /// Whoever started it may listen no more: that ends no recording.
-fn say(words: &str) {
+pub fn say(words: &str) {
     let _ = writeln!(io::stderr(), "{words}");
 }
 
 /// On a terminal only, and never beside JSON.
-fn progress(json: bool) -> ProgressBar {
+pub fn progress(json: bool) -> ProgressBar {
     if json {
         return ProgressBar::hidden();
     }

@@ -4,6 +4,7 @@
 use super::RecordArgs;
 use super::choice::Choice;
 use crate::manners::Outcome;
+use crate::offers;
 use crate::topic::tap;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
@@ -11,9 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};
 use tautline_bag::Topic;
-use tautline_transport::{
-    Durability, Gid, History, Limits, Liveliness, Participant, Qos, RawSubscription, Reliability, TopicType,
-};
+use tautline_transport::{Gid, Limits, Participant, RawSubscription, TopicType};
 
 /// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].
 const DEEP: usize = 1000;
@@ -214,29 +213,6 @@ fn described(ends: &[&TopicEndpoint], end: &TopicEndpoint, tell: &impl Fn(&str))
         type_name: end.topic_type.name.to_string(),
         type_hash: end.topic_type.hash.as_deref().unwrap_or_default().to_owned(),
         definition: schema.map(|schema| schema.to_text()),
-        qos: publishers(ends).map(|publisher| profile(&publisher.qos)).collect(),
+        qos: publishers(ends).map(|publisher| offers::write(&publisher.qos)).collect(),
     }
-}
-
-/// As rosbag2 writes it from version 9 on: an entry of a list, in YAML.
-fn profile(qos: &Qos) -> String {
-    let time = |time: Option<std::time::Duration>| {
-        // What ROS 2 has for "none".
-        let none = std::time::Duration::new(9_223_372_036, 854_775_807);
-        let time = time.unwrap_or(none);
-        format!("\n    sec: {}\n    nsec: {}", time.as_secs(), time.subsec_nanos())
-    };
-    let history = if qos.history == History::KeepAll { "keep_all" } else { "keep_last" };
-    let reliability = if qos.reliability == Reliability::Reliable { "reliable" } else { "best_effort" };
-    let durability =
-        if qos.durability == Durability::TransientLocal { "transient_local" } else { "volatile" };
-    let liveliness = if qos.liveliness == Liveliness::Automatic { "automatic" } else { "manual_by_topic" };
-    format!(
-        "- history: {history}\n  depth: {}\n  reliability: {reliability}\n  durability: {durability}\n  deadline:{}\n  lifespan:{}\n  \
-         liveliness: {liveliness}\n  liveliness_lease_duration:{}\n  avoid_ros_namespace_conventions: false\n",
-        qos.depth,
-        time(qos.deadline),
-        time(qos.lifespan),
-        time(qos.liveliness_lease_duration),
-    )
 }

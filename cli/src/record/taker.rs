@@ -5,8 +5,8 @@
 //! At SCHED_FIFO 1, where that is permitted: below all callbacks. No call for memory but for a publisher or topic that is new; waits
 //! for nobody. A message for which the ring has no room stays where it is, in the observer's queue.
 
-use super::ring::{HEAD_BYTES, Head};
 use super::seats::{Counts, Seat};
+use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Producer;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

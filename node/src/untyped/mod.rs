@@ -160,8 +160,8 @@ impl Node {
     }
 }
 
-/// All that a topic can know of a type.
-pub(crate) fn type_of(schema: &Schema) -> TopicType {
+/// All that a topic can know of a type: its name, its hash, its definition, and its size if that is fixed.
+pub fn type_of(schema: &Schema) -> TopicType {
     let topic_type = TopicType::new(schema.name().to_string())
         .with_hash(schema.hash().to_string())
         .with_definition(schema.to_text());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut record`: twenty topics at 1 kHz and a camera for a while, of which nothing may be lost; and 1 MiB messages as fast as the disk
-//! takes a plain file, which is measured just before.
+//! `taut record`: twenty topics at 1 kHz and a camera for a while, of which nothing may be lost; `taut play` of that; and 1 MiB messages as
+//! fast as the disk takes a plain file, which is measured just before.
 
 use crate::{Result, Taut};
 use rustix::process::{Pid, Signal, kill_process};
@@ -21,6 +21,8 @@ const MIB: usize = 1 << 20;
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Of the disk's own rate, at least.
 const SHARE: f64 = 0.9;
+/// What the player may be later than the timer that it sleeps by, of 99 messages in 100.
+const MOST_JITTER_MS: f64 = 0.05;
 
 #[derive(Serialize)]
 pub struct Recording {
@@ -35,6 +37,36 @@ pub struct Recording {
     bare_mb_s: f64,
     recorded_mb_s: f64,
     recorded_lost: u64,
+    replay: Replay,
+}
+
+/// The flight again, as `taut play` says of itself.
+#[derive(Serialize)]
+struct Replay {
+    published: u64,
+    starved: u64,
+    /// p50, p99, max.
+    late_ms: [f64; 3],
+    timer_late_ms: [f64; 3],
+}
+
+impl Replay {
+    fn run(taut: &Taut, bag: &Path) -> Result<Self> {
+        let output = taut.command(&["play", "--json"]).arg(bag).stdout(Stdio::piped()).output()?;
+        if !output.status.success() {
+            return Err(format!("taut play: {}", output.status).into());
+        }
+        let report: Value = serde_json::from_slice(&output.stdout)?;
+        let times =
+            |key: &str| ["p50", "p99", "max"].map(|which| report[key][which].as_f64().unwrap_or(f64::NAN));
+        let number = |key: &str| report[key].as_u64().unwrap_or(0);
+        Ok(Replay {
+            published: number("published"),
+            starved: number("starved"),
+            late_ms: times("late_ms"),
+            timer_late_ms: times("timer_late_ms"),
+        })
+    }
 }
 
 /// A recorder of all topics.
@@ -134,6 +166,7 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Recording, Vec<String>)> {
     let camera = filming.join().map_err(|_| "the camera panicked")??;
     let flight = recorder.end()?;
     drop((many, camera));
+    let replay = Replay::run(taut, &folder.path().join("flight"))?;
     std::fs::remove_dir_all(folder.path().join("flight"))?;
 
     let bare_mb_s = bare(&folder.path().join("bare"), sequential)?;
@@ -162,6 +195,7 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Recording, Vec<String>)> {
         bare_mb_s,
         recorded_mb_s,
         recorded_lost: number(&streamed, "lost"),
+        replay,
     };
     print(&recording, image);
     let mut broken = Vec::new();
@@ -169,6 +203,14 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Recording, Vec<String>)> {
     if recording.lost > 0 || recording.messages != wanted {
         let Recording { lost, messages, .. } = recording;
         broken.push(format!("taut record: {messages} of {wanted} messages are in the bag, {lost} lost"));
+    }
+    let Replay { published, late_ms: [_, late_ms, _], timer_late_ms: [_, timer_ms, _], .. } =
+        recording.replay;
+    if published != recording.messages {
+        broken.push(format!("taut play: {published} of {} messages were published", recording.messages));
+    }
+    if !quick && late_ms > timer_ms + MOST_JITTER_MS {
+        broken.push(format!("taut play: p99 is {late_ms:.3} ms late, the timer {timer_ms:.3} ms"));
     }
     if !quick && recording.recorded_mb_s < SHARE * bare_mb_s {
         broken.push(format!(
@@ -186,6 +228,12 @@ fn print(recording: &Recording, image: usize) {
     println!("{messages} messages, {megabytes:.0} MB in {seconds:.1} s, {lost} lost");
     println!(
         "longest time between two looks {longest_stall_ms:.1} ms, survived would be {survives_ms:.1} ms; longest write {longest_write_ms:.1} ms"
+    );
+    let Replay { published, starved, late_ms: [p50, p99, max], timer_late_ms } = &recording.replay;
+    let [timer_p50, timer_p99, timer_max] = timer_late_ms;
+    println!(
+        "taut play of that: {published} messages, late by {p50:.3} ms (p50), {p99:.3} (p99), {max:.3} (max), the timer by {timer_p50:.3}, \
+         {timer_p99:.3}, {timer_max:.3}; {starved} not read in time"
     );
     let Recording { bare_mb_s, recorded_mb_s, recorded_lost, .. } = recording;
     println!(

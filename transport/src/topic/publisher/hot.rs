@@ -108,6 +108,8 @@ pub(crate) enum Stamp {
     OfRequest(MessageInfo),
     /// Published elsewhere, released now, to be delivered for so many nanoseconds.
     As(MessageInfo, u64),
+    /// Published before: its number, if it is not 0, its time stamp, and when it is released now.
+    Again(MessageInfo),
 }
 
 /// What a sample is and to whom it goes.
@@ -235,12 +237,19 @@ impl RawPublisher {
         let (source, lifespan_ns) = match sending.stamp {
             Stamp::As(source, left_ns) => (source, left_ns.min(self.lifespan_ns)),
             Stamp::OfRequest(source) => (source, self.lifespan_ns),
+            Stamp::Again(source) => {
+                let number = if source.sequence_number == 0 { number } else { source.sequence_number };
+                let publisher_gid = self.core.gid;
+                (MessageInfo { sequence_number: number, publisher_gid, ..source }, self.lifespan_ns)
+            }
             Stamp::Now | Stamp::ReleasedAt(_) => (self.info(number), self.lifespan_ns),
         };
         // After that: nothing appears before it was published.
         let now_ns = monotonic_ns();
-        let released_ns =
-            if let Stamp::ReleasedAt(released_ns) = sending.stamp { released_ns } else { now_ns };
+        let released_ns = match sending.stamp {
+            Stamp::ReleasedAt(released_ns) | Stamp::Again(MessageInfo { released_ns, .. }) => released_ns,
+            _ => now_ns,
+        };
         let mut header = SampleHeader {
             sequence_number: number,
             released_ns,
@@ -493,6 +502,18 @@ impl<'p> RawLoan<'p> {
     ) -> Result<(), Unpublished<RawLoan<'p>>> {
         let left_ns = u64::try_from(left.as_nanos()).unwrap_or(NEVER);
         self.publish_with(Sending::of(Stamp::As(source, left_ns)))
+    }
+
+    /// Publishes a message that was recorded: subscriptions read in their [`MessageInfo`] the number and time stamp that it had then (of
+    /// the number 0, that of this publisher), and `source.released_ns` as its release now. It is this publisher's all the same.
+    ///
+    /// # Real-time
+    /// As [`publish`](Self::publish).
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_again(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
+        self.publish_with(Sending::of(Stamp::Again(source)))
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second

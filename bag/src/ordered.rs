@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The messages of a whole bag in the order of their reception, whatever order its files have them in.
+
+use crate::reader::{Damage, Event, Extent, FileReader, files_of};
+use crate::{BagError, Stamp, Topic};
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, BinaryHeap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A message, and which of [`Ordered::topics`] it is of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OwnedMessage {
+    /// Which topic.
+    pub topic: usize,
+    /// Its number and times.
+    pub stamp: Stamp,
+    /// With the four bytes of encapsulation.
+    pub cdr: Vec<u8>,
+}
+
+/// Reads a bag. A chunk is read when its first message is due, so what is in memory at once are chunks whose times overlap.
+///
+/// Damaged parts are passed over; [`damage`](Self::damage) tells of them. A chunk with messages that are earlier than it says gives them
+/// when it is read.
+pub struct Ordered {
+    files: Vec<PathBuf>,
+    /// Of every file, the latest first.
+    extents: Vec<(usize, Extent)>,
+    /// So many of them are to be read.
+    left: usize,
+    /// The one that was read from last.
+    open: Option<Open>,
+    topics: Vec<Arc<Topic>>,
+    numbers: HashMap<(String, String), usize>,
+    waiting: BinaryHeap<Reverse<Waiting>>,
+    /// Of messages with the same time the one that was read first is first.
+    count: u64,
+    damage: BTreeSet<(PathBuf, u64, String)>,
+}
+
+struct Open {
+    file: usize,
+    reader: FileReader,
+    /// The topic of a channel, by its address, which is not another's as long as it is here.
+    numbers: HashMap<usize, (Arc<Topic>, usize)>,
+}
+
+struct Waiting {
+    log_ns: u64,
+    count: u64,
+    message: OwnedMessage,
+}
+
+impl Ordered {
+    /// Finds where messages are, without reading them; a file without an index is read. `tell` hears of each file before that.
+    ///
+    /// # Errors
+    /// There is no bag; a file cannot be read.
+    pub fn open(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Self, BagError> {
+        let files = files_of(path)?;
+        let (extents, topics, numbers) = (Vec::new(), Vec::new(), HashMap::new());
+        let (waiting, damage) = (BinaryHeap::new(), BTreeSet::new());
+        let mut bag =
+            Ordered { files, extents, left: 0, open: None, topics, numbers, waiting, count: 0, damage };
+        for file in 0..bag.files.len() {
+            tell(&bag.files[file]);
+            let (reader, extents) = bag.opened(file)?;
+            for topic in reader.topics() {
+                bag.number(topic);
+            }
+            bag.extents.extend(extents.into_iter().map(|extent| (file, extent)));
+            bag.note(file, &reader);
+        }
+        // Stable: of two that begin at the same time the one in front is read first.
+        bag.extents.reverse();
+        bag.extents.sort_by_key(|(_, extent)| Reverse(extent.start_ns));
+        bag.left = bag.extents.len();
+        Ok(bag)
+    }
+
+    /// Its topics; one for each type, if there are several. A damaged file may come to have more while it is read.
+    pub fn topics(&self) -> &[Arc<Topic>] {
+        &self.topics
+    }
+
+    /// The earliest and the latest time of reception, by what the files say; `None` without messages.
+    pub fn span_ns(&self) -> Option<(u64, u64)> {
+        let extents = self.extents.iter().map(|(_, extent)| extent);
+        let start = extents.clone().map(|extent| extent.start_ns).filter(|start| *start > 0).min();
+        start.zip(extents.map(|extent| extent.end_ns).max())
+    }
+
+    /// From the beginning again; chunks whose messages are all before `from_ns` are left out.
+    pub fn rewind(&mut self, from_ns: u64) {
+        self.waiting.clear();
+        // Latest first by their beginning: those in front of the first that ends late enough are of no use.
+        let used = self.extents.iter().rposition(|(_, extent)| extent.end_ns >= from_ns);
+        self.left = used.map_or(0, |last| last + 1);
+    }
+
+    /// The next message; `None`: that was all.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub fn next_message(&mut self) -> Result<Option<OwnedMessage>, BagError> {
+        while let Some((file, extent)) = self.left.checked_sub(1).map(|last| self.extents[last]) {
+            if self.waiting.peek().is_some_and(|Reverse(first)| first.log_ns < extent.start_ns) {
+                break;
+            }
+            self.left -= 1;
+            self.take_in(file, extent)?;
+        }
+        Ok(self.waiting.pop().map(|Reverse(first)| first.message))
+    }
+
+    /// What is wrong in it, as far as it was read: the file, where, and what.
+    pub fn damage(&self) -> impl Iterator<Item = (&Path, Damage)> {
+        self.damage
+            .iter()
+            .map(|(path, offset, what)| (&**path, Damage { offset: *offset, what: what.clone() }))
+    }
+
+    fn take_in(&mut self, file: usize, extent: Extent) -> Result<(), BagError> {
+        let mut open = match self.open.take() {
+            Some(open) if open.file == file => open,
+            _ => Open { file, reader: self.opened(file)?.0, numbers: HashMap::new() },
+        };
+        let Open { reader, numbers, .. } = &mut open;
+        reader.read_at(extent.position, extent.whole, &mut |event| {
+            if let Event::Message(message) = event {
+                let address = Arc::as_ptr(message.topic).addr();
+                let known = numbers.get(&address).map(|(_, number)| *number);
+                let topic = known.unwrap_or_else(|| {
+                    let number = self.number(message.topic);
+                    numbers.insert(address, (message.topic.clone(), number));
+                    number
+                });
+                let (stamp, cdr) = (message.stamp, message.cdr.to_vec());
+                let message = OwnedMessage { topic, stamp, cdr };
+                self.waiting.push(Reverse(Waiting { log_ns: stamp.log_ns, count: self.count, message }));
+                self.count += 1;
+            }
+            Ok::<_, BagError>(())
+        })?;
+        self.note(file, &open.reader);
+        self.open = Some(open);
+        Ok(())
+    }
+
+    fn opened(&self, file: usize) -> Result<(FileReader, Vec<Extent>), BagError> {
+        let mut reader = FileReader::open(&self.files[file])?;
+        let extents = reader.extents()?;
+        Ok((reader, extents))
+    }
+
+    fn number(&mut self, topic: &Arc<Topic>) -> usize {
+        let key = (topic.name.clone(), topic.type_name.clone());
+        *self.numbers.entry(key).or_insert_with(|| {
+            self.topics.push(topic.clone());
+            self.topics.len() - 1
+        })
+    }
+
+    fn note(&mut self, file: usize, reader: &FileReader) {
+        for damage in reader.damage().0 {
+            self.damage.insert((self.files[file].clone(), damage.offset, damage.what.clone()));
+        }
+    }
+}
+
+impl PartialEq for Waiting {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Waiting {}
+
+impl PartialOrd for Waiting {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Waiting {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (self.log_ns, self.count).cmp(&(other.log_ns, other.count))
+    }
+}

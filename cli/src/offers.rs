@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Quality of service as bags have it: what a topic's publishers offered, a list in YAML.
+
+use serde::Deserialize;
+use std::time::Duration;
+use tautline_transport::{Durability, History, Limits, Liveliness, Qos, Reliability};
+
+/// What ROS 2 has for "none".
+const NONE: Duration = Duration::new(9_223_372_036, 854_775_807);
+
+/// As rosbag2 writes it from version 9 on: an entry of a list, in YAML.
+pub fn write(qos: &Qos) -> String {
+    let time = |time: Option<Duration>| {
+        let time = time.unwrap_or(NONE);
+        format!("\n    sec: {}\n    nsec: {}", time.as_secs(), time.subsec_nanos())
+    };
+    let history = if qos.history == History::KeepAll { "keep_all" } else { "keep_last" };
+    let reliability = if qos.reliability == Reliability::Reliable { "reliable" } else { "best_effort" };
+    let durability =
+        if qos.durability == Durability::TransientLocal { "transient_local" } else { "volatile" };
+    let liveliness = if qos.liveliness == Liveliness::Automatic { "automatic" } else { "manual_by_topic" };
+    format!(
+        "- history: {history}\n  depth: {}\n  reliability: {reliability}\n  durability: {durability}\n  deadline:{}\n  lifespan:{}\n  \
+         liveliness: {liveliness}\n  liveliness_lease_duration:{}\n  avoid_ros_namespace_conventions: false\n",
+        qos.depth,
+        time(qos.deadline),
+        time(qos.lifespan),
+        time(qos.liveliness_lease_duration),
+    )
+}
+
+/// What one publisher offers in the place of all that are in the list: each subscription that matched one of them matches it.
+///
+/// # Errors
+/// What is no such list.
+pub fn read(text: &str) -> Result<Qos, String> {
+    let offers: Vec<Offer> = serde_saphyr::from_str(text).map_err(|error| error.to_string())?;
+    let strongest = |one: Qos, other: Qos| Qos {
+        history: if one.history == History::KeepAll { one.history } else { other.history },
+        depth: one.depth.max(other.depth),
+        reliability: if one.reliability == Reliability::Reliable {
+            one.reliability
+        } else {
+            other.reliability
+        },
+        durability: if one.durability == Durability::TransientLocal {
+            one.durability
+        } else {
+            other.durability
+        },
+        deadline: one.deadline.into_iter().chain(other.deadline).min(),
+        lifespan: one.lifespan.zip(other.lifespan).map(|(one, other)| one.max(other)),
+        liveliness: if one.liveliness == Liveliness::Automatic { other.liveliness } else { one.liveliness },
+        liveliness_lease_duration: one
+            .liveliness_lease_duration
+            .into_iter()
+            .chain(other.liveliness_lease_duration)
+            .min(),
+    };
+    offers
+        .iter()
+        .map(Offer::qos)
+        .reduce(|one, other| Ok(strongest(one?, other?)))
+        .unwrap_or_else(|| Ok(Qos::default()))
+}
+
+#[derive(Deserialize)]
+struct Offer {
+    history: Word,
+    depth: u64,
+    reliability: Word,
+    durability: Word,
+    #[serde(default)]
+    deadline: Span,
+    #[serde(default)]
+    lifespan: Span,
+    liveliness: Word,
+    #[serde(default)]
+    liveliness_lease_duration: Span,
+}
+
+/// As words from version 9 on, and as rmw's numbers before.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Word {
+    Number(i64),
+    Name(String),
+}
+
+#[derive(Deserialize, Default)]
+struct Span {
+    sec: u64,
+    nsec: u64,
+}
+
+impl Word {
+    /// The first of `names` if it is that or `number`, the second one else; what is neither is the default, the first.
+    fn is_second(&self, number: i64, names: [&str; 2]) -> Result<bool, String> {
+        match self {
+            Word::Number(found) => Ok(*found == number),
+            Word::Name(name) if *name == names[1] => Ok(true),
+            Word::Name(name) if *name == names[0] || name == "system_default" || name == "unknown" => {
+                Ok(false)
+            }
+            Word::Name(name) => Err(format!("'{name}' is neither {} nor {}", names[0], names[1])),
+        }
+    }
+}
+
+impl Span {
+    /// Zero is unspecified; infinity is written in several ways.
+    fn get(&self) -> Option<Duration> {
+        let time = Duration::from_secs(self.sec).saturating_add(Duration::from_nanos(self.nsec));
+        let is_none = time.is_zero() || time >= NONE || self.sec >= i32::MAX as u64;
+        (!is_none).then_some(time)
+    }
+}
+
+impl Offer {
+    fn qos(&self) -> Result<Qos, String> {
+        // Of a system's default depth nothing is said.
+        let depth = if self.depth == 0 { Qos::default().depth } else { self.depth as usize };
+        let depth = depth.min(Limits::MAX_DEPTH);
+        let keeps_all = self.history.is_second(2, ["keep_last", "keep_all"])?;
+        let qos = if keeps_all { Qos::keep_all(depth) } else { Qos::keep_last(depth) };
+        let is_best_effort = self.reliability.is_second(2, ["reliable", "best_effort"])?;
+        let qos = if is_best_effort { qos.best_effort() } else { qos };
+        let is_kept = self.durability.is_second(1, ["volatile", "transient_local"])?;
+        let qos = if is_kept { qos.transient_local() } else { qos };
+        let is_manual = self.liveliness.is_second(3, ["automatic", "manual_by_topic"])?;
+        Ok(Qos {
+            deadline: self.deadline.get(),
+            lifespan: self.lifespan.get(),
+            liveliness: if is_manual { Liveliness::ManualByTopic } else { Liveliness::Automatic },
+            liveliness_lease_duration: self.liveliness_lease_duration.get(),
+            ..qos
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read() {
+        let ms = |ms| Some(Duration::from_millis(ms));
+        let first = Qos { deadline: ms(20), lifespan: ms(1500), ..Qos::keep_last(3).best_effort() };
+        let second = Qos {
+            liveliness: Liveliness::ManualByTopic,
+            liveliness_lease_duration: ms(7),
+            ..Qos::keep_all(5).transient_local()
+        };
+        assert_eq!(read(&write(&first)), Ok(first));
+        assert_eq!(read(&write(&second)), Ok(second));
+        let both = Qos { deadline: ms(20), ..second };
+        assert_eq!(read(&[first, second].map(|qos| write(&qos)).concat()), Ok(both));
+        assert_eq!((read(""), read("[]")), (Ok(Qos::default()), Ok(Qos::default())));
+    }
+
+    #[test]
+    fn what_rosbag2_wrote_before_is_read() {
+        let infinite = "{sec: 2147483647, nsec: 4294967295}";
+        let text = format!(
+            "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline: {infinite}\n  lifespan: {infinite}\n  \
+             liveliness: 1\n  liveliness_lease_duration: {infinite}\n  avoid_ros_namespace_conventions: false"
+        );
+        assert_eq!(read(&text), Ok(Qos::default()));
+        let text = text.replace("history: 3", "history: 2").replace("depth: 0", "depth: 4");
+        let text = text.replace("reliability: 1", "reliability: 2").replace("durability: 2", "durability: 1");
+        assert_eq!(read(&text), Ok(Qos::keep_all(4).best_effort().transient_local()));
+        for wrong in ["x", "- depth: 1", "- [", &text.replace("history: 2", "history: some")] {
+            assert!(read(wrong).is_err(), "{wrong}");
+        }
+    }
+}

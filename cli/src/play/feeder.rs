@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who reads the bag: messages go into the ring in their order, checked, as far ahead as there is room.
+
+use super::stage::{BEGIN, Control, END};
+use crate::ring::{HEAD_BYTES, Head};
+use rtrb::Producer;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+use tautline_bag::{BagError, Ordered, OwnedMessage};
+use tautline_msgs::cdr::Endian;
+use tautline_msgs::split_header;
+use tautline_schema::{DynamicMessage, Schema};
+
+/// How often is looked whether there is room.
+const PERIOD: Duration = Duration::from_millis(1);
+
+/// A topic that is played.
+#[derive(Clone)]
+pub struct Part {
+    pub schema: Option<Arc<Schema>>,
+    /// So many are kept for who comes late: those of before the beginning are sent at the beginning.
+    pub kept: usize,
+    /// The longest body so far.
+    pub largest: Arc<AtomicUsize>,
+}
+
+pub struct Feeder {
+    pub bag: Ordered,
+    /// Of each topic of the bag, which part it is.
+    pub numbers: Vec<Option<usize>>,
+    pub parts: Vec<Part>,
+    pub producer: Producer<u8>,
+    pub control: Arc<Control>,
+    /// The bag's earliest time of reception.
+    pub start_ns: u64,
+    /// What was received before is left out.
+    pub from_ns: u64,
+    /// And what was received later.
+    pub to_ns: u64,
+    /// How often all of it is played; `None`: for ever.
+    pub times: Option<u64>,
+    /// Messages that were put in.
+    pub given: u64,
+}
+
+/// What became of it.
+pub struct Fed {
+    /// Of each part: messages that are none of its type, or too long; and why the first of them.
+    pub unplayable: Vec<(u64, Option<String>)>,
+    /// The bag could not be read any further.
+    pub failed: Option<BagError>,
+    /// Parts of it that are not as they should be, and the first of them.
+    pub damaged: usize,
+    pub damage: Option<String>,
+}
+
+/// Why there is no more to be put in.
+enum Halt {
+    /// Nobody takes any more.
+    Over,
+    /// It goes on elsewhere.
+    Leap,
+    Failed(BagError),
+}
+
+impl Feeder {
+    pub fn run(mut self) -> Fed {
+        let mut unplayable = vec![(0, None); self.parts.len()];
+        let (mut from_ns, mut passes) = (self.from_ns, 0);
+        let failed = loop {
+            let generation = self.control.generation.load(Ordering::Acquire);
+            if generation > 0 {
+                from_ns = self.control.seek_ns.load(Ordering::Relaxed);
+            }
+            let halt = loop {
+                let given = match self.pass(from_ns, generation, &mut unplayable) {
+                    Ok(given) => given,
+                    Err(halt) => break halt,
+                };
+                (from_ns, passes) = (self.from_ns, passes + 1);
+                if given == 0 || self.times.is_some_and(|times| passes >= times) {
+                    break self.rest(generation);
+                }
+            };
+            match halt {
+                Halt::Leap => {}
+                Halt::Over => break None,
+                Halt::Failed(error) => break Some(error),
+            }
+        };
+        self.control.is_filled.store(true, Ordering::Release);
+        let first = self.bag.damage().next();
+        let damage = first
+            .map(|(path, damage)| format!("{}: at byte {}: {}", path.display(), damage.offset, damage.what));
+        Fed { unplayable, failed, damaged: self.bag.damage().count(), damage }
+    }
+
+    /// All of it from a time of reception on; how many messages that was.
+    fn pass(
+        &mut self,
+        from_ns: u64,
+        generation: u64,
+        unplayable: &mut [(u64, Option<String>)],
+    ) -> Result<u64, Halt> {
+        let given = self.given;
+        let keeps = self.parts.iter().any(|part| part.kept > 0);
+        // What is kept may be of any time before.
+        self.bag.rewind(if keeps { 0 } else { from_ns });
+        self.put(mark(BEGIN, from_ns.max(self.start_ns), generation), &[], generation)?;
+        let mut kept = vec![VecDeque::<OwnedMessage>::new(); self.parts.len()];
+        let mut is_before = true;
+        while let Some(message) = self.bag.next_message().map_err(Halt::Failed)? {
+            let Some(part) = self.numbers.get(message.topic).copied().flatten() else { continue };
+            if message.stamp.log_ns < from_ns {
+                let most = self.parts[part].kept;
+                if most > 0 {
+                    kept[part].push_back(message);
+                    let excess = kept[part].len().saturating_sub(most);
+                    kept[part].drain(..excess);
+                }
+                self.still(generation)?;
+                continue;
+            }
+            if std::mem::take(&mut is_before) {
+                self.give_kept(&mut kept, from_ns, generation, unplayable)?;
+            }
+            if message.stamp.log_ns > self.to_ns {
+                break;
+            }
+            self.give(part, &message, message.stamp.log_ns, generation, unplayable)?;
+        }
+        if is_before {
+            self.give_kept(&mut kept, from_ns, generation, unplayable)?;
+        }
+        Ok(self.given - given)
+    }
+
+    /// What publishers had kept at the beginning, in the order of its reception.
+    fn give_kept(
+        &mut self,
+        kept: &mut [VecDeque<OwnedMessage>],
+        from_ns: u64,
+        generation: u64,
+        unplayable: &mut [(u64, Option<String>)],
+    ) -> Result<(), Halt> {
+        let of_part = |(part, kept): (usize, &mut VecDeque<OwnedMessage>)| {
+            kept.drain(..).map(|message| (part, message)).collect::<Vec<_>>()
+        };
+        let mut all: Vec<_> = kept.iter_mut().enumerate().flat_map(of_part).collect();
+        all.sort_by_key(|(_, message)| message.stamp.log_ns);
+        all.iter().try_for_each(|(part, message)| self.give(*part, message, from_ns, generation, unplayable))
+    }
+
+    fn give(
+        &mut self,
+        part: usize,
+        message: &OwnedMessage,
+        log_ns: u64,
+        generation: u64,
+        unplayable: &mut [(u64, Option<String>)],
+    ) -> Result<(), Halt> {
+        let most = self.producer.buffer().capacity() - HEAD_BYTES;
+        let body = match body(self.parts[part].schema.as_ref(), &message.cdr) {
+            Ok(Body::Part(len)) => &message.cdr[4..4 + len],
+            Ok(Body::Anew(ref body)) => &body.clone(),
+            Err(why) => {
+                note(&mut unplayable[part], why);
+                return Ok(());
+            }
+        };
+        if body.len() > most {
+            note(&mut unplayable[part], format!("a message of {} bytes is longer than --budget", body.len()));
+            return Ok(());
+        }
+        self.parts[part].largest.fetch_max(body.len(), Ordering::Relaxed);
+        let head = Head {
+            topic: part as u32,
+            cdr_bytes: body.len() as u32,
+            sequence: message.stamp.sequence.into(),
+            log_ns,
+            publish_ns: message.stamp.publish_ns,
+        };
+        self.given += 1;
+        self.put(head, body, generation)
+    }
+
+    /// As soon as there is room.
+    fn put(&mut self, head: Head, body: &[u8], generation: u64) -> Result<(), Halt> {
+        while self.producer.slots() < HEAD_BYTES + body.len() {
+            self.control.is_filled.store(true, Ordering::Release);
+            self.still(generation)?;
+            std::thread::sleep(PERIOD);
+        }
+        let parts: [&[u8]; 2] = [&head.to_bytes(), body];
+        let is_put = parts.iter().all(|part| self.producer.push_entire_slice(part).is_ok());
+        if is_put { Ok(()) } else { Err(Halt::Over) }
+    }
+
+    /// Whether it is to go on here.
+    fn still(&self, generation: u64) -> Result<(), Halt> {
+        if self.control.is_stopped()
+            || self.control.is_over.load(Ordering::Acquire)
+            || self.producer.is_abandoned()
+        {
+            return Err(Halt::Over);
+        }
+        let is_here = self.control.generation.load(Ordering::Acquire) == generation;
+        if is_here { Ok(()) } else { Err(Halt::Leap) }
+    }
+
+    /// All is put in: until it is taken, or goes on elsewhere.
+    fn rest(&mut self, generation: u64) -> Halt {
+        if let Err(halt) = self.put(mark(END, 0, generation), &[], generation) {
+            return halt;
+        }
+        self.control.is_filled.store(true, Ordering::Release);
+        loop {
+            match self.still(generation) {
+                Ok(()) => std::thread::sleep(PERIOD),
+                Err(halt) => return halt,
+            }
+        }
+    }
+}
+
+fn mark(topic: u32, log_ns: u64, generation: u64) -> Head {
+    Head { topic, cdr_bytes: 0, sequence: generation, log_ns, publish_ns: 0 }
+}
+
+fn note((count, first): &mut (u64, Option<String>), why: String) {
+    *count += 1;
+    first.get_or_insert(why);
+}
+
+/// What is published of a message.
+enum Body {
+    /// So many bytes behind the encapsulation: what others append is left out.
+    Part(usize),
+    /// As little-endian bytes.
+    Anew(Vec<u8>),
+}
+
+/// Nothing is sent that is known not to be a message of its type.
+fn body(schema: Option<&Arc<Schema>>, cdr: &[u8]) -> Result<Body, String> {
+    let (endian, body) = split_header(cdr).map_err(|fault| fault.to_string())?;
+    match (schema, endian) {
+        (None, Endian::Little) => Ok(Body::Part(body.len())),
+        (None, Endian::Big) => Err("it is big-endian, and its definition is not known".to_owned()),
+        (Some(schema), Endian::Little) => {
+            let trailing = DynamicMessage::validate(schema, body, tautline_schema::Endian::Little)
+                .map_err(|error| error.to_string())?;
+            Ok(Body::Part(body.len().saturating_sub(trailing)))
+        }
+        (Some(schema), Endian::Big) => {
+            let message = DynamicMessage::from_cdr(schema, cdr).map_err(|error| error.to_string())?;
+            Ok(Body::Anew(message.to_body()))
+        }
+    }
+}

@@ -1,0 +1,387 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut play`: what a bag has is published again, when it was.
+//!
+//! `feeder` reads the bag, in its order, into a ring of locked memory; `stage` publishes from there, at absolute times.
+
+mod console;
+mod feeder;
+mod stage;
+mod statement;
+
+use crate::asking::full_name;
+use crate::manners::{End, Failure, Manners, Outcome, time};
+use crate::offers;
+use crate::record::{failed, say, size};
+use clap::Args;
+use feeder::{Feeder, Part};
+use regex::Regex;
+use stage::{Clock, Control, Stage};
+use statement::Statement;
+use std::num::NonZeroU64;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+use tautline::rt::{self, MemoryLock, Policy, ThreadBuilder};
+use tautline::{EndpointKind, find_schema, type_of};
+use tautline_bag::{Ordered, Topic};
+use tautline_schema::{Schema, TypeName};
+use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, TopicType};
+
+/// How long subscriptions of another host or of ROS may take to find who publishes to them.
+const FAR: Duration = Duration::from_secs(1);
+
+/// Publishes what is in a bag, at the times that it was received at
+///
+/// A thread with a real-time priority publishes each message at its absolute time; how late each was is said at the end. Types, QoS,
+/// time stamps and sequence numbers are as recorded. Topics that have publishers are not played without --mix.
+/// Ctrl-C ends.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut play run1
+  taut play run1 /scan /odom --rate 0.5 --clock
+  taut play run1 --from 10s --to 20s --loop
+  taut play run1 --remap /scan:=/scan_recorded --max-jitter 1ms
+  taut play run1 --paused                     on a terminal: enter goes on, n plays one message, s 12 leaps to 12 s
+
+Exit codes: 0 everything was played, or Ctrl-C; 1 some of it was not, or was later than --max-jitter; 2 it cannot be played.
+SIGUSR1 pauses and goes on; SIGUSR2 plays one message while it is paused.")]
+pub struct PlayArgs {
+    #[command(flatten)]
+    manners: Manners,
+    /// A folder, or one of its files
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+    /// Topics of it [default: all]
+    #[arg(value_name = "TOPIC")]
+    topics: Vec<String>,
+    /// Topics whose name this regular expression is found in
+    #[arg(short = 'e', long, value_name = "REGEX")]
+    regex: Option<Regex>,
+    /// But none whose name this regular expression is found in
+    #[arg(short = 'x', long, value_name = "REGEX")]
+    exclude: Option<Regex>,
+    /// So many times as fast
+    #[arg(short, long, value_name = "FACTOR", default_value = "1", value_parser = factor)]
+    rate: f64,
+    /// Again and again, or N times
+    #[arg(short, long = "loop", value_name = "N", num_args = 0..=1, require_equals = true)]
+    again: Option<Option<NonZeroU64>>,
+    /// Leave out what is before this time from the bag's start; what publishers had kept for late joiners until then is sent first
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    from: Option<Duration>,
+    /// Leave out what is after this time from the bag's start
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    to: Option<Duration>,
+    /// Begin without playing
+    #[arg(long)]
+    paused: bool,
+    /// Publish the bag's time on /clock, so many times a second, for nodes with use_sim_time; a recorded /clock is left out
+    #[arg(long, value_name = "HZ", num_args = 0..=1, require_equals = true, default_missing_value = "100",
+          value_parser = factor)]
+    clock: Option<f64>,
+    /// Publish on another topic; may be given several times
+    #[arg(short = 'm', long, value_name = "FROM:=TO", value_parser = remap)]
+    remap: Vec<(String, String)>,
+    /// Play topics that have publishers already, too
+    #[arg(long)]
+    mix: bool,
+    /// Wait until each topic has a subscription
+    #[arg(short, long)]
+    wait: bool,
+    /// Exit with 1 if a message was later than this
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    max_jitter: Option<Duration>,
+    /// Publish with this priority of SCHED_FIFO, where that is permitted
+    #[arg(long, value_name = "1..99", default_value_t = 40, value_parser = clap::value_parser!(u8).range(1..=99))]
+    priority: u8,
+    /// Publish at an ordinary priority
+    #[arg(long)]
+    no_rt: bool,
+    /// Memory for what is read ahead, locked and touched at the start
+    #[arg(long, value_name = "SIZE", default_value = "128MB", value_parser = size)]
+    budget: u64,
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    let factor = text.parse::<f64>().ok().filter(|factor| (1e-6..=1e6).contains(factor));
+    factor.ok_or_else(|| format!("'{text}' is no number of 0.000001 to 1000000"))
+}
+
+fn remap(text: &str) -> Result<(String, String), String> {
+    let (from, to) = text.split_once(":=").ok_or("FROM:=TO, such as /scan:=/scan_recorded")?;
+    Ok((full_name(from), full_name(to)))
+}
+
+/// A topic as it is played.
+struct Role {
+    name: String,
+    topic: Arc<Topic>,
+    topic_type: TopicType,
+    qos: Qos,
+    part: Part,
+}
+
+pub fn run(args: &PlayArgs) -> Outcome {
+    let domain = args.manners.domain()?;
+    let mut end = End::of(&args.manners)?;
+    let control = Arc::new(Control::default());
+    control.is_paused.store(args.paused, Ordering::Relaxed);
+    console::listen(&control)?;
+    let bag = {
+        let files = std::cell::RefCell::new(String::new());
+        let tell = &mut |path: &std::path::Path| {
+            *files.borrow_mut() = path.display().to_string();
+            end.say_once(|| format!("{} to be looked through", files.borrow()));
+        };
+        Ordered::open(&args.bag, tell).map_err(failed)?
+    };
+    let (from_ns, to_ns) = args.range(&bag)?;
+    let (roles, numbers) = args.roles(&bag)?;
+    let participant = Participant::new(domain)?;
+    let node = participant.create_node(&format!("taut_play_{}", std::process::id()), "/")?;
+    let participant = participant.for_node(&node);
+    args.refuse_live(&participant, &roles)?;
+
+    if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
+        say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
+    }
+    let (producer, consumer) = crate::ring::touched(args.budget)?;
+    let start_ns = bag.span_ns().map_or(0, |(start_ns, _)| start_ns);
+    let feeder = Feeder {
+        bag,
+        numbers,
+        parts: roles.iter().map(|role| role.part.clone()).collect(),
+        producer,
+        control: control.clone(),
+        start_ns,
+        from_ns,
+        to_ns,
+        times: args.again.map_or(Some(1), |times| times.map(NonZeroU64::get)),
+        given: 0,
+    };
+    let feeder = std::thread::spawn(move || feeder.run());
+    let is_filled = || Ok(control.is_filled.load(Ordering::Acquire).then_some(()));
+    let ready = end.wait(|| "the bag to be read".to_owned(), is_filled).and_then(|()| {
+        let publishers = publishers(&participant, &roles)?;
+        let clock = args.clock.map(|hz| clock(&participant, hz)).transpose()?;
+        args.wait_for_subscriptions(&participant, &roles, &publishers, &end)?;
+        Ok((publishers, clock))
+    });
+    let (publishers, clock) = match ready {
+        Ok(ready) => ready,
+        Err(failure) => {
+            control.stop.store(true, Ordering::Relaxed);
+            let _ = feeder.join();
+            return Err(failure);
+        }
+    };
+    let stage = Stage::new(consumer, publishers, clock, args.rate, control.clone());
+    let policy = args.policy();
+    let thread = ThreadBuilder::new("stage").policy(policy).spawn(move || move || stage.run())?;
+    end.restart();
+    let until = if args.again == Some(None) { ", until Ctrl-C" } else { "" };
+    say(&format!("playing {} topics of {} in domain {domain}{until}", roles.len(), args.bag.display()));
+    console::watch(&control, &end, start_ns, args.manners.json, || thread.is_finished());
+    let is_interrupted = !thread.is_finished();
+    control.stop.store(true, Ordering::Relaxed);
+    let played = thread.join()?;
+    let fed = feeder.join().map_err(|_| Failure::unusable("the thread that reads the bag panicked"))?;
+    Statement { args, roles: &roles, played, fed, is_interrupted }.print()
+}
+
+impl PlayArgs {
+    fn policy(&self) -> Policy {
+        if self.no_rt {
+            return Policy::Other { nice: 0 };
+        }
+        match rt::permission::realtime_permitted(self.priority) {
+            Ok(()) => Policy::Fifo(self.priority),
+            Err(error) => {
+                say(&format!("taut: warning: messages are published at an ordinary priority: {error}"));
+                Policy::Other { nice: 0 }
+            }
+        }
+    }
+
+    /// As times of reception.
+    fn range(&self, bag: &Ordered) -> Outcome<(u64, u64)> {
+        let Some((start_ns, end_ns)) = bag.span_ns() else {
+            return Err(Failure::unusable(format!("{} has no messages", self.bag.display())));
+        };
+        let at = |time: Duration| start_ns.saturating_add(rt::clock::nanoseconds(time));
+        let from_ns = self.from.map_or(start_ns, at);
+        let to_ns = self.to.map_or(u64::MAX, at);
+        if from_ns > to_ns || from_ns > end_ns {
+            let seconds = (end_ns - start_ns) as f64 / 1e9;
+            return Err(Failure::unusable(format!("there is nothing between: the bag is of {seconds:.1} s")));
+        }
+        // Times of chunks are claims: without --from nothing is left out.
+        Ok((self.from.map_or(0, at), to_ns))
+    }
+
+    /// What is played, and which of it each topic of the bag is.
+    fn roles(&self, bag: &Ordered) -> Outcome<(Vec<Role>, Vec<Option<usize>>)> {
+        let names: Vec<_> = self.topics.iter().map(|name| full_name(name)).collect();
+        let there = || bag.topics().iter().map(|topic| &*topic.name);
+        if let Some(unknown) = names.iter().find(|name| !there().any(|there| there == *name)) {
+            let list = format!("bag info {}", self.bag.display());
+            return Err(Failure::unknown("topic", unknown, there(), &list));
+        }
+        let is_wanted = |name: &str| {
+            let is_chosen = match &self.regex {
+                Some(regex) => regex.is_match(name) || names.iter().any(|wanted| wanted == name),
+                None => names.is_empty() || names.iter().any(|wanted| wanted == name),
+            };
+            is_chosen
+                && !self.exclude.as_ref().is_some_and(|regex| regex.is_match(name))
+                && !(self.clock.is_some() && name == "/clock")
+        };
+        let (mut roles, mut numbers) = (Vec::new(), Vec::new());
+        for topic in bag.topics() {
+            numbers.push(is_wanted(&topic.name).then_some(roles.len()));
+            if is_wanted(&topic.name) {
+                roles.push(self.role(topic)?);
+            }
+        }
+        if roles.is_empty() {
+            return Err(Failure::unusable(
+                "no topic of the bag is chosen; `taut bag info` prints which there are",
+            ));
+        }
+        Ok((roles, numbers))
+    }
+
+    fn role(&self, topic: &Arc<Topic>) -> Outcome<Role> {
+        let name = self.remap.iter().find(|(from, _)| *from == topic.name).map_or(&topic.name, |(_, to)| to);
+        let (schema, topic_type) = described(topic)?;
+        let qos = offers::read(&topic.qos).unwrap_or_else(|error| {
+            say(&format!(
+                "taut: warning: {}: its recorded QoS cannot be read, so it has the default: {error}",
+                topic.name
+            ));
+            Qos::default()
+        });
+        let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
+        let part = Part { schema, kept, largest: Arc::default() };
+        Ok(Role { name: name.clone(), topic: topic.clone(), topic_type, qos, part })
+    }
+
+    /// Nobody is surprised by messages beside his own.
+    fn refuse_live(&self, participant: &Participant, roles: &[Role]) -> Outcome {
+        if self.mix {
+            return Ok(());
+        }
+        let graph = participant.graph()?;
+        let names = || roles.iter().map(|role| &*role.name).chain(self.clock.map(|_| "/clock"));
+        let is_live = |name: &&str| {
+            graph.endpoints.iter().any(|end| end.kind == EndpointKind::Publisher && end.topic == *name)
+        };
+        let live: Vec<_> = names().filter(is_live).collect();
+        if live.is_empty() {
+            return Ok(());
+        }
+        Err(Failure::unusable(format!(
+            "{} {} live publishers, and subscriptions would get both; leave them out with -x, play on other topics with --remap, or \
+             beside them with --mix",
+            live.join(", "),
+            if live.len() == 1 { "has" } else { "have" }
+        )))
+    }
+
+    /// Those that are there are connected before the first message.
+    fn wait_for_subscriptions(
+        &self,
+        participant: &Participant,
+        roles: &[Role],
+        publishers: &[RawPublisher],
+        end: &End,
+    ) -> Outcome {
+        let mut far = 0;
+        let mut is_told = false;
+        let missing = std::cell::Cell::new("");
+        end.wait(
+            || format!("a subscription of '{}'", missing.get()),
+            || {
+                let graph = participant.graph()?;
+                for (role, publisher) in roles.iter().zip(publishers) {
+                    let ends = graph.endpoints.iter().filter(|end| {
+                        end.kind == EndpointKind::Subscription
+                            && end.topic == role.name
+                            && end.topic_type.agrees_with(&role.topic_type)
+                            && role.qos.incompatibility(&end.qos).is_none()
+                    });
+                    let (there, elsewhere) = (ends.clone().count(), ends.filter(|end| end.is_remote).count());
+                    far += elsewhere;
+                    let wanted = if self.wait { there.max(1) } else { there };
+                    // A gateway takes for those that are elsewhere, as one.
+                    if publisher.subscription_count() < wanted - elsewhere.saturating_sub(1).min(wanted) {
+                        missing.set(&role.name);
+                        return Ok(None);
+                    }
+                }
+                Ok(Some(()))
+            },
+        )?;
+        if far > 0 && !std::mem::replace(&mut is_told, true) {
+            say("taut: subscriptions are elsewhere, too: what arrives there is not known here");
+            end.pause(FAR);
+        }
+        Ok(())
+    }
+}
+
+/// The definition of a topic's type, and all that is known of it.
+fn described(topic: &Topic) -> Outcome<(Option<Arc<Schema>>, TopicType)> {
+    let bare = TopicType::new(topic.type_name.clone());
+    let recorded =
+        if topic.type_hash.is_empty() { bare.clone() } else { bare.with_hash(topic.type_hash.clone()) };
+    let unusable = |error: &dyn std::fmt::Display| Failure::unusable(format!("{}: {error}", topic.name));
+    let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
+    let schema = match &topic.definition {
+        Some(text) => match Schema::from_text(&name, text) {
+            Ok(schema) => Some(Arc::new(schema)),
+            Err(error) => {
+                say(&format!(
+                    "taut: warning: {}: its recorded definition cannot be used: {error}",
+                    topic.name
+                ));
+                None
+            }
+        },
+        None => None,
+    };
+    let schema = schema.or_else(|| find_schema(&topic.name, &name, Some(&recorded)).ok());
+    let agreed =
+        schema.map(|schema| (type_of(&schema), schema)).filter(|(known, _)| known.agrees_with(&recorded));
+    match agreed {
+        Some((topic_type, schema)) => Ok((Some(schema), topic_type)),
+        None => {
+            say(&format!(
+                "taut: warning: {}: the definition of {} is not known, so what is sent is not checked",
+                topic.name, topic.type_name
+            ));
+            Ok((None, recorded))
+        }
+    }
+}
+
+/// With room for what was read of each so far, and half as much again.
+fn publishers(participant: &Participant, roles: &[Role]) -> Outcome<Vec<RawPublisher>> {
+    let publisher = |role: &Role| {
+        let largest = role.part.largest.load(Ordering::Relaxed);
+        let message_bytes =
+            (largest + largest / 2).clamp(Limits::default().message_bytes, Limits::MAX_MESSAGE_BYTES);
+        let limits = Limits { message_bytes, ..Limits::default() };
+        Ok(participant.create_raw_publisher(&role.name, &role.topic_type, role.qos, limits)?)
+    };
+    roles.iter().map(publisher).collect()
+}
+
+fn clock(participant: &Participant, hz: f64) -> Outcome<Clock> {
+    let name: TypeName = "rosgraph_msgs/msg/Clock".parse()?;
+    let topic_type = type_of(&*find_schema("/clock", &name, None)?);
+    let publisher =
+        participant.create_raw_publisher("/clock", &topic_type, Qos::keep_last(1), Limits::default())?;
+    Ok(Clock { publisher, period_ns: (1e9 / hz) as u64 })
+}
