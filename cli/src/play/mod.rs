@@ -17,8 +17,9 @@ use feeder::{Feeder, Part};
 use regex::Regex;
 use stage::{Clock, Control, Stage};
 use statement::Statement;
+use std::cell::{Cell, RefCell};
 use std::num::NonZeroU64;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -26,7 +27,7 @@ use tautline::rt::{self, MemoryLock, Policy, ThreadBuilder};
 use tautline::{EndpointKind, find_schema, type_of};
 use tautline_bag::{Ordered, Topic};
 use tautline_schema::{Schema, TypeName};
-use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, TopicType};
+use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, TopicType, Visitor};
 
 /// How long subscriptions of another host or of ROS may take to find who publishes to them.
 const FAR: Duration = Duration::from_secs(1);
@@ -129,8 +130,8 @@ pub fn run(args: &PlayArgs) -> Outcome {
     control.is_paused.store(args.paused, Ordering::Relaxed);
     console::listen(&control)?;
     let bag = {
-        let files = std::cell::RefCell::new(String::new());
-        let tell = &mut |path: &std::path::Path| {
+        let files = RefCell::new(String::new());
+        let tell = &mut |path: &Path| {
             *files.borrow_mut() = path.display().to_string();
             end.say_once(|| format!("{} to be looked through", files.borrow()));
         };
@@ -165,7 +166,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
     let ready = end.wait(|| "the bag to be read".to_owned(), is_filled).and_then(|()| {
         let publishers = publishers(&participant, &roles)?;
         let clock = args.clock.map(|hz| clock(&participant, hz)).transpose()?;
-        args.wait_for_subscriptions(&participant, &roles, &publishers, &end)?;
+        args.wait_for_subscriptions(domain, &roles, &publishers, &end)?;
         Ok((publishers, clock))
     });
     let (publishers, clock) = match ready {
@@ -292,38 +293,43 @@ impl PlayArgs {
     /// Those that are there are connected before the first message.
     fn wait_for_subscriptions(
         &self,
-        participant: &Participant,
+        domain: u32,
         roles: &[Role],
         publishers: &[RawPublisher],
         end: &End,
     ) -> Outcome {
-        let mut far = 0;
-        let mut is_told = false;
-        let missing = std::cell::Cell::new("");
-        end.wait(
-            || format!("a subscription of '{}'", missing.get()),
-            || {
-                let graph = participant.graph()?;
-                for (role, publisher) in roles.iter().zip(publishers) {
-                    let ends = graph.endpoints.iter().filter(|end| {
-                        end.kind == EndpointKind::Subscription
-                            && end.topic == role.name
-                            && end.topic_type.agrees_with(&role.topic_type)
-                            && role.qos.incompatibility(&end.qos).is_none()
-                    });
-                    let (there, elsewhere) = (ends.clone().count(), ends.filter(|end| end.is_remote).count());
-                    far += elsewhere;
-                    let wanted = if self.wait { there.max(1) } else { there };
-                    // A gateway takes for those that are elsewhere, as one.
-                    if publisher.subscription_count() < wanted - elsewhere.saturating_sub(1).min(wanted) {
-                        missing.set(&role.name);
-                        return Ok(None);
-                    }
+        let mut visitor = Visitor::new(domain)?;
+        let (missing, mut is_far) = (Cell::new(""), false);
+        let what = || format!("a subscription of '{}'", missing.get());
+        end.wait(what, || {
+            let graph = visitor.graph()?;
+            for (role, publisher) in roles.iter().zip(publishers) {
+                let ends = graph.endpoints.iter().filter(|end| {
+                    end.kind == EndpointKind::Subscription
+                        && end.topic == role.name
+                        && end.topic_type.agrees_with(&role.topic_type)
+                        && role.qos.incompatibility(&end.qos).is_none()
+                });
+                let (far, here): (Vec<_>, Vec<_>) = ends.partition(|end| end.is_remote);
+                let wanted = here.len().max(usize::from(self.wait && far.is_empty()));
+                missing.set(&role.name);
+                if publisher.subscription_count() < wanted {
+                    return Ok(None);
                 }
-                Ok(Some(()))
-            },
-        )?;
-        if far > 0 && !std::mem::replace(&mut is_told, true) {
+                if far.is_empty() {
+                    continue;
+                }
+                // A gateway or bridge takes for them.
+                let own = graph.endpoints.iter().find(|end| end.gid == publisher.gid());
+                let Some(own) = own else { return Ok(None) };
+                if visitor.overwritten(own)?.is_empty() {
+                    return Ok(None);
+                }
+                is_far = true;
+            }
+            Ok(Some(()))
+        })?;
+        if is_far {
             say("taut: subscriptions are elsewhere, too: what arrives there is not known here");
             end.pause(FAR);
         }
