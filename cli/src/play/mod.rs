@@ -342,7 +342,9 @@ fn described(topic: &Topic) -> Outcome<(Option<Arc<Schema>>, TopicType)> {
     let bare = TopicType::new(topic.type_name.clone());
     let recorded =
         if topic.type_hash.is_empty() { bare.clone() } else { bare.with_hash(topic.type_hash.clone()) };
-    let unusable = |error: &dyn std::fmt::Display| Failure::unusable(format!("{}: {error}", topic.name));
+    let unusable = |error: &dyn std::fmt::Display| {
+        Failure::unusable(format!("{}: {error}; leave it out with -x", topic.name))
+    };
     let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
     let schema = match &topic.definition {
         Some(text) => match Schema::from_text(&name, text) {

@@ -3,7 +3,7 @@
 //!
 //! # Real-time
 //! A thread with a real-time priority, where that is permitted. A message of more than 64 KiB is copied into its loan before it is due, in the
-//! time until others are, in pieces of 64 KiB. No call for memory but for a message that is longer than all that its publisher was made
+//! time until others are, in pieces of 16 KiB. No call for memory but for a message that is longer than all that its publisher was made
 //! for. Looks at what others ask for at least each 20 ms.
 
 use crate::ring::{HEAD_BYTES, Head};
@@ -24,7 +24,7 @@ pub const END: u32 = u32::MAX - 1;
 const SLICE_NS: u64 = 20_000_000;
 /// What is longer is copied ahead of its time, a piece at a time, while there is so much time until something else is due.
 const LONG_BYTES: usize = 64 << 10;
-const PIECE_BYTES: usize = 64 << 10;
+const PIECE_BYTES: usize = 16 << 10;
 const SLACK_NS: u64 = 100_000;
 /// So many messages are looked at in the place of a piece.
 const HEADS_AT_ONCE: usize = 32;
