@@ -10,6 +10,7 @@ mod check;
 mod completions;
 mod component;
 mod counts;
+mod definitions;
 mod demo;
 mod doctor;
 mod fits;

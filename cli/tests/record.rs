@@ -5,7 +5,9 @@
 mod peer;
 #[path = "../../msgs/schema/tests/support/mod.rs"]
 mod ros;
+mod support;
 
+use futures::StreamExt;
 use peer::{Peer, hex};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -13,12 +15,17 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
+use support::Here;
+use tautline::QosProfile;
+use tautline::example_interfaces::action::Fibonacci;
+use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline_bag::{BagError, Event, FileReader, Stamp, files_of};
 use tautline_msgs::Message;
 use tautline_schema::{DynamicMessage, Kind};
 use tautline_transport::{
-    EndpointKind, Gid, Limits, Participant, Publisher, Qos, RawPublisher, TopicType, Visitor,
+    EndpointKind, Gid, Limits, Participant, Publisher, Qos, RawPublisher, ServiceKind, ServiceType,
+    TopicEndpoint, TopicType, Visitor,
 };
 use tempfile::TempDir;
 
@@ -88,10 +95,11 @@ impl Place {
         for publisher in publishers {
             wait_for("an observer", || {
                 let graph = visitor.graph().unwrap();
-                let end = graph.endpoints.iter().find(|end| end.gid == publisher);
-                end.is_some_and(|end| {
-                    assert_eq!(end.kind, EndpointKind::Publisher);
-                    !visitor.overwritten(end).unwrap().is_empty()
+                let any = graph.endpoints.iter().find(|end| end.kind == EndpointKind::Publisher);
+                any.is_some_and(|any| {
+                    // Also of a service's requests or responses.
+                    let end = TopicEndpoint { gid: publisher, ..TopicEndpoint::clone(any) };
+                    !visitor.overwritten(&end).unwrap().is_empty()
                 })
             });
         }
@@ -468,6 +476,107 @@ fn a_full_disk_ends_a_bag_that_is_whole() {
     assert!(messages.len() > 300, "{}: {out}", messages.len());
     let (code, out, errors) = place.run(&["bag", "check", "bag"]);
     assert_eq!(code, 0, "{out}{errors}");
+}
+
+/// Requests and responses of a service and of an action's are in the bag as ROS's events, which others read; nobody else sees more.
+#[test]
+fn services_and_actions_are_recorded_as_events() {
+    let place = Place::new(36);
+    let mut here = Here::new(place.domain);
+    let mut node = here.node("robot", "");
+    let qos = QosProfile::services_default();
+    let requests = node.create_service::<AddTwoInts::Service>("/add", qos).unwrap();
+    here.serve(
+        &mut node,
+        requests.for_each(|request| {
+            let AddTwoInts::Request { a, b } = request.message;
+            request.respond(AddTwoInts::Response { sum: a + b }).unwrap();
+            std::future::ready(())
+        }),
+    );
+    let goals = node.create_action_server::<Fibonacci::Action>("/count").unwrap();
+    here.serve(
+        &mut node,
+        goals.for_each(|request| {
+            let (goal, _cancels) = request.accept().unwrap();
+            goal.publish_feedback(Fibonacci::Feedback { sequence: vec![0] }).unwrap();
+            let mut goal = goal;
+            goal.succeed(Fibonacci::Result { sequence: vec![0, 1, 1] }).unwrap();
+            std::future::ready(())
+        }),
+    );
+    let _add = node.create_client::<AddTwoInts::Service>("/add", qos).unwrap();
+    let _count = node.create_action_client::<Fibonacci::Action>("/count").unwrap();
+    let unknown = place.participant.create_raw_server(
+        "/odd",
+        &ServiceType::new("odd_srvs/srv/Odd", None),
+        1,
+        Limits::default(),
+    );
+    let recorder = place.record(&["--service", "add", "--service", "/odd", "--action", "/count", "--json"]);
+    let graph = place.participant.graph().unwrap();
+    let clients = graph.services.iter().filter(|end| end.kind == ServiceKind::Client).map(|end| end.gid);
+    assert_eq!(clients.clone().count(), 4);
+    place.wait_for_observers(clients);
+    for n in 0..20 {
+        let [request, response] = [format!("{{a: {n}, b: 2}}"), format!("sum: {}\n", n + 2)];
+        assert_eq!(here.taut(&["service", "call", "/add", &request]), response);
+    }
+    here.taut(&["action", "send_goal", "/count", "{order: 3}", "--feedback"]);
+    let (code, out, errors) = recorder.end();
+    drop(unknown);
+    assert!(code == 1 && errors.contains("the definition of odd_srvs/srv/Odd is not known"), "{errors}");
+    assert!(errors.contains("could not be: /odd/_service_event"), "{errors}");
+    let report: Value = serde_json::from_str(&out).unwrap();
+    let counted = |topic: &str, part: &str| {
+        let mut topics = report["topics"].as_array().unwrap().iter();
+        let it = topics.find(|it| it["topic"] == topic && it["part"] == part);
+        it.map_or(0, |it| it["messages"].as_u64().unwrap())
+    };
+    assert_eq!(report["lost"], 0, "{out}");
+    let mut expected = String::new();
+    for (service, calls) in [("/add", 20), ("/count/_action/send_goal", 1), ("/count/_action/get_result", 1)]
+    {
+        let topic = format!("{service}/_service_event");
+        assert_eq!([counted(&topic, "requests"), counted(&topic, "responses")], [calls; 2], "{service}");
+    }
+    // In the order of their reception: a request and its response in one look are told apart by the order of the seats.
+    for n in 0..20 {
+        let event = |kind: u8, request: String, response: String| {
+            format!(
+                "/add/_service_event {{\"info\": {{\"event_type\": {kind}, \"sequence_number\": 1}}, \"request\": [{request}], \
+                 \"response\": [{response}]}}\n"
+            )
+        };
+        expected += &event(0, format!("{{\"a\": {n}, \"b\": 2}}"), String::new());
+        expected += &event(2, String::new(), format!("{{\"sum\": {}}}", n + 2));
+    }
+    assert_eq!(counted("/count/_action/feedback", "messages"), 1);
+    expected += "/count/_action/feedback {\"feedback\": {\"sequence\": [0]}}\n";
+    expected += "/count/_action/send_goal/_service_event {\"request\": [{\"goal\": {\"order\": 3}}], \"response\": []}\n";
+    expected +=
+        "/count/_action/send_goal/_service_event {\"request\": [], \"response\": [{\"accepted\": true}]}\n";
+    expected +=
+        "/count/_action/get_result/_service_event {\"info\": {\"event_type\": 0}, \"response\": []}\n";
+    expected += "/count/_action/get_result/_service_event {\"response\": [{\"status\": 4, \"result\": {\"sequence\": [0, 1, 1]}}]}\n";
+    for _ in 0..counted("/count/_action/status", "messages") {
+        expected += "/count/_action/status {}\n";
+    }
+    // As any topic they are played, and checked.
+    let (code, played, errors) = place.run(&["play", "bag", "-x", "_action"]);
+    assert!(code == 0 && played.contains("40 messages") && !errors.contains("warning"), "{played}{errors}");
+    let Some(venv) = ros::ros() else { return };
+    let wanted = place.folder.path().join("expected");
+    std::fs::write(&wanted, &expected).unwrap();
+    let messages = expected.lines().count();
+    let mut script = Command::new(venv.join("bin/python"));
+    script
+        .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bag_values.py"))
+        .args([&place.bag(), &wanted]);
+    let (code, out, errors) = ended(script.env_remove("LD_LIBRARY_PATH").output().unwrap());
+    let states = counted("/count/_action/status", "messages");
+    let read = format!("rosbags {messages}\nmcap-ros2-support {states}\n");
+    assert!(code == 0 && out.starts_with(&read), "{out}{errors}");
 }
 
 /// Every type of a real ROS 2, random values: rclpy's bytes through Tautline and the recorder to readers that are not ours; from a bag that

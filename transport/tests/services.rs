@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::{Wake, Waker};
 use support::{Part, clean, domain, folder, participants, say, wait_for, wait_for_some, wait_for_the_end};
 use tautline_transport::{
-    Limits, Participant, RawClient, RawPending, RawSample, RawServer, RequestId, ServiceError, ServiceType,
-    TransportError,
+    Limits, Participant, RawClient, RawPending, RawSample, RawServer, RawSubscription, RequestId,
+    ServiceError, ServiceType, TransportError,
 };
 
 /// The child's part; without its variable it is no test.
@@ -121,6 +121,67 @@ fn a_client_that_waits_and_cannot_be_reached_is_not_taken_for_gone() {
     let error = silent.loan(RequestId::of(request.info()), 0).unwrap_err();
     assert!(matches!(error, ServiceError::ClientGone { .. }), "{error}");
     assert!(part.end().success());
+}
+
+/// Also when it takes nothing, and loses the oldest: nobody waits for it, and it counts them.
+#[test]
+fn who_looks_on_sees_requests_and_responses_of_all_and_disturbs_nobody() {
+    let [robot, tool] = [(); 2].map(|()| Participant::new(domain(57)).unwrap());
+    let [one, other] = [client(&robot, "/seen"), client(&robot, "/seen")];
+    let server = server(&robot, "/seen");
+    wait_for("the server", || [&one, &other].iter().all(|client| client.server_count() == 1));
+    let before = robot.graph().unwrap();
+    let service_type = ServiceType::new("test_srvs/srv/Bytes", None);
+    let observe = |depth| tool.create_service_observer("/seen", &service_type, depth, Limits::default());
+    let [requests, responses] = observe(4).unwrap();
+    let after = robot.graph().unwrap();
+    assert_eq!(before.services, after.services, "nobody sees it");
+    assert_eq!(before.endpoints, after.endpoints, "nobody sees it");
+    assert_eq!((server.client_count(), one.server_count()), (2, 1));
+    assert_eq!((requests.publisher_count(), responses.publisher_count()), (2, 1));
+    let seen = |observer: &RawSubscription| -> Vec<_> {
+        let next = || observer.try_take().unwrap();
+        let told = |sample: RawSample| (RequestId::of(sample.info()), sample.body().to_vec());
+        std::iter::from_fn(next).filter(RawSample::is_message).map(told).collect()
+    };
+    let id = |client: &RawClient, sequence_number| RequestId { client: client.gid(), sequence_number };
+    let call = |client: &RawClient, body: &[u8]| {
+        let pending = ask(client, body);
+        let request = take(&server);
+        respond(&server, &request, &[request.body(), b"!"].concat());
+        drop(request);
+        assert_eq!(pending.now_or_never().unwrap().unwrap().body(), [body, b"!"].concat());
+    };
+    // Numbers of the clients that skip and come back are no losses.
+    for (client, body) in [(&one, b"a"), (&one, b"b"), (&other, b"c"), (&one, b"d")] {
+        call(client, body);
+    }
+    let of = |body: &[u8]| body.to_vec();
+    let mut asked = seen(&requests);
+    asked.sort_by_key(|(_, body)| body.clone());
+    let expected = [(id(&one, 1), of(b"a")), (id(&one, 2), of(b"b")), (id(&other, 1), of(b"c"))];
+    assert_eq!(asked[..3], expected);
+    assert_eq!(asked[3], (id(&one, 3), of(b"d")));
+    let answered = seen(&responses);
+    let ids = [id(&one, 1), id(&one, 2), id(&other, 1), id(&one, 3)];
+    assert_eq!(answered.iter().map(|(id, _)| *id).collect::<Vec<_>>(), ids);
+    assert_eq!(answered[2].1, b"c!");
+    // More than its queues have room for.
+    for n in 0..100_u8 {
+        call([&one, &other][usize::from(n % 2)], &[n]);
+    }
+    assert_eq!(seen(&requests).len(), 8, "4 of each client");
+    let last = seen(&responses);
+    assert_eq!(last.iter().map(|(_, body)| body[0]).collect::<Vec<_>>(), [96, 97, 98, 99]);
+    assert_eq!((requests.counters().lost(), responses.counters().lost()), (92, 96));
+    assert_eq!(responses.counters().received(), 8);
+    // That there is no answer is no message.
+    let pending = ask(&one, b"nobody");
+    server.refuse(RequestId::of(take(&server).info())).unwrap();
+    assert!(matches!(pending.now_or_never().unwrap(), Err(ServiceError::ServerGone { .. })));
+    assert!(seen(&responses).is_empty());
+    drop((requests, responses));
+    call(&one, b"after");
 }
 
 #[test]

@@ -9,6 +9,7 @@ mod stage;
 mod statement;
 
 use crate::asking::full_name;
+use crate::definitions;
 use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::offers;
 use crate::record::{failed, say, size};
@@ -66,7 +67,7 @@ pub struct PlayArgs {
     #[arg(short, long, value_name = "FACTOR", default_value = "1", value_parser = factor)]
     rate: f64,
     /// Again and again, or N times
-    #[arg(short, long = "loop", value_name = "N", num_args = 0..=1, require_equals = true)]
+    #[arg(short = 'l', long = "loop", value_name = "N", num_args = 0..=1, require_equals = true)]
     again: Option<Option<NonZeroU64>>,
     /// Leave out what is before this time from the bag's start; what publishers had kept for late joiners until then is sent first
     #[arg(long, value_name = "TIME", value_parser = time)]
@@ -347,7 +348,7 @@ fn described(topic: &Topic) -> Outcome<(Option<Arc<Schema>>, TopicType)> {
     };
     let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
     let schema = match &topic.definition {
-        Some(text) => match Schema::from_text(&name, text) {
+        Some(text) => match definitions::from_bag(&name, text) {
             Ok(schema) => Some(Arc::new(schema)),
             Err(error) => {
                 say(&format!(

@@ -127,12 +127,14 @@ impl Stage {
         let mut ahead = Ahead { publishers: &publishers, scanned: 0, found: None };
         let mut was_empty = false;
         while !control.is_stopped() {
+            // Before the look at what is there: of one that has failed all is there by then.
+            let is_abandoned = consumer.is_abandoned();
             let slots = consumer.slots();
             // As much as there is: there is nobody else who takes any.
             let Ok(chunk) = consumer.read_chunk(slots) else { continue };
             let ring = Ring::of(&chunk);
             let Some((head, whole)) = ring.message(0) else {
-                if chunk.is_empty() && consumer.is_abandoned() {
+                if is_abandoned {
                     break;
                 }
                 was_empty = true;
@@ -152,7 +154,7 @@ impl Stage {
                     };
                     played.starved += u64::from(was_empty && due_ns + LOOK_NS < monotonic_ns());
                     match ahead.loan(ring, head, whole) {
-                        Ok(loan) => publish(loan, head, due_ns, &control, &mut played),
+                        Ok(loan) => publish(loan, head, due_ns, (&control, pacing.generation), &mut played),
                         Err(error) => played.refuse(error),
                     }
                 }
@@ -169,7 +171,13 @@ impl Stage {
     }
 }
 
-fn publish(mut loan: RawLoan<'_>, head: Head, due_ns: u64, control: &Control, played: &mut Played) {
+fn publish(
+    mut loan: RawLoan<'_>,
+    head: Head,
+    due_ns: u64,
+    (control, generation): (&Control, u64),
+    played: &mut Played,
+) {
     let source = MessageInfo {
         sequence_number: head.sequence,
         source_timestamp_ns: head.publish_ns.cast_signed(),
@@ -181,6 +189,10 @@ fn publish(mut loan: RawLoan<'_>, head: Head, due_ns: u64, control: &Control, pl
             Ok(()) => break,
             // Both ends keep all.
             Err(Unpublished::Full(again)) if !control.is_stopped() => {
+                // It was leapt over.
+                if control.generation.load(Ordering::Acquire) != generation {
+                    return;
+                }
                 loan = again;
                 sleep_until_monotonic(monotonic_ns() + LOOK_NS);
             }

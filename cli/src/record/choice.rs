@@ -2,6 +2,7 @@
 //! Which topics are recorded.
 
 use super::RecordArgs;
+use super::event::EVENTS;
 use crate::asking::{full_name, full_type};
 use crate::manners::{Failure, Outcome};
 use regex::Regex;
@@ -19,8 +20,16 @@ impl Choice {
         let regex = |text: &Option<String>| {
             text.as_deref().map(Regex::new).transpose().map_err(|error| Failure::unusable(error.to_string()))
         };
+        let events = |service: &str| format!("{}{EVENTS}", full_name(service));
+        let of_action = |action: &String| {
+            let of = |part: &str| format!("{}/_action/{part}", full_name(action));
+            let services = ["send_goal", "cancel_goal", "get_result"].map(|part| events(&of(part)));
+            services.into_iter().chain(["feedback", "status"].map(of))
+        };
+        let topics = args.topics.iter().map(|topic| full_name(topic));
+        let topics = topics.chain(args.service.iter().map(|service| events(service)));
         let choice = Choice {
-            topics: args.topics.iter().map(|topic| full_name(topic)).collect(),
+            topics: topics.chain(args.action.iter().flat_map(of_action)).collect(),
             all: args.all,
             regex: regex(&args.regex)?,
             types: args.types.iter().map(|name| full_type(name, "msg")).collect(),
@@ -28,13 +37,13 @@ impl Choice {
         };
         if !choice.all && choice.topics.is_empty() && choice.regex.is_none() && choice.types.is_empty() {
             return Err(Failure::unusable(
-                "nothing to record: name topics, or give -a, --regex or --type; `taut topic list` prints which there are",
+                "nothing to record: name topics, or give -a, --regex, --type, --service or --action; `taut topic list` prints which there are",
             ));
         }
         Ok(choice)
     }
 
-    /// Topics that were asked for by their names.
+    /// Topics that were asked for by their names, also of services' events.
     pub fn named(&self) -> &[String] {
         &self.topics
     }

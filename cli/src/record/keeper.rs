@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who writes messages to the disk, from the ring.
 
+use super::event::Events;
+use super::seats::Kept;
 use crate::manners::Outcome;
 use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Consumer;
@@ -10,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 use tautline::rt::{Policy, ThreadBuilder};
-use tautline_bag::{BagError, Finished, Stamp, Topic, TopicId, Writer};
+use tautline_bag::{BagError, Finished, Stamp, TopicId, Writer};
 
 /// What a kill can cost.
 const FLUSH: Duration = Duration::from_millis(500);
@@ -36,12 +38,12 @@ impl Keeper {
     pub fn start(
         writer: Writer,
         consumer: Consumer<u8>,
-        topics: Receiver<Topic>,
+        topics: Receiver<Kept>,
         is_over: Arc<AtomicBool>,
     ) -> Outcome<Self> {
         let (statement, stated) = channel();
         let thread = ThreadBuilder::new("keeper").policy(Policy::Other { nice: 0 });
-        let work = Work { writer, consumer, topics, ids: Vec::new(), scratch: Vec::new(), messages: 0 };
+        let work = Work { writer, consumer, topics, kept: Vec::new(), scratch: Vec::new(), messages: 0 };
         let thread = thread.spawn(move || move || work.run(&is_over, &stated))?;
         Ok(Keeper { statement, thread })
     }
@@ -57,8 +59,8 @@ impl Keeper {
 struct Work {
     writer: Writer,
     consumer: Consumer<u8>,
-    topics: Receiver<Topic>,
-    ids: Vec<TopicId>,
+    topics: Receiver<Kept>,
+    kept: Vec<(TopicId, Option<Events>)>,
     /// A message that goes over the ring's end.
     scratch: Vec<u8>,
     messages: u64,
@@ -107,11 +109,16 @@ impl Work {
         let whole = HEAD_BYTES + head.cdr_bytes as usize;
         // The taker is not through with it.
         let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };
-        while self.ids.len() <= head.topic as usize {
+        while self.kept.len() <= head.topic as usize {
             // Told before its first message.
-            let Ok(topic) = self.topics.recv() else { return Ok(false) };
-            self.ids.push(self.writer.add_topic(topic));
+            let Ok(kept) = self.topics.recv() else { return Ok(false) };
+            self.kept.push(match kept {
+                Kept::Topic(topic) => (self.writer.add_topic(topic), None),
+                Kept::Requests(topic, events) => (self.writer.add_topic(topic), Some(events)),
+                Kept::Responses(requests) => (self.kept[requests].0, None),
+            });
         }
+        let (topic, events) = &self.kept[head.topic as usize];
         let (first, second) = chunk.as_slices();
         let cdr = if second.is_empty() {
             &first[HEAD_BYTES..]
@@ -123,9 +130,14 @@ impl Work {
         };
         let stamp =
             Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns };
-        self.writer.write(self.ids[head.topic as usize], stamp, cdr)?;
+        let is_written = match events.as_ref().map(|events| events.written(cdr)) {
+            None => self.writer.write(*topic, stamp, cdr).map(|()| true),
+            Some(Ok(event)) => self.writer.write(*topic, stamp, &event).map(|()| true),
+            // No request of its service: what is missing in the end is said.
+            Some(Err(_)) => Ok(false),
+        };
+        self.messages += u64::from(is_written?);
         chunk.commit_all();
-        self.messages += 1;
         Ok(true)
     }
 }

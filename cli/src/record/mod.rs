@@ -5,6 +5,7 @@
 //! to the disk.
 
 mod choice;
+mod event;
 mod keeper;
 mod seats;
 mod statement;
@@ -44,6 +45,7 @@ const SAY: Duration = Duration::from_millis(500);
 #[command(after_help = "Examples:
   taut record /scan /odom                          until Ctrl-C, into a new folder
   taut record -a --exclude 'camera|/rosout' -o run1
+  taut record --service /add --action /dock        requests and responses as events
   taut record --type sensor_msgs/msg/Image --compression zstd --max-size 1GB
   taut record -a --max-time 5min --keep 12         the last hour
   taut record /scan --throttle /scan=1 --timeout 60s --json
@@ -56,13 +58,19 @@ pub struct RecordArgs {
     /// Topics; those that do not exist are waited for
     #[arg(value_name = "TOPIC", add = completions::topics())]
     topics: Vec<String>,
-    /// Every topic, and those that come
+    /// Every topic, service and action, and those that come
     #[arg(short, long)]
     all: bool,
+    /// Requests and responses of this service, as /SERVICE/_service_event; may be given several times
+    #[arg(long, value_name = "SERVICE")]
+    service: Vec<String>,
+    /// Goals, results, cancellations, feedback and states of this action; may be given several times
+    #[arg(long, value_name = "ACTION")]
+    action: Vec<String>,
     /// Topics whose name this regular expression is found in
     #[arg(short = 'e', long, value_name = "REGEX")]
     regex: Option<String>,
-    /// Topics of this type; may be given several times
+    /// Topics of this type, or services; may be given several times
     #[arg(long = "type", value_name = "TYPE")]
     types: Vec<String>,
     /// But none whose name this regular expression is found in

@@ -3,6 +3,8 @@
 
 use super::RecordArgs;
 use super::choice::Choice;
+use super::event::{EVENTS, Events, Part};
+use crate::definitions;
 use crate::manners::Outcome;
 use crate::offers;
 use crate::topic::tap;
@@ -12,15 +14,20 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};
 use tautline_bag::Topic;
-use tautline_transport::{Gid, Limits, Participant, RawSubscription, TopicType};
+use tautline_transport::{
+    Gid, Limits, Participant, RawSubscription, ServiceEndpoint, ServiceType, TopicType,
+};
 
 /// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].
 const DEEP: usize = 1000;
 const QUEUE_BYTES: usize = 1 << 20;
+/// Requests of a client, responses of a server, and what an action tells, that wait for the recorder: a goal's states come at once.
+const SERVICE_DEPTH: usize = 16;
 
 /// What the taker is given for a topic. One of the number of another replaces its subscription.
 pub struct Seat {
     pub number: usize,
+    pub part: Part,
     pub subscription: RawSubscription,
     /// The least time between two messages that are kept.
     pub throttle_ns: Option<u64>,
@@ -35,13 +42,34 @@ pub struct Counts {
     pub lost: AtomicU64,
 }
 
-/// A topic that is recorded.
+/// What the keeper makes of the messages of a seat.
+pub enum Kept {
+    /// Themselves.
+    Topic(Topic),
+    /// Events of requests.
+    Requests(Topic, Events),
+    /// The taker has made them events, of the topic of this seat.
+    Responses(usize),
+}
+
+/// A topic that is recorded, or one half of a service's events.
 pub struct Seated {
     pub topic: Topic,
+    pub part: Part,
     pub depth: usize,
     topic_type: TopicType,
     is_fetched: bool,
     counts: Arc<Counts>,
+}
+
+impl Seated {
+    /// Unlike that of any other seat, but for those of a topic of two types.
+    pub fn name(&self) -> String {
+        match self.part {
+            Part::Message => self.topic.name.clone(),
+            part => format!("{} {}", self.topic.name, part.name()),
+        }
+    }
 }
 
 pub struct Seats {
@@ -61,13 +89,13 @@ pub struct Seats {
     /// Topics whose publishers are elsewhere, which was said.
     elsewhere: HashSet<String>,
     to_taker: Sender<Seat>,
-    to_keeper: Sender<Topic>,
+    to_keeper: Sender<Kept>,
 }
 
 /// What the other threads are told of it: each topic, then the seat of the same number.
 pub struct Coming {
     pub seats: Receiver<Seat>,
-    pub topics: Receiver<Topic>,
+    pub topics: Receiver<Kept>,
 }
 
 impl Seats {
@@ -100,8 +128,11 @@ impl Seats {
         let graph = self.participant.graph()?;
         let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
         graph.endpoints.iter().for_each(|end| topics.entry(&end.topic).or_default().push(end));
+        // Clients are publishers of requests.
         if self.before.is_empty() && self.seated.is_empty() {
-            self.before = topics.values().flat_map(|ends| publishers(ends)).map(|end| end.gid).collect();
+            let clients = graph.services.iter().map(|end| end.gid);
+            self.before =
+                topics.values().flat_map(|ends| publishers(ends)).map(|end| end.gid).chain(clients).collect();
         }
         for (topic, ends) in topics {
             for end in publishers(&ends) {
@@ -114,7 +145,68 @@ impl Seats {
                 }
             }
         }
+        for service in &graph.services {
+            if let Err(failure) = self.seat_service(service, &tell) {
+                tell(&format!("warning: {} cannot be recorded: {failure}", service.name));
+                self.refused.insert(format!("{}{EVENTS}", service.name));
+            }
+        }
         Ok(())
+    }
+
+    /// Both halves of a service's events.
+    fn seat_service(&mut self, service: &ServiceEndpoint, tell: &impl Fn(&str)) -> Outcome {
+        let name = format!("{}{EVENTS}", service.name);
+        if !self.choice.takes(&name, &service.type_name) || self.refused.contains(&name) {
+            return Ok(());
+        }
+        let service_type = ServiceType::new(&service.type_name, service.type_hash.as_deref());
+        let of_name = self.numbers.get(&name).map_or(&[][..], Vec::as_slice);
+        if of_name.iter().any(|number| self.seated[*number].topic_type.agrees_with(&service_type.request)) {
+            return Ok(());
+        }
+        let Some(events) = Events::of(service) else {
+            tell(&format!(
+                "warning: {} cannot be recorded: the definition of {} is not known; source the ROS 2 that has it",
+                service.name, service.type_name
+            ));
+            self.refused.insert(name);
+            return Ok(());
+        };
+        let limits = Limits { held: 1, ..Limits::default() };
+        let depth = self.depth.unwrap_or(SERVICE_DEPTH);
+        let [requests, responses] =
+            self.participant.create_service_observer(&service.name, &service_type, depth, limits)?;
+        let (topic, number) = (events.topic(&service.name), self.seated.len());
+        let seated = |part| Seated {
+            topic: topic.clone(),
+            part,
+            depth,
+            topic_type: service_type.request.clone(),
+            is_fetched: false,
+            counts: Arc::default(),
+        };
+        self.add(seated(Part::Request), Kept::Requests(topic.clone(), events));
+        self.add(seated(Part::Response), Kept::Responses(number));
+        self.take_place(number, requests);
+        self.take_place(number + 1, responses);
+        Ok(())
+    }
+
+    fn add(&mut self, seated: Seated, kept: Kept) {
+        // The keeper ends before this only with an error of its own, which is told.
+        let _ = self.to_keeper.send(kept);
+        self.numbers.entry(seated.topic.name.clone()).or_default().push(self.seated.len());
+        self.seated.push(seated);
+    }
+
+    /// The taker takes the messages of this seat from there now.
+    fn take_place(&mut self, number: usize, subscription: RawSubscription) {
+        let Seated { topic, part, counts, .. } = &self.seated[number];
+        let hz = self.throttle.iter().find(|(name, _)| *name == topic.name).map(|(_, hz)| *hz);
+        let throttle_ns = hz.map(|hz| (1e9 / hz) as u64);
+        let (part, counts) = (*part, counts.clone());
+        let _ = self.to_taker.send(Seat { number, part, subscription, throttle_ns, counts });
     }
 
     /// `ends` are those of the topic, `end` is one of its publishers.
@@ -151,18 +243,12 @@ impl Seats {
         };
         let number = known.unwrap_or(self.seated.len());
         if known.is_none() {
-            let topic = described(ends, end, tell);
-            // The keeper ends before this only with an error of its own, which is told.
-            let _ = self.to_keeper.send(topic.clone());
-            let counts = Arc::default();
-            self.seated.push(Seated { topic, depth, topic_type, is_fetched, counts });
-            self.numbers.entry(end.topic.clone()).or_default().push(number);
+            let (topic, part, counts) = (described(ends, end, tell), Part::Message, Arc::default());
+            let kept = Kept::Topic(topic.clone());
+            self.add(Seated { topic, part, depth, topic_type, is_fetched, counts }, kept);
         }
         self.seated[number].is_fetched = is_fetched;
-        let hz = self.throttle.iter().find(|(topic, _)| *topic == end.topic).map(|(_, hz)| *hz);
-        let throttle_ns = hz.map(|hz| (1e9 / hz) as u64);
-        let counts = self.seated[number].counts.clone();
-        let _ = self.to_taker.send(Seat { number, subscription, throttle_ns, counts });
+        self.take_place(number, subscription);
         Ok(())
     }
 
@@ -195,7 +281,8 @@ fn publishers<'e>(ends: &'e [&'e TopicEndpoint]) -> impl Iterator<Item = &'e Top
 /// A deeper queue than the topic has costs its publishers memory: as many times what they reserve for a message, which is known only of
 /// types of fixed size.
 fn depth(ends: &[&TopicEndpoint], end: &TopicEndpoint) -> usize {
-    let own = ends.iter().map(|end| end.qos.depth).max().unwrap_or(1).clamp(1, DEEP);
+    let least = if end.topic.contains("/_action/") { SERVICE_DEPTH } else { 1 };
+    let own = ends.iter().map(|end| end.qos.depth).max().unwrap_or(1).clamp(least, DEEP);
     end.topic_type.body_bytes.map_or(own, |bytes| own.max((QUEUE_BYTES / (bytes + 64)).min(DEEP)))
 }
 
@@ -212,7 +299,7 @@ fn described(ends: &[&TopicEndpoint], end: &TopicEndpoint, tell: &impl Fn(&str))
         name: end.topic.clone(),
         type_name: end.topic_type.name.to_string(),
         type_hash: end.topic_type.hash.as_deref().unwrap_or_default().to_owned(),
-        definition: schema.map(|schema| schema.to_text()),
+        definition: schema.map(|schema| definitions::for_bag(&schema)),
         qos: publishers(ends).map(|publisher| offers::write(&publisher.qos)).collect(),
     }
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What became of every message, in the end: on the terminal, as JSON, and in the file.
 
+use super::event::Part;
 use super::failed;
 use super::keeper::Written;
 use super::seats::{Seated, Seats};
@@ -34,7 +35,9 @@ struct Row {
 
 impl Row {
     fn new(seated: Seated, taken: Taken, before: &HashSet<Gid>) -> Self {
-        let new = taken.ports.iter().filter(|port| !before.contains(&port.gid));
+        // Responses have the numbers of the clients that they go to.
+        let is_counted = seated.part != Part::Response;
+        let new = taken.ports.iter().filter(|port| is_counted && !before.contains(&port.gid));
         let missed = new.map(|port| port.first.saturating_sub(1)).sum();
         let peak = taken.ports.iter().map(|port| port.peak).max().unwrap_or(0);
         Row { seated, taken, missed, peak }
@@ -53,7 +56,8 @@ impl Row {
     fn json(&self) -> Value {
         let Row { seated, taken, .. } = self;
         json!({
-            "topic": seated.topic.name, "type": seated.topic.type_name, "messages": taken.messages, "bytes": taken.bytes,
+            "topic": seated.topic.name, "type": seated.topic.type_name, "part": seated.part.name(),
+            "messages": taken.messages, "bytes": taken.bytes,
             "lost": self.lost(), "overwritten": taken.lost, "before_connected": self.missed, "oversized": taken.oversized,
             "throttled": taken.throttled, "paused": taken.paused, "publishers": taken.ports.len(), "peak_hz": self.peak,
             "depth": seated.depth, "longest_stall_ns": taken.stall_ns,
@@ -79,7 +83,7 @@ impl Statement {
     /// A record of the last file.
     pub fn for_the_file(&self) -> BTreeMap<String, String> {
         let mut record: BTreeMap<_, _> =
-            self.rows.iter().map(|row| (row.seated.topic.name.clone(), row.json().to_string())).collect();
+            self.rows.iter().map(|row| (row.seated.name(), row.json().to_string())).collect();
         record.insert("lost".to_owned(), self.lost().to_string());
         record.insert("period_ns".to_owned(), self.period.as_nanos().to_string());
         record
@@ -151,7 +155,7 @@ impl Statement {
         let row = |row: &Row| {
             let stall = Duration::from_nanos(row.taken.stall_ns);
             let cells = vec![
-                row.seated.topic.name.clone(),
+                row.seated.name(),
                 row.seated.topic.type_name.clone(),
                 row.taken.messages.to_string(),
                 row.lost().to_string(),

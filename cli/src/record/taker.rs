@@ -5,6 +5,7 @@
 //! At SCHED_FIFO 1, where that is permitted: below all callbacks. No call for memory but for a publisher or topic that is new; waits
 //! for nobody. A message for which the ring has no room stays where it is, in the observer's queue.
 
+use super::event::Part;
 use super::seats::{Counts, Seat};
 use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Producer;
@@ -77,6 +78,7 @@ pub struct Harvest {
 }
 
 struct Place {
+    part: Part,
     subscription: RawSubscription,
     throttle_ns: Option<u64>,
     due_ns: u64,
@@ -133,13 +135,14 @@ impl Taker {
 
     fn admit(&mut self) {
         while let Ok(seat) = self.coming.try_recv() {
-            let Seat { number, subscription, throttle_ns, counts } = seat;
+            let Seat { number, part, subscription, throttle_ns, counts } = seat;
             match self.places.get_mut(number) {
                 Some(place) => {
                     place.lost_before = place.lost();
                     place.subscription = subscription;
                 }
                 None => self.places.push(Place {
+                    part,
                     subscription,
                     throttle_ns,
                     due_ns: 0,
@@ -169,7 +172,10 @@ impl Taker {
                 if !place.wants(&sample, is_paused) {
                     continue;
                 }
-                if HEAD_BYTES + sample.body().len() + 4 > self.producer.buffer().capacity().min(MOST_BYTES) {
+                let (front, front_bytes) = place.part.front(&sample.info());
+                let front = &front[..front_bytes];
+                let whole = HEAD_BYTES + 4 + front.len() + sample.body().len();
+                if whole > self.producer.buffer().capacity().min(MOST_BYTES) {
                     place.taken.oversized += 1;
                     continue;
                 }
@@ -177,7 +183,7 @@ impl Taker {
                 // What a publisher kept for late joiners came when this one joined.
                 let received_ns = released_ns.max(began_ns).min(now_ns.max(began_ns));
                 let log_ns = received_ns.cast_signed().saturating_add(self.offset_ns).max(0).cast_unsigned();
-                if copy(&mut self.producer, number, log_ns, &sample) {
+                if copy(&mut self.producer, number, log_ns, front, &sample) {
                     place.note(&sample);
                 } else {
                     place.held = Some(sample);
@@ -192,20 +198,20 @@ impl Taker {
 }
 
 /// The one copy. `false`: there is no room.
-fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, sample: &RawSample) -> bool {
+fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, front: &[u8], sample: &RawSample) -> bool {
     let (body, info) = (sample.body(), sample.info());
     let head = Head {
         topic: number as u32,
-        cdr_bytes: body.len() as u32 + 4,
+        cdr_bytes: (4 + front.len() + body.len()) as u32,
         sequence: info.sequence_number,
         log_ns,
         publish_ns: info.source_timestamp_ns.max(0).cast_unsigned(),
     };
-    if producer.slots() < HEAD_BYTES + 4 + body.len() {
+    if producer.slots() < HEAD_BYTES + 4 + front.len() + body.len() {
         return false;
     }
-    // There is room for all three.
-    let parts: [&[u8]; 3] = [&head.to_bytes(), &tautline_msgs::HEADER, body];
+    // There is room for all.
+    let parts: [&[u8]; 4] = [&head.to_bytes(), &tautline_msgs::HEADER, front, body];
     parts.iter().all(|part| producer.push_entire_slice(part).is_ok())
 }
 
@@ -220,6 +226,8 @@ impl Place {
         }
         loop {
             match self.subscription.try_take() {
+                // A server's word that there is no answer.
+                Ok(Some(taken)) if !taken.is_message() => {}
                 Ok(taken) => return taken,
                 // Counted by the subscription.
                 Err(TakeError::Invalid(_)) => {}

@@ -24,7 +24,9 @@ pub use typed::{Client, PendingResponse, Request, Response, Server, UnwrittenRes
 
 use crate::error::{LoanError, TransportError};
 use crate::graph::record::{REQUESTS, RESPONSES, is_absolute};
+use crate::participant::Participant;
 use crate::qos::Limits;
+use crate::topic::subscription::RawSubscription;
 use crate::topic::topic_type::TopicType;
 use std::sync::Arc;
 use tautline_msgs::cdr::{DecodeError, EncodeError};
@@ -84,6 +86,30 @@ fn topics(service: &str) -> Result<[String; 2], TransportError> {
     }
     let reason = "its name begins with '/' and has tokens of letters, digits and '_'";
     Err(TransportError::ServiceName { service: service.escape_default().to_string(), reason })
+}
+
+impl Participant {
+    /// Two [observers](Self::create_observer) of a service, for a tool: of the requests that clients on this host send to servers on it,
+    /// and of the responses. What identifies both is the request's client and number: [`RequestId::of`] their information. At most
+    /// `depth` of each end wait. Losses of responses are counted a little late: when the next one is taken.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_observer`](Self::create_observer).
+    pub fn create_service_observer(
+        &self,
+        service: &str,
+        service_type: &ServiceType,
+        depth: usize,
+        limits: Limits,
+    ) -> Result<[RawSubscription; 2], TransportError> {
+        let [requests, responses] = topics(service)?;
+        let requests = self.create_observer(&requests, &service_type.request, depth, limits)?;
+        let responses = self.create_observer(&responses, &service_type.response, depth, limits)?;
+        Ok([requests, responses])
+    }
 }
 
 /// Why a request was not answered, or an answer not sent. It names the service.

@@ -116,6 +116,7 @@ pub(crate) struct Shape {
     pub(crate) held: usize,
     /// Samples that the publisher may have loaned: it sends them without a look at what has come back.
     pub(crate) loans: usize,
+    pub(crate) is_observer: bool,
 }
 
 pub(crate) const BLOCK_BYTES: usize = size_of::<Block>();
@@ -124,7 +125,8 @@ const WORD_BYTES: usize = size_of::<u64>();
 impl Shape {
     /// As a subscription's record says, for a publisher that may have so many loans.
     pub(crate) fn of(subscription: &PortRecord, loans: usize) -> Self {
-        Shape { depth: subscription.qos.qos().depth, held: subscription.at as usize, loans }
+        let (depth, held) = (subscription.qos.qos().depth, subscription.at as usize);
+        Shape { depth, held, loans, is_observer: subscription.observer }
     }
 
     /// The subscription may take and return all that is queued, and what the publisher sends, before that one looks: it does with
@@ -361,7 +363,7 @@ mod tests {
     use tautline_rt::shm::OwnFile;
 
     const GID: Gid = Gid([3; 16]);
-    const SHAPE: Shape = Shape { depth: 3, held: 2, loans: 2 };
+    const SHAPE: Shape = Shape { depth: 3, held: 2, loans: 2, is_observer: false };
 
     /// The same memory twice, as two processes see it.
     fn memory(len: usize) -> [Arc<Mapping>; 2] {
@@ -436,7 +438,7 @@ mod tests {
 
     #[test]
     fn only_what_is_used_of_the_queues_is_touched() {
-        let shape = Shape { depth: 1000, held: 4, loans: 1 };
+        let shape = Shape { depth: 1000, held: 4, loans: 1, is_observer: false };
         let [here, there] =
             memory(BLOCK_BYTES.next_multiple_of(4096) + shape.queues_bytes().next_multiple_of(4096));
         let queues_at = BLOCK_BYTES.next_multiple_of(4096);

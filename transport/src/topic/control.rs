@@ -533,7 +533,7 @@ mod tests {
     use crate::participant::file::Peer;
     use crate::tests::isolated;
 
-    const SHAPE: Shape = Shape { depth: 10, held: 4, loans: 1 };
+    const SHAPE: Shape = Shape { depth: 10, held: 4, loans: 1, is_observer: false };
 
     fn gid(n: u64) -> Gid {
         Gid::of(5, n)
@@ -605,7 +605,7 @@ mod tests {
             || std::os::unix::fs::MetadataExt::blocks(&std::fs::metadata(memory.path()).unwrap()) * 512;
         let mut control = Control::create(&memory, gid(1)).unwrap();
         let before = blocks();
-        let shape = Shape { depth: 1000, held: 4, loans: 1 };
+        let shape = Shape { depth: 1000, held: 4, loans: 1, is_observer: false };
         let made: Vec<_> = (0..100).map(|n| control.connect(gid(n), shape, 0).unwrap()).collect();
         let unused = blocks() - before;
         assert!(unused < 200 << 10, "{unused} bytes for 100 connections");

@@ -33,13 +33,15 @@ pub(crate) struct Demand {
     pub(crate) held: usize,
     /// What is kept for late joiners.
     pub(crate) kept: usize,
+    /// Of responses, which each go to one client: the greatest depth of those that look on, and get all.
+    pub(crate) observed: usize,
 }
 
 impl Demand {
     /// Whatever subscriptions there are.
     pub(crate) fn of_publisher(qos: &Qos) -> Self {
         let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
-        Demand { depth: kept, held: 0, kept }
+        Demand { depth: kept, kept, ..Demand::default() }
     }
 
     pub(crate) fn join(&mut self, depth: usize, held: usize) {
@@ -56,7 +58,8 @@ impl Demand {
     /// fill yet, with what was kept when that began. A subscription that has gone leaves its queue as it was until its samples are
     /// back, while the others go on: until then it counts its depth as held.
     pub(crate) fn samples(self, loans: usize) -> usize {
-        self.depth.saturating_add(self.held).saturating_add(self.kept).saturating_add(loans)
+        let parts = [self.held, self.kept, self.observed, loans];
+        parts.into_iter().fold(self.depth, usize::saturating_add)
     }
 }
 

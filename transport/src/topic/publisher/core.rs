@@ -11,7 +11,7 @@ use crate::graph::own::OwnRecord;
 use crate::graph::record::{PortKind, PortRecord, QosRecord};
 use crate::participant::Reached;
 use crate::participant::file::OwnMemory;
-use crate::qos::{Claim, Durability, History as KeepWhat, Limits, Qos};
+use crate::qos::{Claim, Durability, Limits, Qos};
 use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::connection::{ReaderState, Shape};
@@ -229,11 +229,9 @@ impl PublisherCore {
         let refuse = |source| self.no_memory(shape.queues_bytes() as u64, *sample_bytes, source);
         let connected = control.connect(target.gid, shape, if is_on_use { 0 } else { usize::MAX });
         let (connection, place) = connected.map_err(refuse)?;
-        let keeps_all = qos.history == KeepWhat::KeepAll;
         let reached = (target.reached.clone(), slot);
         let samples = pool.end().max(*words * 64);
-        let sender =
-            Sender::new(target.gid, shape, keeps_all, target.port.partner, reached, connection, samples);
+        let sender = Sender::new(target.gid, shape, &target.port, reached, connection, samples);
         let history = self.history.as_ref().filter(|_| qos.durability == Durability::TransientLocal);
         if let Some(history) = history {
             if is_on_use {
@@ -271,8 +269,9 @@ impl PublisherCore {
         TransportError::Memory { topic: self.topic.name.clone(), bytes, sample_bytes, source }
     }
 
-    fn join(&self, demand: &mut Demand, Shape { depth, held, .. }: Shape) {
+    fn join(&self, demand: &mut Demand, Shape { depth, held, is_observer, .. }: Shape) {
         match self.is_addressed {
+            true if is_observer => demand.observed = demand.observed.max(depth),
             // Each queue has other samples.
             true => demand.depth = demand.depth.saturating_add(depth),
             false => demand.join(depth, 0),
@@ -298,7 +297,9 @@ impl PublisherCore {
         let all = demand.samples(self.limits.loans);
         match self.limits.claim {
             Claim::OnUse => 0,
-            Claim::Ahead if self.is_addressed => all.min(self.limits.loans + FIRST_RESPONSES),
+            Claim::Ahead if self.is_addressed => {
+                all.min(self.limits.loans + FIRST_RESPONSES + demand.observed)
+            }
             Claim::Ahead => all,
         }
     }

@@ -118,7 +118,7 @@ pub(crate) struct Sending {
     pub(crate) stamp: Stamp,
     pub(crate) when_full: WhenFull,
     pub(crate) kind: SampleKind,
-    /// To this subscription alone.
+    /// To this subscription, and to observers.
     pub(crate) to: Option<Gid>,
 }
 
@@ -290,7 +290,11 @@ impl RawPublisher {
             segment.add(index);
             sender.note_sample(now_ns);
             // SAFETY: it is live, so its sending half is this thread's.
-            unsafe { sender.submit(number, chunk, pool) };
+            unsafe {
+                // An observer counts for itself what is sent to others, each of which does.
+                let is_others = sending.to.is_some_and(|to| to != sender.subscription);
+                sender.submit(if is_others { sender.next_own() } else { number }, chunk, pool);
+            }
         }
         segment.release(index);
         // Release: pairs with the Acquire of who sets up a late joiner; what is kept is kept.
@@ -355,7 +359,7 @@ impl RawPublisher {
             sender.block().back.taken.load(Ordering::Acquire)
                 >= sender.block().out.sent.load(Ordering::Relaxed)
         };
-        live.table().receiving(None).all(is_taken)
+        live.table().receiving(None).filter(|sender| !sender.is_observer).all(is_taken)
     }
 
     /// The subscription whose client sends requests through the port `partner`, if responses to it arrive.

@@ -10,7 +10,9 @@
 
 use super::core::Connected;
 use super::history::History;
+use crate::graph::record::PortRecord;
 use crate::participant::Reached;
+use crate::qos::History as KeepWhat;
 use crate::topic::chunks::Chunks;
 use crate::topic::connection::{Block, Connection, Shape};
 use crate::topic::hand_over::HandOver;
@@ -30,6 +32,8 @@ pub(crate) struct Sender {
     places: usize,
     /// A publisher that keeps all must not overwrite in its queue.
     pub(crate) keeps_all: bool,
+    /// It looks on: it gets what is sent to one subscription as well, and is never waited for.
+    pub(crate) is_observer: bool,
     /// Of a client's responses: the port of its requests.
     pub(crate) partner: Option<u64>,
     reached: Reached,
@@ -106,8 +110,7 @@ impl Sender {
     pub(crate) fn new(
         subscription: Gid,
         shape: Shape,
-        keeps_all: bool,
-        partner: Option<u64>,
+        port: &PortRecord,
         (reached, slot): (Reached, usize),
         connection: Connection,
         samples: usize,
@@ -119,8 +122,9 @@ impl Sender {
             subscription,
             depth: shape.depth as u64,
             places: shape.returned_len(),
-            keeps_all,
-            partner,
+            keeps_all: port.qos.qos().history == KeepWhat::KeepAll,
+            is_observer: port.observer,
+            partner: port.partner,
             reached,
             slot,
             connection,
@@ -206,6 +210,15 @@ impl Sender {
                 pool.release_number(number);
             }
         }
+    }
+
+    /// The number of the next sample, where each subscription counts what is sent to it.
+    ///
+    /// # Safety
+    /// For who has the sending half.
+    pub(crate) unsafe fn next_own(&self) -> u64 {
+        // SAFETY: as the caller promises.
+        unsafe { (*self.half.get()).last + 1 }
     }
 
     /// Submits a sample; the oldest comes back if the queue is full.
@@ -382,13 +395,14 @@ impl Woken {
 }
 
 impl Table {
-    /// The subscriptions that a sample goes to: all, or one; not those that have gone and only hold samples.
+    /// The subscriptions that a sample goes to: all, or one and those that look on; not those that have gone and only hold samples.
     ///
     /// # Real-time
     /// O(subscriptions).
     pub(crate) fn receiving(&self, to: Option<Gid>) -> impl Iterator<Item = &Sender> {
         let is_meant = move |sender: &&Sender| {
-            to.is_none_or(|to| sender.subscription == to) && !sender.leaving.load(Ordering::Relaxed)
+            to.is_none_or(|to| sender.subscription == to || sender.is_observer)
+                && !sender.leaving.load(Ordering::Relaxed)
         };
         self.live().filter(is_meant)
     }
@@ -460,10 +474,13 @@ impl Live {
         self.sequence_number += 1;
         match to {
             None => self.sequence_number,
-            Some(_) => self.table().receiving(to).next().map_or(0, |sender| {
-                // SAFETY: it is live, so its sending half is this thread's.
-                unsafe { (*sender.half.get()).last + 1 }
-            }),
+            Some(to) => {
+                let mut receiving = self.table().receiving(Some(to));
+                receiving.find(|sender| sender.subscription == to).map_or(0, |sender| {
+                    // SAFETY: it is live, so its sending half is this thread's.
+                    unsafe { sender.next_own() }
+                })
+            }
         }
     }
 

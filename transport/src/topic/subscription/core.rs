@@ -222,7 +222,9 @@ impl SubscriptionCore {
         connection.bring_in();
         connection.block().back.mapped.store(grown, Ordering::Relaxed);
         connection.block().back.set_state(ReaderState::Attached);
-        let receiver = Arc::new(Receiver::new(*gid, connection, source.head(), reached, slot));
+        // A server's answers go to clients, each of which is told its own numbers.
+        let is_others = self.is_observer && port.partner.is_some();
+        let receiver = Arc::new(Receiver::new(*gid, is_others, connection, source.head(), reached, slot));
         let qos = port.qos.qos();
         let has_lease =
             qos.liveliness == Liveliness::ManualByTopic && qos.liveliness_lease_duration.is_some();

@@ -65,6 +65,12 @@ impl RawSample {
         self.kind
     }
 
+    /// Whether it is a message: not a server's word that there will be no answer, which besides clients only
+    /// [`create_service_observer`](crate::Participant::create_service_observer)'s subscriptions meet.
+    pub fn is_message(&self) -> bool {
+        self.kind == SampleKind::Message
+    }
+
     /// The publisher on this host that the message came through: [`MessageInfo::publisher_gid`], unless that one is on
     /// another host.
     pub fn port_gid(&self) -> Gid {

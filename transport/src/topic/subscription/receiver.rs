@@ -27,6 +27,8 @@ use tautline_rt::shm::Mapping;
 pub(crate) struct Receiver {
     pub(crate) publisher: Gid,
     connection: Arc<Connection>,
+    /// What it sends goes to others, one at a time: its numbers are theirs.
+    is_others: bool,
     /// Says whether there are other segments than those that were mapped.
     head: Option<Head>,
     /// Where the publisher is rung when it waits for room.
@@ -42,6 +44,8 @@ struct Half {
     next: u64,
     /// Taken from the queue, but in a segment that is not mapped here yet.
     parked: Option<u64>,
+    /// Of others' samples: how many were overwritten, and counted.
+    overwritten: u64,
 }
 
 // SAFETY: `half` is used by the thread that takes, once it has adopted the receiver; by nobody before, and by nobody after it is done.
@@ -136,6 +140,7 @@ impl Receiver {
     #[allow(clippy::disallowed_methods, reason = "set-up")]
     pub(crate) fn new(
         publisher: Gid,
+        is_others: bool,
         connection: Connection,
         head: Option<Head>,
         reached: Reached,
@@ -143,12 +148,13 @@ impl Receiver {
     ) -> Self {
         Receiver {
             publisher,
+            is_others,
             connection: Arc::new(connection),
             head,
             reached,
             slot,
             turn: HandOver::new(),
-            half: UnsafeCell::new(Half { next: 0, parked: None }),
+            half: UnsafeCell::new(Half { next: 0, parked: None, overwritten: 0 }),
         }
     }
 
@@ -215,10 +221,17 @@ impl Receiver {
         };
         // SAFETY: a sample that was submitted is not written before it was returned, and lies within the mapping.
         let header = unsafe { payload.cast::<u8>().byte_sub(HEADER_BYTES).cast::<SampleHeader>().read() };
-        let number = header.sequence_number;
         if half.next == 0 {
             half.next = self.block().out.start.load(Ordering::Relaxed);
         }
+        let number = match self.is_others {
+            false => header.sequence_number,
+            true => {
+                let overwritten = self.block().out.overwritten.load(Ordering::Relaxed);
+                let before = core::mem::replace(&mut half.overwritten, overwritten);
+                half.next.saturating_add(overwritten.saturating_sub(before))
+            }
+        };
         let lost = number.saturating_sub(half.next);
         // Numbers are another process's claims: too large a one is a wrong count, not an overflow.
         half.next = half.next.max(number.saturating_add(1));
