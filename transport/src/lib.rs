@@ -51,8 +51,8 @@ mod topic;
 pub use cleanup::start_recorder;
 pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
 pub use graph::{
-    EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, Origin, Rank, RemoteGraph,
-    RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicInfo, Visitor, graph_of,
+    Death, EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, Origin, Rank,
+    RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicInfo, Visitor, graph_of,
 };
 pub use participant::{MAX_DOMAIN, Participant};
 pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};

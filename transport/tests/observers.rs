@@ -173,9 +173,18 @@ fn the_dead_are_not_seen_though_nobody_buried_them() {
     let ends = of_topic(&mut visitor, "/left");
     let end = ends.values().find(|end| end.kind == EndpointKind::Publisher).unwrap();
     assert_eq!(visitor.sent(end).unwrap().unwrap().messages, 1);
+    let pid = part.pid();
     part.kill();
     wait_for("it to be missed", || of_topic(&mut visitor, "/left").is_empty());
     assert_eq!(visitor.sent(end).unwrap(), None);
+    assert_eq!(visitor.take_deaths().iter().map(|death| death.pid).collect::<Vec<_>>(), [pid]);
+    // Whoever ends as it should is no death; nor is one again.
+    let mut part = Part::start("publisher", domain);
+    assert_eq!(part.hear(), "ready");
+    wait_for("it to be seen", || !of_topic(&mut visitor, "/left").is_empty());
+    assert!(part.end().success());
+    wait_for("its end", || of_topic(&mut visitor, "/left").is_empty());
+    assert_eq!(visitor.take_deaths(), []);
     drop(visitor);
     // And it leaves nothing behind once somebody comes by.
     drop(Participant::new(domain).unwrap());

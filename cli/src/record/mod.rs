@@ -4,6 +4,7 @@
 //! This thread looks who is there; `taker` takes what comes and copies it once, into a ring of locked memory; `keeper` writes from there
 //! to the disk.
 
+mod black_box;
 mod choice;
 mod event;
 mod keeper;
@@ -13,6 +14,7 @@ mod taker;
 
 use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome, time};
+use black_box::{Alarms, Kind, Vault};
 use choice::Choice;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -22,13 +24,13 @@ use statement::Statement;
 use std::collections::BTreeMap;
 use std::io::{self, IsTerminal, Write};
 use std::num::NonZeroU32;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use taker::{Pace, Taker};
 use tautline::rt::{self, MemoryLock, Policy, ThreadBuilder};
-use tautline_bag::{Compression, Options, Writer};
+use tautline_bag::{BagError, Compression, Options, Writer};
 use tautline_transport::Participant;
 
 /// How often is looked who is there.
@@ -48,10 +50,11 @@ const SAY: Duration = Duration::from_millis(500);
   taut record --service /add --action /dock        requests and responses as events
   taut record --type sensor_msgs/msg/Image --compression zstd --max-size 1GB
   taut record -a --max-time 5min --keep 12         the last hour
+  taut record -a --black-box 30s --budget 1GB      the last 30 s before a deadline is missed, a process dies, a topic falls silent
   taut record /scan --throttle /scan=1 --timeout 60s --json
 
 Exit codes: 0 nothing was lost; 1 something was, or a named topic did not come; 2 it could not be written.
-On a terminal the enter key pauses and goes on; so does SIGUSR1.")]
+On a terminal the enter key pauses and goes on; so does SIGUSR1. A black box is written then.")]
 pub struct RecordArgs {
     #[command(flatten)]
     manners: Manners,
@@ -91,7 +94,7 @@ pub struct RecordArgs {
     /// A new file when one has messages of this time
     #[arg(long, value_name = "TIME", value_parser = time)]
     max_time: Option<Duration>,
-    /// Keep no more files than this: the oldest is removed
+    /// Keep no more files than this, or bags of a black box: the oldest is removed
     #[arg(long, value_name = "N")]
     keep: Option<NonZeroU32>,
     /// At most so many messages a second of this topic; may be given several times
@@ -109,6 +112,22 @@ pub struct RecordArgs {
     /// How often is looked for messages
     #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = time)]
     period: Duration,
+    /// Keep the last TIME in memory, and write it, a bag each time, when something of --on happens
+    #[arg(long, value_name = "TIME", value_parser = time, conflicts_with = "paused")]
+    black_box: Option<Duration>,
+    /// What the black box is written for
+    #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', requires = "black_box",
+          default_values_t = [Kind::Deadline, Kind::Death, Kind::Silence, Kind::Request])]
+    on: Vec<Kind>,
+    /// A topic is silent after this time [default: ten times its longest pause, 1s at least]; may be given several times
+    #[arg(long, value_name = "TOPIC=TIME", value_parser = silent, requires = "black_box")]
+    silent: Vec<(String, Duration)>,
+    /// What comes so long after it is in the bag, too
+    #[arg(long, value_name = "TIME", value_parser = time, default_value = "1s", requires = "black_box")]
+    after: Duration,
+    /// Keep no trace events in the black box: processes do not record any for it
+    #[arg(long, requires = "black_box")]
+    no_trace: bool,
     /// Take messages at an ordinary priority, instead of SCHED_FIFO 1 where that is permitted
     #[arg(long)]
     no_rt: bool,
@@ -153,6 +172,11 @@ pub fn size(text: &str) -> Result<u64, String> {
     number.map(|bytes| bytes as u64).ok_or_else(|| format!("'{text}' is no size: 500MB or 4GiB is one"))
 }
 
+fn silent(text: &str) -> Result<(String, Duration), String> {
+    let (topic, text) = text.rsplit_once('=').ok_or("TOPIC=TIME, such as /scan=200ms")?;
+    Ok((crate::asking::full_name(topic), time(text)?))
+}
+
 fn throttle(text: &str) -> Result<(String, f64), String> {
     let (topic, hz) = text.rsplit_once('=').ok_or("TOPIC=HZ, such as /scan=10")?;
     let hz = hz.parse::<f64>().ok().filter(|hz| (1e-6..1e9).contains(hz));
@@ -164,22 +188,33 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let choice = Choice::new(args)?;
     let domain = args.manners.domain()?;
     let mut end = End::of(&args.manners)?;
-    let is_paused = Arc::new(AtomicBool::new(args.paused));
-    listen(&is_paused)?;
+    let (is_paused, asked) = (Arc::new(AtomicBool::new(args.paused)), Arc::new(AtomicBool::new(false)));
+    listen(if args.black_box.is_some() { &asked } else { &is_paused })?;
     // Before anything else: what is locked, and what it costs, is there before the first message.
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
         say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
     }
     let (producer, consumer) = crate::ring::touched(args.budget)?;
-    let folder = args.output.clone().unwrap_or_else(|| default_folder().into());
+    let folder = args.output.clone().unwrap_or_else(|| args.default_folder().into());
     let participant = Participant::new(domain)?;
-    let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
-    let (seats, coming) = Seats::new(participant, choice, args);
     let (stop, is_over) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-    let keeper = Keeper::start(writer, consumer, coming.topics, is_over.clone())?;
+    let (seats, coming) = Seats::new(participant, choice, args);
     let pace =
         Pace { period_ns: rt::clock::nanoseconds(args.period).max(100_000), is_paused: is_paused.clone() };
     let taker = Taker::new(producer, coming.seats, pace, stop.clone());
+    let mut behind = match args.black_box {
+        None => {
+            let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
+            Behind::Keeper(Keeper::start(writer, consumer, coming.topics, is_over.clone())?)
+        }
+        Some(span) => {
+            let plan = args.plan(&folder, domain, span, taker.offset_ns())?;
+            let tracing = args.tracing(domain, span)?;
+            let alarms = Alarms::new(domain, &args.on, &args.silent, span, asked)?;
+            let vault = Vault::start(plan, consumer, coming.topics, tracing, is_over.clone())?;
+            Behind::Vault(vault, Box::new(alarms))
+        }
+    };
     let priority = if args.no_rt { None } else { rt::permission::realtime_permitted(1).is_ok().then_some(1) };
     let policy = priority.map_or(Policy::Other { nice: 0 }, Policy::Fifo);
     let thread = ThreadBuilder::new("taker").policy(policy);
@@ -187,8 +222,12 @@ pub fn run(args: &RecordArgs) -> Outcome {
 
     end.restart();
     let until = if end.timeout().is_some() { "" } else { ", until Ctrl-C" };
-    say(&format!("recording domain {domain} into {}{until}", folder.display()));
-    let watched = watch(args, &end, seats, &is_over, &is_paused);
+    let what = match args.black_box {
+        None => String::new(),
+        Some(span) => format!("the last {} s of ", span.as_secs_f64()),
+    };
+    say(&format!("recording {what}domain {domain} into {}{until}", folder.display()));
+    let watched = watch(args, &end, seats, &mut behind, (&is_over, &is_paused));
     // What was sent until now is taken, then written; whatever happened.
     stop.store(true, Ordering::Release);
     let taken = thread.join()?;
@@ -196,13 +235,33 @@ pub fn run(args: &RecordArgs) -> Outcome {
         Ok(seats) => seats,
         Err(failure) => {
             // The bag is whole all the same.
-            keeper.finish(BTreeMap::new())?;
+            match behind {
+                Behind::Keeper(keeper) => drop(keeper.finish(BTreeMap::new())?),
+                Behind::Vault(vault, _) => drop(vault.finish()?),
+            }
             return Err(failure);
         }
     };
     let statement = Statement::new(seats, taken, args.period);
-    let written = keeper.finish(statement.for_the_file());
-    statement.print(&folder, written, args.manners.json)
+    match behind {
+        Behind::Keeper(keeper) => {
+            let written = keeper.finish(statement.for_the_file());
+            statement.print(&folder, written, args.manners.json)
+        }
+        Behind::Vault(vault, _) => {
+            let vaulted = vault.finish();
+            if !args.manners.json {
+                statement.table(&mut anstream::stdout().lock())?;
+            }
+            black_box::print(args, &folder, vaulted, statement.lost())
+        }
+    }
+}
+
+/// What takes messages out of the ring.
+enum Behind {
+    Keeper(Keeper),
+    Vault(Vault, Box<Alarms>),
 }
 
 /// Until the end. Whoever writes may have none to write to before.
@@ -210,13 +269,19 @@ fn watch(
     args: &RecordArgs,
     end: &End,
     mut seats: Seats,
-    is_over: &AtomicBool,
-    is_paused: &AtomicBool,
+    behind: &mut Behind,
+    (is_over, is_paused): (&AtomicBool, &AtomicBool),
 ) -> Outcome<Seats> {
     let progress = progress(args.manners.json);
     let mut said = Instant::now();
     while !end.is_reached() && !is_over.load(Ordering::Acquire) {
         seats.look(|words| progress.suspend(|| say(&format!("taut: {words}"))))?;
+        if let Behind::Vault(vault, alarms) = behind {
+            for alarm in alarms.look(&seats)? {
+                progress.suspend(|| say(&format!("taut: {}: {}", alarm.kind.name(), alarm.words)));
+                vault.alarm(alarm);
+            }
+        }
         if said.elapsed() >= SAY {
             said = Instant::now();
             let state = if is_paused.load(Ordering::Relaxed) { "paused, " } else { "" };
@@ -248,9 +313,9 @@ pub fn progress(json: bool) -> ProgressBar {
     progress
 }
 
-/// What pauses, and goes on.
-fn listen(is_paused: &Arc<AtomicBool>) -> Outcome {
-    let toggled = is_paused.clone();
+/// What pauses, and goes on; or asks.
+fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
+    let toggled = toggled.clone();
     let handle = move || {
         toggled.fetch_xor(true, Ordering::Relaxed);
     };
@@ -273,6 +338,48 @@ impl RecordArgs {
             keep_files: self.keep,
         }
     }
+
+    fn plan(&self, folder: &Path, domain: u32, span: Duration, offset_ns: i64) -> Outcome<black_box::Plan> {
+        // Said at once, not on the day.
+        if folder.exists() {
+            return Err(failed(BagError::Exists(folder.to_owned())));
+        }
+        let refuse = |source| failed(BagError::Write { path: folder.to_owned(), source });
+        std::fs::create_dir(folder).map_err(refuse)?;
+        Ok(black_box::Plan {
+            folder: folder.to_owned(),
+            options: Options { keep_files: None, ..self.options() },
+            session: session(domain),
+            // What was before the alarm, and what comes after it.
+            span_ns: rt::clock::nanoseconds(span.saturating_add(self.after)),
+            after_ns: rt::clock::nanoseconds(self.after),
+            most_bags: self.keep.map(|keep| keep.get() as usize),
+            offset_ns,
+        })
+    }
+
+    /// `None`: none was asked for, or another one records.
+    fn tracing(&self, domain: u32, span: Duration) -> Outcome<Option<black_box::Tracing>> {
+        if self.no_trace {
+            return Ok(None);
+        }
+        match tautline_transport::start_recorder(domain) {
+            Ok(recorder) => {
+                let span_ns = rt::clock::nanoseconds(span + self.after);
+                Ok(Some(black_box::Tracing::start(recorder, domain, span_ns)?))
+            }
+            Err(error) => {
+                say(&format!("taut: warning: the black box keeps no trace events: {error}"));
+                Ok(None)
+            }
+        }
+    }
+
+    /// `bag_` or `black_box_` and the time, UTC.
+    fn default_folder(&self) -> String {
+        let what = if self.black_box.is_some() { "black_box" } else { "bag" };
+        format!("{what}_{}", date(rt::clock::wall_ns()).replace(' ', "-").replace(':', "_"))
+    }
 }
 
 /// What each file says of where it was recorded.
@@ -290,11 +397,6 @@ fn session(domain: u32) -> BTreeMap<String, String> {
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into()
-}
-
-/// `bag_` and the time, UTC.
-fn default_folder() -> String {
-    format!("bag_{}", date(rt::clock::wall_ns()).replace(' ', "-").replace(':', "_"))
 }
 
 /// As `2026-11-23 10:00:00`, of UTC.

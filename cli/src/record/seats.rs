@@ -252,6 +252,14 @@ impl Seats {
         Ok(())
     }
 
+    /// Topics by their numbers, with the messages that came.
+    pub fn heard(&self) -> impl Iterator<Item = (usize, &str, u64)> {
+        let topics = self.seated.iter().enumerate().filter(|(_, seated)| seated.part == Part::Message);
+        topics.map(|(number, seated)| {
+            (number, &*seated.topic.name, seated.counts.messages.load(Ordering::Relaxed))
+        })
+    }
+
     pub fn is_empty(&self) -> bool {
         self.seated.is_empty()
     }

@@ -76,7 +76,7 @@ impl Statement {
         Statement { rows: rows.collect(), absent, waited: harvest.waited, time, period }
     }
 
-    fn lost(&self) -> u64 {
+    pub fn lost(&self) -> u64 {
         self.rows.iter().map(Row::lost).sum()
     }
 
@@ -146,7 +146,8 @@ impl Statement {
         Ok(())
     }
 
-    fn table(&self, out: &mut impl Write) -> io::Result<()> {
+    /// What became of each topic.
+    pub fn table(&self, out: &mut impl Write) -> io::Result<()> {
         if self.rows.is_empty() {
             return Ok(());
         }

@@ -98,6 +98,11 @@ impl Taker {
         Taker { producer, coming, pace, stop, places: Vec::new(), offset_ns, began_ns, waited: 0 }
     }
 
+    /// From `CLOCK_MONOTONIC` to times of reception.
+    pub fn offset_ns(&self) -> i64 {
+        self.offset_ns
+    }
+
     pub fn run(mut self) -> Harvest {
         let mut next_ns = self.began_ns;
         loop {

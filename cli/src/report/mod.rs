@@ -11,7 +11,7 @@ use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
 mod explain;
 mod json;
-mod run;
+pub mod run;
 mod table;
 mod verdict;
 mod watch;

@@ -3,11 +3,11 @@
 
 mod chrome;
 mod csv;
-mod file;
+pub mod file;
 mod hops;
 mod latency;
 mod messages;
-mod record;
+pub mod record;
 mod recording;
 mod ways;
 

@@ -141,7 +141,8 @@ fn lower_priority() -> Result<(), TraceError> {
     }
 }
 
-fn session(domain: u32) -> Entry {
+/// What begins a recording.
+pub fn session(domain: u32) -> Entry {
     let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
     Entry::Session {
         domain,

@@ -24,7 +24,7 @@ pub(crate) use model::Model;
 pub use origin::{Origin, Rank};
 pub(crate) use own::{Entry, OwnRecord};
 pub use remote::{RemoteGraph, RemoteNode};
-pub use visitor::{Visitor, graph_of};
+pub use visitor::{Death, Visitor, graph_of};
 
 use crate::error::TransportError;
 use crate::participant::Participant;

@@ -4,6 +4,7 @@
 use super::domain::Domain;
 use super::log::{Entry, Kind, Reader};
 use super::record::{NodeRecord, PortKind, PortRecord, RemotePortRecord, RemoteServiceRecord};
+use super::visitor::Death;
 use super::{
     EndpointKind, GraphSnapshot, NodeInfo, NodeName, Origin, Rank, ServiceEndpoint, ServiceKind,
     TopicEndpoint, is_of_service, service_of,
@@ -41,6 +42,8 @@ pub(crate) struct Model {
     told: HashMap<u64, Vec<(Rank, Gid)>>,
     /// Tags of publishers that have ended by themselves, and since when that is known.
     ended: VecDeque<(Instant, u64)>,
+    /// Processes that ended without ending what they had, if this is a visitor's.
+    pub(super) deaths: Vec<Death>,
     snapshot: Arc<GraphSnapshot>,
 }
 
@@ -211,6 +214,7 @@ impl Model {
         for id in gone {
             if let Some(mut member) = self.members.remove(&id) {
                 self.hear_last(id, &mut member);
+                self.note_death(id, &mut member);
                 self.unlist(id, &member);
             }
         }
@@ -254,7 +258,8 @@ impl Model {
         let dead: Vec<u64> =
             self.members.keys().filter(|id| !Peer::lives(domain.number(), **id)).copied().collect();
         for id in dead {
-            if let Some(member) = self.members.remove(&id) {
+            if let Some(mut member) = self.members.remove(&id) {
+                self.note_death(id, &mut member);
                 self.unlist(id, &member);
                 self.epoch = None;
             }
@@ -294,6 +299,23 @@ impl Model {
             if ended.contains(number) || news.anew && !still.contains(number) {
                 self.note_gone(id, member.is_relay, *number, port);
             }
+        }
+    }
+
+    /// A participant has gone. Whoever ends by himself says so of all that he has before.
+    fn note_death(&mut self, id: u64, member: &mut Member) {
+        if self.own != VISITOR {
+            return;
+        }
+        // What was read before counts if the last of it cannot be.
+        let _ = self.read(id, member);
+        let has_ports = member.ports.values().any(|port| !port.observer);
+        if let Some(peer) = member.peer.as_ref().filter(|_| has_ports || !member.nodes.is_empty())
+            && self.deaths.len() < MOST_ENDED
+        {
+            let own = |node: &NodeRecord| (!member.is_relay).then(|| node.name.clone());
+            let nodes = member.nodes.values().filter_map(own).collect();
+            self.deaths.push(Death { pid: peer.pid(), nodes });
         }
     }
 

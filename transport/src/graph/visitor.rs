@@ -3,7 +3,7 @@
 
 use super::domain::Domain;
 use super::model::{Model, VISITOR};
-use super::{EndpointKind, GraphSnapshot, TopicEndpoint};
+use super::{EndpointKind, GraphSnapshot, NodeName, TopicEndpoint};
 use crate::error::TransportError;
 use crate::participant::{check_domain, file::Peer};
 use crate::topic::connection::Connection;
@@ -31,6 +31,15 @@ pub struct Visitor {
     looked: Instant,
     /// Of publishers that were asked for.
     views: HashMap<Gid, View>,
+}
+
+/// A process that ended without ending what it had in the domain: it was killed, crashed, or left by `exit`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Death {
+    /// The process.
+    pub pid: u32,
+    /// Its nodes, but for those of other hosts that a gateway or bridge told of.
+    pub nodes: Vec<NodeName>,
 }
 
 impl Visitor {
@@ -63,6 +72,11 @@ impl Visitor {
         let graph = self.model.look(domain)?;
         self.views.retain(|gid, _| self.model.memory_of(*gid).is_some());
         Ok(graph)
+    }
+
+    /// Who died among the processes that the [`graph`](Self::graph) showed, since this was last asked: at most 4,096.
+    pub fn take_deaths(&mut self) -> Vec<Death> {
+        std::mem::take(&mut self.model.deaths)
     }
 
     /// Why participants that live are left out of the [`graph`](Self::graph): they are of another version of Tautline, or damaged.
