@@ -19,6 +19,9 @@ const MOST_MESSAGES: u64 = 1 << 45;
 /// Keys and values of a record, and its name.
 pub type Metadata = (String, BTreeMap<String, String>);
 
+/// Metadata of a file, all of it.
+const MOST_METADATA: usize = 64 << 20;
+
 /// What the index of a file says is in it, and what the file says of itself. `None`: it has no index, or none that is whole.
 ///
 /// # Errors
@@ -37,6 +40,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
     let mut of_file = FileSummary { path: path.to_owned(), bytes, ..FileSummary::default() };
     let (mut schemas, mut channels, mut counts) = (HashMap::new(), Vec::new(), BTreeMap::new());
     let (mut is_compressed, mut metadata) = (false, Vec::new());
+    let mut metadata_bytes = 0;
     for (kind, body) in Records(&section) {
         match parse(kind, body) {
             Ok(Some(Record::Schema { header, data })) => {
@@ -60,6 +64,11 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
             Ok(Some(Record::MetadataIndex(index))) => {
                 let record =
                     read(index.offset, index.offset.saturating_add(index.length))?.unwrap_or_default();
+                // Each may point at the same.
+                metadata_bytes += record.len();
+                if metadata_bytes > MOST_METADATA {
+                    return Ok(None);
+                }
                 if let Some((op::METADATA, body)) = Records(&record).next()
                     && let Ok(Some(Record::Metadata(found))) = parse(op::METADATA, body)
                 {

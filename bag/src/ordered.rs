@@ -8,6 +8,11 @@ use std::collections::{BTreeSet, BinaryHeap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// So many files are open at once, and one more.
+const MOST_OPEN: usize = 256;
+/// Messages that wait for their turn: chunks of times that overlap.
+const MOST_WAITING: usize = 2 << 30;
+
 /// A message, and which of [`Ordered::topics`] it is of.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OwnedMessage {
@@ -29,18 +34,18 @@ pub struct Ordered {
     extents: Vec<(usize, Extent)>,
     /// So many of them are to be read.
     left: usize,
-    /// The one that was read from last.
-    open: Option<Open>,
+    /// Those that were read from; a file is looked through once.
+    open: Vec<Option<Open>>,
     topics: Vec<Arc<Topic>>,
     numbers: HashMap<(String, String), usize>,
     waiting: BinaryHeap<Reverse<Waiting>>,
+    waiting_bytes: usize,
     /// Of messages with the same time the one that was read first is first.
     count: u64,
     damage: BTreeSet<(PathBuf, u64, String)>,
 }
 
 struct Open {
-    file: usize,
     reader: FileReader,
     /// The topic of a channel, by its address, which is not another's as long as it is here.
     numbers: HashMap<usize, (Arc<Topic>, usize)>,
@@ -61,8 +66,18 @@ impl Ordered {
         let files = files_of(path)?;
         let (extents, topics, numbers) = (Vec::new(), Vec::new(), HashMap::new());
         let (waiting, damage) = (BinaryHeap::new(), BTreeSet::new());
-        let mut bag =
-            Ordered { files, extents, left: 0, open: None, topics, numbers, waiting, count: 0, damage };
+        let mut bag = Ordered {
+            files,
+            extents,
+            left: 0,
+            open: Vec::new(),
+            topics,
+            numbers,
+            waiting,
+            waiting_bytes: 0,
+            count: 0,
+            damage,
+        };
         for file in 0..bag.files.len() {
             tell(&bag.files[file]);
             let (reader, extents) = bag.opened(file)?;
@@ -71,6 +86,8 @@ impl Ordered {
             }
             bag.extents.extend(extents.into_iter().map(|extent| (file, extent)));
             bag.note(file, &reader);
+            let is_kept = file < MOST_OPEN;
+            bag.open.push(is_kept.then(|| Open { reader, numbers: HashMap::new() }));
         }
         // Stable: of two that begin at the same time the one in front is read first.
         bag.extents.reverse();
@@ -87,13 +104,14 @@ impl Ordered {
     /// The earliest and the latest time of reception, by what the files say; `None` without messages.
     pub fn span_ns(&self) -> Option<(u64, u64)> {
         let extents = self.extents.iter().map(|(_, extent)| extent);
-        let start = extents.clone().map(|extent| extent.start_ns).filter(|start| *start > 0).min();
+        let start = extents.clone().map(|extent| extent.start_ns).min();
         start.zip(extents.map(|extent| extent.end_ns).max())
     }
 
     /// From the beginning again; chunks whose messages are all before `from_ns` are left out.
     pub fn rewind(&mut self, from_ns: u64) {
         self.waiting.clear();
+        self.waiting_bytes = 0;
         // Latest first by their beginning: those in front of the first that ends late enough are of no use.
         let used = self.extents.iter().rposition(|(_, extent)| extent.end_ns >= from_ns);
         self.left = used.map_or(0, |last| last + 1);
@@ -111,7 +129,9 @@ impl Ordered {
             self.left -= 1;
             self.take_in(file, extent)?;
         }
-        Ok(self.waiting.pop().map(|Reverse(first)| first.message))
+        let next = self.waiting.pop().map(|Reverse(first)| first.message);
+        self.waiting_bytes -= next.as_ref().map_or(0, |message| message.cdr.len());
+        Ok(next)
     }
 
     /// What is wrong in it, as far as it was read: the file, where, and what.
@@ -122,9 +142,12 @@ impl Ordered {
     }
 
     fn take_in(&mut self, file: usize, extent: Extent) -> Result<(), BagError> {
-        let mut open = match self.open.take() {
-            Some(open) if open.file == file => open,
-            _ => Open { file, reader: self.opened(file)?.0, numbers: HashMap::new() },
+        let mut open = match self.open[file].take() {
+            Some(open) => open,
+            None => {
+                self.open[MOST_OPEN..].fill_with(|| None);
+                Open { reader: self.opened(file)?.0, numbers: HashMap::new() }
+            }
         };
         let Open { reader, numbers, .. } = &mut open;
         reader.read_at(extent.position, extent.whole, &mut |event| {
@@ -138,13 +161,21 @@ impl Ordered {
                 });
                 let (stamp, cdr) = (message.stamp, message.cdr.to_vec());
                 let message = OwnedMessage { topic, stamp, cdr };
+                self.waiting_bytes += message.cdr.len();
                 self.waiting.push(Reverse(Waiting { log_ns: stamp.log_ns, count: self.count, message }));
                 self.count += 1;
             }
             Ok::<_, BagError>(())
         })?;
         self.note(file, &open.reader);
-        self.open = Some(open);
+        self.open[file] = Some(open);
+        if self.waiting_bytes > MOST_WAITING {
+            let reason = format!(
+                "more than {} MB of messages are of overlapping times: `taut bag merge` puts them in order",
+                MOST_WAITING >> 20
+            );
+            return Err(BagError::Format { path: self.files[file].clone(), reason });
+        }
         Ok(())
     }
 

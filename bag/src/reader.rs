@@ -113,6 +113,9 @@ pub(crate) struct Extent {
     pub(crate) end_ns: u64,
 }
 
+/// Linux's number of an error of the disk.
+const EIO: i32 = 5;
+
 fn number(bytes: &[u8]) -> u64 {
     bytes.try_into().map_or(0, u64::from_le_bytes)
 }
@@ -203,21 +206,24 @@ impl FileReader {
     /// # Errors
     /// The file cannot be read.
     pub(crate) fn extents(&mut self) -> Result<Vec<Extent>, BagError> {
-        let (mut position, mut extents) = (MAGIC.len() as u64, Vec::new());
+        let (mut position, mut extents, mut is_whole) = (MAGIC.len() as u64, Vec::new(), false);
         while let Some((kind, whole)) = self.head(position)?.map(|(kind, len)| (kind, RECORD_HEAD + len)) {
-            let mut times = [0; 16];
+            let mut times = [0; 24];
             match kind {
                 _ if position + whole > self.bytes => break,
-                op::CHUNK | op::MESSAGE if whole >= RECORD_HEAD + 16 && !self.is_ended => {
+                op::CHUNK | op::MESSAGE if whole >= RECORD_HEAD + 24 && !self.is_ended => {
                     let at = position + RECORD_HEAD;
                     self.file.read_exact_at(&mut times, at).map_err(BagError::read(&self.path))?;
-                    let [start_ns, end_ns] = match kind {
-                        op::CHUNK => [number(&times[..8]), number(&times[8..])],
+                    let [start_ns, end_ns, bytes] = match kind {
+                        op::CHUNK => [number(&times[..8]), number(&times[8..16]), number(&times[16..])],
                         // Channel and sequence number are before it.
-                        _ => [number(&times[6..14]); 2],
+                        _ => [number(&times[6..14]), number(&times[6..14]), whole],
                     };
-                    extents.push(Extent { position, whole, start_ns, end_ns });
+                    if bytes > 0 {
+                        extents.push(Extent { position, whole, start_ns, end_ns: end_ns.max(start_ns) });
+                    }
                 }
+                op::FOOTER => is_whole = self.ends(position + whole)?,
                 op::SCHEMA | op::CHANNEL | op::DATA_END => {
                     self.read_at(position, whole, &mut |_| Ok::<_, BagError>(()))?;
                 }
@@ -226,7 +232,7 @@ impl FileReader {
             position += whole;
         }
         // Channels are in the summary behind the data, or only where their messages are.
-        if !self.is_ended || self.channels.is_empty() {
+        if !self.is_ended || !is_whole || self.channels.is_empty() {
             self.is_ended = false;
             self.read(&mut |_| Ok::<_, BagError>(()))?;
         }
@@ -246,7 +252,15 @@ impl FileReader {
         }
         let mut record = std::mem::take(&mut self.record);
         record.resize(whole as usize, 0);
-        self.file.read_exact_at(&mut record, position).map_err(BagError::read(&self.path))?;
+        match self.file.read_exact_at(&mut record, position) {
+            // A damaged sector.
+            Err(error) if error.raw_os_error() == Some(EIO) => {
+                self.note(position, "the disk cannot read it");
+                self.record = record;
+                return Ok(());
+            }
+            read => read.map_err(BagError::read(&self.path))?,
+        }
         let done = self.record(record.first().copied().unwrap_or_default(), &record, position, visit);
         self.record = record;
         done
@@ -302,12 +316,7 @@ impl FileReader {
         while let Some((kind, len_bytes)) = self.head(position)? {
             position += RECORD_HEAD + len_bytes;
             if kind == op::FOOTER {
-                let mut magic = [0; 8];
-                let is_there = position + 8 == self.bytes;
-                if is_there {
-                    self.file.read_exact_at(&mut magic, position).map_err(BagError::read(&self.path))?;
-                }
-                if magic == *MAGIC {
+                if self.ends(position)? {
                     return Ok(());
                 }
                 break;
@@ -315,6 +324,16 @@ impl FileReader {
         }
         self.note(position.min(self.bytes), "the file's index is cut off");
         Ok(())
+    }
+
+    /// Whether the file ends here, behind the footer, as it should.
+    fn ends(&self, position: u64) -> Result<bool, BagError> {
+        let mut magic = [0; 8];
+        let is_there = position + 8 == self.bytes;
+        if is_there {
+            self.file.read_exact_at(&mut magic, position).map_err(BagError::read(&self.path))?;
+        }
+        Ok(magic == *MAGIC)
     }
 
     /// `record` is all of it, with kind and length.

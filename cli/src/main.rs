@@ -18,6 +18,7 @@ mod gateway;
 mod graph;
 mod init;
 mod interface;
+mod keys;
 mod lifecycle;
 mod log;
 mod man;

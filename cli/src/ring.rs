@@ -3,6 +3,7 @@
 
 use crate::manners::{Failure, Outcome};
 use rtrb::{Consumer, Producer, RingBuffer};
+use std::sync::atomic::{Ordering, fence};
 
 /// What is in front of each message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +41,14 @@ impl Head {
             publish_ns: eight(24),
         }
     }
+}
+
+/// Whether nobody puts anything in any more: all that was is seen by who looks after this.
+pub fn has_ended(consumer: &Consumer<u8>) -> bool {
+    let has_ended = consumer.is_abandoned();
+    // Pairs with the Release of the producer's end: rtrb reads that without order.
+    fence(Ordering::Acquire);
+    has_ended
 }
 
 /// Both ends of a ring whose pages have been written to.

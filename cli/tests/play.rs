@@ -107,6 +107,7 @@ impl Place {
         let mut reader = BufReader::with_capacity(1, child.stderr.as_mut().unwrap());
         let mut line = String::new();
         while !line.starts_with("playing") {
+            print!("{line}");
             line.clear();
             assert!(reader.read_line(&mut line).unwrap() > 0, "it ended");
         }
@@ -243,6 +244,8 @@ fn nobody_is_surprised_by_messages_beside_his_own() {
     let (code, out, errors) = place.play(&["--rate", "10"]);
     assert!(code == 2 && errors.contains("/odd has live publishers") && out.is_empty(), "{out}{errors}");
     assert_eq!(seen(&subscriptions), []);
+    let (code, _, errors) = place.play(&["--remap", "/ode:=/other"]);
+    assert!(code == 1 && errors.contains("did you mean /odd?"), "{errors}");
     let (code, _, errors) = place.play(&["--rate", "10", "--remap", "/odd:=/other"]);
     assert_eq!(code, 0, "{errors}");
     let each: Vec<_> = subscriptions.chunks(1).map(|one| seen(one).len()).collect();
@@ -346,6 +349,33 @@ fn on_a_terminal_it_leaps() {
     let (code, out, errors) = ended(child.wait_with_output().unwrap());
     assert!(code == 0 && errors.contains("'what' is none of: enter pauses"), "{out}{errors}");
     assert_eq!(until(53), [&[0, 1900, 500][..], &(1950..2000).collect::<Vec<_>>()].concat());
+}
+
+/// What was read ahead of passes to come is not lost, and times that begin anew do not add up.
+#[test]
+fn a_leap_in_a_loop_leaves_the_passes_that_are_to_come() {
+    let place = Place::new(47);
+    let flags = pty::OpenptFlags::RDWR | pty::OpenptFlags::NOCTTY | pty::OpenptFlags::CLOEXEC;
+    let terminal = pty::openpt(flags).unwrap();
+    pty::grantpt(&terminal).unwrap();
+    pty::unlockpt(&terminal).unwrap();
+    let path = pty::ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
+    place.write_counts(50, "volatile");
+    let subscriptions = place.counts(&["/even", "/odd"]);
+    let mut command = place.command(&["--paused", "--loop=5", "--clock"]);
+    command.stdin(File::options().read(true).write(true).open(path).unwrap());
+    let child = Place::begin(command);
+    let mut terminal = File::from(terminal);
+    let mut all = Vec::new();
+    terminal.write_all(b"s 15ms\n\n").unwrap();
+    wait_for("messages", || {
+        all.extend(seen(&subscriptions));
+        all.len() >= 35 + 4 * 50
+    });
+    let (code, out, errors) = ended(child.wait_with_output().unwrap());
+    assert!(code == 0 && out.contains("235 messages"), "{out}{errors}");
+    let passes = (0..4).flat_map(|_| 0..50);
+    assert_eq!(numbers(&all), (15..50).chain(passes).collect::<Vec<_>>());
 }
 
 #[test]

@@ -291,6 +291,21 @@ fn what_is_lost_is_counted() {
     assert!(info.contains(&format!("lost {lost} messages")), "{info}");
 }
 
+/// Also of the first publisher of a domain, which nobody knows before.
+#[test]
+fn what_came_before_the_recorder_found_it_is_counted() {
+    let place = Place::new(46);
+    let recorder = place.record(&["-a", "--json"]);
+    let publisher = place.publisher::<Count>("/first", Qos::default());
+    publisher.publish(&Count { n: 1 }).unwrap();
+    place.wait_for_observer(publisher.gid());
+    publisher.publish(&Count { n: 2 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    let report: Value = serde_json::from_str(&out).unwrap();
+    let (kept, lost) = (report["messages"].as_u64().unwrap(), report["lost"].as_u64().unwrap());
+    assert_eq!((code, kept + lost), (i32::from(lost > 0), 2), "{out}{errors}");
+}
+
 #[test]
 fn topics_are_chosen() {
     let place = Place::new(7);

@@ -4,7 +4,6 @@
 use super::stage::Control;
 use crate::manners::{End, Failure, Outcome, time};
 use crate::record::{progress, say};
-use std::io::{self, IsTerminal};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -48,30 +47,31 @@ pub fn listen(control: &Arc<Control>) -> Outcome {
 
 fn obey(control: &Control, start_ns: u64, word: &Word) {
     match word {
-        Word::Pause => drop(control.is_paused.fetch_xor(true, Ordering::Relaxed)),
+        Word::Pause => {
+            // Steps that found no message are not for the next time.
+            control.steps.store(0, Ordering::Relaxed);
+            control.is_paused.fetch_xor(true, Ordering::Relaxed);
+        }
         // It is for one that stands.
         Word::Step if control.is_paused.load(Ordering::Relaxed) => {
             control.steps.fetch_add(1, Ordering::Relaxed);
         }
         Word::Step => {}
-        Word::Seek(to) => control.seek(start_ns.saturating_add(nanoseconds(*to))),
+        Word::Seek(to) => {
+            control.steps.store(0, Ordering::Relaxed);
+            control.seek(start_ns.saturating_add(nanoseconds(*to)));
+        }
     }
 }
 
 /// Shows where it is, and hears what is typed, until it is over.
 pub fn watch(control: &Arc<Control>, end: &End, start_ns: u64, is_json: bool, is_over: impl Fn() -> bool) {
     let progress = progress(is_json);
-    if io::stdin().is_terminal() {
-        let control = control.clone();
-        std::thread::spawn(move || {
-            for line in io::stdin().lines().map_while(Result::ok) {
-                match word(&line) {
-                    Ok(word) => obey(&control, start_ns, &word),
-                    Err(error) => say(&format!("taut: {error}")),
-                }
-            }
-        });
-    }
+    let typed = control.clone();
+    crate::keys::lines(move |line| match word(line) {
+        Ok(word) => obey(&typed, start_ns, &word),
+        Err(error) => say(&format!("taut: {error}")),
+    });
     while !end.is_reached() && !is_over() {
         let (at_ns, messages) =
             (control.position_ns.load(Ordering::Relaxed), control.published.load(Ordering::Relaxed));

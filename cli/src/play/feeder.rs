@@ -7,12 +7,16 @@ use rtrb::Producer;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tautline_bag::{BagError, Ordered, OwnedMessage};
 use tautline_msgs::cdr::Endian;
 use tautline_msgs::split_header;
 use tautline_schema::{DynamicMessage, Schema};
 
+/// So much of the bag's time is enough to begin with, or what is read in so long.
+const ENOUGH: Duration = Duration::from_secs(2);
+/// What is kept of a topic for late joiners, at most.
+const LATCHED_BYTES: usize = 64 << 20;
 /// How often is looked whether there is room.
 const PERIOD: Duration = Duration::from_millis(1);
 
@@ -43,17 +47,45 @@ pub struct Feeder {
     pub times: Option<u64>,
     /// Messages that were put in.
     pub given: u64,
+    /// What publishers had kept at a time, which is read once.
+    pub latched: Option<(u64, Vec<(usize, OwnedMessage)>)>,
+    /// Since when, and from which time of reception on, the ring is filled.
+    pub filling: Option<(Instant, u64)>,
+    /// How much of the bag's time a second plays.
+    pub rate: f64,
 }
 
 /// What became of it.
 pub struct Fed {
     /// Of each part: messages that are none of its type, or too long; and why the first of them.
     pub unplayable: Vec<(u64, Option<String>)>,
+    /// Of topics that a damaged file did not tell of.
+    pub untold: u64,
     /// The bag could not be read any further.
     pub failed: Option<BagError>,
     /// Parts of it that are not as they should be, and the first of them.
     pub damaged: usize,
     pub damage: Option<String>,
+}
+
+/// What the publishers of a topic had kept.
+#[derive(Clone, Default)]
+struct Latched {
+    messages: VecDeque<OwnedMessage>,
+    bytes: usize,
+}
+
+impl Latched {
+    fn keep(&mut self, message: OwnedMessage, most: usize) {
+        if most == 0 {
+            return;
+        }
+        self.bytes += message.cdr.len();
+        self.messages.push_back(message);
+        while self.messages.len() > most || self.bytes > LATCHED_BYTES && self.messages.len() > 1 {
+            self.bytes -= self.messages.pop_front().map_or(0, |message| message.cdr.len());
+        }
+    }
 }
 
 /// Why there is no more to be put in.
@@ -68,19 +100,22 @@ enum Halt {
 impl Feeder {
     pub fn run(mut self) -> Fed {
         let mut unplayable = vec![(0, None); self.parts.len()];
-        let (mut from_ns, mut passes) = (self.from_ns, 0);
+        let (mut from_ns, mut passes, mut untold) = (self.from_ns, 0, 0);
         let failed = loop {
             let generation = self.control.generation.load(Ordering::Acquire);
             if generation > 0 {
+                // What was read ahead of passes to come is read again.
+                passes = self.control.pass.load(Ordering::Acquire);
                 from_ns = self.control.seek_ns.load(Ordering::Relaxed);
             }
             let halt = loop {
-                let given = match self.pass(from_ns, generation, &mut unplayable) {
+                let given = match self.pass((from_ns, passes), generation, &mut unplayable, &mut untold) {
                     Ok(given) => given,
                     Err(halt) => break halt,
                 };
+                let is_whole = from_ns == self.from_ns;
                 (from_ns, passes) = (self.from_ns, passes + 1);
-                if given == 0 || self.times.is_some_and(|times| passes >= times) {
+                if given == 0 && is_whole || self.times.is_some_and(|times| passes >= times) {
                     break self.rest(generation);
                 }
             };
@@ -94,63 +129,78 @@ impl Feeder {
         let first = self.bag.damage().next();
         let damage = first
             .map(|(path, damage)| format!("{}: at byte {}: {}", path.display(), damage.offset, damage.what));
-        Fed { unplayable, failed, damaged: self.bag.damage().count(), damage }
+        Fed { unplayable, untold, failed, damaged: self.bag.damage().count(), damage }
     }
 
     /// All of it from a time of reception on; how many messages that was.
     fn pass(
         &mut self,
-        from_ns: u64,
+        (from_ns, pass): (u64, u64),
         generation: u64,
         unplayable: &mut [(u64, Option<String>)],
+        untold: &mut u64,
     ) -> Result<u64, Halt> {
         let given = self.given;
         let keeps = self.parts.iter().any(|part| part.kept > 0);
+        let is_known = self.latched.as_ref().is_some_and(|(of_ns, _)| *of_ns == from_ns);
         // What is kept may be of any time before.
-        self.bag.rewind(if keeps { 0 } else { from_ns });
-        self.put(mark(BEGIN, from_ns.max(self.start_ns), generation), &[], generation)?;
-        let mut kept = vec![VecDeque::<OwnedMessage>::new(); self.parts.len()];
-        let mut is_before = true;
+        self.bag.rewind(if keeps && !is_known { 0 } else { from_ns });
+        let mut kept = vec![Latched::default(); self.parts.len()];
+        let mut has_begun = false;
         while let Some(message) = self.bag.next_message().map_err(Halt::Failed)? {
-            let Some(part) = self.numbers.get(message.topic).copied().flatten() else { continue };
+            self.still(generation)?;
+            let Some(part) = self.numbers.get(message.topic) else {
+                *untold += 1;
+                continue;
+            };
+            let Some(part) = *part else { continue };
             if message.stamp.log_ns < from_ns {
-                let most = self.parts[part].kept;
-                if most > 0 {
-                    kept[part].push_back(message);
-                    let excess = kept[part].len().saturating_sub(most);
-                    kept[part].drain(..excess);
+                if !is_known {
+                    kept[part].keep(message, self.parts[part].kept);
                 }
-                self.still(generation)?;
                 continue;
             }
-            if std::mem::take(&mut is_before) {
-                self.give_kept(&mut kept, from_ns, generation, unplayable)?;
+            if !std::mem::replace(&mut has_begun, true) {
+                self.begin(&mut kept, (from_ns, pass), generation, unplayable)?;
             }
             if message.stamp.log_ns > self.to_ns {
                 break;
             }
             self.give(part, &message, message.stamp.log_ns, generation, unplayable)?;
         }
-        if is_before {
-            self.give_kept(&mut kept, from_ns, generation, unplayable)?;
+        if !has_begun {
+            self.begin(&mut kept, (from_ns, pass), generation, unplayable)?;
         }
         Ok(self.given - given)
     }
 
-    /// What publishers had kept at the beginning, in the order of its reception.
-    fn give_kept(
+    /// When the first message is at hand: time begins, with what publishers had kept then, in the order of its reception.
+    fn begin(
         &mut self,
-        kept: &mut [VecDeque<OwnedMessage>],
-        from_ns: u64,
+        kept: &mut [Latched],
+        (from_ns, pass): (u64, u64),
         generation: u64,
         unplayable: &mut [(u64, Option<String>)],
     ) -> Result<(), Halt> {
-        let of_part = |(part, kept): (usize, &mut VecDeque<OwnedMessage>)| {
-            kept.drain(..).map(|message| (part, message)).collect::<Vec<_>>()
+        let latched = match self.latched.take() {
+            Some((of_ns, latched)) if of_ns == from_ns => latched,
+            _ => {
+                let of_part = |(part, kept): (usize, &mut Latched)| {
+                    kept.messages.drain(..).map(|message| (part, message)).collect::<Vec<_>>()
+                };
+                let mut all: Vec<_> = kept.iter_mut().enumerate().flat_map(of_part).collect();
+                all.sort_by_key(|(_, message)| message.stamp.log_ns);
+                all
+            }
         };
-        let mut all: Vec<_> = kept.iter_mut().enumerate().flat_map(of_part).collect();
-        all.sort_by_key(|(_, message)| message.stamp.log_ns);
-        all.iter().try_for_each(|(part, message)| self.give(*part, message, from_ns, generation, unplayable))
+        let begin = mark(BEGIN, from_ns.max(self.start_ns), generation);
+        self.put(Head { publish_ns: pass, ..begin }, &[], generation)?;
+        let mut give = |(part, message): &(usize, OwnedMessage)| {
+            self.give(*part, message, from_ns, generation, unplayable)
+        };
+        latched.iter().try_for_each(&mut give)?;
+        self.latched = Some((from_ns, latched));
+        Ok(())
     }
 
     fn give(
@@ -183,6 +233,11 @@ impl Feeder {
             publish_ns: message.stamp.publish_ns,
         };
         self.given += 1;
+        let (since, from_ns) = *self.filling.get_or_insert((Instant::now(), log_ns));
+        let ahead_ns = log_ns.saturating_sub(from_ns) as f64 / self.rate;
+        if since.elapsed() > ENOUGH || ahead_ns > ENOUGH.as_nanos() as f64 {
+            self.control.is_filled.store(true, Ordering::Release);
+        }
         self.put(head, body, generation)
     }
 

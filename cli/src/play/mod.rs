@@ -18,12 +18,12 @@ use feeder::{Feeder, Part};
 use regex::Regex;
 use stage::{Clock, Control, Stage};
 use statement::Statement;
-use std::cell::{Cell, RefCell};
+use std::cell::Cell;
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tautline::rt::{self, MemoryLock, Policy, ThreadBuilder};
 use tautline::{EndpointKind, find_schema, type_of};
 use tautline_bag::{Ordered, Topic};
@@ -32,6 +32,9 @@ use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, Top
 
 /// How long subscriptions of another host or of ROS may take to find who publishes to them.
 const FAR: Duration = Duration::from_secs(1);
+
+/// How long a gateway or bridge may take to take a topic.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Publishes what is in a bag, at the times that it was received at
 ///
@@ -126,18 +129,20 @@ struct Role {
 
 pub fn run(args: &PlayArgs) -> Outcome {
     let domain = args.manners.domain()?;
-    let mut end = End::of(&args.manners)?;
     let control = Arc::new(Control::default());
     control.is_paused.store(args.paused, Ordering::Relaxed);
     console::listen(&control)?;
+    // Signals end it at once until then.
     let bag = {
-        let files = RefCell::new(String::new());
+        let since = Instant::now();
         let tell = &mut |path: &Path| {
-            *files.borrow_mut() = path.display().to_string();
-            end.say_once(|| format!("{} to be looked through", files.borrow()));
+            if since.elapsed() > Duration::from_secs(1) {
+                say(&format!("taut: looking through {}", path.display()));
+            }
         };
         Ordered::open(&args.bag, tell).map_err(failed)?
     };
+    let mut end = End::of(&args.manners)?;
     let (from_ns, to_ns) = args.range(&bag)?;
     let (roles, numbers) = args.roles(&bag)?;
     let participant = Participant::new(domain)?;
@@ -161,9 +166,12 @@ pub fn run(args: &PlayArgs) -> Outcome {
         to_ns,
         times: args.again.map_or(Some(1), |times| times.map(NonZeroU64::get)),
         given: 0,
+        latched: None,
+        filling: None,
+        rate: args.rate,
     };
     let feeder = std::thread::spawn(move || feeder.run());
-    let is_filled = || Ok(control.is_filled.load(Ordering::Acquire).then_some(()));
+    let is_filled = || Ok((control.is_filled.load(Ordering::Acquire) || feeder.is_finished()).then_some(()));
     let ready = end.wait(|| "the bag to be read".to_owned(), is_filled).and_then(|()| {
         let publishers = publishers(&participant, &roles)?;
         let clock = args.clock.map(|hz| clock(&participant, hz)).transpose()?;
@@ -215,7 +223,7 @@ impl PlayArgs {
         let from_ns = self.from.map_or(start_ns, at);
         let to_ns = self.to.map_or(u64::MAX, at);
         if from_ns > to_ns || from_ns > end_ns {
-            let seconds = (end_ns - start_ns) as f64 / 1e9;
+            let seconds = end_ns.saturating_sub(start_ns) as f64 / 1e9;
             return Err(Failure::unusable(format!("there is nothing between: the bag is of {seconds:.1} s")));
         }
         // Times of chunks are claims: without --from nothing is left out.
@@ -227,6 +235,10 @@ impl PlayArgs {
         let names: Vec<_> = self.topics.iter().map(|name| full_name(name)).collect();
         let there = || bag.topics().iter().map(|topic| &*topic.name);
         if let Some(unknown) = names.iter().find(|name| !there().any(|there| there == *name)) {
+            let list = format!("bag info {}", self.bag.display());
+            return Err(Failure::unknown("topic", unknown, there(), &list));
+        }
+        if let Some((unknown, _)) = self.remap.iter().find(|(from, _)| !there().any(|there| there == from)) {
             let list = format!("bag info {}", self.bag.display());
             return Err(Failure::unknown("topic", unknown, there(), &list));
         }
@@ -300,7 +312,7 @@ impl PlayArgs {
         end: &End,
     ) -> Outcome {
         let mut visitor = Visitor::new(domain)?;
-        let (missing, mut is_far) = (Cell::new(""), false);
+        let (missing, mut is_far, since) = (Cell::new(""), false, Instant::now());
         let what = || format!("a subscription of '{}'", missing.get());
         end.wait(what, || {
             let graph = visitor.graph()?;
@@ -324,6 +336,13 @@ impl PlayArgs {
                 let own = graph.endpoints.iter().find(|end| end.gid == publisher.gid());
                 let Some(own) = own else { return Ok(None) };
                 if visitor.overwritten(own)?.is_empty() {
+                    if !self.wait && since.elapsed() > PATIENCE {
+                        say(&format!(
+                            "taut: warning: no gateway or bridge takes {} for those elsewhere",
+                            role.name
+                        ));
+                        continue;
+                    }
                     return Ok(None);
                 }
                 is_far = true;

@@ -44,6 +44,8 @@ pub struct Control {
     pub generation: AtomicU64,
     /// Where to, as a time of reception.
     pub seek_ns: AtomicU64,
+    /// Which time in all it is that it plays, from 0.
+    pub pass: AtomicU64,
     /// There is as much in the ring as there is room for, or all.
     pub is_filled: AtomicBool,
     /// All was published.
@@ -128,22 +130,27 @@ impl Stage {
         let mut was_empty = false;
         while !control.is_stopped() {
             // Before the look at what is there: of one that has failed all is there by then.
-            let is_abandoned = consumer.is_abandoned();
+            let has_ended = crate::ring::has_ended(&consumer);
             let slots = consumer.slots();
             // As much as there is: there is nobody else who takes any.
             let Ok(chunk) = consumer.read_chunk(slots) else { continue };
             let ring = Ring::of(&chunk);
             let Some((head, whole)) = ring.message(0) else {
-                if is_abandoned {
+                if has_ended {
                     break;
                 }
                 was_empty = true;
                 sleep_until_monotonic(monotonic_ns() + LOOK_NS);
                 continue;
             };
-            let is_current = control.generation.load(Ordering::Acquire) == pacing.generation;
+            let generation = control.generation.load(Ordering::Acquire);
+            let is_current = generation == pacing.generation;
             match head.topic {
-                BEGIN => pacing.begin(head),
+                BEGIN if head.sequence == generation => {
+                    control.pass.store(head.publish_ns, Ordering::Release);
+                    pacing.begin(head);
+                }
+                BEGIN => {}
                 END if is_current => break,
                 END => {}
                 _ if is_current => {
@@ -188,9 +195,9 @@ fn publish(
         match loan.publish_again(source) {
             Ok(()) => break,
             // Both ends keep all.
-            Err(Unpublished::Full(again)) if !control.is_stopped() => {
-                // It was leapt over.
-                if control.generation.load(Ordering::Acquire) != generation {
+            Err(Unpublished::Full(again)) => {
+                // It is over, or the message was leapt over.
+                if control.is_stopped() || control.generation.load(Ordering::Acquire) != generation {
                     return;
                 }
                 loan = again;
@@ -347,13 +354,17 @@ impl Pacing {
             }
             let now_ns = monotonic_ns();
             if control.is_paused.load(Ordering::Relaxed) {
-                self.paused_at.get_or_insert(position(self.origin, self.rate, now_ns).min(log_ns));
+                let position_ns = position(self.origin, self.rate, now_ns).min(log_ns);
+                let paused_at = *self.paused_at.get_or_insert(position_ns);
                 if control.takes_step() {
                     self.paused_at = Some(log_ns);
                     self.origin = (log_ns, now_ns);
                     self.tell_time(now_ns, true);
                     return Some(now_ns);
                 }
+                // Time stands still, and who begins now is told of it.
+                self.origin = (paused_at, now_ns);
+                self.tell_time(now_ns, false);
                 sleep_until_monotonic(now_ns + LOOK_NS);
                 continue;
             }
@@ -362,7 +373,7 @@ impl Pacing {
             }
             self.tell_time(now_ns, false);
             let (origin_ns, at_ns) = self.origin;
-            let due_ns = at_ns + (log_ns.saturating_sub(origin_ns) as f64 / self.rate) as u64;
+            let due_ns = at_ns.saturating_add((log_ns.saturating_sub(origin_ns) as f64 / self.rate) as u64);
             if due_ns <= now_ns {
                 return Some(due_ns);
             }

@@ -108,6 +108,12 @@ impl Statement<'_> {
                 "{unplayable} messages were not played, the first for: {first}"
             )));
         }
+        if self.fed.untold > 0 {
+            return Err(Failure::no(format!(
+                "{} messages of topics that the damaged bag did not tell of before were not played; `taut bag recover` it",
+                self.fed.untold
+            )));
+        }
         if let Some(refusal) = self.played.refusal {
             let refused = self.played.refused;
             return Err(Failure::no(format!(

@@ -83,7 +83,9 @@ impl Work {
                 Err(error) => break Some(error),
                 Ok(true) => {}
                 // Nobody puts anything in any more.
-                Ok(false) if self.consumer.is_abandoned() && self.consumer.is_empty() => break None,
+                Ok(false) if crate::ring::has_ended(&self.consumer) && self.consumer.is_empty() => {
+                    break None;
+                }
                 Ok(false) => std::thread::sleep(PERIOD),
             }
         };

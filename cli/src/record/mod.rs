@@ -22,7 +22,7 @@ use keeper::Keeper;
 use seats::Seats;
 use statement::Statement;
 use std::collections::BTreeMap;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, Write};
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -323,9 +323,7 @@ fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
         .map_err(|error| Failure::unusable(format!("SIGUSR1 cannot be caught: {error}")))?;
     let on_signal = handle.clone();
     std::thread::spawn(move || signals.forever().for_each(|_| on_signal()));
-    if io::stdin().is_terminal() {
-        std::thread::spawn(move || io::stdin().lines().map_while(Result::ok).for_each(|_| handle()));
-    }
+    crate::keys::lines(move |_| handle());
     Ok(())
 }
 

@@ -85,7 +85,7 @@ pub struct Seats {
     /// Topics that cannot be recorded.
     refused: BTreeSet<String>,
     /// Publishers that were there when the recording began.
-    before: HashSet<Gid>,
+    before: Option<HashSet<Gid>>,
     /// Topics whose publishers are elsewhere, which was said.
     elsewhere: HashSet<String>,
     to_taker: Sender<Seat>,
@@ -111,7 +111,7 @@ impl Seats {
             seated: Vec::new(),
             numbers: HashMap::new(),
             refused: BTreeSet::new(),
-            before: HashSet::new(),
+            before: None,
             elsewhere: HashSet::new(),
             to_taker,
             to_keeper,
@@ -128,12 +128,10 @@ impl Seats {
         let graph = self.participant.graph()?;
         let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
         graph.endpoints.iter().for_each(|end| topics.entry(&end.topic).or_default().push(end));
-        // Clients are publishers of requests.
-        if self.before.is_empty() && self.seated.is_empty() {
-            let clients = graph.services.iter().map(|end| end.gid);
-            self.before =
-                topics.values().flat_map(|ends| publishers(ends)).map(|end| end.gid).chain(clients).collect();
-        }
+        // At the first look. Clients are publishers of requests.
+        let clients = graph.services.iter().map(|end| end.gid);
+        let there = topics.values().flat_map(|ends| publishers(ends)).map(|end| end.gid);
+        self.before.get_or_insert_with(|| there.chain(clients).collect());
         for (topic, ends) in topics {
             for end in publishers(&ends) {
                 if !self.choice.takes(topic, &end.topic_type.name) {
@@ -278,7 +276,7 @@ impl Seats {
     pub fn end(self) -> (Vec<Seated>, HashSet<Gid>, Vec<String>) {
         let named = self.choice.named().iter().filter(|name| !self.numbers.contains_key(*name));
         let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
-        (self.seated, self.before, absent.into_iter().collect())
+        (self.seated, self.before.unwrap_or_default(), absent.into_iter().collect())
     }
 }
 

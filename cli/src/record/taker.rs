@@ -36,6 +36,8 @@ pub struct Taker {
     /// From `CLOCK_MONOTONIC` to the times in the bag.
     offset_ns: i64,
     began_ns: u64,
+    /// What is released later is not recorded.
+    until_ns: u64,
     waited: u64,
 }
 
@@ -62,6 +64,8 @@ pub struct Port {
     pub gid: Gid,
     /// The number of its first message that was taken.
     pub first: u64,
+    /// And of its last.
+    last: u64,
     /// The most that it sent in a second.
     pub peak: u64,
     second_ns: u64,
@@ -88,6 +92,8 @@ struct Place {
     looked_ns: u64,
     /// By subscriptions of before.
     lost_before: u64,
+    /// Those, while they have something.
+    former: Vec<RawSubscription>,
     taken: Taken,
 }
 
@@ -95,7 +101,17 @@ impl Taker {
     pub fn new(producer: Producer<u8>, coming: Receiver<Seat>, pace: Pace, stop: Arc<AtomicBool>) -> Self {
         let began_ns = monotonic_ns();
         let offset_ns = wall_ns() - began_ns.cast_signed();
-        Taker { producer, coming, pace, stop, places: Vec::new(), offset_ns, began_ns, waited: 0 }
+        Taker {
+            producer,
+            coming,
+            pace,
+            stop,
+            places: Vec::new(),
+            offset_ns,
+            began_ns,
+            until_ns: u64::MAX,
+            waited: 0,
+        }
     }
 
     /// From `CLOCK_MONOTONIC` to times of reception.
@@ -121,9 +137,10 @@ impl Taker {
         Harvest { topics, waited: self.waited, began_ns: self.began_ns, ended_ns: monotonic_ns() }
     }
 
-    /// What was sent before the end is taken, as soon as there is room for it.
+    /// What was sent before the end is taken, as soon as there is room for it. What there is no room for is lost.
     fn drain(&mut self) {
         let ended_ns = monotonic_ns();
+        self.until_ns = ended_ns;
         for place in &mut self.places {
             place.looked_ns = u64::MAX;
         }
@@ -136,6 +153,11 @@ impl Taker {
                 return;
             }
         }
+        for place in &mut self.places {
+            while place.next(ended_ns).is_some() {
+                place.taken.lost += 1;
+            }
+        }
     }
 
     fn admit(&mut self) {
@@ -143,8 +165,8 @@ impl Taker {
             let Seat { number, part, subscription, throttle_ns, counts } = seat;
             match self.places.get_mut(number) {
                 Some(place) => {
-                    place.lost_before = place.lost();
-                    place.subscription = subscription;
+                    // What it still has is taken first.
+                    place.former.push(std::mem::replace(&mut place.subscription, subscription));
                 }
                 None => self.places.push(Place {
                     part,
@@ -155,6 +177,7 @@ impl Taker {
                     held: None,
                     looked_ns: u64::MAX,
                     lost_before: 0,
+                    former: Vec::new(),
                     taken: Taken::default(),
                 }),
             }
@@ -164,7 +187,7 @@ impl Taker {
     /// Whether there was something.
     fn look(&mut self) -> bool {
         let mut took = false;
-        let is_paused = self.pace.is_paused.load(Ordering::Relaxed);
+        let (is_paused, until_ns) = (self.pace.is_paused.load(Ordering::Relaxed), self.until_ns);
         for (number, place) in self.places.iter_mut().enumerate() {
             let now_ns = monotonic_ns();
             place.taken.stall_ns = place.taken.stall_ns.max(now_ns.saturating_sub(place.looked_ns));
@@ -172,7 +195,7 @@ impl Taker {
                 place.looked_ns = now_ns;
             }
             for _ in 0..MOST_AT_ONCE {
-                let Some(sample) = place.next() else { break };
+                let Some(sample) = place.next(until_ns) else { break };
                 took = true;
                 if !place.wants(&sample, is_paused) {
                     continue;
@@ -220,25 +243,53 @@ fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, front: &[u8], s
     parts.iter().all(|part| producer.push_entire_slice(part).is_ok())
 }
 
+fn take(subscription: &RawSubscription) -> Option<RawSample> {
+    loop {
+        match subscription.try_take() {
+            // A server's word that there is no answer.
+            Ok(Some(taken)) if !taken.is_message() => {}
+            Ok(taken) => return taken,
+            // Counted by the subscription.
+            Err(TakeError::Invalid(_)) => {}
+            Err(TakeError::TooManyHeld) => return None,
+        }
+    }
+}
+
 impl Place {
     fn lost(&self) -> u64 {
-        self.lost_before + self.subscription.counters().lost()
+        let former: u64 = self.former.iter().map(|former| former.counters().lost()).sum();
+        self.lost_before + former + self.subscription.counters().lost() + self.taken.lost
     }
 
-    fn next(&mut self) -> Option<RawSample> {
+    /// The next one that was released by then.
+    fn next(&mut self, until_ns: u64) -> Option<RawSample> {
         if let Some(held) = self.held.take() {
             return Some(held);
         }
-        loop {
-            match self.subscription.try_take() {
-                // A server's word that there is no answer.
-                Ok(Some(taken)) if !taken.is_message() => {}
-                Ok(taken) => return taken,
-                // Counted by the subscription.
-                Err(TakeError::Invalid(_)) => {}
-                Err(TakeError::TooManyHeld) => return None,
+        while let Some(former) = self.former.first() {
+            if let Some(sample) = take(former) {
+                return Some(sample);
+            }
+            self.lost_before += former.counters().lost();
+            self.former.remove(0);
+        }
+        // It may be in the queues of both subscriptions.
+        let is_known = |ports: &[Port], sample: &RawSample| {
+            let of = ports.iter().find(|port| port.gid == sample.port_gid());
+            of.is_some_and(|port| port.last >= sample.port_sequence_number())
+        };
+        for _ in 0..MOST_AT_ONCE {
+            let sample = take(&self.subscription)?;
+            // Of another publisher there may be one from before behind it.
+            if sample.info().released_ns > until_ns {
+                continue;
+            }
+            if self.part != Part::Message || !is_known(&self.taken.ports, &sample) {
+                return Some(sample);
             }
         }
+        None
     }
 
     /// Whether it is kept.
@@ -272,7 +323,14 @@ impl Place {
             Some(at) => &mut self.taken.ports[at],
             None => {
                 let first = sample.port_sequence_number();
-                self.taken.ports.push(Port { gid, first, peak: 0, second_ns: released_ns, in_second: 0 });
+                self.taken.ports.push(Port {
+                    gid,
+                    first,
+                    last: 0,
+                    peak: 0,
+                    second_ns: released_ns,
+                    in_second: 0,
+                });
                 let last = self.taken.ports.len() - 1;
                 &mut self.taken.ports[last]
             }
@@ -280,6 +338,7 @@ impl Place {
         if released_ns.saturating_sub(port.second_ns) >= 1_000_000_000 {
             (port.second_ns, port.in_second) = (released_ns, 0);
         }
+        port.last = sample.port_sequence_number();
         port.in_second += 1;
         port.peak = port.peak.max(port.in_second);
     }
