@@ -17,6 +17,17 @@ pub enum BagError {
         /// How many bytes were to be claimed.
         bytes: u64,
     },
+    /// What is written elsewhere first has no room.
+    #[error("the disk of '{}' is full: no room for {bytes} bytes and 64 MiB for others; nothing is left of it", path.display())]
+    NoRoom {
+        /// Where it was to be.
+        path: PathBuf,
+        /// How many bytes were to be written.
+        bytes: u64,
+    },
+    /// It was not to go on.
+    #[error("interrupted; nothing is left of it")]
+    Interrupted,
     /// It cannot be written.
     #[error("'{}' cannot be written: {source}", path.display())]
     Write {

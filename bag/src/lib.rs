@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Bags as rosbag2 writes them: a folder of MCAP files (profile `ros2`) and a `metadata.yaml`, or such a file alone.
+//! Bags as rosbag2 writes them: a folder of MCAP files (profile `ros2`) and a `metadata.yaml`, or such a file alone. [`convert`] reads and
+//! writes rosbag2's other storage, too: SQLite.
 //!
 //! Knows files, and nothing of Tautline's topics. What is written survives: a chunk is in the file when [`Writer::flush`] returns, the
 //! space for what a file still needs to be whole is claimed before a message is written, and of what a killed process left
@@ -7,23 +8,40 @@
 #![forbid(unsafe_code)]
 
 mod claim;
+mod convert;
 mod error;
 mod index;
 mod metadata;
 mod ordered;
+mod parts;
+mod qos;
 mod reader;
 mod record;
 mod recover;
 mod rewrite;
+mod sqlite;
+mod unpack;
 mod writer;
 
+pub use convert::{Converted, Hooks, convert};
 pub use error::BagError;
 pub use index::{Metadata, index_of};
 pub use ordered::{Ordered, OwnedMessage};
+pub use parts::is_compressed;
 pub use reader::{Damage, Event, FileReader, FileSummary, Message, files_of};
 pub use recover::{Recovered, recover};
 pub use rewrite::rewrite;
 pub use writer::{Finished, Options, TopicId, Writer};
+
+/// What holds the messages of a bag, as rosbag2 calls it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Storage {
+    /// Chunks of messages, one behind the other: what is [recovered](recover) and played.
+    #[default]
+    Mcap,
+    /// A database with a row for each message, rosbag2's default until ROS 2 Humble.
+    Sqlite3,
+}
 
 /// How chunks are compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]

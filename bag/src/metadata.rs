@@ -2,24 +2,62 @@
 //! `metadata.yaml`, as rosbag2 of ROS 2 Jazzy writes it (version 9).
 
 use crate::reader::FileSummary;
-use crate::{BagError, Topic};
+use crate::{BagError, Storage, Topic};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-/// Writes it anew, at once or not at all.
+/// What a bag is besides its files.
+pub struct Description<'d> {
+    pub storage: Storage,
+    /// Each message is compressed, by zstd.
+    pub packs_messages: bool,
+    /// What others said of it.
+    pub custom_data: &'d BTreeMap<String, String>,
+}
+
+/// How custom data of a bag is called in what is said of several.
+const CUSTOM: &str = "custom_data/";
+
+/// Custom data of a bag that was read, as what is said of it.
+pub fn custom(data: BTreeMap<String, String>) -> impl Iterator<Item = (String, String)> {
+    // What was said of a bag before is not said to be of another one each time.
+    data.into_iter()
+        .map(|(key, value)| if key.contains('/') { (key, value) } else { (format!("{CUSTOM}{key}"), value) })
+}
+
+/// Writes that of an MCAP bag anew, at once or not at all.
 pub fn write_metadata(folder: &Path, files: &[FileSummary]) -> Result<(), BagError> {
+    let description =
+        Description { storage: Storage::Mcap, packs_messages: false, custom_data: &BTreeMap::new() };
+    write_described(folder, &description, files)
+}
+
+/// Writes it anew, at once or not at all.
+pub fn write_described(
+    folder: &Path,
+    description: &Description<'_>,
+    files: &[FileSummary],
+) -> Result<(), BagError> {
     let path = folder.join("metadata.yaml");
     let unfinished = folder.join("metadata.yaml.unfinished");
-    let written = fs::write(&unfinished, text(files)).and_then(|()| fs::rename(&unfinished, &path));
+    let written =
+        fs::write(&unfinished, text(description, files)).and_then(|()| fs::rename(&unfinished, &path));
     written.map_err(|source| {
         let _ = fs::remove_file(&unfinished);
         BagError::Write { path, source }
     })
 }
 
-fn text(files: &[FileSummary]) -> String {
+/// What is in it of the bag, as `.db3` files have it, too.
+pub fn information(description: &Description<'_>, files: &[FileSummary]) -> String {
+    let text = text(description, files);
+    let lines = text.lines().skip(1).map(|line| line.strip_prefix("  ").unwrap_or(line));
+    lines.flat_map(|line| [line, "\n"]).collect()
+}
+
+fn text(description: &Description<'_>, files: &[FileSummary]) -> String {
     let with_messages = || files.iter().filter(|file| file.messages > 0);
     let start_ns = with_messages().map(|file| file.start_ns).min().unwrap_or(0);
     let end_ns = with_messages().map(|file| file.end_ns).max().unwrap_or(0);
@@ -28,14 +66,19 @@ fn text(files: &[FileSummary]) -> String {
     for (topic, count) in files.iter().flat_map(|file| file.topics.values()) {
         topics.entry((&topic.name, &topic.type_name)).or_insert((topic, 0)).1 += count;
     }
-    let mut out = String::from("rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n");
+    let storage = match description.storage {
+        Storage::Mcap => "mcap",
+        Storage::Sqlite3 => "sqlite3",
+    };
+    let mut out = format!("rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: {storage}\n");
     // Writing to a String does not fail.
-    let _ = write_all(&mut out, files, start_ns, end_ns, messages, topics.into_values());
+    let _ = write_all(&mut out, description, files, start_ns, end_ns, messages, topics.into_values());
     out
 }
 
 fn write_all<'t>(
     out: &mut String,
+    description: &Description<'_>,
     files: &[FileSummary],
     start_ns: u64,
     end_ns: u64,
@@ -61,7 +104,8 @@ fn write_all<'t>(
         writeln!(out, "        type_description_hash: {}", quoted(&topic.type_hash))?;
         writeln!(out, "      message_count: {count}")?;
     }
-    writeln!(out, "  compression_format: \"\"\n  compression_mode: \"\"")?;
+    let (format, mode) = if description.packs_messages { ("zstd", "MESSAGE") } else { ("", "") };
+    writeln!(out, "  compression_format: \"{format}\"\n  compression_mode: \"{mode}\"")?;
     let list = |out: &mut String, name: &str| {
         writeln!(out, "  {name}:{}", if files.is_empty() { " []" } else { "" })
     };
@@ -74,7 +118,10 @@ fn write_all<'t>(
         writeln!(out, "      duration:\n        nanoseconds: {}", file.end_ns - file.start_ns)?;
         writeln!(out, "      message_count: {}", file.messages)?;
     }
-    writeln!(out, "  custom_data: ~\n  ros_distro: jazzy")
+    writeln!(out, "  custom_data:{}", if description.custom_data.is_empty() { " ~" } else { "" })?;
+    let mut custom_data = description.custom_data.iter();
+    custom_data.try_for_each(|(key, value)| writeln!(out, "    {}: {}", quoted(key), quoted(value)))?;
+    writeln!(out, "  ros_distro: jazzy")
 }
 
 /// A text as YAML's double quotes hold any.

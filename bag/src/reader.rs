@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading a bag from its first byte to its last, whatever is in it.
 
+use crate::parts::{Form, form_of};
 use crate::record::{Records, parse};
 use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
 use mcap::records::{ChunkHeader, Record, op};
@@ -123,29 +124,46 @@ fn number(bytes: &[u8]) -> u64 {
 /// The MCAP files of a folder, in the order of the numbers in their names; or the file itself.
 ///
 /// # Errors
-/// There is none.
+/// There is none. What [`convert`](crate::convert) reads, it names.
 pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let is_folder = fs::metadata(path).map_err(BagError::read(path))?.is_dir();
     if !is_folder {
         return Ok(vec![path.to_owned()]);
     }
-    let mut files = Vec::new();
+    let (mut files, mut others) = (Vec::new(), None);
     for entry in fs::read_dir(path).map_err(BagError::read(path))? {
         let file = entry.map_err(BagError::read(path))?.path();
-        if file.extension().is_some_and(|extension| extension == "mcap") {
-            files.push(file);
+        match file.extension().and_then(|extension| extension.to_str()) {
+            Some("mcap") => files.push(file),
+            Some("db3") => others = Some("its files are SQLite's (.db3)"),
+            Some("zstd") => others = others.or(Some("its files are compressed as a whole (.zstd)")),
+            _ => {}
         }
     }
     if files.is_empty() {
-        let reason = "there is no .mcap file in it".to_owned();
+        let reason = match others {
+            None => "there is no .mcap file in it".to_owned(),
+            Some(others) => to_convert(others, path),
+        };
         return Err(BagError::NoBag { path: path.to_owned(), reason });
     }
-    files.sort_by_cached_key(|file| {
-        let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let number = stem.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
-        (number, stem)
-    });
+    in_order(&mut files);
     Ok(files)
+}
+
+/// By the numbers in their names.
+pub(crate) fn in_order(files: &mut [PathBuf]) {
+    files.sort_by_cached_key(|file| {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let stem = name.split('.').next().unwrap_or_default();
+        let number = stem.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
+        (number, name)
+    });
+}
+
+/// What is a bag, but no MCAP file.
+fn to_convert(what: &str, path: &Path) -> String {
+    format!("{what}: `taut bag convert {} -o NEW` makes it one", path.display())
 }
 
 impl FileReader {
@@ -161,7 +179,11 @@ impl FileReader {
         let (path, bytes) = (path.to_owned(), metadata.len());
         let mut magic = [0; 8];
         if bytes < 8 || file.read_exact_at(&mut magic, 0).is_err() || magic != *MAGIC {
-            return Err(no_bag("it does not begin as an MCAP file"));
+            return Err(match form_of(&path) {
+                Ok(Form::Sqlite3) => no_bag(&to_convert("it is a database of SQLite", &path)),
+                Ok(Form::Zstd) => no_bag(&to_convert("it is compressed as a whole", &path)),
+                _ => no_bag("it does not begin as an MCAP file"),
+            });
         }
         let summary = FileSummary { path: path.clone(), bytes, ..FileSummary::default() };
         let (schemas, channels) = (HashMap::new(), BTreeMap::new());

@@ -100,7 +100,17 @@ impl Writer {
             _ => BagError::Write { path: folder.to_owned(), source },
         })?;
         let name = folder.file_name().map_or("bag".into(), |name| name.to_string_lossy().into_owned());
-        let (folder, topics, done) = (folder.to_owned(), Vec::new(), Vec::new());
+        Self::create_in(folder, &name, options, session)
+    }
+
+    /// A bag in a folder that is there, in files with this name.
+    pub(crate) fn create_in(
+        folder: &Path,
+        name: &str,
+        options: Options,
+        session: BTreeMap<String, String>,
+    ) -> Result<Self, BagError> {
+        let (folder, name, topics, done) = (folder.to_owned(), name.to_owned(), Vec::new(), Vec::new());
         let mut writer =
             Writer { folder, name, options, session, topics, file: None, number: 0, done, removed: 0 };
         // What cannot be written is known before there are messages.
@@ -117,6 +127,14 @@ impl Writer {
     pub fn add_topic(&mut self, topic: Topic) -> TopicId {
         self.topics.push(topic);
         TopicId(self.topics.len() - 1)
+    }
+
+    /// The topic is in the file that is written, though it may have no message.
+    pub(crate) fn declare(&mut self, topic: TopicId) -> Result<(), BagError> {
+        match &mut self.file {
+            Some(file) => file.channel(topic, &self.topics[topic.0]).map(drop),
+            None => Ok(()),
+        }
     }
 
     /// A message, with its four bytes of encapsulation in front.
@@ -254,10 +272,7 @@ impl Open {
         stamp: Stamp,
         cdr: &[u8],
     ) -> Result<(), BagError> {
-        let channel_id = match self.channels.get(&topic) {
-            Some((channel, _)) => *channel,
-            None => self.add(topic, what)?,
-        };
+        let channel_id = self.channel(topic, what)?;
         self.claim(cdr.len() as u64 + OF_MESSAGE, 0)?;
         let Stamp { sequence, log_ns: log_time, publish_ns: publish_time } = stamp;
         let header = MessageHeader { channel_id, sequence, log_time, publish_time };
@@ -267,6 +282,14 @@ impl Open {
             *messages += 1;
         }
         if self.pending >= CHUNK_BYTES { self.flush() } else { Ok(()) }
+    }
+
+    /// The file's number of a topic, which is in it from now on.
+    fn channel(&mut self, topic: TopicId, what: &Topic) -> Result<u16, BagError> {
+        match self.channels.get(&topic) {
+            Some((channel, _)) => Ok(*channel),
+            None => self.add(topic, what),
+        }
     }
 
     fn add(&mut self, topic: TopicId, what: &Topic) -> Result<u16, BagError> {

@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which files a bag of rosbag2 consists of, by its `metadata.yaml`, and how its messages are packed.
+
+use crate::BagError;
+use crate::reader::{MAGIC, in_order};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::{Component, Path, PathBuf};
+
+/// What every SQLite database begins with.
+const SQLITE_MAGIC: &[u8; 16] = b"SQLite format 3\0";
+/// What whatever zstd compressed begins with; no CDR does.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+/// No `metadata.yaml` is longer.
+const MOST_METADATA: u64 = 64 << 20;
+/// From this version on paths are relative to the folder that the file is in.
+const PATHS_OF_FOLDER: u32 = 4;
+
+/// How a file holds its messages, by its first bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    Mcap,
+    Sqlite3,
+    /// Compressed as a whole: what is in it is seen when it is unpacked.
+    Zstd,
+}
+
+/// A bag as others wrote it.
+#[derive(Debug, Default)]
+pub struct Parts {
+    /// In their order.
+    pub files: Vec<PathBuf>,
+    /// Whether each message is compressed. `None`: nobody says so, it shows.
+    pub packs_messages: Option<bool>,
+    /// Hashes of types, by names of topics and types: not every writer has them in the files.
+    pub type_hashes: BTreeMap<(String, String), String>,
+    /// What `metadata.yaml` has that is nobody's but the user's.
+    pub custom_data: BTreeMap<String, String>,
+    /// What was not as it should be.
+    pub notes: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Document {
+    rosbag2_bagfile_information: Information,
+}
+
+#[derive(Deserialize)]
+struct Information {
+    version: u32,
+    #[serde(default)]
+    storage_identifier: String,
+    relative_file_paths: Vec<String>,
+    #[serde(default)]
+    compression_format: String,
+    #[serde(default)]
+    compression_mode: String,
+    #[serde(default)]
+    custom_data: Option<BTreeMap<String, String>>,
+    #[serde(default)]
+    topics_with_message_count: Vec<Counted>,
+}
+
+#[derive(Deserialize)]
+struct Counted {
+    topic_metadata: Described,
+}
+
+#[derive(Deserialize)]
+struct Described {
+    name: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    #[serde(default)]
+    type_description_hash: String,
+}
+
+/// Whether a message is compressed by itself, as rosbag2 does if told so: [`convert`](crate::convert()) decompresses it.
+pub fn is_compressed(message: &[u8]) -> bool {
+    message.starts_with(&ZSTD_MAGIC)
+}
+
+/// What a file is.
+///
+/// # Errors
+/// It cannot be read, or is none of them.
+pub fn form_of(path: &Path) -> Result<Form, BagError> {
+    let file = File::open(path).map_err(BagError::read(path))?;
+    let no_bag = |reason: &str| BagError::NoBag { path: path.to_owned(), reason: reason.to_owned() };
+    if !file.metadata().map_err(BagError::read(path))?.is_file() {
+        return Err(no_bag("it is no file"));
+    }
+    let mut begin = Vec::new();
+    file.take(SQLITE_MAGIC.len() as u64).read_to_end(&mut begin).map_err(BagError::read(path))?;
+    if begin.starts_with(MAGIC) {
+        Ok(Form::Mcap)
+    } else if begin.starts_with(SQLITE_MAGIC) {
+        Ok(Form::Sqlite3)
+    } else if begin.starts_with(&ZSTD_MAGIC) {
+        Ok(Form::Zstd)
+    } else if begin.is_empty() {
+        Err(no_bag("it is empty"))
+    } else {
+        Err(no_bag("it begins neither as MCAP nor as SQLite nor as what zstd compressed"))
+    }
+}
+
+/// What a bag consists of: what `metadata.yaml` names, or without one what is in the folder; or a file alone.
+///
+/// # Errors
+/// There is no bag, or its `metadata.yaml` names what is not there or not its own.
+pub fn parts_of(path: &Path) -> Result<Parts, BagError> {
+    if !fs::metadata(path).map_err(BagError::read(path))?.is_dir() {
+        return Ok(Parts { files: vec![path.to_owned()], ..Parts::default() });
+    }
+    let described = path.join("metadata.yaml");
+    let parts = match File::open(&described) {
+        Ok(file) => described_parts(path, &described, file)?,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Parts {
+            files: files_in(path)?,
+            notes: vec![format!("'{}' is not there: what is in the folder is taken", described.display())],
+            ..Parts::default()
+        },
+        Err(error) => return Err(BagError::read(&described)(error)),
+    };
+    parts.files.iter().try_for_each(|file| form_of(file).map(drop))?;
+    Ok(parts)
+}
+
+fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts, BagError> {
+    let wrong = |reason: String| BagError::NoBag { path: described.to_owned(), reason };
+    let mut text = String::new();
+    file.take(MOST_METADATA + 1).read_to_string(&mut text).map_err(BagError::read(described))?;
+    if text.len() as u64 > MOST_METADATA {
+        return Err(wrong(format!("it is longer than {MOST_METADATA} bytes")));
+    }
+    let document: Document = serde_saphyr::from_str(&text).map_err(|error| {
+        let first = error.to_string().lines().next().unwrap_or_default().to_owned();
+        wrong(format!("{first}; moved away, what is in the folder is taken"))
+    })?;
+    let information = document.rosbag2_bagfile_information;
+    let mode = information.compression_mode.to_ascii_lowercase();
+    if !matches!(&*mode, "" | "none" | "file" | "message" | "storage") {
+        return Err(wrong(format!("the compression mode '{mode}' is unknown: none, file or message")));
+    }
+    if matches!(&*mode, "file" | "message") && information.compression_format != "zstd" {
+        let format = information.compression_format;
+        return Err(wrong(format!("the compression '{format}' is unknown: rosbag2 has zstd alone")));
+    }
+    if information.relative_file_paths.is_empty() {
+        return Err(wrong("it names no file".to_owned()));
+    }
+    let mut files = Vec::new();
+    for name in &information.relative_file_paths {
+        let relative = Path::new(name);
+        let relative = if information.version < PATHS_OF_FOLDER {
+            // Of the folder above, whose name may have been another one.
+            relative.file_name().map_or(relative, Path::new)
+        } else {
+            relative
+        };
+        let is_inside = relative.components().all(|part| matches!(part, Component::Normal(_)));
+        if !is_inside || relative.as_os_str().is_empty() {
+            return Err(wrong(format!("it names '{name}', which is outside of its folder")));
+        }
+        let path = folder.join(relative);
+        if !path.exists() {
+            return Err(wrong(format!(
+                "it names '{name}', which is not there; without metadata.yaml what is there is taken"
+            )));
+        }
+        form_of(&path).map_err(|error| match error {
+            BagError::NoBag { path, reason } => {
+                let storage = &information.storage_identifier;
+                BagError::NoBag { path, reason: format!("{reason}; its storage is called '{storage}'") }
+            }
+            other => other,
+        })?;
+        files.push(path);
+    }
+    let topics = information.topics_with_message_count.into_iter().map(|topic| topic.topic_metadata);
+    let type_hashes =
+        topics.map(|topic| ((topic.name, topic.type_name), topic.type_description_hash)).collect();
+    let custom_data = information.custom_data.unwrap_or_default();
+    Ok(Parts { files, packs_messages: Some(mode == "message"), type_hashes, custom_data, notes: Vec::new() })
+}
+
+/// The files of a folder that have a bag's names, in the order of their numbers.
+fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).map_err(BagError::read(folder))? {
+        let file = entry.map_err(BagError::read(folder))?.path();
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if [".mcap", ".db3", ".mcap.zstd", ".db3.zstd"].iter().any(|end| name.ends_with(end)) {
+            files.push(file);
+        }
+    }
+    if files.is_empty() {
+        let reason = "there is neither metadata.yaml nor a .mcap or .db3 file in it".to_owned();
+        return Err(BagError::NoBag { path: folder.to_owned(), reason });
+    }
+    in_order(&mut files);
+    Ok(files)
+}
