@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut bag`: what is in a bag, whether it is whole, and making it whole.
+//! `taut bag`: what is in a bag, whether it is whole, making it whole, and another one of it.
+
+mod convert;
 
 use crate::asking::full_name;
 use crate::manners::{Failure, Manners, Outcome, time};
@@ -24,7 +26,8 @@ use tautline_bag::{
   taut bag check run1                    every byte; exit code 1 if something is wrong
   taut bag recover run1                  what a killed recorder left is made whole
   taut bag cut run1 /scan --from 10s --to 20s -o part
-  taut bag merge run1 run2 -o both")]
+  taut bag merge run1 run2 -o both
+  taut bag convert old -o new            SQLite (.db3) or compressed files, as MCAP")]
 pub struct BagArgs {
     #[command(subcommand)]
     verb: Verb,
@@ -39,6 +42,7 @@ enum Verb {
     Recover(RecoverArgs),
     Cut(CutArgs),
     Merge(MergeArgs),
+    Convert(convert::ConvertArgs),
 }
 
 /// Prints what is in a bag, from the index of its files
@@ -118,18 +122,28 @@ struct NewArgs {
     max_size: Option<u64>,
 }
 
+impl NewArgs {
+    fn options(&self) -> Options {
+        Options { compression: self.compression.into(), split_bytes: self.max_size, ..Options::default() }
+    }
+}
+
 pub fn run(args: &BagArgs) -> Outcome {
     if args.manners.is_domain_named() {
         return Err(Failure::unusable("a bag is of no domain: leave --domain out"));
     }
     let is_json = args.manners.json;
-    args.manners.bound();
+    // Who has something to remove ends by himself.
+    if !matches!(args.verb, Verb::Convert(_)) {
+        args.manners.bound();
+    }
     match &args.verb {
         Verb::Info(args) => info(&args.bag, is_json),
         Verb::Check(args) => check(&args.bag, is_json),
         Verb::Recover(args) => mend(&args.bag, is_json),
         Verb::Cut(args) => cut(args, is_json),
         Verb::Merge(args) => write_anew(&args.bags, &args.new, is_json, |_| true),
+        Verb::Convert(verb) => convert::run(verb, &args.manners),
     }
 }
 
@@ -299,13 +313,11 @@ fn write_anew(
     mut wanted: impl FnMut(&Message<'_>) -> bool,
 ) -> Outcome {
     let progress = Progress::new(is_json);
-    let options =
-        Options { compression: new.compression.into(), split_bytes: new.max_size, ..Options::default() };
     let wanted = &mut |message: &Message<'_>| {
         progress.tick();
         wanted(message)
     };
-    let written = rewrite(bags, &new.output, options, wanted, &mut |path| progress.say(path));
+    let written = rewrite(bags, &new.output, new.options(), wanted, &mut |path| progress.say(path));
     progress.end();
     let (finished, damage) = written.map_err(failed)?;
     let out = &mut anstream::stdout().lock();
@@ -315,6 +327,11 @@ fn write_anew(
     } else {
         sum.write(&new.output, &finished.files, out)?;
     }
+    whole(&damage)
+}
+
+/// Whether all of what was read was taken.
+fn whole(damage: &[(PathBuf, Damage)]) -> Outcome {
     match damage.first() {
         None => Ok(()),
         Some((path, Damage { offset, what })) => {

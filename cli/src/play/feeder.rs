@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
-use tautline_bag::{BagError, Ordered, OwnedMessage};
+use tautline_bag::{BagError, Ordered, OwnedMessage, is_compressed};
 use tautline_msgs::cdr::Endian;
 use tautline_msgs::split_header;
 use tautline_schema::{DynamicMessage, Schema};
@@ -299,6 +299,11 @@ enum Body {
 
 /// Nothing is sent that is known not to be a message of its type.
 fn body(schema: Option<&Arc<Schema>>, cdr: &[u8]) -> Result<Body, String> {
+    if is_compressed(cdr) {
+        return Err(
+            "it is compressed by itself; what `taut bag convert` makes of the bag can be played".to_owned()
+        );
+    }
     let (endian, body) = split_header(cdr).map_err(|fault| fault.to_string())?;
     match (schema, endian) {
         (None, Endian::Little) => Ok(Body::Part(body.len())),
