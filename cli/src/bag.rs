@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut bag`: what is in a bag, whether it is whole, making it whole, and another one of it.
+//! `taut bag`: what is in a bag, whether it is whole, making it whole, another one of it, and pictures.
 
 mod convert;
+mod plot;
 
 use crate::asking::full_name;
 use crate::manners::{Failure, Manners, Outcome, time};
@@ -19,7 +20,7 @@ use tautline_bag::{
     BagError, Damage, FileReader, FileSummary, Message, Options, files_of, index_of, recover, rewrite,
 };
 
-/// Looks into bags, checks and mends them
+/// Looks into bags, checks, mends, converts and draws them
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut bag info run1                     topics, messages, times; what the recorder lost
@@ -27,7 +28,8 @@ use tautline_bag::{
   taut bag recover run1                  what a killed recorder left is made whole
   taut bag cut run1 /scan --from 10s --to 20s -o part
   taut bag merge run1 run2 -o both
-  taut bag convert old -o new            SQLite (.db3) or compressed files, as MCAP")]
+  taut bag convert old -o new            SQLite (.db3) or compressed files, as MCAP
+  taut bag plot run1 /odom.twist.twist.linear.x -o speed.svg")]
 pub struct BagArgs {
     #[command(subcommand)]
     verb: Verb,
@@ -43,6 +45,7 @@ enum Verb {
     Cut(CutArgs),
     Merge(MergeArgs),
     Convert(convert::ConvertArgs),
+    Plot(plot::PlotArgs),
 }
 
 /// Prints what is in a bag, from the index of its files
@@ -144,6 +147,7 @@ pub fn run(args: &BagArgs) -> Outcome {
         Verb::Cut(args) => cut(args, is_json),
         Verb::Merge(args) => write_anew(&args.bags, &args.new, is_json, |_| true),
         Verb::Convert(verb) => convert::run(verb, &args.manners),
+        Verb::Plot(args) => plot::run(args, is_json),
     }
 }
 

@@ -7,7 +7,7 @@
 mod application;
 mod conductor;
 mod output;
-mod plot;
+pub mod plot;
 mod process;
 mod protocol;
 mod publisher;

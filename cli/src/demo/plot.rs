@@ -6,7 +6,7 @@ use plotters::style::{FontTransform, RGBColor, WHITE};
 use super::report::{DemoReport, TopicReport};
 
 mod bins;
-mod canvas;
+pub mod canvas;
 
 use bins::Bins;
 use canvas::{Canvas, text};
@@ -26,9 +26,9 @@ const PLOT: i32 = 80;
 /// Room above the highest bar, where the mark of p99 goes.
 const HEADROOM: i32 = 12;
 
-const INK: RGBColor = RGBColor(34, 40, 49);
-const FAINT: RGBColor = RGBColor(102, 110, 122);
-const GRID: RGBColor = RGBColor(226, 230, 235);
+pub const INK: RGBColor = RGBColor(34, 40, 49);
+pub const FAINT: RGBColor = RGBColor(102, 110, 122);
+pub const GRID: RGBColor = RGBColor(226, 230, 235);
 const ON_TIME: RGBColor = RGBColor(76, 132, 196);
 const LATE: RGBColor = RGBColor(226, 102, 82);
 const DEADLINE: RGBColor = RGBColor(204, 32, 38);
@@ -188,13 +188,13 @@ fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) ->
 }
 
 /// The largest of 1, 2, 5, 10, ... (or their decimal parts) that does not exceed the wish by half.
-fn round_step(wish: f64) -> f64 {
+pub fn round_step(wish: f64) -> f64 {
     let decade = 10_f64.powf(wish.log10().floor());
     let factor = [10.0, 5.0, 2.0, 1.0].into_iter().find(|factor| factor * decade <= wish * 1.5);
     factor.unwrap_or(1.0) * decade
 }
 
-fn shorten(text: &str, most: usize) -> String {
+pub fn shorten(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_owned();
     }

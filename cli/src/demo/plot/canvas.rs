@@ -33,6 +33,11 @@ impl<'a> Canvas<'a> {
         self.0.draw(&PathElement::new([from, to], colour.stroke_width(width))).map_err(drawing)
     }
 
+    /// From point to point.
+    pub fn path(&self, points: &[(i32, i32)], colour: RGBColor, width: u32) -> Result<(), PlotError> {
+        self.0.draw(&PathElement::new(points, colour.stroke_width(width))).map_err(drawing)
+    }
+
     /// The deadline: a vertical, dashed line.
     pub fn dashed(&self, x: i32, top: i32, bottom: i32) -> Result<(), PlotError> {
         (top..bottom).step_by(8).try_for_each(|y| self.line((x, y), (x, (y + 5).min(bottom)), DEADLINE, 2))
