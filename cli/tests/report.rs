@@ -484,3 +484,101 @@ fn bad_input_is_refused_and_names_the_fix() {
     assert_eq!(output.status.code(), Some(2));
     assert!(text(&output.stderr).contains("/nowhere/run.json` cannot be written"), "{output:?}");
 }
+
+/// It ends with this.
+struct Killed(std::process::Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+    }
+}
+
+/// Its node's callbacks are not missed, and the others are looked at; when it ends they are.
+#[test]
+fn a_node_that_is_played_from_a_bag_is_told_of() {
+    use std::collections::BTreeMap;
+    use tautline_bag::{Options, Stamp, Topic, Writer};
+    let scratch = Scratch::new("stand_in");
+    let text = format!(
+        "{}\n[nodes.camera]\n[callbacks.capture]\nnode = \"camera\"\nperiod = \"1s\"\nwcet = \"1ms\"\npriority = 55\n\
+         publishes = \"fine\"\n",
+        SYSTEM
+            .replace("fine = { period = \"1000s\" }", "fine = {}")
+            .replace("[callbacks.fine]", "[callbacks.fine]\nnode = \"driver\"")
+            .replace("[callbacks.other]", "[callbacks.other]\nnode = \"driver\"")
+            .replace("wcet = \"20s\"", "wcet = \"300ms\"")
+    );
+    let system = scratch.write("system.toml", &text);
+    let mut writer = Writer::create(&scratch.0.join("bag"), Options::default(), BTreeMap::new()).unwrap();
+    let topic = |name: &str| Topic {
+        name: name.to_owned(),
+        type_name: "test_msgs/msg/Work".to_owned(),
+        definition: Some("uint64 burn_ns\n".to_owned()),
+        ..Topic::default()
+    };
+    let ids = ["/fine", "/elsewhere"].map(|name| writer.add_topic(topic(name)));
+    for n in 0..3_u64 {
+        let cdr = [&[0, 1, 0, 0][..], &1_000_000_u64.to_le_bytes()].concat();
+        let stamp = Stamp { sequence: n as u32 + 1, log_ns: (n + 1) * 1_000_000_000, publish_ns: n };
+        ids.iter().for_each(|id| writer.write(*id, stamp, &cdr).unwrap());
+    }
+    writer.finish(BTreeMap::new()).unwrap();
+
+    let mut running = Running::start(48, Realtime::Off, &system);
+    let subscription =
+        running.node.subscribe_loaned::<Work>("fine", QosProfile::default().keep_last(1)).unwrap();
+    let done = running.done.0.clone();
+    let work = subscription.for_each(move |work: Sample<Work>| {
+        drop(work);
+        done.send(()).unwrap();
+        async {}
+    });
+    let options = running.context.callback("fine").unwrap();
+    let _handle = running.node.spawn_callback(options, work).unwrap();
+    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
+    let play = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+        command.args(["play", "bag", "--as", "camera", "--no-rt"]).args(more).current_dir(&scratch.0);
+        command
+            .env("TAUT_DOMAIN", "48")
+            .env_remove("TAUT_SYSTEM")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        command
+    };
+    let report = || json(&taut(&["--domain", "48", "--json"]));
+    assert_eq!(violations(&report(), "capture"), ["not running"]);
+    // The file is the one that the process was started with.
+    let mut player = Killed(play(&["--loop"]).spawn().unwrap());
+    for _ in 0..2 {
+        running.done.1.recv_timeout(Duration::from_secs(60)).unwrap();
+    }
+    let seen = report();
+    assert_eq!(violations(&seen, "capture"), [""; 0], "{seen}");
+    let fine =
+        seen["callbacks"].as_array().unwrap().iter().find(|callback| callback["name"] == "fine").unwrap();
+    assert!(fine["measured"]["jobs"].as_u64().unwrap() >= 2, "{fine}");
+    assert_eq!(violations(&seen, "fine"), [""; 0], "{fine}");
+    let notes = seen["notes"].to_string();
+    assert!(notes.contains("camera is played from a bag by taut"), "{notes}");
+    // What is not its own is not played, and another one is refused.
+    let second = play(&[]).output().unwrap();
+    let words = self::text(&second.stderr);
+    assert!(
+        second.status.code() == Some(2)
+            && words.contains("/camera (process")
+            && words.contains("runs itself"),
+        "{words}"
+    );
+    player.0.kill().unwrap();
+    player.0.wait().unwrap();
+    assert_eq!(violations(&report(), "capture"), ["not running"]);
+    for (more, code, expected) in
+        [(&["--system", "none.toml"][..], 2, "`"), (&["/fine"], 2, "cannot be used with")]
+    {
+        let refused = play(more).output().unwrap();
+        let words = self::text(&refused.stderr);
+        assert!(refused.status.code() == Some(code) && words.contains(expected), "{words}");
+    }
+}

@@ -107,7 +107,7 @@ pub use uuid;
 pub use tautline_executor::{
     Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats, CoreSet,
     DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions, Overrun,
-    Policy, ProcessInfo, ProcessSnapshot, Realtime, assign,
+    Policy, ProcessInfo, ProcessSnapshot, Realtime, StatisticsFile, assign,
 };
 pub use tautline_msgs as msgs;
 pub use tautline_msgs::{Action, Message, Plain, Service};

@@ -277,6 +277,7 @@ impl Builder<'_> {
             core: self.places[index].core,
             priority: self.threads[thread].priority.unwrap_or(1),
             topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),
+            publishes: declared.publishes.iter().map(|topic| topic.value.clone()).collect(),
             depth: depths.map(|depth| depth.value).min(),
             deadline_ns: callbacks[start].task.deadline_ns,
             tasks: start..start + self.streams[index].len(),

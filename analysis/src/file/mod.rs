@@ -75,6 +75,8 @@ pub struct CallbackEntry {
     pub priority: u8,
     /// The topics that trigger it; none if it has a period.
     pub topics: Vec<String>,
+    /// The topics that it publishes.
+    pub publishes: Vec<String>,
     /// The smallest queue depth stated for these topics; `None` if all are `auto`.
     pub depth: Option<u64>,
     /// Latest end wanted, in nanoseconds after the arrival of the message, or after the nominal release of a period.

@@ -252,7 +252,7 @@ fn schema_of(topic: &Topic) -> Outcome<Arc<Schema>> {
     let unusable = |error: &dyn std::fmt::Display| Failure::unusable(format!("{}: {error}", topic.name));
     let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
     if let Some(text) = &topic.definition {
-        return Schema::from_text(&name, text).map(Arc::new).map_err(|error| unusable(&error));
+        return crate::definitions::from_bag(&name, text).map(Arc::new).map_err(|error| unusable(&error));
     }
     let bare = TopicType::new(topic.type_name.clone());
     let recorded = if topic.type_hash.is_empty() { bare } else { bare.with_hash(topic.type_hash.clone()) };

@@ -6,6 +6,7 @@
 mod console;
 mod feeder;
 mod stage;
+mod stand_in;
 mod statement;
 
 use crate::asking::full_name;
@@ -17,6 +18,7 @@ use clap::Args;
 use feeder::{Feeder, Part};
 use regex::Regex;
 use stage::{Clock, Control, Stage};
+use stand_in::StandIn;
 use statement::Statement;
 use std::cell::Cell;
 use std::num::NonZeroU64;
@@ -33,6 +35,8 @@ use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, Top
 /// How long subscriptions of another host or of ROS may take to find who publishes to them.
 const FAR: Duration = Duration::from_secs(1);
 
+/// Of the thread that publishes, if nothing is said.
+const PRIORITY: u8 = 40;
 /// How long a gateway or bridge may take to take a topic.
 const PATIENCE: Duration = Duration::from_secs(5);
 
@@ -47,6 +51,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
   taut play run1 /scan /odom --rate 0.5 --clock
   taut play run1 --from 10s --to 20s --loop
   taut play run1 --remap /scan:=/scan_recorded --max-jitter 1ms
+  taut play run1 --as camera --loop           the system without its camera; `taut report` says whether the others keep their bounds
   taut play run1 --paused                     on a terminal: enter goes on, n plays one message, s 12 leaps to 12 s
 
 Exit codes: 0 everything was played, or Ctrl-C; 1 some of it was not, or was later than --max-jitter; 2 it cannot be played.
@@ -97,9 +102,16 @@ pub struct PlayArgs {
     /// Exit with 1 if a message was later than this
     #[arg(long, value_name = "TIME", value_parser = time)]
     max_jitter: Option<Duration>,
-    /// Publish with this priority of SCHED_FIFO, where that is permitted
-    #[arg(long, value_name = "1..99", default_value_t = 40, value_parser = clap::value_parser!(u8).range(1..=99))]
-    priority: u8,
+    /// Stand in for this node of the system file: play what it publishes, on its core, at its priority, so that `taut report` looks at the
+    /// others with recorded input
+    #[arg(long = "as", value_name = "NODE", conflicts_with_all = ["topics", "regex", "exclude", "remap"])]
+    stands_in: Option<String>,
+    /// The system file of --as [default: TAUT_SYSTEM, or what the processes of the domain were started with]
+    #[arg(long, value_name = "FILE", requires = "stands_in")]
+    system: Option<PathBuf>,
+    /// Publish with this priority of SCHED_FIFO, where that is permitted [default: 40, or the node's]
+    #[arg(long, value_name = "1..99", value_parser = clap::value_parser!(u8).range(1..=99))]
+    priority: Option<u8>,
     /// Publish at an ordinary priority
     #[arg(long)]
     no_rt: bool,
@@ -144,9 +156,14 @@ pub fn run(args: &PlayArgs) -> Outcome {
     };
     let mut end = End::of(&args.manners)?;
     let (from_ns, to_ns) = args.range(&bag)?;
-    let (roles, numbers) = args.roles(&bag)?;
+    let stand_in = args.stand_in(domain)?;
+    let (roles, numbers) = args.roles(&bag, stand_in.as_ref())?;
     let participant = Participant::new(domain)?;
-    let node = participant.create_node(&format!("taut_play_{}", std::process::id()), "/")?;
+    let (name, namespace) = match &stand_in {
+        Some(stand_in) => stand_in.name(&participant)?,
+        None => (format!("taut_play_{}", std::process::id()), "/".to_owned()),
+    };
+    let node = participant.create_node(&name, &namespace)?;
     let participant = participant.for_node(&node);
     args.refuse_live(&participant, &roles)?;
 
@@ -187,8 +204,13 @@ pub fn run(args: &PlayArgs) -> Outcome {
         }
     };
     let stage = Stage::new(consumer, publishers, clock, args.rate, control.clone());
-    let policy = args.policy();
-    let thread = ThreadBuilder::new("stage").policy(policy).spawn(move || move || stage.run())?;
+    let policy = args.policy(stand_in.as_ref());
+    let mut thread = ThreadBuilder::new("stage").policy(policy);
+    if let Some(stand_in) = &stand_in {
+        thread = thread.cores(stand_in.cores());
+    }
+    let _shown = stand_in.as_ref().map(|stand_in| stand_in.show(domain, policy)).transpose()?;
+    let thread = thread.spawn(move || move || stage.run())?;
     end.restart();
     let until = if args.again == Some(None) { ", until Ctrl-C" } else { "" };
     say(&format!("playing {} topics of {} in domain {domain}{until}", roles.len(), args.bag.display()));
@@ -201,12 +223,13 @@ pub fn run(args: &PlayArgs) -> Outcome {
 }
 
 impl PlayArgs {
-    fn policy(&self) -> Policy {
+    fn policy(&self, stand_in: Option<&StandIn>) -> Policy {
         if self.no_rt {
             return Policy::Other { nice: 0 };
         }
-        match rt::permission::realtime_permitted(self.priority) {
-            Ok(()) => Policy::Fifo(self.priority),
+        let priority = self.priority.or(stand_in.map(StandIn::priority)).unwrap_or(PRIORITY);
+        match rt::permission::realtime_permitted(priority) {
+            Ok(()) => Policy::Fifo(priority),
             Err(error) => {
                 say(&format!("taut: warning: messages are published at an ordinary priority: {error}"));
                 Policy::Other { nice: 0 }
@@ -231,8 +254,11 @@ impl PlayArgs {
     }
 
     /// What is played, and which of it each topic of the bag is.
-    fn roles(&self, bag: &Ordered) -> Outcome<(Vec<Role>, Vec<Option<usize>>)> {
-        let names: Vec<_> = self.topics.iter().map(|name| full_name(name)).collect();
+    fn roles(&self, bag: &Ordered, stand_in: Option<&StandIn>) -> Outcome<(Vec<Role>, Vec<Option<usize>>)> {
+        let names: Vec<_> = match stand_in {
+            None => self.topics.iter().map(|name| full_name(name)).collect(),
+            Some(stand_in) => stand_in.topics().collect(),
+        };
         let there = || bag.topics().iter().map(|topic| &*topic.name);
         if let Some(unknown) = names.iter().find(|name| !there().any(|there| there == *name)) {
             let list = format!("bag info {}", self.bag.display());

@@ -14,7 +14,7 @@ mod json;
 pub mod run;
 mod table;
 mod verdict;
-mod watch;
+pub mod watch;
 
 use run::Run;
 use verdict::Comparison;

@@ -37,6 +37,9 @@ pub struct Process {
     pub system_hash: u64,
     /// Processor time that the hypervisor gave to others since it started, in ticks of 10 ms.
     pub steal_ticks: u64,
+    /// The node that it plays from a bag; empty: none.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub stands_in: String,
     pub callbacks: Vec<Callback>,
 }
 
@@ -142,6 +145,7 @@ impl Process {
             sampler_priority: process.sampler_priority,
             system_hash: process.system_hash,
             steal_ticks: tautline::rt::host::steal_ticks(None).saturating_sub(process.steal_ticks),
+            stands_in: process.stands_in.clone(),
             callbacks: snapshot.callbacks.iter().map(|of| Callback::new(of, now_ns)).collect(),
         }
     }

@@ -79,6 +79,16 @@ impl Comparison {
         let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run)).collect();
         let unknown = unknown(&here, run);
         let mut notes = notes(file, checked, run, &rows);
+        let played: BTreeSet<_> = rows
+            .iter()
+            .filter(|row| row.measured.is_none())
+            .filter_map(|row| Some((&row.predicted.entry.node, stand_in(&row.predicted, run)?.label())))
+            .collect();
+        for (node, process) in played {
+            notes.push(format!(
+                "{node} is played from a bag by {process}: the others' bounds are looked at, with its input; its own callbacks are not"
+            ));
+        }
         if !unseen.is_empty() {
             let names: Vec<&str> = unseen.iter().map(|callback| &*callback.entry.name).collect();
             notes.push(format!("timers of ROS's client libraries are not measured: {}", names.join(", ")));
@@ -139,7 +149,9 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
     found.sort_by_key(|(_, callback)| (callback.ended, std::cmp::Reverse(callback.last_release_ns)));
     let mut marks = Vec::new();
     let Some(&(process, callback)) = found.first() else {
-        marks.push(explain::not_running(predicted, run));
+        if stand_in(predicted, run).is_none() {
+            marks.push(explain::not_running(predicted, run));
+        }
         return Row { predicted: predicted.clone(), measured: None, marks };
     };
     let running: Vec<_> = found.iter().filter(|(_, callback)| !callback.ended).collect();
@@ -163,6 +175,14 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
         callback: callback.clone(),
     };
     Row { predicted: predicted.clone(), measured: Some(measured), marks }
+}
+
+/// Who plays what its node published, from a bag.
+fn stand_in<'r>(predicted: &CheckedCallback, run: &'r Run) -> Option<&'r Process> {
+    let is_it = |process: &&Process| {
+        process.running && process.host == predicted.host && process.stands_in == predicted.entry.node
+    };
+    run.processes.iter().find(is_it)
 }
 
 /// Jobs later than the file's deadline, one that has not ended yet among them. The histogram counts those of the deadline's own bucket as in time; the longest one

@@ -12,8 +12,8 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, sta
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 1;
-const HEADER_WORDS: usize = 640;
+const VERSION: u64 = 2;
+const HEADER_WORDS: usize = 672;
 
 /// What each word of the header is.
 mod header {
@@ -31,6 +31,7 @@ mod header {
     pub const PROGRAM: Range<usize> = 16..48;
     pub const HOST: Range<usize> = 48..80;
     pub const SYSTEM_PATH: Range<usize> = 80..640;
+    pub const STANDS_IN: Range<usize> = 640..672;
 }
 
 /// What a process tells of itself.
@@ -52,6 +53,8 @@ pub struct ProcessInfo {
     pub system_hash: u64,
     /// `steal` of /proc/stat when it started: processor time that the hypervisor gave to others, in ticks of 10 ms.
     pub steal_ticks: u64,
+    /// The node of the system file that it plays from a bag; empty: none.
+    pub stands_in: String,
 }
 
 /// A file in /dev/shm in which an executor keeps the statistics of its callbacks: see
@@ -115,6 +118,7 @@ impl StatisticsFile {
         number(header::STEAL_TICKS, about.steal_ticks);
         put_text(&header[header::PROGRAM], &about.program);
         put_text(&header[header::HOST], &about.host);
+        put_text(&header[header::STANDS_IN], &about.stands_in);
         put_text(&header[header::SYSTEM_PATH], &about.system_path.to_string_lossy());
         // Release: pairs with the Acquire in `ForeignWords::read`; all else is there when the magic is.
         header[header::MAGIC].store(MAGIC, Ordering::Release);
@@ -233,6 +237,7 @@ impl ForeignStatistics {
             system_path: PathBuf::from(get_text(&words[header::SYSTEM_PATH])),
             system_hash: words[header::SYSTEM_HASH],
             steal_ticks: words[header::STEAL_TICKS],
+            stands_in: get_text(&words[header::STANDS_IN]),
         };
         // As many as fit into the file, whatever it says.
         let size_words = self.file.size_words()?;
@@ -270,6 +275,7 @@ mod tests {
             system_path: "/etc/system.toml".into(),
             system_hash: 42,
             steal_ticks: 3,
+            stands_in: "camera".into(),
         }
     }
 
