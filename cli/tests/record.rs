@@ -446,6 +446,38 @@ fn rand_seed() -> u64 {
     wall_ns().cast_unsigned()
 }
 
+/// Of every topic, however many there are; `TAUT_TOPICS` says so.
+#[test]
+fn very_many_topics_are_recorded() {
+    let many: usize = std::env::var("TAUT_TOPICS").map_or(1000, |topics| topics.parse().unwrap());
+    let place = Place::new(49);
+    let limits = Limits { loans: 1, ..Limits::default() };
+    let start_ns = monotonic_ns();
+    let seconds = || (monotonic_ns() - start_ns) as f64 / 1e9;
+    let participants: Vec<_> = (0..many.div_ceil(500)).map(|_| Participant::new(49).unwrap()).collect();
+    let create = |n: usize| -> Publisher<Count> {
+        participants[n / 500].create_publisher(&format!("/topic_{n}"), Qos::keep_last(1), limits).unwrap()
+    };
+    let publishers: Vec<_> = (0..many).map(create).collect();
+    println!("{many} topics are there after {:.1} s", seconds());
+    let recorder = place.record(&["-a", "--json", "--depth", "4"]);
+    place.wait_for_observers(publishers.iter().map(|publisher| publisher.gid()));
+    println!("they are recorded after {:.1} s", seconds());
+    for publisher in &publishers {
+        (0..3).for_each(|n| publisher.publish(&Count { n }).unwrap());
+    }
+    let (code, out, errors) = recorder.end();
+    println!("all is over after {:.1} s", seconds());
+    let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{code}: {errors}"));
+    assert_eq!((code, &report["lost"]), (0, &0.into()), "{errors}");
+    let stalls = report["topics"].as_array().unwrap().iter().map(|topic| topic["longest_stall_ns"].as_u64());
+    println!("longest stall {:.1} ms", stalls.flatten().max().unwrap() as f64 / 1e6);
+    let bag = place.read();
+    assert_eq!(bag.len(), many);
+    assert!(bag.values().all(|messages| numbers(messages) == [0, 1, 2]));
+    assert_eq!(place.run(&["bag", "check", "bag"]).0, 0);
+}
+
 /// On a disk of 4 MB: what is in the bag is whole.
 #[test]
 fn a_full_disk_ends_a_bag_that_is_whole() {

@@ -86,6 +86,8 @@ pub struct Seats {
     refused: BTreeSet<String>,
     /// Publishers that were there when the recording began.
     before: Option<HashSet<Gid>>,
+    /// Types whose definition is not known, which was said.
+    unknown: HashSet<String>,
     /// Topics whose publishers are elsewhere, which was said.
     elsewhere: HashSet<String>,
     to_taker: Sender<Seat>,
@@ -112,6 +114,7 @@ impl Seats {
             numbers: HashMap::new(),
             refused: BTreeSet::new(),
             before: None,
+            unknown: HashSet::new(),
             elsewhere: HashSet::new(),
             to_taker,
             to_keeper,
@@ -241,7 +244,8 @@ impl Seats {
         };
         let number = known.unwrap_or(self.seated.len());
         if known.is_none() {
-            let (topic, part, counts) = (described(ends, end, tell), Part::Message, Arc::default());
+            let (topic, part, counts) =
+                (described(ends, end, &mut self.unknown, tell), Part::Message, Arc::default());
             let kept = Kept::Topic(topic.clone());
             self.add(Seated { topic, part, depth, topic_type, is_fetched, counts }, kept);
         }
@@ -292,10 +296,15 @@ fn depth(ends: &[&TopicEndpoint], end: &TopicEndpoint) -> usize {
     end.topic_type.body_bytes.map_or(own, |bytes| own.max((QUEUE_BYTES / (bytes + 64)).min(DEEP)))
 }
 
-fn described(ends: &[&TopicEndpoint], end: &TopicEndpoint, tell: &impl Fn(&str)) -> Topic {
+fn described(
+    ends: &[&TopicEndpoint],
+    end: &TopicEndpoint,
+    unknown: &mut HashSet<String>,
+    tell: &impl Fn(&str),
+) -> Topic {
     let name = end.topic_type.name.parse().ok();
     let schema = name.and_then(|name| find_schema(&end.topic, &name, Some(&end.topic_type)).ok());
-    if schema.is_none() {
+    if schema.is_none() && unknown.insert(end.topic_type.name.to_string()) {
         tell(&format!(
             "warning: the definition of {} is not known: what reads the bag needs it from elsewhere",
             end.topic_type.name
