@@ -83,7 +83,7 @@ enum Verb {
     Lifecycle(lifecycle::LifecycleArgs),
     Log(log::LogArgs),
     Trace(trace::TraceArgs),
-    Record(record::RecordArgs),
+    Record(Box<record::RecordArgs>),
     Play(play::PlayArgs),
     Bag(bag::BagArgs),
     Gateway(gateway::GatewayArgs),

@@ -478,6 +478,57 @@ fn very_many_topics_are_recorded() {
     assert_eq!(place.run(&["bag", "check", "bag"]).0, 0);
 }
 
+/// On a disk of some 3 MB/s: what the memory has room for is written, however late, and what it has none for is counted.
+#[test]
+fn a_slow_disk_loses_what_there_is_no_room_for_and_says_so() {
+    let place = Place::new(50);
+    let source = place.folder.path().join("slow.c");
+    let library = place.folder.path().join("slow.so");
+    std::fs::write(&source, SLOW_DISK).unwrap();
+    let compiled =
+        Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).args([&library, &source]).status();
+    assert!(compiled.unwrap().success(), "cc is needed");
+    let limits = Limits { message_bytes: 10_000, ..Limits::default() };
+    let topic_type = TopicType::new("demo_msgs/msg/Bytes");
+    // The recorder before may still be somebody to its topic.
+    for (topic, budget, has_room) in [("/much", "64MB", true), ("/little", "1MB", false)] {
+        let publisher =
+            place.participant.create_raw_publisher(topic, &topic_type, Qos::keep_last(100), limits).unwrap();
+        let mut command = place.command(&["record", topic, "-o", "bag", "--json", "--budget", budget]);
+        let recorder = Recorder(command.env("LD_PRELOAD", &library).spawn().unwrap());
+        place.wait_for_observer(publisher.gid());
+        let start_ns = monotonic_ns();
+        for n in 0..2000_u64 {
+            sleep_until_monotonic(start_ns + n * 500_000);
+            let mut body = vec![n as u8; 10_000];
+            body[..8].copy_from_slice(&n.to_le_bytes());
+            publisher.publish(&body).unwrap();
+        }
+        let (code, out, errors) = recorder.end();
+        let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{code}: {errors}"));
+        let (kept, lost) = (report["messages"].as_u64().unwrap(), report["lost"].as_u64().unwrap());
+        assert_eq!((kept + lost, code), (2000, i32::from(lost > 0)), "{budget}: {out}{errors}");
+        assert!(report["longest_write_ns"].as_u64().unwrap() >= 20_000_000, "{out}");
+        let full = report["budget_exhausted"].as_u64().unwrap();
+        assert_eq!((lost == 0, full == 0), (has_room, has_room), "{budget}: {lost} lost");
+        assert!(has_room || errors.contains("a greater --budget slower disks"), "{errors}");
+        let messages = &place.read()[topic];
+        assert!(messages.len() as u64 == kept && numbers(messages).is_sorted(), "{budget}");
+        std::fs::remove_dir_all(place.bag()).unwrap();
+    }
+}
+
+/// Each write of a file that has some length takes a while.
+const SLOW_DISK: &str = r#"
+#include <sys/syscall.h>
+#include <sys/types.h>
+#include <unistd.h>
+ssize_t write(int fd, const void *bytes, size_t length) {
+    if (length > 10000) usleep(20000);
+    return syscall(SYS_write, fd, bytes, length > 65536 ? 65536 : length);
+}
+"#;
+
 /// On a disk of 4 MB: what is in the bag is whole.
 #[test]
 fn a_full_disk_ends_a_bag_that_is_whole() {

@@ -17,7 +17,7 @@ use tautline_bag::{BagError, Finished, Stamp, TopicId, Writer};
 /// What a kill can cost.
 const FLUSH: Duration = Duration::from_millis(500);
 /// How often is looked whether there is something to write.
-const PERIOD: Duration = Duration::from_millis(2);
+const PERIOD: Duration = Duration::from_millis(10);
 
 pub struct Keeper {
     statement: Sender<BTreeMap<String, String>>,

@@ -29,7 +29,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use taker::{Pace, Taker};
-use tautline::rt::{self, MemoryLock, Policy, ThreadBuilder};
+use tautline::rt::{self, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline_bag::{BagError, Compression, Options, Writer};
 use tautline_transport::Participant;
 
@@ -128,6 +128,9 @@ pub struct RecordArgs {
     /// Keep no trace events in the black box: processes do not record any for it
     #[arg(long, requires = "black_box")]
     no_trace: bool,
+    /// Run on these cores alone, such as 0-1,4: not on those of real-time threads, whose caches and interrupts are theirs
+    #[arg(long, value_name = "LIST", value_parser = cores)]
+    cores: Option<CoreSet>,
     /// Take messages at an ordinary priority, instead of SCHED_FIFO 1 where that is permitted
     #[arg(long)]
     no_rt: bool,
@@ -177,6 +180,11 @@ fn silent(text: &str) -> Result<(String, Duration), String> {
     Ok((crate::asking::full_name(topic), time(text)?))
 }
 
+fn cores(text: &str) -> Result<CoreSet, String> {
+    let cores = CoreSet::parse(text).filter(|cores| !cores.is_empty());
+    cores.ok_or_else(|| format!("'{text}' is no list of cores: 0-1,4 is one"))
+}
+
 fn throttle(text: &str) -> Result<(String, f64), String> {
     let (topic, hz) = text.rsplit_once('=').ok_or("TOPIC=HZ, such as /scan=10")?;
     let hz = hz.parse::<f64>().ok().filter(|hz| (1e-6..1e9).contains(hz));
@@ -188,6 +196,10 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let choice = Choice::new(args)?;
     let domain = args.manners.domain()?;
     let mut end = End::of(&args.manners)?;
+    if let Some(cores) = args.cores {
+        // Threads that it starts are there, too.
+        rt::set_affinity(cores).map_err(|error| Failure::unusable(format!("--cores: {error}")))?;
+    }
     let (is_paused, asked) = (Arc::new(AtomicBool::new(args.paused)), Arc::new(AtomicBool::new(false)));
     listen(if args.black_box.is_some() { &asked } else { &is_paused })?;
     // Before anything else: what is locked, and what it costs, is there before the first message.
@@ -198,7 +210,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let folder = args.output.clone().unwrap_or_else(|| args.default_folder().into());
     let participant = Participant::new(domain)?;
     let (stop, is_over) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-    let (seats, coming) = Seats::new(participant, choice, args);
+    let (seats, coming) = Seats::new(participant, choice, args)?;
     let pace =
         Pace { period_ns: rt::clock::nanoseconds(args.period).max(100_000), is_paused: is_paused.clone() };
     let taker = Taker::new(producer, coming.seats, pace, stop.clone());

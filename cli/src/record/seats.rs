@@ -85,7 +85,7 @@ pub struct Seats {
     /// Topics that cannot be recorded.
     refused: BTreeSet<String>,
     /// Publishers that were there when the recording began.
-    before: Option<HashSet<Gid>>,
+    before: HashSet<Gid>,
     /// Types whose definition is not known, which was said.
     unknown: HashSet<String>,
     /// Topics whose publishers are elsewhere, which was said.
@@ -101,7 +101,13 @@ pub struct Coming {
 }
 
 impl Seats {
-    pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> (Self, Coming) {
+    /// From here on what publishers send that come is recorded, or counted.
+    pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> Outcome<(Self, Coming)> {
+        let graph = participant.graph()?;
+        let publishers = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher);
+        // Clients publish requests.
+        let clients = graph.services.iter().map(|end| end.gid);
+        let before = publishers.map(|end| end.gid).chain(clients).collect();
         let ((to_taker, seats), (to_keeper, topics)) = (channel(), channel());
         let here = Seats {
             participant,
@@ -113,13 +119,13 @@ impl Seats {
             seated: Vec::new(),
             numbers: HashMap::new(),
             refused: BTreeSet::new(),
-            before: None,
+            before,
             unknown: HashSet::new(),
             elsewhere: HashSet::new(),
             to_taker,
             to_keeper,
         };
-        (here, Coming { seats, topics })
+        Ok((here, Coming { seats, topics }))
     }
 
     /// Looks whether there are topics that are new.
@@ -131,10 +137,6 @@ impl Seats {
         let graph = self.participant.graph()?;
         let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
         graph.endpoints.iter().for_each(|end| topics.entry(&end.topic).or_default().push(end));
-        // At the first look. Clients are publishers of requests.
-        let clients = graph.services.iter().map(|end| end.gid);
-        let there = topics.values().flat_map(|ends| publishers(ends)).map(|end| end.gid);
-        self.before.get_or_insert_with(|| there.chain(clients).collect());
         for (topic, ends) in topics {
             for end in publishers(&ends) {
                 if !self.choice.takes(topic, &end.topic_type.name) {
@@ -280,7 +282,7 @@ impl Seats {
     pub fn end(self) -> (Vec<Seated>, HashSet<Gid>, Vec<String>) {
         let named = self.choice.named().iter().filter(|name| !self.numbers.contains_key(*name));
         let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
-        (self.seated, self.before.unwrap_or_default(), absent.into_iter().collect())
+        (self.seated, self.before, absent.into_iter().collect())
     }
 }
 

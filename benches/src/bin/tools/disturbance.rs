@@ -18,11 +18,14 @@ use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
 const PERIOD_NS: u64 = 1_000_000;
 
 /// Who looks, and whether that should cost nothing.
-const CASES: [(&str, &[&str], bool); 6] = [
+/// Stands for the cores that the publishing thread is not on.
+const OTHERS: &str = "OTHERS";
+const CASES: [(&str, &[&str], bool); 7] = [
     ("nobody", &[], true),
     ("taut topic hz", &["topic", "hz", "/looked_at"], true),
     ("taut top", &["top", "--json", "--every", "200ms"], true),
     ("taut record", &["record", "/looked_at"], true),
+    ("taut record --cores", &["record", "/looked_at", "--cores", OTHERS], true),
     ("taut topic hz --take", &["topic", "hz", "/looked_at", "--take"], false),
     ("taut topic echo", &["topic", "echo", "/looked_at"], false),
 ];
@@ -85,6 +88,9 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Case>, Vec<String>)> {
     let subscription =
         participant.create_subscription::<Point>("/looked_at", Qos::default(), Limits::default())?;
     subscription.set_quiet(true);
+    let cores: Vec<_> = CoreSet::allowed()?.iter().map(|core| core.to_string()).collect();
+    // On a machine of one core they are on it.
+    let others = cores[..cores.len().saturating_sub(1).max(1)].join(",");
     let mut all = Vec::new();
     for _ in CASES {
         all.push((Histogram::new_with_bounds(1, 1_000_000_000, 3)?, [0, 0], 0));
@@ -107,7 +113,14 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Case>, Vec<String>)> {
             for ((_, arguments, _), (times, counts, faulted)) in CASES.iter().zip(&mut all) {
                 let looking = match arguments.is_empty() {
                     true => None,
-                    false => Some(Looking::start(&taut, arguments).map_err(refuse)?),
+                    false => {
+                        let argument = |argument: &&str| match *argument {
+                            OTHERS => others.clone(),
+                            other => other.to_owned(),
+                        };
+                        let arguments: Vec<_> = arguments.iter().map(argument).collect();
+                        Some(Looking::start(&taut, &arguments).map_err(refuse)?)
+                    }
                 };
                 // It has begun to look, and who is taken from has been set up for it.
                 std::thread::sleep(Duration::from_millis(400));

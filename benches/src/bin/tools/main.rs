@@ -56,10 +56,11 @@ pub struct Looking {
 
 impl Looking {
     /// Starts the command with these arguments.
-    pub fn start(taut: &Taut, arguments: &[&str]) -> Result<Self> {
+    pub fn start(taut: &Taut, arguments: &[String]) -> Result<Self> {
         // For what it writes.
         let folder = tempfile::tempdir()?;
-        let child = taut.command(arguments).current_dir(folder.path()).stdout(Stdio::null()).spawn();
+        let mut command = taut.command(&[]);
+        let child = command.args(arguments).current_dir(folder.path()).stdout(Stdio::null()).spawn();
         let child = child.map_err(|error| format!("{}: {error}", taut.0.display()))?;
         Ok(Looking { child, _folder: folder })
     }
