@@ -184,10 +184,12 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     } else {
         sum.write(bag, &files, out)?;
         if let Some(host) = session.and_then(|session| session.get("host")) {
-            let lost = match recording.and_then(|recording| recording.get("lost")) {
-                Some(lost) if lost == "0" => "and lost nothing".to_owned(),
-                Some(lost) => format!("and lost {lost} messages"),
-                None => "and did not come to its end".to_owned(),
+            let said = |key: &str| recording.and_then(|recording| recording.get(key));
+            let lost = match (said("lost"), said("why")) {
+                (_, Some(why)) => format!("from its black box: {why}"),
+                (Some(lost), _) if lost == "0" => "and lost nothing".to_owned(),
+                (Some(lost), _) => format!("and lost {lost} messages"),
+                (None, _) => "and did not come to its end".to_owned(),
             };
             writeln!(out, "taut record wrote it on {host}, {lost}")?;
         }

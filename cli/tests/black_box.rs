@@ -174,7 +174,7 @@ fn what_was_last_is_written_when_it_is_asked_for() {
     assert_eq!(report["bags"][0]["causes"][0]["kind"], "request");
     taut(folder.path(), &["bag", "check", "box/001_request"]);
     let info = taut(folder.path(), &["bag", "info", "box/001_request"]);
-    assert!(info.contains("/map"), "{info}");
+    assert!(info.contains("/map") && info.contains("from its black box: it was asked for"), "{info}");
 }
 
 #[test]

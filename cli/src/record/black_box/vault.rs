@@ -78,15 +78,18 @@ impl Dump {
         })
     }
 
+    fn why(&self) -> String {
+        self.causes.iter().map(|(_, words)| words.as_str()).collect::<Vec<_>>().join("; ")
+    }
+
     pub fn line(&self) -> String {
-        let causes: Vec<_> = self.causes.iter().map(|(_, words)| words.as_str()).collect();
         let trace = self.trace_events.map_or(String::new(), |events| format!(", {events} trace events"));
         format!(
             "{}: {} messages of {:.1} s{trace}: {}",
             self.folder.display(),
             self.messages,
             self.span_ns as f64 / 1e9,
-            causes.join("; ")
+            self.why()
         )
     }
 }
@@ -294,7 +297,8 @@ impl Work {
         let causes: Vec<_> = due.alarms.into_iter().map(|alarm| (alarm.kind, alarm.words)).collect();
         let span_ns = span.map_or(0, |(first, last): (u64, u64)| last.saturating_sub(first));
         let dump = Dump { folder, causes, messages, span_ns, trace_events };
-        writer.finish([("black_box".to_owned(), dump.json().to_string())].into())?;
+        let said = [("black_box", dump.json().to_string()), ("why", dump.why())];
+        writer.finish(said.map(|(key, text)| (key.to_owned(), text)).into())?;
         crate::record::say(&format!("taut: {}", dump.line()));
         self.done.dumps.push(dump);
         while self.plan.most_bags.is_some_and(|most| self.done.dumps.len() > most) {
