@@ -204,6 +204,51 @@ fn a_process_that_dies_is_a_reason() {
     assert_eq!((code, report["bags"].as_array().unwrap().len()), (i32::from(lost > 0), 1), "{report}");
 }
 
+/// The part of a process that is killed; without its variable it is no test.
+#[test]
+fn child_main() {
+    if std::env::var_os("TAUT_BLACK_BOX_PART").is_none() {
+        return;
+    }
+    let here = Here::new(51);
+    let mut node = here.node("doomed", "");
+    let publisher = node.create_publisher::<Count>("/last", QosProfile::default()).unwrap();
+    let words = node.subscribe::<Count>("/last", QosProfile::default()).unwrap();
+    let options = CallbackOptions::other().name("last_words");
+    let _heard = node.spawn_callback(options, words.for_each(|_| std::future::ready(()))).unwrap();
+    for n in 0.. {
+        publisher.publish(&Count { n }).unwrap();
+        sleep_until_monotonic(monotonic_ns() + 5 * MS);
+    }
+}
+
+/// Also what its callbacks did is there.
+#[test]
+fn what_the_dead_did_is_kept() {
+    let mut recorder = Recorder::start(51, &["/last", "--black-box", "60s", "--on", "death"]);
+    let mut part = Command::new(std::env::current_exe().unwrap());
+    part.args(["--exact", "child_main"]).env("TAUT_BLACK_BOX_PART", "1").stdout(Stdio::null());
+    let mut part = part.stderr(Stdio::null()).spawn().unwrap();
+    recorder.wait_for("/last");
+    sleep_until_monotonic(monotonic_ns() + 300 * MS);
+    part.kill().unwrap();
+    part.wait().unwrap();
+    let told = recorder.hear("death: process");
+    assert!(told.contains(&part.id().to_string()) && told.contains("/doomed"), "{told}");
+    recorder.hear("001_death: ");
+    let bag = recorder.bag("001_death");
+    let last = &numbers(&bag)["/last"];
+    let text = std::fs::read(bag.join("statistics.json")).unwrap();
+    let statistics: Value = serde_json::from_slice(&text).unwrap();
+    let processes = statistics["processes"].as_array().unwrap();
+    let dead = processes.iter().find(|process| process["pid"] == part.id()).unwrap();
+    let callback =
+        dead["callbacks"].as_array().unwrap().iter().find(|it| it["name"] == "last_words").unwrap();
+    assert!(callback["releases"].as_u64().unwrap() >= last.len() as u64, "{callback}");
+    let trace = taut(&bag, &["trace", "latency", "taut.trace"]);
+    assert!(trace.contains("last_words"), "{trace}");
+}
+
 #[test]
 fn a_topic_that_falls_silent_is_a_reason() {
     let participant = Participant::new(39).unwrap();

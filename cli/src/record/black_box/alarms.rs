@@ -15,6 +15,8 @@ use tautline_transport::Visitor;
 
 /// How often statistics are looked at.
 const STATISTICS_NS: u64 = 100_000_000;
+/// So long what ended processes did is kept.
+const ENDED_NS: u64 = 5_000_000_000;
 /// A topic without a time of its own is silent after so many times its longest pause until then, of so many messages at least.
 const PAUSES: u64 = 10;
 const MESSAGES: u64 = 10;
@@ -65,6 +67,8 @@ pub struct Alarms {
     visitor: Visitor,
     asked: Arc<AtomicBool>,
     processes: Vec<ForeignStatistics>,
+    /// Since when those that have ended have.
+    ended: HashMap<PathBuf, u64>,
     looked_ns: u64,
     is_first: bool,
     misses: HashMap<(PathBuf, String), u64>,
@@ -97,6 +101,7 @@ impl Alarms {
             visitor: Visitor::new(domain)?,
             asked,
             processes: Vec::new(),
+            ended: HashMap::new(),
             looked_ns: 0,
             is_first: true,
             misses: HashMap::new(),
@@ -194,14 +199,19 @@ impl Alarms {
                 }
             }
         }
-        // Those that have ended were read for the last time; what they did stays in the files that are open until the next alarm.
-        let (misses, is_over) = (&mut self.misses, |process: &ForeignStatistics| !process.is_running());
+        // What the dead have done is there for the alarm that tells of them.
+        let (misses, ended, now_ns) = (&mut self.misses, &mut self.ended, self.looked_ns);
         self.processes.retain(|process| {
-            let is_over = is_over(process);
-            if is_over {
-                misses.retain(|(path, _), _| path != process.path());
+            let path = process.path();
+            if process.is_running() {
+                return true;
             }
-            !is_over
+            let stays = now_ns - *ended.entry(path.to_owned()).or_insert(now_ns) < ENDED_NS;
+            if !stays {
+                ended.remove(path);
+                misses.retain(|(of, _), _| of != path);
+            }
+            stays
         });
     }
 
