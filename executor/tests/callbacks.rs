@@ -239,8 +239,8 @@ fn a_plain_for_each_is_measured() {
     );
     let (execution, response) = (stats.execution().snapshot(), stats.response().snapshot());
     assert_eq!((execution.n(), response.n()), (3, 3));
+    // Neither is the greater one: what the executor used to get to a job counts as its execution, and is before its release.
     assert!(execution.p(0.0) >= WORK && response.p(0.0) >= WORK);
-    assert!(response.max() >= execution.p(0.0));
 
     // A deadline that is met, and no execution times.
     let options = options.deadline(Duration::from_secs(3600)).execution_time(false);
