@@ -5,7 +5,7 @@
 //! Knows files, and nothing of Tautline's topics. What is written survives: a chunk is in the file when [`Writer::flush`] returns, the
 //! space for what a file still needs to be whole is claimed before a message is written, and of what a killed process left
 //! [`recover`] keeps every whole chunk. What is read is a claim: lengths are held against the file's, chunks against their checksum.
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 mod claim;
 mod convert;

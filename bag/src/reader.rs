@@ -5,6 +5,7 @@ use crate::parts::{Form, form_of};
 use crate::record::{Records, parse};
 use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
 use mcap::records::{ChunkHeader, Record, op};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
 use std::io::Read;
@@ -383,10 +384,11 @@ impl FileReader {
         position: u64,
         visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let result = match parse(op::CHUNK, &record[RECORD_HEAD as usize..]) {
-            Ok(Some(Record::Chunk { header, data })) => unpack(&header, &data).map(|bytes| (header, bytes)),
+        let parsed = parse(op::CHUNK, &record[RECORD_HEAD as usize..]);
+        let result = match &parsed {
+            Ok(Some(Record::Chunk { header, data })) => unpack(header, data).map(|bytes| (header, bytes)),
             Ok(_) => return Ok(()),
-            Err(error) => Err(error),
+            Err(error) => Err(error.clone()),
         };
         let (header, bytes) = match result {
             Ok(whole) => whole,
@@ -462,8 +464,8 @@ impl FileReader {
     }
 }
 
-/// The records of a chunk. Memory grows with what is there, not with what the chunk says, and to 1 GiB at most.
-fn unpack(header: &ChunkHeader, data: &[u8]) -> Result<Vec<u8>, String> {
+/// The records of a chunk, which are in it as they are if it is not compressed. Memory grows with what is there, not with what the chunk says, and to 1 GiB at most.
+fn unpack<'b>(header: &ChunkHeader, data: &'b [u8]) -> Result<Cow<'b, [u8]>, String> {
     if header.uncompressed_size > MOST_BYTES as u64 + (1 << 20) {
         return Err(format!(
             "it says that it is of {} bytes, which is more than any",
@@ -473,12 +475,13 @@ fn unpack(header: &ChunkHeader, data: &[u8]) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let mut unpack = |from: &mut dyn Read| from.take(header.uncompressed_size + 1).read_to_end(&mut bytes);
     let unpacked = match &*header.compression {
-        "" => unpack(&mut &*data),
+        "" => Ok(0),
         "zstd" => zstd::Decoder::with_buffer(data).and_then(|mut data| unpack(&mut data)),
         "lz4" => lz4::Decoder::new(data).and_then(|mut data| unpack(&mut data)),
         other => return Err(format!("its compression {other:?} is unknown: neither zstd nor lz4")),
     };
     unpacked.map_err(|error| format!("it cannot be decompressed: {error}"))?;
+    let bytes = if header.compression.is_empty() { Cow::Borrowed(data) } else { Cow::Owned(bytes) };
     if bytes.len() as u64 != header.uncompressed_size {
         return Err(format!("it says that it is of {} bytes, and is not", header.uncompressed_size));
     }

@@ -72,7 +72,9 @@ pub struct Finished {
 pub(crate) struct Open {
     writer: mcap::Writer<Claimed>,
     claim: Claim,
-    position: Position,
+    /// Where the file ends, and the last chunk that is whole.
+    end: Position,
+    flushed: u64,
     summary: FileSummary,
     /// The file's number of a topic, and its messages.
     channels: BTreeMap<TopicId, (u16, u64)>,
@@ -169,7 +171,7 @@ impl Writer {
     /// Bytes of all files that are there, without what is not flushed.
     pub fn bytes(&self) -> u64 {
         let done: u64 = self.done.iter().map(|file| file.bytes).sum();
-        done + self.file.as_ref().map_or(0, |file| file.position.get())
+        done + self.file.as_ref().map_or(0, |file| file.flushed)
     }
 
     /// Ends the bag; `statement` is written into the last file, as a record `tautline:recording`.
@@ -218,7 +220,7 @@ impl Writer {
 
 impl Open {
     pub(crate) fn create(path: &Path, compression: Compression) -> Result<Self, BagError> {
-        let (mut claim, claimed, position) = create(path)?;
+        let (mut claim, claimed, end) = create(path)?;
         claim.up_to(OF_FILE)?;
         let level = u32::from(compression == Compression::Zstd);
         let writer = mcap::WriteOptions::new()
@@ -228,18 +230,18 @@ impl Open {
             .compression_level(level)
             .compression_threads(0)
             .chunk_size(None)
-            .disable_seeking(true)
             .calculate_data_section_crc(false)
             .create(claimed)
             .map_err(BagError::mcap(path))?;
         let summary = FileSummary { path: path.to_owned(), ..FileSummary::default() };
-        Ok(Open { writer, claim, position, summary, channels: BTreeMap::new(), pending: 0, ending: OF_FILE })
+        let (flushed, channels) = (end.get(), BTreeMap::new());
+        Ok(Open { writer, claim, end, flushed, summary, channels, pending: 0, ending: OF_FILE })
     }
 
     /// Whether the next message, which came at `log_ns`, belongs to another file.
     fn is_over(&self, options: &Options, log_ns: u64) -> bool {
         let FileSummary { messages, start_ns, .. } = self.summary;
-        let bytes = self.position.get() + self.pending;
+        let bytes = self.flushed + self.pending;
         messages > 0
             && (options.split_bytes.is_some_and(|most| bytes >= most)
                 || options.split_ns.is_some_and(|most| log_ns.saturating_sub(start_ns) >= most))
@@ -250,7 +252,7 @@ impl Open {
         let (pending, ending) = (self.pending + bytes, self.ending + ending);
         let chunk = OF_CHUNK + OF_CHUNK_AND_TOPIC * self.channels.len() as u64;
         // What cannot be compressed gets a little longer.
-        self.claim.up_to(self.position.get() + pending + pending / 64 + ending + 2 * chunk)?;
+        self.claim.up_to(self.flushed + pending + pending / 64 + ending + 2 * chunk)?;
         (self.pending, self.ending) = (pending, ending);
         Ok(())
     }
@@ -316,7 +318,8 @@ impl Open {
             return Ok(());
         }
         self.writer.flush().map_err(BagError::mcap(&self.summary.path))?;
-        self.pending = 0;
+        (self.pending, self.flushed) = (0, self.end.get());
+        self.claim.send_off(self.flushed);
         self.ending += OF_CHUNK + OF_CHUNK_AND_TOPIC * self.channels.len() as u64;
         Ok(())
     }
@@ -327,8 +330,8 @@ impl Open {
         self.writer.finish().map_err(BagError::mcap(&path))?;
         let mut claimed = self.writer.into_inner();
         std::io::Write::flush(&mut claimed).map_err(BagError::write(&path))?;
-        self.claim.release(self.position.get())?;
-        self.summary.bytes = self.position.get();
+        self.claim.release(self.end.get())?;
+        self.summary.bytes = self.end.get();
         for (topic, (_, messages)) in self.channels {
             self.summary.count(&topics[topic.0], messages);
         }

@@ -20,6 +20,7 @@ use tautline::QosProfile;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
+use tautline::rt::{self, CoreSet, Policy, ThreadBuilder};
 use tautline_bag::{BagError, Event, FileReader, Stamp, files_of};
 use tautline_msgs::Message;
 use tautline_schema::{DynamicMessage, Kind};
@@ -363,6 +364,45 @@ fn a_type_that_changes_is_another_topic() {
 }
 
 #[test]
+fn cores_of_real_time_threads_are_left_to_them() {
+    let cores = CoreSet::allowed().unwrap();
+    let bound = cores.iter().last().unwrap();
+    if cores.len() < 2 || rt::permission::realtime_permitted(1).is_err() {
+        println!("skipped: this takes two cores and real-time threads");
+        return;
+    }
+    let place = Place::new(52);
+    let publisher = place.publisher::<Count>("/count", Qos::default());
+    let recorder = place.record(&["-a"]);
+    place.wait_for_observer(publisher.gid());
+    let pid = recorder.0.id();
+    let is_there = |at_all: bool| {
+        let threads = rt::threads_of(pid).unwrap();
+        let mut there = threads.iter().map(|thread| thread.cores.contains(bound));
+        if at_all { there.all(|there| there) } else { !there.any(|there| there) }
+    };
+    assert!(is_there(true));
+
+    let (stop, stopped) = std::sync::mpsc::channel::<()>();
+    let thread = ThreadBuilder::new("robot").policy(Policy::Fifo(1)).cores(CoreSet::one(bound));
+    let thread = thread.spawn(move || move || stopped.recv().is_err()).unwrap();
+    wait_for("the recorder to leave the core", || is_there(false));
+    publisher.publish(&Count { n: 1 }).unwrap();
+    drop(stop);
+    assert!(thread.join().unwrap());
+    wait_for("the recorder to come back", || is_there(true));
+    let (code, _, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}");
+    assert!(errors.contains("real-time threads are bound to the others"), "{errors}");
+    assert!(errors.contains("on all cores again"), "{errors}");
+    assert_eq!(numbers(&place.read()["/count"]), [1]);
+
+    let (code, _, errors) = place.run(&["play", "bag", "--core", "4000"]);
+    assert_eq!(code, 2, "{errors}");
+    assert!(errors.contains("--core: core 4000"), "{errors}");
+}
+
+#[test]
 fn a_recording_is_thinned_out_and_paused() {
     let place = Place::new(14);
     let [all, some] = ["/all", "/some"].map(|topic| place.publisher::<Count>(topic, Qos::default()));
@@ -523,9 +563,12 @@ const SLOW_DISK: &str = r#"
 #include <sys/syscall.h>
 #include <sys/types.h>
 #include <unistd.h>
-ssize_t write(int fd, const void *bytes, size_t length) {
+ssize_t pwrite64(int fd, const void *bytes, size_t length, off_t offset) {
     if (length > 10000) usleep(20000);
-    return syscall(SYS_write, fd, bytes, length > 65536 ? 65536 : length);
+    return syscall(SYS_pwrite64, fd, bytes, length > 65536 ? 65536 : length, offset);
+}
+ssize_t pwrite(int fd, const void *bytes, size_t length, off_t offset) {
+    return pwrite64(fd, bytes, length, offset);
 }
 "#;
 

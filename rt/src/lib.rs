@@ -64,5 +64,7 @@ pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use seat::{Seat, SeatError};
-pub use thread::{JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads};
+pub use thread::{
+    JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads, threads_of,
+};
 pub use words::{ForeignMap, ForeignWords, Words, WordsFile, page_words};

@@ -206,10 +206,28 @@ pub fn current_tid() -> u32 {
 /// # Errors
 /// [`RtError::Kernel`] if `/proc` cannot be read. Threads that end meanwhile are left out.
 pub fn threads() -> Result<Vec<ThreadInfo>, RtError> {
-    let unreadable = |source: io::Error| RtError::Kernel { what: "reading /proc/self/task", source };
+    threads_of(std::process::id())
+}
+
+/// As [`threads`], of another process: none if it has ended.
+///
+/// # Errors
+/// [`RtError::Kernel`] if `/proc` cannot be read.
+pub fn threads_of(pid: u32) -> Result<Vec<ThreadInfo>, RtError> {
+    let unreadable = |source: io::Error| RtError::Kernel { what: "reading /proc/PID/task", source };
     let mut list = Vec::new();
-    for entry in fs::read_dir("/proc/self/task").map_err(unreadable)? {
-        let entry = entry.map_err(unreadable)?;
+    let has_ended = |error: &io::Error| {
+        error.kind() == io::ErrorKind::NotFound || error.raw_os_error() == Some(libc::ESRCH)
+    };
+    let entries = match fs::read_dir(format!("/proc/{pid}/task")) {
+        Err(error) if has_ended(&error) => return Ok(list),
+        entries => entries.map_err(unreadable)?,
+    };
+    for entry in entries {
+        let entry = match entry {
+            Err(error) if has_ended(&error) => break,
+            entry => entry.map_err(unreadable)?,
+        };
         let Some(tid) = entry.file_name().to_str().and_then(|name| name.parse().ok()) else { continue };
         let Ok(name) = fs::read_to_string(entry.path().join("comm")) else { continue };
         match (policy_of(tid), affinity_of(tid)) {

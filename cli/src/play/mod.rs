@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
-use tautline::rt::{self, MemoryLock, Policy, ThreadBuilder};
+use tautline::rt::{self, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline::{EndpointKind, find_schema, type_of};
 use tautline_bag::{Ordered, Topic};
 use tautline_schema::{Schema, TypeName};
@@ -112,6 +112,9 @@ pub struct PlayArgs {
     /// Publish with this priority of SCHED_FIFO, where that is permitted [default: 40, or the node's]
     #[arg(long, value_name = "1..99", value_parser = clap::value_parser!(u8).range(1..=99))]
     priority: Option<u8>,
+    /// Publish on this core [default: any, or the node's]
+    #[arg(long, value_name = "N")]
+    core: Option<usize>,
     /// Publish at an ordinary priority
     #[arg(long)]
     no_rt: bool,
@@ -156,6 +159,9 @@ pub fn run(args: &PlayArgs) -> Outcome {
     };
     let mut end = End::of(&args.manners)?;
     let (from_ns, to_ns) = args.range(&bag)?;
+    if let Some(core) = args.core {
+        CoreSet::one(core).check().map_err(|error| Failure::unusable(format!("--core: {error}")))?;
+    }
     let stand_in = args.stand_in(domain)?;
     let (roles, numbers) = args.roles(&bag, stand_in.as_ref())?;
     let participant = Participant::new(domain)?;
@@ -206,8 +212,8 @@ pub fn run(args: &PlayArgs) -> Outcome {
     let stage = Stage::new(consumer, publishers, clock, args.rate, control.clone());
     let policy = args.policy(stand_in.as_ref());
     let mut thread = ThreadBuilder::new("stage").policy(policy);
-    if let Some(stand_in) = &stand_in {
-        thread = thread.cores(stand_in.cores());
+    if let Some(cores) = args.core.map(CoreSet::one).or(stand_in.as_ref().map(StandIn::cores)) {
+        thread = thread.cores(cores);
     }
     let _shown = stand_in.as_ref().map(|stand_in| stand_in.show(domain, policy)).transpose()?;
     let thread = thread.spawn(move || move || stage.run())?;

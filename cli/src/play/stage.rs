@@ -84,7 +84,7 @@ pub struct Played {
     pub published: Vec<u64>,
     /// How late each message was out.
     pub late: Times,
-    /// How late this thread woke, each time that it slept until a message was due.
+    /// How late the thread had woken for each message: the timer's part of that.
     pub timer: Times,
     /// Messages that were not in memory yet when they were due.
     pub starved: u64,
@@ -117,6 +117,7 @@ impl Stage {
             rate,
             generation: 0,
             began_ns: 0,
+            woke_ns: 0,
             paused_at: None,
             clock,
             clock_due_ns: 0,
@@ -154,11 +155,12 @@ impl Stage {
                 END if is_current => break,
                 END => {}
                 _ if is_current => {
-                    let Some(due_ns) = pacing.wait(head.log_ns, &control, &mut played.timer, |left_ns| {
-                        left_ns > SLACK_NS && ahead.work(ring)
-                    }) else {
+                    let Some(due_ns) =
+                        pacing.wait(head.log_ns, &control, |left_ns| left_ns > SLACK_NS && ahead.work(ring))
+                    else {
                         continue;
                     };
+                    played.timer.record(pacing.woke_ns.saturating_sub(due_ns));
                     played.starved += u64::from(was_empty && due_ns + LOOK_NS < monotonic_ns());
                     match ahead.loan(ring, head, whole) {
                         Ok(loan) => publish(loan, head, due_ns, (&control, pacing.generation), &mut played),
@@ -324,6 +326,8 @@ struct Pacing {
     rate: f64,
     generation: u64,
     began_ns: u64,
+    /// When it last woke.
+    woke_ns: u64,
     /// The time of reception that it stands at.
     paused_at: Option<u64>,
     clock: Option<Clock>,
@@ -341,13 +345,7 @@ impl Pacing {
 
     /// Until a message is due, and since when it is. `None`: something else is to be done before.
     /// Meanwhile `work` is done, which is given how long there is and says whether there is more.
-    fn wait(
-        &mut self,
-        log_ns: u64,
-        control: &Control,
-        timer: &mut Times,
-        mut work: impl FnMut(u64) -> bool,
-    ) -> Option<u64> {
+    fn wait(&mut self, log_ns: u64, control: &Control, mut work: impl FnMut(u64) -> bool) -> Option<u64> {
         loop {
             if control.is_stopped() || control.generation.load(Ordering::Acquire) != self.generation {
                 return None;
@@ -383,9 +381,7 @@ impl Pacing {
                 continue;
             }
             sleep_until_monotonic(until_ns);
-            if until_ns == due_ns {
-                timer.record(monotonic_ns().saturating_sub(due_ns));
-            }
+            self.woke_ns = monotonic_ns();
         }
     }
 

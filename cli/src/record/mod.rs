@@ -4,6 +4,7 @@
 //! This thread looks who is there; `taker` takes what comes and copies it once, into a ring of locked memory; `keeper` writes from there
 //! to the disk.
 
+mod aside;
 mod black_box;
 mod choice;
 mod event;
@@ -14,6 +15,7 @@ mod taker;
 
 use crate::completions;
 use crate::manners::{End, Failure, Manners, Outcome, time};
+use aside::Aside;
 use black_box::{Alarms, Kind, Vault};
 use choice::Choice;
 use clap::Args;
@@ -128,7 +130,7 @@ pub struct RecordArgs {
     /// Keep no trace events in the black box: processes do not record any for it
     #[arg(long, requires = "black_box")]
     no_trace: bool,
-    /// Run on these cores alone, such as 0-1,4: not on those of real-time threads, whose caches and interrupts are theirs
+    /// Run on these cores alone, such as 0-1,4 [default: those that no real-time thread of the domain is bound to, if there are any]
     #[arg(long, value_name = "LIST", value_parser = cores)]
     cores: Option<CoreSet>,
     /// Take messages at an ordinary priority, instead of SCHED_FIFO 1 where that is permitted
@@ -286,8 +288,12 @@ fn watch(
 ) -> Outcome<Seats> {
     let progress = progress(args.manners.json);
     let mut said = Instant::now();
+    let mut aside = if args.cores.is_none() { Some(Aside::new()?) } else { None };
     while !end.is_reached() && !is_over.load(Ordering::Acquire) {
         seats.look(|words| progress.suspend(|| say(&format!("taut: {words}"))))?;
+        if let Some(words) = aside.as_mut().and_then(|aside| aside.look(seats.processes())) {
+            progress.suspend(|| say(&format!("taut: {words}")));
+        }
         if let Behind::Vault(vault, alarms) = behind {
             for alarm in alarms.look(&seats)? {
                 progress.suspend(|| say(&format!("taut: {}: {}", alarm.kind.name(), alarm.words)));

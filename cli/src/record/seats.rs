@@ -79,6 +79,8 @@ pub struct Seats {
     is_fetching: bool,
     throttle: Vec<(String, f64)>,
     epoch: Option<u32>,
+    /// Who has ends in the domain.
+    processes: BTreeSet<u32>,
     seated: Vec<Seated>,
     /// Of a topic; more than one if its publishers have different types.
     numbers: HashMap<String, Vec<usize>>,
@@ -116,6 +118,7 @@ impl Seats {
             is_fetching: args.fetch,
             throttle: args.throttle.clone(),
             epoch: None,
+            processes: BTreeSet::new(),
             seated: Vec::new(),
             numbers: HashMap::new(),
             refused: BTreeSet::new(),
@@ -128,6 +131,11 @@ impl Seats {
         Ok((here, Coming { seats, topics }))
     }
 
+    /// Who has ends in the domain, but for this process.
+    pub fn processes(&self) -> &BTreeSet<u32> {
+        &self.processes
+    }
+
     /// Looks whether there are topics that are new.
     pub fn look(&mut self, tell: impl Fn(&str)) -> Outcome {
         let epoch = Some(self.participant.graph_epoch());
@@ -135,6 +143,9 @@ impl Seats {
             return Ok(());
         }
         let graph = self.participant.graph()?;
+        let of_topics = graph.endpoints.iter().filter_map(|end| end.pid);
+        self.processes = of_topics.chain(graph.services.iter().filter_map(|end| end.pid)).collect();
+        self.processes.remove(&std::process::id());
         let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
         graph.endpoints.iter().for_each(|end| topics.entry(&end.topic).or_default().push(end));
         for (topic, ends) in topics {

@@ -7,9 +7,10 @@ mod rates;
 mod recording;
 mod start;
 
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use rustix::process::{Pid, Signal, kill_process};
-use serde_json::json;
+use serde::Serialize;
+use serde_json::{Value, json};
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
@@ -27,12 +28,30 @@ struct Options {
     /// Fewer rounds: half a minute
     #[arg(long)]
     quick: bool,
+    /// Only this part of it, and each further one that is named
+    #[arg(long, value_enum, value_name = "PART")]
+    only: Vec<Part>,
     /// Write the numbers to FILE as well
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     /// The command [default: taut, beside this program]
     #[arg(long, value_name = "FILE")]
     taut: Option<PathBuf>,
+}
+
+/// One question each.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Part {
+    /// What a publisher notices of who looks
+    Disturbance,
+    /// Whether printed rates are true
+    Rates,
+    /// How long verbs take
+    Start,
+    /// A minute of twenty topics and a camera, recorded and played
+    Flight,
+    /// Long messages as fast as the disk is
+    Sequential,
 }
 
 /// The command that is measured.
@@ -86,22 +105,37 @@ fn main() -> ExitCode {
     }
 }
 
+/// What was measured, to be written, and what does not hold.
+fn of<T: Serialize>(measured: Result<(T, Vec<String>)>) -> Result<(Value, Vec<String>)> {
+    let (measured, broken) = measured?;
+    Ok((serde_json::to_value(measured)?, broken))
+}
+
 fn measure(options: &Options) -> Result<bool> {
     let beside = || Some(std::env::current_exe().ok()?.with_file_name("taut"));
     let taut = Taut(options.taut.clone().or_else(beside).ok_or("where is taut? Say it with --taut FILE")?);
     // Before this program confines itself to one core.
     let (machine, watched) = (machine(), Disturbance::start());
-    let (disturbance, mut broken) = disturbance::measure(&taut, options.quick)?;
-    let (rates, wrong) = rates::measure(&taut, options.quick)?;
-    broken.extend(wrong);
-    let (start, slow) = start::measure(&taut, options.quick)?;
-    broken.extend(slow);
-    let (recording, lossy) = recording::measure(&taut, options.quick)?;
-    broken.extend(lossy);
+    let (mut report, mut broken) = (serde_json::Map::new(), Vec::new());
+    let quick = options.quick;
+    for part in Part::value_variants() {
+        if !options.only.is_empty() && !options.only.contains(part) {
+            continue;
+        }
+        let (key, (measured, wrong)) = match part {
+            Part::Disturbance => ("disturbance", of(disturbance::measure(&taut, quick))?),
+            Part::Rates => ("rates", of(rates::measure(&taut, quick))?),
+            Part::Start => ("start", of(start::measure(&taut, quick))?),
+            Part::Flight => ("flight", of(recording::flight(&taut, quick))?),
+            Part::Sequential => ("sequential", of(recording::sequential(&taut, quick))?),
+        };
+        report.insert(key.to_owned(), measured);
+        broken.extend(wrong);
+    }
     println!("\n{machine}\n{}", watched.report());
     if let Some(path) = &options.json {
-        let all = json!({ "disturbance": disturbance, "rates": rates, "start": start, "recording": recording, "broken": broken });
-        std::fs::write(path, serde_json::to_string_pretty(&all)?)?;
+        report.insert("broken".to_owned(), json!(broken));
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
     }
     broken.iter().for_each(|broken| println!("does not hold: {broken}"));
     Ok(broken.is_empty())

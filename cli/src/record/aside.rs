@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The recorder runs on cores that no real-time thread of the domain is bound to, if there are any: its timers would interrupt
+//! them, and its copies take their caches.
+
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+use tautline::rt::{self, CoreSet, Policy, RtError, ThreadInfo};
+
+/// From the end of one look to the next: this, and so many times as long as the look took.
+const PAUSE: Duration = Duration::from_secs(1);
+const SHARE: u32 = 100;
+
+pub struct Aside {
+    /// Where this process may run, and where it does.
+    allowed: CoreSet,
+    cores: CoreSet,
+    next: Instant,
+}
+
+impl Aside {
+    /// # Errors
+    /// The kernel does not tell where this process may run.
+    pub fn new() -> Result<Self, RtError> {
+        let allowed = rt::current_affinity()?;
+        Ok(Aside { allowed, cores: allowed, next: Instant::now() })
+    }
+
+    /// Goes out of the way of these processes' threads; what is to be said of that.
+    pub fn look(&mut self, processes: &BTreeSet<u32>) -> Option<String> {
+        let start = Instant::now();
+        if start < self.next {
+            return None;
+        }
+        let bound: CoreSet = processes
+            .iter()
+            // Of other users, or in other namespaces: they are as if they were bound to nothing.
+            .flat_map(|pid| rt::threads_of(*pid).unwrap_or_default())
+            .filter(|thread| self.is_bound(thread))
+            .flat_map(|thread| thread.cores.iter())
+            .collect();
+        let cores = besides(self.allowed, bound);
+        let said = (cores != self.cores).then(|| self.go(cores));
+        self.next = Instant::now() + PAUSE + start.elapsed() * SHARE;
+        said
+    }
+
+    fn is_bound(&self, thread: &ThreadInfo) -> bool {
+        let is_free = self.allowed.iter().all(|core| thread.cores.contains(core));
+        matches!(thread.policy, Policy::Fifo(_) | Policy::RoundRobin(_)) && !is_free
+    }
+
+    fn go(&mut self, cores: CoreSet) -> String {
+        self.cores = cores;
+        let moved = rt::threads().and_then(|threads| {
+            // Those that they start are there, too. One may have ended meanwhile.
+            let moved = threads.iter().map(|thread| rt::set_affinity_of(thread.tid, cores));
+            moved
+                .filter(|moved| !matches!(moved, Err(RtError::NoSuchThread { .. })))
+                .collect::<Result<(), _>>()
+        });
+        match moved {
+            Ok(()) if cores == self.allowed => format!("recording on all cores again: {cores}"),
+            Ok(()) => {
+                format!("recording on cores {cores}: real-time threads are bound to the others (--cores)")
+            }
+            Err(error) => {
+                format!("warning: the recorder is not kept off the cores of real-time threads: {error}")
+            }
+        }
+    }
+}
+
+/// All of them, if nothing is left.
+fn besides(allowed: CoreSet, bound: CoreSet) -> CoreSet {
+    let left: CoreSet = allowed.iter().filter(|core| !bound.contains(*core)).collect();
+    if left.is_empty() { allowed } else { left }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn something_is_left_to_run_on() {
+        let of = |list| CoreSet::parse(list).unwrap();
+        assert_eq!(besides(of("0-3"), of("1,3")), of("0,2"));
+        assert_eq!(besides(of("0-1"), of("0-7")), of("0-1"));
+        assert_eq!(besides(of("0-1"), of("")), of("0-1"));
+    }
+}
