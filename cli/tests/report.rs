@@ -228,6 +228,82 @@ fn what_was_kept_is_kept_and_a_saved_run_says_the_same() {
     assert!(text(&output.stdout).contains("another text of the system file"));
 }
 
+#[test]
+fn execution_times_are_fitted_and_written_with_their_source() {
+    let scratch = Scratch::new("wcet");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(56, Realtime::Off, &system);
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
+    let path = scratch.0.join("run.json");
+    let path = path.to_str().unwrap();
+    assert_eq!(taut(&["--domain", "56", "--save", path]).status.code(), Some(0));
+    drop(running);
+
+    // 1 ms and an exponential tail of 0.05 ms, of 20,000 jobs: one in a million takes 1.691 ms.
+    let mut run: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let fine = run["processes"][0]["callbacks"].as_array_mut().unwrap();
+    let fine = fine.iter_mut().find(|of| of["name"] == "fine").unwrap();
+    let mut buckets = std::collections::BTreeMap::<u64, u64>::new();
+    for n in 0..20_000 {
+        let ns = 1e6 - 5e4 * ((f64::from(n) + 0.5) / 20_000.0).ln();
+        *buckets.entry(ns as u64 / 8192 * 8192).or_default() += 1;
+    }
+    fine["execution"]["buckets"] = serde_json::json!(buckets.into_iter().collect::<Vec<_>>());
+    fine["execution"]["max_ns"] = 1_530_000.into();
+    fine["completions"] = 20_000.into();
+    std::fs::write(path, run.to_string()).unwrap();
+
+    let fits = taut(&[path, "--wcet", "--json"]);
+    assert_eq!(fits.status.code(), Some(0), "{fits:?}");
+    let fits = json(&fits);
+    let fine = &fits["callbacks"][0];
+    assert_eq!(
+        (&fine["name"], &fine["jobs"], &fine["max_ms"]),
+        (&"fine".into(), &20_000.into(), &1.53.into())
+    );
+    let [estimate, upper] = ["estimate_ms", "upper_ms"].map(|key| fine[key].as_f64().unwrap());
+    assert!((1.64..1.75).contains(&estimate) && upper > estimate && upper < 2.2, "{fine}");
+    // That of a single job is not known.
+    assert_eq!(fits["callbacks"][1]["no_estimate"], "it takes 500 jobs");
+
+    // What the file states is more, so it stays; and is lowered if that is asked for, where there is an estimate.
+    let untouched = taut(&[path, "--wcet", "--write"]);
+    assert!(text(&untouched.stdout).contains("states enough: nothing is changed"), "{untouched:?}");
+    assert_eq!(std::fs::read_to_string(&system).unwrap(), SYSTEM);
+    let lowered = taut(&[path, "--wcet", "--write", "--lower", "--json"]);
+    assert_eq!(json(&lowered)["schedulable"], true);
+    let written = std::fs::read_to_string(&system).unwrap();
+    let line = written.lines().find(|line| line.contains("measured")).unwrap();
+    assert!(line.contains("at most 1.53ms in 20000 jobs, 1 in 1000000 above"), "{line}");
+    assert_eq!(written.replace(line, "wcet = \"20s\""), SYSTEM);
+
+    // What the file states is less: that is violated, until it is written.
+    let strict = SYSTEM.replacen("wcet = \"20s\"", "wcet = \"0.5ms\" # guessed", 1);
+    let strict = scratch.write("strict.toml", &strict);
+    let strict = strict.to_str().unwrap();
+    let exceeded = taut(&[path, "--system", strict, "--wcet"]);
+    assert_eq!(exceeded.status.code(), Some(1));
+    assert!(text(&exceeded.stdout).contains("wcet exceeded"), "{exceeded:?}");
+    let raised = taut(&[path, "--system", strict, "--wcet", "--write"]);
+    assert_eq!(raised.status.code(), Some(0), "{raised:?}");
+    assert!(text(&raised.stdout).contains("fine: wcet \"500us\" -> "), "{raised:?}");
+    assert!(std::fs::read_to_string(strict).unwrap().contains(" # guessed; measured 20"), "{raised:?}");
+    let again = taut(&[path, "--system", strict, "--wcet", "--write"]);
+    assert_eq!(again.status.code(), Some(0));
+    assert!(text(&again.stdout).contains("nothing is changed"), "{again:?}");
+
+    for (arguments, words) in [
+        (&[path, "--wcet", "--exceedance", "2"][..], "no number of 1e-12 to 0.01"),
+        (&[path, "--write"], "--wcet"),
+        (&[path, "--wcet", "--lower"], "--write"),
+    ] {
+        let refused = taut(arguments);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(text(&refused.stderr).contains(words), "{refused:?}");
+    }
+}
+
 /// The member of a JSON object.
 fn member<'v>(value: &'v mut Value, path: &str) -> &'v mut Value {
     value.pointer_mut(path).unwrap_or_else(|| panic!("no {path}"))

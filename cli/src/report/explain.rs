@@ -24,7 +24,7 @@ impl fmt::Display for Time {
 }
 
 /// As a value for the file: rounded up to a microsecond.
-fn quoted(ns: u64) -> String {
+pub fn quoted(ns: u64) -> String {
     format!("\"{}\"", Time(ns.div_ceil(1_000).saturating_mul(1_000))).replace(' ', "")
 }
 

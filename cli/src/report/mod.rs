@@ -15,10 +15,12 @@ pub mod run;
 mod table;
 mod verdict;
 pub mod watch;
+mod wcet;
 
 use run::Run;
 use verdict::Comparison;
 use watch::Watched;
+use wcet::{Change, Fits};
 
 const REFRESH: Duration = Duration::from_secs(1);
 
@@ -35,6 +37,8 @@ const REFRESH: Duration = Duration::from_secs(1);
   taut report --watch --save run.json         and keep what it did until its end
   taut report run.json                        the report of a saved run
   taut report run.json --system system.toml   against another version of the file
+  taut report run.json --wcet                 execution times, and what their tail says of longer ones
+  taut report run.json --wcet --write         and into the system file what it has to state for that
   taut report --json | jq '.callbacks[] | select(.violations != [])'
 
 docs/report.md explains the columns and each violation.")]
@@ -51,8 +55,26 @@ pub struct ReportArgs {
     /// Report again every second until all processes have ended, or --timeout
     #[arg(long)]
     watch: bool,
+    /// Fit execution times instead: the longest that were seen, and those that are rarer, by extreme-value theory. Exits with 1 if a job
+    /// took longer than the file allows
+    #[arg(long, conflicts_with = "watch")]
+    wcet: bool,
+    /// One job in 1/P may take longer than the estimate
+    #[arg(long, value_name = "P", requires = "wcet", default_value = "1e-6", value_parser = exceedance)]
+    exceedance: f64,
+    /// Write what is needed into the system file, each value with where it is from; what the file states beyond that is left
+    #[arg(long, requires = "wcet")]
+    write: bool,
+    /// Write also what is less than the file states
+    #[arg(long, requires = "write")]
+    lower: bool,
     #[command(flatten)]
     manners: Manners,
+}
+
+fn exceedance(text: &str) -> Result<f64, String> {
+    let probability = text.parse::<f64>().ok().filter(|p| (1e-12..=1e-2).contains(p));
+    probability.ok_or_else(|| format!("'{text}' is no number of 1e-12 to 0.01"))
 }
 
 /// Why there is no report.
@@ -83,6 +105,8 @@ pub enum ReportError {
     Statistics(io::Error),
     #[error("`{}` cannot be written: {source}", path.display())]
     Write { path: PathBuf, source: io::Error },
+    #[error("`{}` cannot be changed: {reason}", path.display())]
+    Unwritable { path: PathBuf, reason: String },
     #[error("signals cannot be caught: {0}")]
     Signal(io::Error),
     #[error("the report cannot be printed: {0}")]
@@ -200,6 +224,9 @@ fn read(path: &Path) -> Result<String, ReportError> {
 
 fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Result<bool, ReportError> {
     let comparison = Comparison::new(&system.file, &system.checked, run);
+    if args.wcet {
+        return print_wcets(args, system, run, &comparison);
+    }
     let mut out = anstream::stdout().lock();
     if args.manners.json {
         json::write(&comparison, &mut out)?;
@@ -212,4 +239,47 @@ fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Resul
     }
     out.flush()?;
     Ok(comparison.kept)
+}
+
+fn print_wcets(
+    args: &ReportArgs,
+    system: &System,
+    run: &Run,
+    comparison: &Comparison,
+) -> Result<bool, ReportError> {
+    let fits = Fits::new(comparison, args.exceedance, run.taken_at_s);
+    let change = if args.lower { Change::RaiseAndLower } else { Change::Raise };
+    let written = args.write.then(|| fits.put(system, &run.system_path, change)).transpose()?;
+    let mut out = anstream::stdout().lock();
+    if args.manners.json {
+        let mut report = fits.to_json();
+        if let Some((changes, schedulable)) = &written {
+            report["changes"] = serde_json::json!(changes);
+            report["schedulable"] = serde_json::json!(schedulable);
+        }
+        writeln!(out, "{report}")?;
+    } else {
+        fits.write(&mut out)?;
+        if let Some((changes, schedulable)) = &written {
+            tell_changes(&run.system_path, changes, *schedulable, &mut out)?;
+        }
+    }
+    out.flush()?;
+    Ok(match written {
+        // What the file states now is what was seen, or more.
+        Some((_, schedulable)) => schedulable,
+        None => fits.are_kept(),
+    })
+}
+
+fn tell_changes(path: &Path, changes: &[String], schedulable: bool, out: &mut impl Write) -> io::Result<()> {
+    match changes {
+        [] => writeln!(out, "{} states enough: nothing is changed.", path.display())?,
+        _ => writeln!(out, "{} is changed:", path.display())?,
+    }
+    changes.iter().try_for_each(|change| writeln!(out, "  {change}"))?;
+    if !schedulable {
+        writeln!(out, "With that it is not schedulable: see `taut check {}`.", path.display())?;
+    }
+    Ok(())
 }
