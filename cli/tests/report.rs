@@ -265,7 +265,7 @@ fn execution_times_are_fitted_and_written_with_their_source() {
     let [estimate, upper] = ["estimate_ms", "upper_ms"].map(|key| fine[key].as_f64().unwrap());
     assert!((1.64..1.75).contains(&estimate) && upper > estimate && upper < 2.2, "{fine}");
     // That of a single job is not known.
-    assert_eq!(fits["callbacks"][1]["no_estimate"], "it takes 500 jobs");
+    assert_eq!(fits["callbacks"][1]["no_estimate"], "for it takes 10000 jobs");
 
     // What the file states is more, so it stays; and is lowered if that is asked for, where there is an estimate.
     let untouched = taut(&[path, "--wcet", "--write"]);

@@ -10,6 +10,7 @@ use super::{ReportError, System};
 use crate::record::date;
 use crate::table::{BAD, GOOD, ms, wrap, write_table};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
 use tail::{NoTail, Tail, tail};
@@ -83,14 +84,19 @@ impl<'r> Fits<'r> {
         let rows = self.fits.iter().map(|fit| (fit.is_kept(), cells(fit))).collect();
         write_table(&head, 1, rows, out)?;
         writeln!(out)?;
+        let mut unknown = BTreeMap::<String, Vec<&str>>::new();
         for fit in &self.fits {
             if let Some(mark) = fit.exceeded() {
-                let (name, text) = (fit.name(), wrap(&format!("{}: {}", mark.name, mark.explanation)));
-                writeln!(out, "{BAD}{name}{BAD:#}: {text}")?;
+                let text = wrap(&format!("{}: {}: {}", fit.name(), mark.name, mark.explanation));
+                let (first, rest) = text.split_at(fit.name().len() + 2 + mark.name.len());
+                writeln!(out, "{BAD}{first}{BAD:#}{rest}")?;
             }
             if let Err(none) = fit.tail {
-                writeln!(out, "{}", wrap(&format!("{}: no estimate: {}", fit.name(), words(none))))?;
+                unknown.entry(words(none)).or_default().push(fit.name());
             }
+        }
+        for (why, names) in unknown {
+            writeln!(out, "{}", wrap(&format!("no estimate, {why}: {}", names.join(", "))))?;
         }
         if self.are_kept() {
             let jobs: u64 = self.fits.iter().map(|fit| fit.jobs).sum();
@@ -202,14 +208,14 @@ impl<'r> Fit<'r> {
 
 fn words(none: NoTail) -> String {
     match none {
-        NoTail::TooFewJobs => format!("it takes {} jobs", NoTail::JOBS),
-        NoTail::AllAlike => "nearly all jobs took the same time: what is needed is their maximum".to_owned(),
+        NoTail::TooFewJobs(needed) => format!("for it takes {needed} jobs"),
+        NoTail::AllAlike => "for nearly all jobs took the same time: what is needed is their maximum".to_owned(),
         NoTail::TooHeavy => {
-            "long jobs are too frequent for one: look what makes them so long, as interrupts, page faults or a second kind of input"
+            "for long jobs are too frequent: look what makes them so long, as interrupts, page faults or a second kind of input"
                 .to_owned()
         }
         NoTail::NoFit => {
-            "long jobs are of several kinds, so the maximum says nothing of longer ones: measure each kind by itself".to_owned()
+            "for long jobs are of several kinds, so these say nothing of longer ones: measure each kind by itself".to_owned()
         }
     }
 }
