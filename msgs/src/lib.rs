@@ -42,6 +42,7 @@
 //! | [`cdr`] | fields of any size: owned, read in place, written in place |
 //! | `generated` | the macros that generated code calls |
 //! | `service` | [`Service`], [`Action`] |
+//! | `stamp` | [`HasStamp`]: when what a message tells of was measured |
 
 #[macro_use]
 mod generated;
@@ -58,6 +59,7 @@ mod primitives;
 pub mod serde_fields;
 mod service;
 mod shape;
+mod stamp;
 
 pub use body::{BODY_ALIGN, Body};
 pub use definition::Definition;
@@ -75,6 +77,7 @@ pub use plain::{dense_end, read_dense, read_dense_vec, view_plain, write_dense};
 pub use serde;
 pub use service::{Action, GoalId, Service};
 pub use shape::definition_text;
+pub use stamp::{HasStamp, time_ns};
 #[doc(hidden)]
 pub use shape::{Shape, StructShape};
 /// Derives [`Plain`] for a struct or field-less enum, and the trait [`Message`](trait@Message) for a struct that is a

@@ -109,8 +109,10 @@ pub use tautline_executor::{
     DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions, Overrun,
     Policy, ProcessInfo, ProcessSnapshot, Realtime, StatisticsFile, assign,
 };
+/// Callbacks that wait for several topics.
+pub use tautline_join as join;
 pub use tautline_msgs as msgs;
-pub use tautline_msgs::{Action, Message, Plain, Service};
+pub use tautline_msgs::{Action, HasStamp, Message, Plain, Service};
 /// By r2r's names.
 pub use tautline_msgs::{Action as WrappedActionTypeSupport, Service as WrappedServiceTypeSupport};
 #[cfg(feature = "ros_msgs")]

@@ -10,7 +10,8 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_executor::job::QueueState;
 use tautline_executor::{Parker, busy_polling, job, parker, parks_on, stop_requested};
-use tautline_msgs::Message;
+use tautline_join::{self as join, Room, StampedStream};
+use tautline_msgs::{HasStamp, Message};
 use tautline_transport::{Counters, Participant, RawSubscription, Sample, TakeError, ThreadBell};
 
 /// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written.
@@ -36,6 +37,19 @@ impl<T: Message> Subscription<T> {
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
         self.samples.source().try_take()
+    }
+
+    /// With stamps that `stamp` tells in nanoseconds, to be joined with others: for messages without a header.
+    ///
+    /// ```no_run
+    /// # fn f(odometry: tautline::Subscription<tautline::nav_msgs::msg::Odometry>) {
+    /// // When it was published, instead of what its header says.
+    /// let odometry = odometry.stamped_by(|sample| sample.info().source_timestamp_ns);
+    /// # drop(odometry);
+    /// # }
+    /// ```
+    pub fn stamped_by<F: Fn(&Sample<T>) -> i64>(self, stamp: F) -> StampedStream<Self, F> {
+        StampedStream::new(self, stamp)
     }
 
     /// Received, lost, invalid, highest queue fill: to be read from any thread.
@@ -73,6 +87,33 @@ impl<T: Message> Stream for Subscription<T> {
     /// Wait-free; no allocation; the message is checked: see [`Message::view`]; on a callback thread that measures execution times one syscall per message. Ends with the node.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         self.samples.poll_next(context)
+    }
+}
+
+/// What a join knows of a topic: a message that it takes is a job, unless it is read beside a trigger.
+impl<T: Message> join::Source for Subscription<T> {
+    fn name(&self) -> String {
+        self.topic().to_owned()
+    }
+
+    fn room(&self) -> Room {
+        let source = self.samples.source();
+        Room { held: source.limits().held, depth: source.qos().depth }
+    }
+
+    fn try_next(&mut self) -> Option<Sample<T>> {
+        self.samples.try_next()
+    }
+
+    fn finish(&mut self) {
+        self.samples.finish();
+    }
+}
+
+/// By the stamp of its header.
+impl<T: HasStamp> join::Stamped for Subscription<T> {
+    fn stamp_ns(&self, sample: &Sample<T>) -> i64 {
+        T::stamp_ns(sample.view())
     }
 }
 
@@ -177,12 +218,26 @@ impl<S: Source> Samples<S> {
         self.counters.clone()
     }
 
-    /// Ends the job of the sample before, and begins that of the next one, if there is one. `None`: the node has ended, and all that
-    /// had come was given out.
-    pub(crate) fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<S::Sample>> {
+    /// Ends the job of the sample that came last, if it has not ended.
+    fn finish(&mut self) {
         if let Some(job) = self.job.take() {
             job.finish();
         }
+    }
+
+    /// The next sample, if there is one, without a job. One that cannot be taken comes later.
+    fn try_next(&mut self) -> Option<S::Sample> {
+        let sample = self.source.try_take_valid().ok().flatten();
+        if sample.is_some() || self.counters.lost() != self.noted_lost {
+            self.note_queue();
+        }
+        sample
+    }
+
+    /// Ends the job of the sample before, and begins that of the next one, if there is one. `None`: the node has ended, and all that
+    /// had come was given out.
+    pub(crate) fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<S::Sample>> {
+        self.finish();
         if stop_requested() {
             // A stream that always has a next message would never let its callback end.
             return Poll::Pending;

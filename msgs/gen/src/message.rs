@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use tautline_schema::{Base, Definition, Field, Schema, SchemaError, Shape, Value};
+use tautline_schema::{Base, Definition, Field, Schema, SchemaError, Shape, TypeName, Value};
 
 use crate::in_place::Types;
 use crate::memory::Memory;
@@ -81,7 +81,17 @@ pub fn write(
     text.line(&format!("[{}],", nested.into_iter().collect::<Vec<_>>().join(", ")));
     text.line("}");
     text.line("}");
+    if fields.iter().any(is_header) {
+        text.line(&format!("{}::stamped! {{ {name} }}", options.msgs));
+    }
     Ok(())
+}
+
+/// Whether a field says when the message's content was measured, by ROS's convention.
+fn is_header(field: &Field) -> bool {
+    let is_type = |name: &TypeName| (name.package(), name.name()) == ("std_msgs", "Header");
+    let is_nested = matches!(&field.ty.base, Base::Nested(name) if is_type(name));
+    field.name == "header" && field.ty.shape == Shape::Single && is_nested
 }
 
 /// The conversion to and from CDR.

@@ -47,6 +47,7 @@ fn a_message_becomes_a_struct() {
         "pub self_: ::std::string::String,",
         "pub header: ::tautline::std_msgs::msg::Header,",
         "three: [1, 2, -3],",
+        "::tautline::msgs::stamped! { Demo }",
     ] {
         assert!(code.lines().any(|found| found.trim() == line), "{line}\n{code}");
     }

@@ -76,3 +76,18 @@ macro_rules! message {
             });
     };
 }
+
+/// Implements [`HasStamp`](crate::HasStamp) for a message with a `std_msgs/Header header`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! stamped {
+    ($type:ident) => {
+        impl $crate::HasStamp for $type {
+            #[inline]
+            fn stamp_ns(view: Self::View<'_>) -> i64 {
+                let stamp = view.header().stamp();
+                $crate::time_ns(stamp.sec, stamp.nanosec)
+            }
+        }
+    };
+}

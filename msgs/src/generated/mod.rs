@@ -8,6 +8,7 @@
 //! | [`dense_struct!`](crate::dense_struct) | [`View`](crate::cdr::View) and [`Fill`](crate::cdr::Fill) as references |
 //! | [`in_place!`](crate::in_place) | the same with a struct of getters and one of pieces |
 //! | [`message!`](crate::message) | [`Message`](crate::Message) |
+//! | [`stamped!`](crate::stamped) | [`HasStamp`](crate::HasStamp) |
 
 mod dense;
 mod form;

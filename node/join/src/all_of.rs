@@ -1,0 +1,204 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Something new from everyone.
+
+use crate::counters::{Counters, InputCounters};
+use crate::source::Source;
+use crate::{JoinError, check_room, for_each_tuple};
+use futures::{Stream, StreamExt};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+
+/// How often all inputs are looked at in one poll.
+const ROUNDS: usize = 4;
+
+/// A stream of tuples with the newest message of each input, as soon as each has sent one since the tuple before. Made by [`all_of`].
+///
+/// A message that its successor overtakes is counted as dropped. The stream ends when an input has ended of which no message waits.
+///
+/// # Real-time
+/// No allocation. In one poll at most as many messages of an input are taken as its queue is deep; then other tasks of the thread have
+/// their turn.
+#[derive(Debug)]
+#[must_use = "nothing is received unless it is polled"]
+pub struct AllOf<S: AllOfInputs> {
+    slots: S::Slots,
+    counters: Arc<Counters>,
+    /// The input whose message came last: the job that the callback's work belongs to.
+    last: usize,
+}
+
+/// Waits for something new of each of 2 to 9 inputs, given as a tuple.
+///
+/// ```
+/// use futures::{executor::block_on_stream, stream};
+/// use tautline_join::{all_of, stamped};
+/// let input = |items: &'static [i64]| stamped(stream::iter(items.iter().copied()), |item| *item);
+/// let all = all_of((input(&[1, 2, 3]), input(&[10])))?;
+/// assert_eq!(block_on_stream(all).collect::<Vec<_>>(), [(3, 10)]);
+/// # Ok::<(), tautline_join::JoinError>(())
+/// ```
+///
+/// # Errors
+/// [`JoinError::Room`] if an input may hold fewer than three items.
+pub fn all_of<S: AllOfInputs>(inputs: S) -> Result<AllOf<S>, JoinError> {
+    let mut slots = inputs.into_slots();
+    check_room((0..S::COUNT).map(|i| S::slot(&mut slots, i).room()), 1)?;
+    Ok(AllOf { slots, counters: Arc::new(Counters::new(S::COUNT)), last: 0 })
+}
+
+impl<S: AllOfInputs> AllOf<S> {
+    /// What became of the messages, to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.counters.clone()
+    }
+}
+
+impl<S: AllOfInputs> Stream for AllOf<S> {
+    type Item = S::Items;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<S::Items>> {
+        let AllOf { slots, counters, last } = &mut *self;
+        // Twice is enough if nothing comes meanwhile: to take what is there, and to be woken for what is not.
+        for _ in 0..ROUNDS {
+            let (mut has_come, mut has_ended) = (false, false);
+            for input in 0..S::COUNT {
+                if *last == input {
+                    S::slot(slots, input).finish();
+                }
+                let slot = S::slot(slots, input);
+                match slot.poll_arrival(context, &mut |dropped| {
+                    counters.of(input, InputCounters::received_counter);
+                    if dropped {
+                        counters.of(input, InputCounters::dropped_counter);
+                    }
+                }) {
+                    Poll::Ready(Some(())) => {
+                        let before = std::mem::replace(last, input);
+                        if before != input {
+                            S::slot(slots, before).finish();
+                        }
+                        has_come = true;
+                    }
+                    Poll::Ready(None) => has_ended |= slot.is_empty(),
+                    Poll::Pending => {}
+                }
+            }
+            if let Some(items) = S::take(slots) {
+                counters.passed_on();
+                return Poll::Ready(Some(items));
+            }
+            if has_ended {
+                return Poll::Ready(None);
+            }
+            if !has_come {
+                return Poll::Pending;
+            }
+        }
+        context.waker().wake_by_ref();
+        Poll::Pending
+    }
+}
+
+/// Tuples of 2 to 9 [`Source`]s.
+pub trait AllOfInputs: sealed::Tuple {
+    /// One message of each.
+    type Items;
+    #[doc(hidden)]
+    type Slots: Unpin;
+    #[doc(hidden)]
+    const COUNT: usize;
+    #[doc(hidden)]
+    fn into_slots(self) -> Self::Slots;
+    #[doc(hidden)]
+    fn slot(slots: &mut Self::Slots, input: usize) -> &mut dyn Slot;
+    #[doc(hidden)]
+    fn take(slots: &mut Self::Slots) -> Option<Self::Items>;
+}
+
+mod sealed {
+    pub trait Tuple {}
+}
+
+/// One input and the newest of it, whatever it is a stream of.
+#[doc(hidden)]
+pub trait Slot {
+    /// Takes what is there, and tells of each message whether it overtook one.
+    fn poll_arrival(&mut self, context: &mut Context<'_>, note: &mut dyn FnMut(bool)) -> Poll<Option<()>>;
+    fn finish(&mut self);
+    fn is_empty(&self) -> bool;
+    fn room(&self) -> (String, usize);
+}
+
+#[doc(hidden)]
+#[derive(Debug)]
+pub struct Input<S: Source> {
+    source: S,
+    newest: Option<S::Item>,
+    has_ended: bool,
+}
+
+// Nothing in it is pinned but the source, which may be moved.
+impl<S: Source> Unpin for Input<S> {}
+
+impl<S: Source> Slot for Input<S> {
+    fn poll_arrival(&mut self, context: &mut Context<'_>, note: &mut dyn FnMut(bool)) -> Poll<Option<()>> {
+        if self.has_ended {
+            return Poll::Ready(None);
+        }
+        let Poll::Ready(item) = self.source.poll_next_unpin(context) else { return Poll::Pending };
+        self.has_ended = item.is_none();
+        let Some(item) = item else { return Poll::Ready(None) };
+        note(self.newest.replace(item).is_some());
+        // What came after it belongs to the same job.
+        for _ in 0..self.source.room().depth {
+            let Some(newer) = self.source.try_next() else { break };
+            note(self.newest.replace(newer).is_some());
+        }
+        Poll::Ready(Some(()))
+    }
+
+    fn finish(&mut self) {
+        self.source.finish();
+    }
+
+    fn is_empty(&self) -> bool {
+        self.newest.is_none()
+    }
+
+    fn room(&self) -> (String, usize) {
+        (self.source.name(), self.source.room().held)
+    }
+}
+
+macro_rules! tuple {
+    ($($name:ident $place:tt),*) => {
+        impl<$($name: Source),*> sealed::Tuple for ($($name,)*) {}
+
+        impl<$($name: Source),*> AllOfInputs for ($($name,)*) {
+            type Items = ($($name::Item,)*);
+            type Slots = ($(Input<$name>,)*);
+            const COUNT: usize = [$($place),*].len();
+
+            fn into_slots(self) -> Self::Slots {
+                ($(Input { source: self.$place, newest: None, has_ended: false },)*)
+            }
+
+            fn slot(slots: &mut Self::Slots, input: usize) -> &mut dyn Slot {
+                match input {
+                    $($place => &mut slots.$place,)*
+                    // Never: inputs are counted.
+                    _ => &mut slots.0,
+                }
+            }
+
+            fn take(slots: &mut Self::Slots) -> Option<Self::Items> {
+                if $(slots.$place.newest.is_none() ||)* false {
+                    return None;
+                }
+                Some(($(slots.$place.newest.take()?,)*))
+            }
+        }
+    };
+}
+for_each_tuple!(tuple);

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+/// What became of the items of a join, to be read from any thread.
+#[derive(Debug)]
+pub struct Counters {
+    sets: AtomicU64,
+    resets: AtomicU64,
+    inputs: Box<[InputCounters]>,
+}
+
+/// What became of the items of one input.
+#[derive(Debug, Default)]
+pub struct InputCounters {
+    received: AtomicU64,
+    dropped: AtomicU64,
+    refused: AtomicU64,
+    too_close: AtomicU64,
+}
+
+impl Counters {
+    pub(crate) fn new(inputs: usize) -> Self {
+        let inputs = (0..inputs).map(|_| InputCounters::default()).collect();
+        Counters { sets: AtomicU64::new(0), resets: AtomicU64::new(0), inputs }
+    }
+
+    /// Sets that were passed on.
+    pub fn sets(&self) -> u64 {
+        self.sets.load(Relaxed)
+    }
+
+    /// How often time leapt back, so that all that waited was dropped.
+    pub fn resets(&self) -> u64 {
+        self.resets.load(Relaxed)
+    }
+
+    /// By input, in the order in which they were given.
+    pub fn inputs(&self) -> &[InputCounters] {
+        &self.inputs
+    }
+
+    pub(crate) fn passed_on(&self) {
+        self.sets.fetch_add(1, Relaxed);
+    }
+
+    pub(crate) fn reset(&self) {
+        self.resets.fetch_add(1, Relaxed);
+    }
+
+    pub(crate) fn of(&self, input: usize, which: fn(&InputCounters) -> &AtomicU64) {
+        if let Some(input) = self.inputs.get(input) {
+            which(input).fetch_add(1, Relaxed);
+        }
+    }
+}
+
+impl InputCounters {
+    /// Items that were taken from the input.
+    pub fn received(&self) -> u64 {
+        self.received.load(Relaxed)
+    }
+
+    /// Items that were kept and then dropped without having been in a set: others matched better, a newer one took the place, the queue
+    /// was full, or time leapt back.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Relaxed)
+    }
+
+    /// Items that were not kept: out of order, or with a stamp that has been before.
+    pub fn refused(&self) -> u64 {
+        self.refused.load(Relaxed)
+    }
+
+    /// Items that came sooner after the one before than [`ApproximateTime::inter_message_lower_bound`](crate::ApproximateTime) says:
+    /// a set may have been passed on although a better one came.
+    pub fn too_close(&self) -> u64 {
+        self.too_close.load(Relaxed)
+    }
+
+    pub(crate) fn received_counter(&self) -> &AtomicU64 {
+        &self.received
+    }
+
+    pub(crate) fn dropped_counter(&self) -> &AtomicU64 {
+        &self.dropped
+    }
+
+    pub(crate) fn refused_counter(&self) -> &AtomicU64 {
+        &self.refused
+    }
+
+    pub(crate) fn too_close_counter(&self) -> &AtomicU64 {
+        &self.too_close
+    }
+}

@@ -1,0 +1,207 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Each message of one stream, with the newest of others.
+
+use crate::counters::{Counters, InputCounters};
+use crate::source::Source;
+use crate::{JoinError, check_room, for_each_tuple};
+use futures::{Stream, StreamExt};
+use std::ops::Deref;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+
+/// How many messages of an input are kept: the newest, and those that the callback may still hold.
+const KEPT: usize = 2;
+
+/// A stream of each message of a trigger, with the newest message of each of the other inputs, if there has been one. Made by [`latest`].
+///
+/// The others are read when the trigger comes, and wake nobody. It ends with the trigger.
+///
+/// # Real-time
+/// No allocation. For each message of the trigger at most as many of each other input are taken as its queue is deep.
+#[derive(Debug)]
+#[must_use = "nothing is received unless it is polled"]
+pub struct Latest<T, S: LatestInputs> {
+    trigger: T,
+    readers: S::Readers,
+    counters: Arc<Counters>,
+}
+
+/// Joins each message of `trigger` with the newest of 1 to 9 `others`, given as a tuple.
+///
+/// ```
+/// use futures::{executor::block_on_stream, stream};
+/// use tautline_join::{latest, stamped};
+/// let input = |items: &'static [i64]| stamped(stream::iter(items.iter().copied()), |item| *item);
+/// let mut joined = block_on_stream(latest(input(&[1, 2]), (input(&[10, 20]), input(&[])))?);
+/// let (trigger, (tens, nothing)) = joined.next().unwrap();
+/// assert_eq!((trigger, tens.as_deref()), (1, Some(&20)));
+/// assert!(nothing.is_none());
+/// # Ok::<(), tautline_join::JoinError>(())
+/// ```
+///
+/// # Errors
+/// [`JoinError::Room`] if one of the others may hold fewer than four items.
+pub fn latest<T: Source, S: LatestInputs>(trigger: T, others: S) -> Result<Latest<T, S>, JoinError> {
+    let mut readers = others.into_readers();
+    check_room((0..S::COUNT).map(|i| S::reader(&mut readers, i).room()), KEPT)?;
+    Ok(Latest { trigger, readers, counters: Arc::new(Counters::new(S::COUNT)) })
+}
+
+impl<T, S: LatestInputs> Latest<T, S> {
+    /// What became of the messages of the others, to be read from any thread: dropped are those that were never given out, because a
+    /// newer one was there, or because the callback held as many as are kept (two).
+    pub fn counters(&self) -> Arc<Counters> {
+        self.counters.clone()
+    }
+}
+
+impl<T: Source, S: LatestInputs> Stream for Latest<T, S> {
+    type Item = (T::Item, S::Items);
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let Latest { trigger, readers, counters } = &mut *self;
+        trigger.poll_next_unpin(context).map(|item| {
+            let item = item?;
+            for input in 0..S::COUNT {
+                S::reader(readers, input).catch_up(input, counters);
+            }
+            counters.passed_on();
+            Some((item, S::read(readers)))
+        })
+    }
+}
+
+/// A message that several may read. It is given back when a newer one needs its place, not when it is dropped.
+#[derive(Debug)]
+pub struct Kept<T>(Arc<Option<T>>);
+
+impl<T> Clone for Kept<T> {
+    fn clone(&self) -> Self {
+        Kept(self.0.clone())
+    }
+}
+
+impl<T> Deref for Kept<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        match &*self.0 {
+            Some(item) => item,
+            // What is given out is emptied only by who has it alone.
+            None => unreachable!("a kept message is there as long as it is held"),
+        }
+    }
+}
+
+/// Tuples of 1 to 9 [`Source`]s.
+pub trait LatestInputs: sealed::Tuple {
+    /// The newest of each, if there is one.
+    type Items;
+    #[doc(hidden)]
+    type Readers: Unpin;
+    #[doc(hidden)]
+    const COUNT: usize;
+    #[doc(hidden)]
+    fn into_readers(self) -> Self::Readers;
+    #[doc(hidden)]
+    fn reader(readers: &mut Self::Readers, input: usize) -> &mut dyn Reader;
+    #[doc(hidden)]
+    fn read(readers: &mut Self::Readers) -> Self::Items;
+}
+
+mod sealed {
+    pub trait Tuple {}
+}
+
+/// One of the others, whatever it is a stream of.
+#[doc(hidden)]
+pub trait Reader {
+    fn catch_up(&mut self, input: usize, counters: &Counters);
+    fn room(&self) -> (String, usize);
+}
+
+#[doc(hidden)]
+#[derive(Debug)]
+pub struct Input<S: Source> {
+    source: S,
+    places: [Arc<Option<S::Item>>; KEPT],
+    newest: usize,
+    was_given: bool,
+}
+
+// Nothing in it is pinned but the source, which may be moved.
+impl<S: Source> Unpin for Input<S> {}
+
+impl<S: Source> Input<S> {
+    fn new(source: S) -> Self {
+        Input { source, places: [(); KEPT].map(|()| Arc::new(None)), newest: 0, was_given: true }
+    }
+
+    fn read(&mut self) -> Option<Kept<S::Item>> {
+        let newest = &self.places[self.newest];
+        self.was_given |= newest.is_some();
+        newest.is_some().then(|| Kept(newest.clone()))
+    }
+}
+
+impl<S: Source> Reader for Input<S> {
+    fn catch_up(&mut self, input: usize, counters: &Counters) {
+        for _ in 0..=self.source.room().depth {
+            let Some(item) = self.source.try_next() else { return };
+            counters.of(input, InputCounters::received_counter);
+            // A place that nobody reads, beginning with that of the newest; what else nobody reads is given back.
+            let mut item = Some(item);
+            let (newest, was_given) = (self.newest, std::mem::replace(&mut self.was_given, false));
+            for place in (0..KEPT).map(|step| (newest + step) % KEPT) {
+                if let Some(free) = Arc::get_mut(&mut self.places[place]) {
+                    let is_newest = item.is_some();
+                    *free = item.take();
+                    if is_newest {
+                        self.newest = place;
+                    }
+                }
+            }
+            if item.is_some() {
+                self.was_given = was_given;
+            }
+            if item.is_some() || !was_given {
+                counters.of(input, InputCounters::dropped_counter);
+            }
+        }
+    }
+
+    fn room(&self) -> (String, usize) {
+        (self.source.name(), self.source.room().held)
+    }
+}
+
+macro_rules! tuple {
+    ($($name:ident $place:tt),*) => {
+        impl<$($name: Source),*> sealed::Tuple for ($($name,)*) {}
+
+        impl<$($name: Source),*> LatestInputs for ($($name,)*) {
+            type Items = ($(Option<Kept<$name::Item>>,)*);
+            type Readers = ($(Input<$name>,)*);
+            const COUNT: usize = [$($place),*].len();
+
+            fn into_readers(self) -> Self::Readers {
+                ($(Input::new(self.$place),)*)
+            }
+
+            fn reader(readers: &mut Self::Readers, input: usize) -> &mut dyn Reader {
+                match input {
+                    $($place => &mut readers.$place,)*
+                    // Never: inputs are counted.
+                    _ => &mut readers.0,
+                }
+            }
+
+            fn read(readers: &mut Self::Readers) -> Self::Items {
+                ($(readers.$place.read(),)*)
+            }
+        }
+    };
+}
+tuple!(A 0);
+for_each_tuple!(tuple);

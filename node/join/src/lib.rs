@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Callbacks that wait for several streams: joins.
+//!
+//! | a callback wants | use |
+//! |---|---|
+//! | messages with the same stamp | [`Synchronizer`] with [`ExactTime`] |
+//! | messages whose stamps are close | [`Synchronizer`] with [`ApproximateTime`] |
+//! | something new from everyone, the newest of each | [`all_of`] |
+//! | each message of one, with the newest of the others | [`latest`] |
+//!
+//! All are streams over items that stay where they are: samples in shared memory are neither copied nor counted. What they need is
+//! allocated when they are made, and each says how much it does for one arrival. What is not passed on is counted
+//! ([`Counters`]): of each input, received = matched + dropped + refused + waiting.
+//!
+//! This crate knows streams and stamps, no topics. Whatever is to be joined is a [`Source`]; [`stamped`] makes one of any stream:
+//!
+//! ```
+//! use futures::{StreamExt, executor::block_on_stream, stream};
+//! use tautline_join::{ApproximateTime, Synchronizer, stamped};
+//! use std::time::Duration;
+//!
+//! let images = stamped(stream::iter([0, 100, 200, 300]), |ms| ms * 1_000_000);
+//! let clouds = stamped(stream::iter([3, 104, 205, 306]), |ms| ms * 1_000_000);
+//! let policy = ApproximateTime::new(10).max_interval(Duration::from_millis(20));
+//! let pairs = Synchronizer::new(policy, (images, clouds))?;
+//! assert_eq!(block_on_stream(pairs).collect::<Vec<_>>(), [(0, 3), (100, 104), (200, 205)]);
+//! # Ok::<(), tautline_join::JoinError>(())
+//! ```
+//! The last pair is not there: whether (300, 306) is the best one shows with the next message.
+#![forbid(unsafe_code)]
+
+mod all_of;
+mod counters;
+mod latest;
+mod policy;
+mod source;
+mod synchronizer;
+
+pub use all_of::{AllOf, AllOfInputs, all_of};
+pub use counters::{Counters, InputCounters};
+pub use latest::{Kept, Latest, LatestInputs, latest};
+pub use policy::{ApproximateTime, Arrival, ExactTime, Policy};
+pub use source::{Room, Source, Stamped, StampedStream, stamped};
+pub use synchronizer::{Synchronizer, SynchronizerInputs};
+
+/// Most inputs that a join has, as in message_filters.
+pub const MAX_INPUTS: usize = 9;
+
+/// Why a join cannot be made.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum JoinError {
+    /// A queue without room.
+    #[error(
+        "a synchronizer's queue size is 0: it has to keep a message until the others come; set it to 1 at least"
+    )]
+    NoQueue,
+    /// An input may not hold as many items as the join keeps.
+    #[error(
+        "`{input}` may hold {room} samples at once, but the join needs {needed} (what waits, one that arrives, one in \
+         the callback's hands): raise `Limits::held` to {needed} before it is made (`Node::set_topic_limits`), or lower \
+         the queue size"
+    )]
+    Room {
+        /// Its name.
+        input: String,
+        /// How many it may hold.
+        room: usize,
+        /// How many it has to.
+        needed: usize,
+    },
+}
+
+/// The inputs can hold what a join keeps of each, besides one that arrives and one that the callback has.
+fn check_room(inputs: impl Iterator<Item = (String, usize)>, kept: usize) -> Result<(), JoinError> {
+    let needed = kept.saturating_add(2);
+    for (input, room) in inputs {
+        if room < needed {
+            return Err(JoinError::Room { input, room, needed });
+        }
+    }
+    Ok(())
+}
+
+/// Calls a macro with the type parameters of each tuple of inputs.
+macro_rules! for_each_tuple {
+    ($each:ident) => {
+        $each!(A 0, B 1);
+        $each!(A 0, B 1, C 2);
+        $each!(A 0, B 1, C 2, D 3);
+        $each!(A 0, B 1, C 2, D 3, E 4);
+        $each!(A 0, B 1, C 2, D 3, E 4, F 5);
+        $each!(A 0, B 1, C 2, D 3, E 4, F 5, G 6);
+        $each!(A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7);
+        $each!(A 0, B 1, C 2, D 3, E 4, F 5, G 6, H 7, I 8);
+    };
+}
+use for_each_tuple;

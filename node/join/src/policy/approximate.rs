@@ -1,0 +1,247 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Stamps that are close to each other.
+
+use super::{Arrival, Policy};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Sets of messages whose stamps are close: message_filters' `ApproximateTime`, with its sets.
+///
+/// A set has one message of each input, and no two sets cross. The latest of the oldest messages that wait is the *pivot*: the next set
+/// contains it, and of those that do the one whose stamps are closest together. A set is passed on when nothing that may still come can
+/// be better: at the latest when each input has sent something later than the pivot.
+///
+/// A message of an input that comes out of order is refused.
+///
+/// # Real-time
+/// For each message that comes, and each set, at most two steps for each message that waits, linear in the number of inputs; no allocation.
+#[derive(Clone, Debug)]
+pub struct ApproximateTime {
+    queue_size: usize,
+    max_interval_ns: i64,
+    age_penalty: f64,
+    lower_bounds_ns: [i64; crate::MAX_INPUTS],
+    channels: Vec<Channel>,
+    candidate: Option<Candidate>,
+}
+
+/// The stamps of one input's messages that wait. Those before `next` were looked at since there is a candidate, whose message is the first.
+#[derive(Clone, Debug, Default)]
+struct Channel {
+    stamps: VecDeque<i64>,
+    next: usize,
+    /// A message was dropped that may have belonged to the next set, so that its successor must not be the pivot.
+    has_dropped: bool,
+    newest_ns: Option<i64>,
+}
+
+/// The best set with the pivot so far: the first messages of all channels.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    start_ns: i64,
+    end_ns: i64,
+    pivot: usize,
+    pivot_ns: i64,
+}
+
+impl ApproximateTime {
+    /// At most `queue_size` messages of each input wait; the oldest is dropped for one more.
+    #[must_use]
+    pub fn new(queue_size: usize) -> Self {
+        ApproximateTime {
+            queue_size,
+            max_interval_ns: i64::MAX,
+            age_penalty: 0.1,
+            lower_bounds_ns: [0; crate::MAX_INPUTS],
+            channels: Vec::new(),
+            candidate: None,
+        }
+    }
+
+    /// The stamps of a set lie at most so far apart (message_filters: `setMaxIntervalDuration`, in Python `slop`). No limit by default.
+    #[must_use]
+    pub fn max_interval(mut self, interval: Duration) -> Self {
+        self.max_interval_ns = nanos(interval);
+        self
+    }
+
+    /// How much closer together a later set must be to be preferred, as a part of how much later it is (`setAgePenalty`). 0.1 by
+    /// default; a negative one or one that is no number is taken as 0.
+    #[must_use]
+    pub fn age_penalty(mut self, penalty: f64) -> Self {
+        self.age_penalty = penalty.max(0.0);
+        self
+    }
+
+    /// A promise: the stamps of input `input` (from 0) are at least so far apart (`setInterMessageLowerBound`). Sets are then passed on
+    /// earlier. Messages that break the promise are counted. An input that is not there is ignored.
+    #[must_use]
+    pub fn inter_message_lower_bound(mut self, input: usize, bound: Duration) -> Self {
+        if let Some(slot) = self.lower_bounds_ns.get_mut(input) {
+            *slot = nanos(bound);
+        }
+        self
+    }
+
+    /// Whether a set is no better than the candidate that ends so much later and starts so much later: what is lost at the end, and a
+    /// little more for its age, is as much as what is won at the start.
+    fn is_no_better(&self, later_end_ns: i64, later_start_ns: i64) -> bool {
+        // Differences of stamps are exact in an f64 up to 104 days.
+        later_end_ns as f64 * (1.0 + self.age_penalty) >= later_start_ns as f64
+    }
+
+    /// The set that the oldest messages not looked at would be: the first and last of their stamps, each with its channel. `None`: not
+    /// every channel has one.
+    fn fronts(&self) -> Option<[(i64, usize); 2]> {
+        span(self.channels.iter().map(|channel| channel.stamps.get(channel.next).copied()))
+    }
+
+    /// All are looked at again.
+    fn rewind(&mut self) {
+        self.channels.iter_mut().for_each(|channel| channel.next = 0);
+    }
+
+    /// Whether no message that may still come makes a better set with this pivot, if they come as early as they can: the search goes on
+    /// with these.
+    fn is_proven(&self, candidate: &Candidate) -> bool {
+        let mut ahead = [0; crate::MAX_INPUTS];
+        loop {
+            let expected =
+                self.channels.iter().zip(self.lower_bounds_ns).zip(ahead).map(|((channel, bound), ahead)| {
+                    let there = channel.stamps.get(channel.next + ahead).copied();
+                    let next =
+                        channel.newest_ns.map_or(candidate.pivot_ns, |newest| newest.saturating_add(bound));
+                    Some(there.unwrap_or(next.max(candidate.pivot_ns)))
+                });
+            let Some([(start, first), (end, _)]) = span(expected) else { return false };
+            let later_end = end.saturating_sub(candidate.end_ns);
+            if self.is_no_better(later_end, candidate.pivot_ns.saturating_sub(candidate.start_ns)) {
+                return true;
+            }
+            if !self.is_no_better(later_end, start.saturating_sub(candidate.start_ns)) {
+                return false;
+            }
+            // What starts before the pivot is there: this ends with the messages that wait.
+            ahead[first] += 1;
+        }
+    }
+}
+
+impl Policy for ApproximateTime {
+    fn queue_size(&self) -> usize {
+        self.queue_size
+    }
+
+    fn start(&mut self, inputs: usize) {
+        // One more, until it is decided.
+        let stamps = || VecDeque::with_capacity(self.queue_size.saturating_add(1));
+        self.channels = (0..inputs).map(|_| Channel { stamps: stamps(), ..Channel::default() }).collect();
+        self.candidate = None;
+    }
+
+    fn arrived(&mut self, input: usize, stamp_ns: i64) -> Arrival {
+        let Some(channel) = self.channels.get_mut(input) else { return Arrival::Refuse };
+        let since = channel.newest_ns.map(|newest| stamp_ns.saturating_sub(newest));
+        if since.is_some_and(|since| since < 0) {
+            return Arrival::Refuse;
+        }
+        channel.newest_ns = Some(stamp_ns);
+        let place = channel.stamps.len();
+        channel.stamps.push_back(stamp_ns);
+        if since.is_some_and(|since| since < self.lower_bounds_ns[input]) {
+            return Arrival::WaitTooClose(place);
+        }
+        Arrival::Wait(place)
+    }
+
+    fn decide(&mut self, drop: &mut dyn FnMut(usize)) -> bool {
+        loop {
+            while let Some([(start_ns, first), (end_ns, last)]) = self.fronts() {
+                for (i, channel) in self.channels.iter_mut().enumerate() {
+                    // What the others have is earlier than the last; so was what they dropped.
+                    channel.has_dropped &= i == last;
+                }
+                let candidate = match self.candidate {
+                    None => {
+                        let too_far = end_ns.saturating_sub(start_ns) > self.max_interval_ns;
+                        if too_far || self.channels[last].has_dropped {
+                            self.channels[first].stamps.pop_front();
+                            drop(first);
+                            continue;
+                        }
+                        Candidate { start_ns, end_ns, pivot: last, pivot_ns: end_ns }
+                    }
+                    Some(best) => {
+                        let (later_end, later_start) =
+                            (end_ns.saturating_sub(best.end_ns), start_ns.saturating_sub(best.start_ns));
+                        if self.is_no_better(later_end, later_start) {
+                            best
+                        } else {
+                            Candidate { start_ns, end_ns, ..best }
+                        }
+                    }
+                };
+                if self.candidate.is_none_or(|best| best.start_ns != candidate.start_ns) {
+                    // What was looked at is too early for any set to come.
+                    for (i, channel) in self.channels.iter_mut().enumerate() {
+                        for _ in 0..std::mem::take(&mut channel.next) {
+                            channel.stamps.pop_front();
+                            drop(i);
+                        }
+                    }
+                }
+                self.candidate = Some(candidate);
+                self.channels[first].next += 1;
+                let later_end = end_ns.saturating_sub(candidate.end_ns);
+                let pivot_start = candidate.pivot_ns.saturating_sub(candidate.start_ns);
+                let is_best = first == candidate.pivot
+                    || self.is_no_better(later_end, pivot_start)
+                    || self.fronts().is_none() && self.is_proven(&candidate);
+                if is_best {
+                    self.candidate = None;
+                    self.rewind();
+                    self.channels.iter_mut().for_each(|channel| {
+                        channel.stamps.pop_front();
+                    });
+                    return true;
+                }
+            }
+            let full = |channel: &Channel| channel.stamps.len() > self.queue_size;
+            let Some(full) = self.channels.iter().position(full) else { return false };
+            self.rewind();
+            self.channels[full].stamps.pop_front();
+            self.channels[full].has_dropped = true;
+            drop(full);
+            // The candidate may have lost a message; another one may be among what waits.
+            self.candidate = None;
+        }
+    }
+
+    fn clear(&mut self) {
+        self.candidate = None;
+        for channel in &mut self.channels {
+            channel.stamps.clear();
+            (channel.next, channel.has_dropped, channel.newest_ns) = (0, false, None);
+        }
+    }
+}
+
+/// The first and the last of some stamps, each with its place; of equal ones the first starts and the last ends, as in message_filters.
+fn span(stamps: impl Iterator<Item = Option<i64>>) -> Option<[(i64, usize); 2]> {
+    let mut span: Option<[(i64, usize); 2]> = None;
+    for (i, stamp) in stamps.enumerate() {
+        let stamp = stamp?;
+        let [first, last] = span.get_or_insert([(stamp, i); 2]);
+        if stamp < first.0 {
+            *first = (stamp, i);
+        }
+        if stamp >= last.0 {
+            *last = (stamp, i);
+        }
+    }
+    span
+}
+
+fn nanos(duration: Duration) -> i64 {
+    i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
+}

@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What can be joined.
+
+use futures::stream::Fuse;
+use futures::{Stream, StreamExt};
+use std::pin::Pin;
+use std::task::{Context, Poll, Waker};
+
+/// What a source has room for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Room {
+    /// Most items that may be alive at once; no more come while there are as many.
+    pub held: usize,
+    /// Most items that wait to be taken.
+    pub depth: usize,
+}
+
+/// A stream that can be joined with others.
+pub trait Source: Stream + Unpin {
+    /// What errors call it, such as its topic.
+    fn name(&self) -> String {
+        "an input".to_owned()
+    }
+
+    /// What it has room for. By default it holds whatever is wanted, and is looked at 1,000 times in one go.
+    fn room(&self) -> Room {
+        Room { held: usize::MAX, depth: 1_000 }
+    }
+
+    /// Takes the next item if there is one, without being woken for what comes later, and without a job for it: what is read beside
+    /// a trigger has no response time of its own.
+    fn try_next(&mut self) -> Option<Self::Item> {
+        match self.poll_next_unpin(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(item) => item,
+            Poll::Pending => None,
+        }
+    }
+
+    /// The item that came last is dealt with: where it is a job, that one ends. Otherwise it ends with the next poll.
+    fn finish(&mut self) {}
+}
+
+/// A source whose items have a time stamp.
+pub trait Stamped: Source {
+    /// The stamp of an item in nanoseconds, of any clock that all inputs have in common.
+    fn stamp_ns(&self, item: &Self::Item) -> i64;
+}
+
+/// A source whose stamps a function tells; made by [`stamped`].
+#[derive(Debug)]
+#[must_use = "nothing is received unless it is polled"]
+pub struct StampedStream<S, F> {
+    source: S,
+    stamp: F,
+}
+
+/// Makes a source of any stream, by a function that gives an item's stamp in nanoseconds.
+pub fn stamped<S: Stream + Unpin, F: Fn(&S::Item) -> i64>(stream: S, stamp: F) -> StampedStream<Plain<S>, F> {
+    StampedStream { source: Plain(stream.fuse()), stamp }
+}
+
+/// A stream without limits of its own.
+#[derive(Debug)]
+pub struct Plain<S>(Fuse<S>);
+
+impl<S: Stream + Unpin> Stream for Plain<S> {
+    type Item = S::Item;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<S::Item>> {
+        self.0.poll_next_unpin(context)
+    }
+}
+
+impl<S: Stream + Unpin> Source for Plain<S> {}
+
+impl<S: Source, F: Fn(&S::Item) -> i64> StampedStream<S, F> {
+    /// A source with stamps that a function tells, in place of its own.
+    pub fn new(source: S, stamp: F) -> Self {
+        StampedStream { source, stamp }
+    }
+}
+
+impl<S: Source, F: Unpin> Stream for StampedStream<S, F> {
+    type Item = S::Item;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<S::Item>> {
+        self.source.poll_next_unpin(context)
+    }
+}
+
+impl<S: Source, F: Unpin> Source for StampedStream<S, F> {
+    fn name(&self) -> String {
+        self.source.name()
+    }
+
+    fn room(&self) -> Room {
+        self.source.room()
+    }
+
+    fn try_next(&mut self) -> Option<S::Item> {
+        self.source.try_next()
+    }
+
+    fn finish(&mut self) {
+        self.source.finish();
+    }
+}
+
+impl<S: Source, F: Fn(&S::Item) -> i64 + Unpin> Stamped for StampedStream<S, F> {
+    fn stamp_ns(&self, item: &S::Item) -> i64 {
+        (self.stamp)(item)
+    }
+}

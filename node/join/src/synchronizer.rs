@@ -1,0 +1,286 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Messages of several streams whose stamps belong together.
+
+use crate::counters::{Counters, InputCounters};
+use crate::policy::{Arrival, Policy};
+use crate::source::Stamped;
+use crate::{JoinError, check_room, for_each_tuple};
+use futures::{Stream, StreamExt};
+use std::collections::VecDeque;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+/// A stream of sets: tuples of one message of each input, whose stamps are equal ([`ExactTime`](crate::ExactTime)) or close
+/// ([`ApproximateTime`](crate::ApproximateTime)). As in message_filters, and with its sets.
+///
+/// If time leaps back by more than [`time_jump`](Self::time_jump), as it does where a recording begins anew, all that waits is dropped.
+///
+/// On a callback thread each message is a job. The one that completes a set has the callback's work in its response time; the others
+/// were only put aside.
+///
+/// The stream ends when an input has ended of which no message waits, or when all have.
+///
+/// # Real-time
+/// No allocation. In one poll at most as many messages are taken as fit into all queues; then other tasks of the thread have their turn.
+#[derive(Debug)]
+#[must_use = "nothing is received unless it is polled"]
+pub struct Synchronizer<P, S: SynchronizerInputs> {
+    policy: P,
+    queues: S::Queues,
+    counters: Arc<Counters>,
+    newest_ns: [i64; crate::MAX_INPUTS],
+    time_jump_ns: i64,
+    turn: usize,
+}
+
+impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
+    /// Joins 2 to 9 inputs, given as a tuple.
+    ///
+    /// # Errors
+    /// [`JoinError::NoQueue`] for a queue size of 0. [`JoinError::Room`] if an input may not hold a full queue, a message that arrives
+    /// and one that the callback works on.
+    pub fn new(mut policy: P, inputs: S) -> Result<Self, JoinError> {
+        let queue_size = policy.queue_size();
+        if queue_size == 0 {
+            return Err(JoinError::NoQueue);
+        }
+        let mut queues = inputs.into_queues(queue_size.saturating_add(1));
+        check_room((0..S::COUNT).map(|i| S::queue(&mut queues, i).room()), queue_size)?;
+        policy.start(S::COUNT);
+        Ok(Synchronizer {
+            policy,
+            queues,
+            counters: Arc::new(Counters::new(S::COUNT)),
+            newest_ns: [i64::MIN; crate::MAX_INPUTS],
+            time_jump_ns: 1_000_000_000,
+            turn: 0,
+        })
+    }
+
+    /// A message whose stamp is by more than this before its predecessor's means that time has leapt back, one that is less has come
+    /// out of order. 1 s by default.
+    pub fn time_jump(mut self, jump: Duration) -> Self {
+        self.time_jump_ns = i64::try_from(jump.as_nanos()).unwrap_or(i64::MAX);
+        self
+    }
+
+    /// What became of the messages, to be read from any thread.
+    pub fn counters(&self) -> Arc<Counters> {
+        self.counters.clone()
+    }
+
+    /// Takes one message of some input, in turns.
+    fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<()>> {
+        let (mut has_ended, mut ended) = (false, 0);
+        for step in 0..S::COUNT {
+            let input = (self.turn + step) % S::COUNT;
+            let queue = S::queue(&mut self.queues, input);
+            match queue.poll_arrival(context) {
+                Poll::Ready(Some(stamp_ns)) => {
+                    self.turn = input + 1;
+                    self.put(input, stamp_ns);
+                    return Poll::Ready(Some(()));
+                }
+                Poll::Ready(None) => {
+                    has_ended |= queue.is_empty();
+                    ended += 1;
+                }
+                Poll::Pending => {}
+            }
+        }
+        if has_ended || ended == S::COUNT { Poll::Ready(None) } else { Poll::Pending }
+    }
+
+    /// Puts the message that has come from `input` where it belongs.
+    fn put(&mut self, input: usize, stamp_ns: i64) {
+        self.counters.of(input, InputCounters::received_counter);
+        if stamp_ns < self.newest_ns[input].saturating_sub(self.time_jump_ns) {
+            self.counters.reset();
+            self.newest_ns = [i64::MIN; crate::MAX_INPUTS];
+            self.policy.clear();
+            for i in 0..S::COUNT {
+                while S::queue(&mut self.queues, i).drop_front() {
+                    self.counters.of(i, InputCounters::dropped_counter);
+                }
+            }
+        }
+        self.newest_ns[input] = self.newest_ns[input].max(stamp_ns);
+        let arrival = self.policy.arrived(input, stamp_ns);
+        let queue = S::queue(&mut self.queues, input);
+        match arrival {
+            Arrival::Wait(place) => queue.keep(place),
+            Arrival::WaitTooClose(place) => {
+                self.counters.of(input, InputCounters::too_close_counter);
+                queue.keep(place);
+            }
+            Arrival::Refuse => {
+                self.counters.of(input, InputCounters::refused_counter);
+                queue.refuse();
+            }
+        }
+    }
+
+    /// The next set, if there is one among what waits.
+    fn decide(&mut self) -> Option<S::Items> {
+        let (queues, counters) = (&mut self.queues, &*self.counters);
+        let mut drop = |input| {
+            S::queue(queues, input).drop_front();
+            counters.of(input, InputCounters::dropped_counter);
+        };
+        if !self.policy.decide(&mut drop) {
+            return None;
+        }
+        self.counters.passed_on();
+        S::take(&mut self.queues)
+    }
+}
+
+impl<P: Policy + Unpin, S: SynchronizerInputs> Stream for Synchronizer<P, S> {
+    type Item = S::Items;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<S::Items>> {
+        let synchronizer = &mut *self;
+        let most = synchronizer.policy.queue_size().saturating_mul(S::COUNT).max(S::COUNT);
+        for taken in 0..=most {
+            if let Some(set) = synchronizer.decide() {
+                return Poll::Ready(Some(set));
+            }
+            if taken == most {
+                break;
+            }
+            // All sets that the message which came last completes are dealt with.
+            let last = (synchronizer.turn + S::COUNT - 1) % S::COUNT;
+            S::queue(&mut synchronizer.queues, last).finish();
+            match synchronizer.poll_arrival(context) {
+                Poll::Ready(Some(())) => {}
+                Poll::Ready(None) => return Poll::Ready(None),
+                Poll::Pending => return Poll::Pending,
+            }
+        }
+        context.waker().wake_by_ref();
+        Poll::Pending
+    }
+}
+
+/// Tuples of 2 to 9 [`Stamped`] sources.
+pub trait SynchronizerInputs: sealed::Tuple {
+    /// One message of each.
+    type Items;
+    /// The sources with what waits.
+    #[doc(hidden)]
+    type Queues: Unpin;
+    #[doc(hidden)]
+    const COUNT: usize;
+    #[doc(hidden)]
+    fn into_queues(self, capacity: usize) -> Self::Queues;
+    #[doc(hidden)]
+    fn queue(queues: &mut Self::Queues, input: usize) -> &mut dyn Queue;
+    #[doc(hidden)]
+    fn take(queues: &mut Self::Queues) -> Option<Self::Items>;
+}
+
+mod sealed {
+    pub trait Tuple {}
+}
+
+/// One input and what of it waits, whatever it is a stream of.
+#[doc(hidden)]
+pub trait Queue {
+    fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<i64>>;
+    fn keep(&mut self, place: usize);
+    fn refuse(&mut self);
+    fn drop_front(&mut self) -> bool;
+    fn finish(&mut self);
+    fn is_empty(&self) -> bool;
+    fn room(&self) -> (String, usize);
+}
+
+/// A source, the message that has just come, and those that wait.
+#[doc(hidden)]
+#[derive(Debug)]
+pub struct Input<S: Stamped> {
+    source: S,
+    arrived: Option<S::Item>,
+    waiting: VecDeque<S::Item>,
+    has_ended: bool,
+}
+
+// Nothing in it is pinned but the source, which may be moved.
+impl<S: Stamped> Unpin for Input<S> {}
+
+impl<S: Stamped> Queue for Input<S> {
+    fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<i64>> {
+        if self.has_ended {
+            return Poll::Ready(None);
+        }
+        let poll = self.source.poll_next_unpin(context);
+        poll.map(|item| {
+            self.has_ended = item.is_none();
+            let stamp = item.as_ref().map(|item| self.source.stamp_ns(item));
+            self.arrived = item;
+            stamp
+        })
+    }
+
+    fn keep(&mut self, place: usize) {
+        if let Some(item) = self.arrived.take() {
+            self.waiting.insert(place.min(self.waiting.len()), item);
+        }
+    }
+
+    fn refuse(&mut self) {
+        self.arrived = None;
+    }
+
+    fn drop_front(&mut self) -> bool {
+        self.waiting.pop_front().is_some()
+    }
+
+    fn finish(&mut self) {
+        self.source.finish();
+    }
+
+    fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    fn room(&self) -> (String, usize) {
+        (self.source.name(), self.source.room().held)
+    }
+}
+
+macro_rules! tuple {
+    ($($name:ident $place:tt),*) => {
+        impl<$($name: Stamped),*> sealed::Tuple for ($($name,)*) {}
+
+        impl<$($name: Stamped),*> SynchronizerInputs for ($($name,)*) {
+            type Items = ($($name::Item,)*);
+            type Queues = ($(Input<$name>,)*);
+            const COUNT: usize = [$($place),*].len();
+
+            fn into_queues(self, capacity: usize) -> Self::Queues {
+                ($(Input {
+                    source: self.$place,
+                    arrived: None,
+                    waiting: VecDeque::with_capacity(capacity),
+                    has_ended: false,
+                },)*)
+            }
+
+            fn queue(queues: &mut Self::Queues, input: usize) -> &mut dyn Queue {
+                match input {
+                    $($place => &mut queues.$place,)*
+                    // Never: inputs are counted.
+                    _ => &mut queues.0,
+                }
+            }
+
+            fn take(queues: &mut Self::Queues) -> Option<Self::Items> {
+                Some(($(queues.$place.waiting.pop_front()?,)*))
+            }
+        }
+    };
+}
+for_each_tuple!(tuple);

@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The sets of the policies: message_filters' own cases, and all that could have been chosen, looked at one by one.
+
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+use std::time::Duration;
+use tautline_join::{ApproximateTime, Arrival, ExactTime, Policy};
+
+/// A policy with the messages it decides on: their stamps.
+struct Queues<P> {
+    policy: P,
+    waiting: Vec<Vec<i64>>,
+    dropped: Vec<(usize, i64)>,
+    refused: usize,
+}
+
+impl<P: Policy> Queues<P> {
+    fn new(mut policy: P, inputs: usize) -> Self {
+        policy.start(inputs);
+        Queues { policy, waiting: vec![Vec::new(); inputs], dropped: Vec::new(), refused: 0 }
+    }
+
+    /// The sets that a message completes.
+    fn add(&mut self, input: usize, stamp: i64) -> Vec<Vec<i64>> {
+        match self.policy.arrived(input, stamp) {
+            Arrival::Wait(place) | Arrival::WaitTooClose(place) => self.waiting[input].insert(place, stamp),
+            Arrival::Refuse => self.refused += 1,
+        }
+        let mut sets = Vec::new();
+        let (waiting, dropped) = (&mut self.waiting, &mut self.dropped);
+        while self.policy.decide(&mut |input| dropped.push((input, waiting[input].remove(0)))) {
+            sets.push(waiting.iter_mut().map(|queue| queue.remove(0)).collect());
+        }
+        assert!(self.waiting.iter().all(|queue| queue.len() <= self.policy.queue_size()));
+        sets
+    }
+}
+
+/// `"a 0 b 1 a 3"`: messages of inputs a, b, ... with their stamps, in the order in which they come.
+fn messages(text: &str) -> Vec<(usize, i64)> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    words
+        .chunks(2)
+        .map(|pair| (usize::from(pair[0].as_bytes()[0] - b'a'), pair[1].parse().unwrap()))
+        .collect()
+}
+
+fn run<P: Policy>(policy: P, inputs: usize, text: &str) -> Vec<Vec<i64>> {
+    let mut queues = Queues::new(policy, inputs);
+    messages(text).into_iter().flat_map(|(input, stamp)| queues.add(input, stamp)).collect()
+}
+
+#[test]
+fn approximate_sets_are_those_of_message_filters() {
+    // What ros2/message_filters' test_approximate_time_policy.cpp expects: name, queue size, what comes, the sets.
+    type Case = (&'static str, usize, usize, &'static str, &'static [&'static [i64]]);
+    let cases: [Case; 9] = [
+        ("exact match", 2, 10, "a 0 b 0 a 3 b 3 a 6 b 6", &[&[0, 0], &[3, 3], &[6, 6]]),
+        ("perfect match", 2, 10, "a 0 b 1 a 3 b 4 a 6 b 7", &[&[0, 1], &[3, 4]]),
+        ("imperfect match", 2, 10, "a 0 b 1 a 2 a 3 b 5 a 6 b 7", &[&[0, 1], &[6, 5]]),
+        ("acceleration", 2, 10, "a 0 b 7 a 12 b 15 a 17 b 18", &[&[12, 7], &[17, 18]]),
+        ("a queue too short", 2, 1, "a 0 b 1 b 3 a 4 b 7 a 8 a 10 b 11 a 13 b 14", &[&[4, 3], &[10, 11]]),
+        (
+            "a queue just long enough",
+            2,
+            2,
+            "a 0 b 1 b 3 a 4 b 7 a 8 a 10 b 11 a 13 b 14",
+            &[&[0, 1], &[4, 3], &[8, 7], &[10, 11]],
+        ),
+        (
+            "a long queue",
+            2,
+            5,
+            "a 0 a 1 a 2 a 3 a 4 a 5 a 6 a 7 a 8 b 3 a 9 a 10 a 11 a 12 b 10 a 13",
+            &[&[10, 10]],
+        ),
+        ("two at once", 2, 10, "a 0 b 1 b 3 a 3", &[&[0, 1], &[3, 3]]),
+        (
+            "four topics",
+            4,
+            10,
+            "a 0 b 1 c 2 d 3 a 5 d 5 b 6 c 6 a 8 b 9 c 10 d 11 a 10 a 13 b 14",
+            &[&[0, 1, 2, 3], &[5, 6, 6, 5], &[10, 9, 10, 11]],
+        ),
+    ];
+    for (name, inputs, queue_size, text, sets) in cases {
+        assert_eq!(run(ApproximateTime::new(queue_size), inputs, text), sets, "{name}");
+    }
+    assert_eq!(run(ApproximateTime::new(10), 4, "a 0 b 1 c 2 d 3 a 7"), [[0, 1, 2, 3]], "early");
+}
+
+#[test]
+fn a_promised_distance_lets_sets_go_earlier() {
+    // Stamps in tenths, so that 1.5 is a whole number.
+    let text = "a 0 b 10 a 30 b 40 a 60 b 70";
+    let bound = |tenths| ApproximateTime::new(10).inter_message_lower_bound(0, Duration::from_nanos(tenths));
+    assert_eq!(run(bound(15), 2, text), [[0, 10], [30, 40]]);
+    assert_eq!(run(bound(20), 2, text), [[0, 10], [30, 40], [60, 70]]);
+    let mut queues = Queues::new(bound(20), 2);
+    assert_eq!(queues.policy.arrived(0, 0), Arrival::Wait(0));
+    assert_eq!(queues.policy.arrived(0, 19), Arrival::WaitTooClose(1));
+}
+
+#[test]
+fn sets_are_no_longer_than_the_interval() {
+    let near = |most| ApproximateTime::new(10).max_interval(Duration::from_nanos(most));
+    let text = "a 0 b 5 a 10 b 12 a 20 b 25 a 30 b 40";
+    assert_eq!(run(near(2), 2, text), [[10, 12]]);
+    assert_eq!(run(near(1), 2, text), Vec::<Vec<i64>>::new());
+}
+
+/// Of all sets with the pivot and nothing of the sets before, the shortest span.
+fn shortest(all: &[Vec<i64>], from: &[usize], pivot: (usize, i64)) -> i64 {
+    let options =
+        |i: usize| -> Vec<i64> { if i == pivot.0 { vec![pivot.1] } else { all[i][from[i]..].to_vec() } };
+    let mut sets: Vec<(i64, i64)> = vec![(pivot.1, pivot.1)];
+    for i in 0..all.len() {
+        let extend = |(start, end): (i64, i64)| {
+            options(i).into_iter().map(move |stamp| (start.min(stamp), end.max(stamp))).collect::<Vec<_>>()
+        };
+        sets = sets.into_iter().flat_map(extend).collect();
+        sets.sort_unstable();
+        sets.dedup();
+    }
+    sets.into_iter().map(|(start, end)| end - start).min().unwrap()
+}
+
+#[test]
+fn the_closest_set_with_the_pivot_is_chosen() {
+    let seed = rand::random();
+    println!("seed {seed}");
+    let mut rng = StdRng::seed_from_u64(seed);
+    let mut sets_seen = 0;
+    for round in 0..2_000 {
+        let inputs = rng.random_range(2..=4);
+        let all: Vec<Vec<i64>> = (0..inputs)
+            .map(|_| {
+                let mut stamp = rng.random_range(0..30);
+                let (count, gap) = (rng.random_range(2..12), rng.random_range(1..30));
+                let next = |stamp: &mut i64, rng: &mut StdRng| {
+                    *stamp += rng.random_range(1..=gap);
+                    *stamp
+                };
+                (0..count).map(|_| next(&mut stamp, &mut rng)).collect()
+            })
+            .collect();
+        // In any order in which no input overtakes itself.
+        let mut order: Vec<usize> = (0..inputs).flat_map(|i| vec![i; all[i].len()]).collect();
+        for i in (1..order.len()).rev() {
+            order.swap(i, rng.random_range(0..=i));
+        }
+        let mut queues = Queues::new(ApproximateTime::new(100).age_penalty(0.0), inputs);
+        let (mut next, mut from) = (vec![0; inputs], vec![0; inputs]);
+        for input in order {
+            let stamp = all[input][next[input]];
+            next[input] += 1;
+            for set in queues.add(input, stamp) {
+                let context = || format!("seed {seed}, round {round}: {all:?}, from {from:?}: {set:?}");
+                // The latest of the oldest that the set before has left; of equal ones the last.
+                let pivot =
+                    (0..inputs).map(|i| (all[i][from[i]], i)).max().map(|(stamp, i)| (i, stamp)).unwrap();
+                assert_eq!(set[pivot.0], pivot.1, "{}", context());
+                let span = set.iter().max().unwrap() - set.iter().min().unwrap();
+                assert_eq!(span, shortest(&all, &from, pivot), "{}", context());
+                let places: Vec<usize> =
+                    (0..inputs).map(|i| all[i].iter().position(|stamp| *stamp == set[i]).unwrap()).collect();
+                assert!(places.iter().zip(&from).all(|(place, from)| place >= from), "{}", context());
+                from = places.into_iter().map(|place| place + 1).collect();
+                sets_seen += 1;
+                if from.iter().zip(&all).any(|(from, all)| *from == all.len()) {
+                    break;
+                }
+            }
+            if from.iter().zip(&all).any(|(from, all)| *from == all.len()) {
+                break;
+            }
+        }
+        assert_eq!(queues.refused, 0);
+    }
+    assert!(sets_seen > 1_000, "{sets_seen}");
+}
+
+#[test]
+fn exact_sets_are_those_of_a_table_of_stamps() {
+    let seed = rand::random();
+    println!("seed {seed}");
+    let mut rng = StdRng::seed_from_u64(seed);
+    let mut sets_seen = 0;
+    for round in 0..2_000 {
+        let (inputs, queue_size) = (rng.random_range(2..=4), rng.random_range(1..6));
+        let mut queues = Queues::new(ExactTime::new(queue_size), inputs);
+        // What message_filters keeps: a row for each stamp, ended by who fills it, the oldest dropped if there are too many.
+        let mut table = std::collections::BTreeMap::<i64, Vec<bool>>::new();
+        let mut last = i64::MIN;
+        for at in 0..60 {
+            let (input, stamp) = (rng.random_range(0..inputs), at / 4 + rng.random_range(0..5));
+            let row = table.entry(stamp).or_insert_with(|| vec![false; inputs]);
+            row[input] = true;
+            let mut expected = Vec::new();
+            if stamp <= last {
+                table.remove(&stamp);
+            } else if row.iter().all(|has| *has) {
+                expected.push(vec![stamp; inputs]);
+                (table, last) = (table.split_off(&(stamp + 1)), stamp);
+            }
+            while table.len() > queue_size {
+                table.pop_first();
+            }
+            assert_eq!(queues.add(input, stamp), expected, "seed {seed}, round {round}, message {at}");
+            sets_seen += expected.len();
+            let waiting: usize = table.values().flatten().filter(|has| **has).count();
+            assert_eq!(
+                queues.waiting.iter().map(Vec::len).sum::<usize>(),
+                waiting,
+                "seed {seed}, round {round}"
+            );
+        }
+    }
+    assert!(sets_seen > 1_000, "{sets_seen}");
+}
+
+#[test]
+fn what_waits_can_be_forgotten() {
+    let mut queues = Queues::new(ApproximateTime::new(3), 2);
+    assert!(queues.add(0, 100).is_empty() && queues.add(0, 110).is_empty());
+    queues.policy.clear();
+    queues.waiting.iter_mut().for_each(Vec::clear);
+    // Out of order if it was not forgotten.
+    assert_eq!(queues.add(0, 1), Vec::<Vec<i64>>::new());
+    assert_eq!(queues.add(1, 1), [[1, 1]]);
+    assert_eq!(queues.refused, 0);
+}

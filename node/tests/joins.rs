@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Callbacks that wait for several topics: sets of samples that lie where they were written, jobs, limits, no allocation.
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Duration;
+
+use common::{Log, Number, context, spin};
+use futures::StreamExt;
+use tautline::geometry_msgs::msg::{PointStamped, PoseStamped};
+use tautline::join::{ApproximateTime, ExactTime, JoinError, Synchronizer, all_of, latest};
+use tautline::{CallbackOptions, Limits, Node, Publisher, QosProfile};
+
+thread_local!(static CALLS: Cell<u64> = const { Cell::new(0) });
+
+struct Counting;
+
+// SAFETY: every call is handed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(block, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn point(publisher: &Publisher<PointStamped>, ms: i64, x: f64) {
+    let mut message = PointStamped::default();
+    (message.header.stamp.sec, message.header.stamp.nanosec) =
+        ((ms / 1_000) as i32, (ms % 1_000 * 1_000_000) as u32);
+    message.point.x = x;
+    publisher.publish(&message).unwrap();
+}
+
+fn pose(publisher: &Publisher<PoseStamped>, ms: i64, x: f64) {
+    let mut message = PoseStamped::default();
+    (message.header.stamp.sec, message.header.stamp.nanosec) =
+        ((ms / 1_000) as i32, (ms % 1_000 * 1_000_000) as u32);
+    message.pose.position.x = x;
+    publisher.publish(&message).unwrap();
+}
+
+const QUEUE: usize = 6;
+
+fn node(domain: u32) -> (tautline::Context, Node) {
+    let context = context(domain);
+    let mut node = Node::create(context.clone(), "joiner", "").unwrap();
+    for topic in ["/points", "/poses"] {
+        node.set_topic_limits(topic, Limits { held: QUEUE + 2, ..Limits::default() }).unwrap();
+    }
+    (context, node)
+}
+
+#[test]
+fn messages_of_two_topics_meet_by_their_headers() {
+    static SETS: Log<(f64, f64)> = Log::new();
+    let (context, mut node) = node(53);
+    let points = node.create_publisher("/points", QosProfile::default()).unwrap();
+    let poses = node.create_publisher("/poses", QosProfile::default()).unwrap();
+    let inputs = (
+        node.subscribe_loaned::<PointStamped>("/points", QosProfile::default()).unwrap(),
+        node.subscribe_loaned::<PoseStamped>("/poses", QosProfile::default()).unwrap(),
+    );
+    let policy = ApproximateTime::new(QUEUE).max_interval(Duration::from_millis(20));
+    let pairs = Synchronizer::new(policy, inputs).unwrap();
+    let counters = pairs.counters();
+    let callback = pairs.for_each(|(point, pose)| async move {
+        SETS.add((point.view().point().x, pose.view().pose().position.x));
+    });
+    let callback = node.spawn_callback(CallbackOptions::other(), callback).unwrap();
+    let _spinning = spin(&context);
+    // Points every 100 ms, poses every 50 ms and 3 ms late; a set is known to be the best with the message after it.
+    for i in 0..20 {
+        point(&points, i * 100, i as f64);
+        pose(&poses, i * 100 + 3, i as f64);
+        pose(&poses, i * 100 + 53, -1.0);
+        if i > 0 {
+            SETS.wait_for(i as usize);
+        }
+    }
+    let sets = SETS.wait_for(19);
+    let expected: Vec<_> = (0..sets.len()).map(|i| (i as f64, i as f64)).collect();
+    assert_eq!(sets, expected);
+    callback.stop();
+    let stats = callback.stats().clone();
+    callback.join().unwrap();
+    // Each message is a job, whether it completes a set or not.
+    assert_eq!((stats.releases(), stats.completions()), (60, 60));
+    assert_eq!(counters.inputs().iter().map(|input| input.received()).collect::<Vec<_>>(), [20, 40]);
+    assert!(counters.inputs()[1].dropped() >= 18, "{counters:?}");
+}
+
+#[test]
+fn ten_thousand_sets_allocate_nothing() {
+    static SETS: Log<u64> = Log::new();
+    const COUNT: i64 = 10_000;
+    let (context, mut node) = node(54);
+    let points = node.create_publisher("/points", QosProfile::default()).unwrap();
+    let poses = node.create_publisher("/poses", QosProfile::default()).unwrap();
+    let numbers = node.create_publisher::<Number>("/numbers", QosProfile::default()).unwrap();
+    let inputs = (
+        node.subscribe_loaned::<PointStamped>("/points", QosProfile::default()).unwrap(),
+        node.subscribe_loaned::<PoseStamped>("/poses", QosProfile::default()).unwrap(),
+    );
+    let others = node.subscribe_loaned::<Number>("/numbers", QosProfile::default()).unwrap();
+    let mut pairs = Synchronizer::new(ExactTime::new(QUEUE), inputs).unwrap();
+    let callback = async move {
+        let mut before = 0;
+        for i in 0..COUNT {
+            let Some((point, pose)) = pairs.next().await else { return };
+            assert_eq!(point.view().header().stamp(), pose.view().header().stamp());
+            if i == 100 {
+                before = CALLS.get();
+            }
+            if i == COUNT - 1 {
+                SETS.add(CALLS.get() - before);
+            }
+            drop((point, pose));
+            TAKEN.store(i as u64 + 1, std::sync::atomic::Ordering::Release);
+        }
+    };
+    static TAKEN: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
+    node.spawn_callback(CallbackOptions::other(), callback).unwrap();
+    let _spinning = spin(&context);
+    for i in 0..COUNT {
+        point(&points, i * 1_000, 0.0);
+        pose(&poses, i * 1_000, 0.0);
+        numbers.publish(&Number { value: i as u64 }).unwrap();
+        while TAKEN.load(std::sync::atomic::Ordering::Acquire) <= i as u64 {
+            std::thread::yield_now();
+        }
+    }
+    assert_eq!(SETS.wait_for(1), [0]);
+    drop(others);
+}
+
+#[test]
+fn something_new_of_each_and_the_latest_of_another() {
+    static ALL: Log<(u64, u64)> = Log::new();
+    static LATEST: Log<(u64, Option<u64>)> = Log::new();
+    let context = context(55);
+    let mut node = Node::create(context.clone(), "joiner", "").unwrap();
+    let [a, b] =
+        ["/a", "/b"].map(|topic| node.create_publisher::<Number>(topic, QosProfile::default()).unwrap());
+    let mut subscribe = |topic: &str| node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap();
+    let all = all_of((subscribe("/a"), subscribe("/b"))).unwrap();
+    let joined = latest(subscribe("/a"), (subscribe("/b"),)).unwrap();
+    node.spawn_callback(
+        CallbackOptions::other(),
+        all.for_each(|(a, b)| async move { ALL.add((a.value, b.value)) }),
+    )
+    .unwrap();
+    let each = joined.for_each(|(a, (b,))| async move { LATEST.add((a.value, b.map(|b| b.value))) });
+    let each = node.spawn_callback(CallbackOptions::other(), each).unwrap();
+    let _spinning = spin(&context);
+    let send = |publisher: &Publisher<Number>, value| publisher.publish(&Number { value }).unwrap();
+    send(&a, 1);
+    LATEST.wait_for(1);
+    send(&b, 10);
+    ALL.wait_for(1);
+    send(&b, 11);
+    send(&b, 12);
+    send(&a, 2);
+    ALL.wait_for(2);
+    assert_eq!(LATEST.wait_for(2), [(1, None), (2, Some(12))]);
+    assert_eq!(ALL.events(), [(1, 10), (2, 12)]);
+    // What is read beside the trigger is no job.
+    each.stop();
+    let stats = each.stats().clone();
+    each.join().unwrap();
+    assert_eq!((stats.releases(), stats.completions()), (2, 2));
+}
+
+#[test]
+fn a_subscription_that_may_hold_too_little_is_named_with_the_fix() {
+    let context = context(60);
+    let mut node = Node::create(context, "joiner", "").unwrap();
+    let mut points =
+        |topic: &str| node.subscribe_loaned::<PointStamped>(topic, QosProfile::default()).unwrap();
+    let error = Synchronizer::new(ExactTime::new(10), (points("/left"), points("/right"))).err().unwrap();
+    assert_eq!(error, JoinError::Room { input: "/left".into(), room: 4, needed: 12 });
+    // By another time than the header's.
+    let mut by_time = |topic: &str| points(topic).stamped_by(|sample| sample.info().source_timestamp_ns);
+    let inputs = (by_time("/left"), by_time("/right"));
+    assert!(Synchronizer::new(ApproximateTime::new(2), inputs).is_ok());
+}
