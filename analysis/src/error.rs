@@ -170,6 +170,33 @@ pub enum AnalysisError {
         tasks: String,
     },
 
+    /// A join that cannot be analysed.
+    #[error("task `{task}` cannot wait for its inputs: {problem}")]
+    BadJoin {
+        /// The task that waits.
+        task: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+
+    /// A chain through a join whose window may be missed for ever.
+    #[error(
+        "chain `{chain}` has no bounded reaction time: messages of `{input}` may be {gap_ns} ns apart, more than the window \
+         of {window_ns} ns of `{task}`, so that no set may come together: make the window as long"
+    )]
+    Starved {
+        /// The chain.
+        chain: String,
+        /// The join.
+        task: String,
+        /// The input.
+        input: String,
+        /// The window, in nanoseconds.
+        window_ns: u64,
+        /// How far apart its messages may be, in nanoseconds.
+        gap_ns: u64,
+    },
+
     /// A system or chain that refers to a task, core or stage which is not there.
     #[error("`{name}` refers to {what} {index}, which does not exist: there are {count}")]
     BadReference {

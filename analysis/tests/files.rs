@@ -266,7 +266,7 @@ fn cores_and_priorities_that_do_not_exist() {
 fn callback_without_trigger_or_with_two() {
     expect(
         &with("period = \"10ms\"\n", ""),
-        &[(10, "callback `scan` has no trigger: add `topic` or `period`")],
+        &[(10, "callback `scan` has no trigger: add `topic`, `all` or `period`")],
     );
     let both = with("period = \"10ms\"", "period = \"10ms\"\ntopic = \"/joy\"");
     expect(&both, &[(12, "callback `scan` has two triggers")]);

@@ -8,7 +8,7 @@ use crate::parameters::EventTopic;
 use crate::qos::QosProfile;
 use crate::remap::RemapRules;
 use crate::subscription::thread_parkers;
-use crate::system::LoadedSystem;
+use crate::system::{CallbackJoin, LoadedSystem};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -346,6 +346,32 @@ impl Context {
     /// As [`callback`](Self::callback); [`Error::NoCapacity`] if the callback has no bound.
     pub fn callback_qos(&self, name: &str) -> Result<QosProfile> {
         self.system_for(name)?.qos(name)
+    }
+
+    /// What the system file says of the callback `name`, which waits for several topics (`all`): its window, and how many messages
+    /// have to wait.
+    ///
+    /// ```no_run
+    /// # fn f(context: &tautline::Context, node: &mut tautline::Node) -> Result<(), Box<dyn std::error::Error>> {
+    /// use futures::StreamExt;
+    /// use tautline::join::Synchronizer;
+    /// use tautline::sensor_msgs::msg::{Image, PointCloud2};
+    /// let (join, qos) = (context.callback_join("fuse")?, context.callback_qos("fuse")?);
+    /// for topic in ["/image", "/cloud"] {
+    ///     node.set_topic_limits(topic, join.limits())?;
+    /// }
+    /// let inputs = (node.subscribe_loaned::<Image>("/image", qos.clone())?, node.subscribe_loaned::<PointCloud2>("/cloud", qos)?);
+    /// let pairs = Synchronizer::new(join.approximate_time(), inputs)?;
+    /// node.spawn_callback(context.callback("fuse")?, pairs.for_each(|(image, cloud)| async move {
+    ///     let _ = (image.view().width(), cloud.view().width());
+    /// }))?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`callback`](Self::callback); [`Error::NoJoin`] if it waits for one topic only; [`Error::NoCapacity`] if it has no bound.
+    pub fn callback_join(&self, name: &str) -> Result<CallbackJoin> {
+        self.system_for(name)?.join(name)
     }
 
     /// The arguments of the command line that are not ROS 2's, with the program's name.

@@ -138,6 +138,14 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A callback that waits for one topic only.
+    #[error("callback '{name}' of {} does not wait for several topics: list them in `all`, in place of `topic`", path.display())]
+    NoJoin {
+        /// The callback.
+        name: String,
+        /// The file.
+        path: PathBuf,
+    },
     /// A second thread wants to be the sampler.
     #[error("another thread spins this context already: a context has one sampler")]
     AlreadySpinning,

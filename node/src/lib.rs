@@ -89,6 +89,7 @@ pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, Se
 pub use service::{ClientUntyped, ServiceRequestUntyped};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
+pub use system::CallbackJoin;
 #[cfg(feature = "rosgraph_msgs")]
 pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;

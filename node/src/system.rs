@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
 use tautline_executor::{CallbackOptions, ProcessInfo};
+use tautline_join::{ApproximateTime, ExactTime};
+use tautline_transport::Limits;
 
 /// A system file, checked, as one host sees it.
 #[derive(Debug)]
@@ -85,6 +87,18 @@ impl LoadedSystem {
         }
     }
 
+    /// What the callback `name` waits for.
+    pub(crate) fn join(&self, name: &str) -> Result<CallbackJoin> {
+        let callback = self.find(name)?;
+        let (name, path) = (name.to_owned(), self.path.clone());
+        if !callback.entry.joins {
+            return Err(Error::NoJoin { name, path });
+        }
+        let join = callback.join.as_ref().ok_or(Error::NoCapacity { name, path })?;
+        let window = join.window_ns.map(Duration::from_nanos);
+        Ok(CallbackJoin { window, queue_size: join.queue_size })
+    }
+
     /// What other processes are told of the one that has this file.
     pub(crate) fn describe(&self, about: &mut ProcessInfo) {
         about.host.clone_from(&self.host);
@@ -103,6 +117,37 @@ impl LoadedSystem {
             Some(depth) => Ok(QosProfile::default().keep_last(depth.max(1))),
             None => Err(Error::NoCapacity { name: name.into(), path: self.path.clone() }),
         }
+    }
+}
+
+/// What the system file says of a callback that waits for several topics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CallbackJoin {
+    /// How far apart the stamps of a set may lie: zero for equal ones. `None`: it takes the newest of each, whatever its stamp.
+    pub window: Option<Duration>,
+    /// How many messages of a topic have to wait, at most: enough, as computed, that none is dropped which may be needed.
+    pub queue_size: usize,
+}
+
+impl CallbackJoin {
+    /// For [`Synchronizer::new`](crate::join::Synchronizer::new): close stamps, within the window.
+    #[must_use]
+    pub fn approximate_time(&self) -> ApproximateTime {
+        ApproximateTime::new(self.queue_size).max_interval(self.window.unwrap_or(Duration::MAX))
+    }
+
+    /// For [`Synchronizer::new`](crate::join::Synchronizer::new): equal stamps.
+    #[must_use]
+    pub fn exact_time(&self) -> ExactTime {
+        ExactTime::new(self.queue_size)
+    }
+
+    /// What a subscription of the join has to hold, for [`Node::set_topic_limits`](crate::Node::set_topic_limits): what waits, a
+    /// message that arrives, and one that the callback works on.
+    #[must_use]
+    pub fn limits(&self) -> Limits {
+        Limits { held: self.queue_size.saturating_add(2).clamp(4, Limits::MAX_HELD), ..Limits::default() }
     }
 }
 

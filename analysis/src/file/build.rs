@@ -11,9 +11,9 @@ use super::priorities::{self, Thread};
 use super::problem::{Collector, Problems};
 use super::reader::Section;
 use super::sections;
-use super::streams::Source;
+use super::streams::{First, Source, Streams};
 use super::{CallbackEntry, ChainEntry, Client, CoreEntry, SystemFile, TopicEntry};
-use crate::system::{Callback, Chain, Core, System, Transfer};
+use crate::system::{Callback, Chain, Core, Matching, System, Transfer};
 use crate::{Overheads, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
@@ -40,6 +40,10 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     if !problems.is_empty() {
         return Err(problems.into_problems());
     }
+    meet(&file, &streams, &mut problems);
+    if !problems.is_empty() {
+        return Err(problems.into_problems());
+    }
     // Without problems every callback has a place.
     let places: Vec<Place> = places.into_iter().flatten().collect();
     let built = Builder { file: &file, graph: &graph, cores, places, streams, threads }.build();
@@ -54,40 +58,47 @@ struct Builder<'f> {
     graph: &'f Graph<'f>,
     cores: Vec<(usize, usize)>,
     places: Vec<Place>,
-    streams: Vec<Vec<Source>>,
+    streams: Streams,
     threads: Vec<Thread>,
 }
 
 impl Builder<'_> {
     fn build(mut self) -> Result<SystemFile, (usize, String)> {
-        // The tasks of callback i are at first[i] and after, one for each stream.
-        let first: Vec<usize> =
-            self.streams.iter().scan(0, |next, s| Some(std::mem::replace(next, *next + s.len()))).collect();
         let mut callbacks: Vec<Callback> = Vec::new();
         for i in 0..self.file.callbacks.len() {
-            for &source in &self.streams[i] {
-                callbacks.push(self.callback(i, source, &first));
+            let tasks = self.streams.tasks(i);
+            if self.streams.is_join(i) {
+                let matching = match &self.file.callbacks[i].window {
+                    None => Matching::Newest,
+                    Some(window) if window.value == 0 => Matching::Exact,
+                    Some(window) => Matching::Approximate { window_ns: window.value },
+                };
+                let inputs = (tasks.start + 1..tasks.end).collect();
+                callbacks.push(self.callback(i, Source::All).joining(inputs, matching));
+            }
+            for (&source, topic) in self.streams.sources(i).iter().zip(topics_of(&self.file.callbacks[i])) {
+                let mut callback = self.callback(i, source);
+                callback.task.name.extend(topic.map(|topic| format!(" ({topic})")));
+                callbacks.push(callback);
             }
         }
         let owner = self.owners();
         let overheads: Vec<_> = self.cores.iter().map(|(host, _)| self.overheads(*host)).collect();
         // Inherited periods, for policies and default deadlines: triggers may come after what they trigger.
-        for i in 0..callbacks.len() {
-            let mut source = i;
-            while let Some((from, _)) = callbacks[source].trigger {
-                source = from;
-            }
-            callbacks[i].task.period_ns = callbacks[source].task.period_ns;
+        let mut system = System { cores: Vec::new(), callbacks, chains: Vec::new() };
+        for i in 0..system.callbacks.len() {
+            system.callbacks[i].task.period_ns = system.period_ns(i);
         }
-        for (i, start) in first.iter().enumerate() {
-            let tasks = &mut callbacks[*start..*start + self.streams[i].len()];
+        let mut callbacks = system.callbacks;
+        for (i, declared) in self.file.callbacks.iter().enumerate() {
+            let tasks = &mut callbacks[self.streams.tasks(i)];
             let shortest = tasks.iter().map(|callback| callback.task.period_ns).min().unwrap_or(u64::MAX);
-            let deadline =
-                self.file.callbacks[i].deadline.as_ref().map_or(shortest, |deadline| deadline.value);
+            let deadline = declared.deadline.as_ref().map_or(shortest, |deadline| deadline.value);
             tasks.iter_mut().for_each(|callback| callback.task.deadline_ns = deadline);
         }
-        let task_owner: Vec<usize> =
-            (0..owner.len()).flat_map(|i| std::iter::repeat_n(owner[i], self.streams[i].len())).collect();
+        let task_owner: Vec<usize> = (0..owner.len())
+            .flat_map(|i| std::iter::repeat_n(owner[i], self.streams.tasks(i).len()))
+            .collect();
         let mut warnings = Vec::new();
         for (core, overheads) in overheads.iter().enumerate() {
             let members: Vec<usize> = (0..callbacks.len()).filter(|i| callbacks[*i].core == core).collect();
@@ -104,11 +115,10 @@ impl Builder<'_> {
             members.iter().zip(owners).for_each(|(i, owner)| {
                 callbacks[*i].task.priority = self.threads[owner].priority.unwrap_or(1);
             });
-            locks::block(self.file, &self.places, core, &members, &first, &mut callbacks);
+            locks::block(self.file, &self.places, core, &members, &self.streams, &mut callbacks);
         }
-        let (chains, system_chains) = self.chains(&callbacks, &first);
-        let entries =
-            (0..self.file.callbacks.len()).map(|i| self.entry(i, &first, &callbacks, owner[i])).collect();
+        let (chains, system_chains) = self.chains(&callbacks);
+        let entries = (0..self.file.callbacks.len()).map(|i| self.entry(i, &callbacks, owner[i])).collect();
         let system_cores = overheads.into_iter().map(|overheads| Core { overheads }).collect();
         Ok(SystemFile {
             fingerprint: 0,
@@ -121,15 +131,21 @@ impl Builder<'_> {
         })
     }
 
-    fn callback(&self, index: usize, source: Source, first: &[usize]) -> Callback {
+    fn callback(&self, index: usize, source: Source) -> Callback {
         let declared = &self.file.callbacks[index];
         let ns = |time: &Option<super::reader::At<u64>>| time.as_ref().map_or(0, |time| time.value);
         let mut task =
             Task::new(declared.name.clone(), Duration::ZERO, Duration::from_nanos(ns(&declared.wcet)), 1);
         (task.bcet_ns, task.non_preemptive_ns) = (ns(&declared.bcet), ns(&declared.non_preemptive));
         task.deadline_ns = ns(&declared.deadline);
+        let takes = self.streams.is_join(index) && source != Source::All;
+        if takes {
+            // It only puts a message aside; the least that the analysis takes, without what the machine costs.
+            task.wcet_ns = ns(&declared.take).max(1);
+            (task.bcet_ns, task.non_preemptive_ns) = (0, task.non_preemptive_ns.min(task.wcet_ns));
+        }
         let place = self.places[index];
-        let mut remote = self.remote_outputs(index);
+        let mut remote = if takes { 0 } else { self.remote_outputs(index) };
         let mut trigger = None;
         let (period, jitter, distance) = match source {
             Source::Period => (ns(&declared.period), ns(&declared.jitter), ns(&declared.min_distance)),
@@ -141,9 +157,11 @@ impl Builder<'_> {
             Source::Stream(publisher, stream) => {
                 let network = self.places[publisher].host != place.host;
                 remote += u64::from(network);
-                trigger = Some((first[publisher] + stream, self.transfer(network)));
+                trigger = Some((self.streams.outputs(publisher).start + stream, self.transfer(network)));
                 (1, 0, 0)
             }
+            // What follows from its inputs.
+            Source::All => (1, 0, 0),
         };
         let costs = self.costs(place.host);
         let gateway = costs.gateway.unwrap_or(0).saturating_mul(remote);
@@ -157,12 +175,12 @@ impl Builder<'_> {
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
         let thread = self.threads.iter().position(|thread| thread.callbacks.contains(&index)).unwrap_or(0);
         // A callback of several streams takes their messages in any order.
-        if self.threads[thread].group.is_some() || self.streams[index].len() > 1 {
+        if self.threads[thread].group.is_some() || self.streams.tasks(index).len() > 1 {
             let order =
                 self.threads[thread].group.map_or(crate::Order::Any, |group| self.file.groups[group].order);
             task = task.group(u32::try_from(thread).unwrap_or(u32::MAX), order);
         }
-        Callback { task, core: place.core, trigger }
+        Callback { task, core: place.core, trigger, join: None }
     }
 
     /// How many gateways take what it publishes.
@@ -210,12 +228,12 @@ impl Builder<'_> {
         owners
     }
 
-    fn chains(&self, callbacks: &[Callback], first: &[usize]) -> (Vec<ChainEntry>, Vec<Chain>) {
+    fn chains(&self, callbacks: &[Callback]) -> (Vec<ChainEntry>, Vec<Chain>) {
         let (mut entries, mut chains) = (Vec::new(), Vec::new());
         for declared in &self.file.chains {
             let deadline_ns = declared.deadline.unwrap_or(u64::MAX);
             let stages = paths::resolve(self.file, declared);
-            let streams = paths::streams(&stages, &self.streams, callbacks, first);
+            let streams = paths::ways(&stages, &self.streams, callbacks);
             let begin = chains.len();
             for stages in streams {
                 let host = |i: usize| self.cores[callbacks[i].core].0;
@@ -263,9 +281,9 @@ impl Builder<'_> {
         topics
     }
 
-    fn entry(&self, index: usize, first: &[usize], callbacks: &[Callback], thread: usize) -> CallbackEntry {
+    fn entry(&self, index: usize, callbacks: &[Callback], thread: usize) -> CallbackEntry {
         let declared = &self.file.callbacks[index];
-        let start = first[index];
+        let tasks = self.streams.tasks(index);
         let depths =
             declared.topics.iter().filter_map(|t| self.graph.declared.get(t.value.as_str())?.depth.as_ref());
         CallbackEntry {
@@ -279,8 +297,73 @@ impl Builder<'_> {
             topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),
             publishes: declared.publishes.iter().map(|topic| topic.value.clone()).collect(),
             depth: depths.map(|depth| depth.value).min(),
-            deadline_ns: callbacks[start].task.deadline_ns,
-            tasks: start..start + self.streams[index].len(),
+            deadline_ns: callbacks[tasks.start].task.deadline_ns,
+            window_ns: declared.all.and_then(|_| Some(declared.window.as_ref()?.value)),
+            joins: declared.all.is_some(),
+            tasks,
         }
     }
+}
+
+/// Checks that messages which are to meet by their stamps can.
+fn meet(file: &Declared, streams: &Streams, problems: &mut Collector) {
+    for (i, callback) in file.callbacks.iter().enumerate() {
+        let Some(window) = callback.window.as_ref().filter(|_| callback.all.is_some()) else { continue };
+        let firsts: Vec<First> = streams
+            .sources(i)
+            .iter()
+            .map(|source| stamped_by(file, streams, streams.first(i, *source)))
+            .collect();
+        let name = &callback.name;
+        let joins = firsts.iter().zip(&callback.topics).find(|(first, _)| matches!(first, First::Join(_)));
+        if let Some((First::Join(join), topic)) = joins {
+            problems.add(
+                topic.at,
+                format!(
+                    "callback `{name}` goes by stamps, but those of `{}` are not known, for `{}` makes it of several messages: leave \
+                     out the `window`, to take the newest of each",
+                    topic.value, file.callbacks[*join].name
+                ),
+            );
+            continue;
+        }
+        // Topics from outside may be triggered together, two callbacks are not.
+        let apart = firsts.iter().position(|first| {
+            *first != firsts[0] && !matches!((first, firsts[0]), (First::Topic(_), First::Topic(_)))
+        });
+        let period = |first: &First| match first {
+            First::Callback(i) | First::Join(i) => {
+                file.callbacks[*i].period.as_ref().map(|period| period.value)
+            }
+            First::Topic(i) => file.topics[*i].period.as_ref().map(|period| period.value),
+        };
+        let uneven = firsts.iter().position(|first| period(first) != period(&firsts[0]));
+        if let (0, Some(other)) = (window.value, apart.or(uneven)) {
+            let (one, other) = (&callback.topics[0].value, &callback.topics[other].value);
+            problems.add(
+                window.at,
+                format!(
+                    "callback `{name}` waits for equal stamps, but `{one}` and `{other}` {}: make the `window` as long as their \
+                     stamps may lie apart, or leave it out, to take the newest of each",
+                    if apart.is_some() { "do not come from one source" } else { "have different periods" }
+                ),
+            );
+        }
+    }
+}
+
+/// Whose stamps those of what is released first are: a join by equal stamps passes on what it got.
+fn stamped_by(file: &Declared, streams: &Streams, mut first: First) -> First {
+    while let First::Join(join) = first
+        && file.callbacks[join].window.as_ref().is_some_and(|window| window.value == 0)
+    {
+        first = streams.first(join, streams.sources(join)[0]);
+    }
+    first
+}
+
+/// What the tasks that take a callback's messages are called besides: of a join, their topics.
+fn topics_of(callback: &super::declared::Callback) -> impl Iterator<Item = Option<&str>> {
+    let topics = callback.topics.iter().map(|topic| Some(topic.value.as_str()));
+    topics.filter(|_| callback.all.is_some()).chain(std::iter::repeat(None))
 }

@@ -51,6 +51,20 @@ pub struct CheckedCallback {
     pub met: bool,
     /// The queue depth at which no message is lost; `None` without a bound.
     pub capacity: Option<usize>,
+    /// What it waits for, if it waits for several topics and has a bound.
+    pub join: Option<CheckedJoin>,
+}
+
+/// What is known of a callback that waits for several topics.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CheckedJoin {
+    /// How far apart the stamps of a set may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each.
+    pub window_ns: Option<u64>,
+    /// How many messages of a topic the synchronizer has to keep, so that it drops none that may be needed: its queue size.
+    pub queue_size: usize,
+    /// The topics, each with the longest time that a message of a set waits for the last one of it, in nanoseconds.
+    pub inputs: Vec<(String, u64)>,
 }
 
 /// A chain and its bounds, overheads included.
@@ -108,6 +122,7 @@ fn refused(file: &SystemFile, error: &AnalysisError) -> CheckedSystem {
     let empty = SystemReport {
         callbacks: file.system.callbacks.iter().map(|_| Err(error.clone())).collect(),
         chains: file.system.chains.iter().map(|_| Err(error.clone())).collect(),
+        joins: vec![None; file.system.callbacks.len()],
         throttled: vec![false; file.cores.len()],
         rounds: 0,
     };
@@ -121,7 +136,7 @@ fn refused(file: &SystemFile, error: &AnalysisError) -> CheckedSystem {
 fn response(file: &SystemFile, entry: &CallbackEntry, report: &SystemReport) -> Option<u64> {
     let of_stream = |i: usize| {
         let response = report.callbacks[i].as_ref().ok()?;
-        let triggered = file.system.callbacks[i].trigger.is_some();
+        let triggered = file.system.callbacks[i].is_triggered();
         Some(if triggered { response.from_arrival_ns } else { response.response_ns })
     };
     entry.tasks.clone().map(of_stream).try_fold(0, |longest, response| Some(longest.max(response?)))
@@ -135,6 +150,14 @@ fn checked_callback(
 ) -> CheckedCallback {
     let response_overhead_ns = response(file, entry, report);
     let capacity = |i: usize| report.callbacks[i].as_ref().ok()?.queue_capacity().ok();
+    // What takes its messages: of a join, not the task that runs when all are there.
+    let taken = entry.tasks.start + usize::from(entry.joins)..entry.tasks.end;
+    let mut capacities = taken.clone().map(capacity);
+    let capacity = match entry.joins {
+        // One queue for each topic.
+        true => capacities.try_fold(0, |most: usize, next| Some(most.max(next?))),
+        false => capacities.try_fold(0, |sum: usize, next| sum.checked_add(next?)),
+    };
     let tasks = &file.system.callbacks[entry.tasks.clone()];
     let overheads = &file.system.cores[entry.core].overheads;
     let charged = |task: &Task| {
@@ -155,28 +178,34 @@ fn checked_callback(
         period_ns: tasks.iter().map(|callback| callback.task.period_ns).min().unwrap_or(0),
         wcet_ns: tasks.first().map_or(0, |callback| callback.task.wcet_ns),
         charged_ns: tasks.first().map_or(0, |callback| charged(&callback.task)),
-        releases: entry.tasks.clone().map(release).collect(),
+        releases: taken.map(release).collect(),
         response_ns: free.and_then(|free| response(file, entry, free)),
         response_overhead_ns,
-        jitter_ns: tasks.iter().filter(|c| c.trigger.is_none()).map(|c| c.task.jitter_ns).max().unwrap_or(0),
+        jitter_ns: tasks.iter().filter(|c| !c.is_triggered()).map(|c| c.task.jitter_ns).max().unwrap_or(0),
         met: response_overhead_ns.is_some_and(|response| response <= entry.deadline_ns),
-        capacity: entry.tasks.clone().map(capacity).try_fold(0, |sum: usize, next| sum.checked_add(next?)),
+        capacity,
+        join: report.joins[entry.tasks.start].as_ref().map(|join| CheckedJoin {
+            window_ns: entry.window_ns,
+            queue_size: usize::try_from(join.queue_size).unwrap_or(usize::MAX),
+            inputs: entry.topics.iter().cloned().zip(join.wait_ns.iter().copied()).collect(),
+        }),
         entry: entry.clone(),
     }
 }
 
 fn checked_chain(file: &SystemFile, index: usize, report: &SystemReport) -> CheckedChain {
     let entry = &file.chains[index];
-    let longest = |time: fn(&crate::system::ChainBound) -> u64| {
-        let times = report.chains[entry.streams.clone()].iter().map(|chain| chain.as_ref().ok().map(time));
+    let longest = |time: fn(&crate::system::ChainBound) -> Option<u64>| {
+        let times =
+            report.chains[entry.streams.clone()].iter().map(|chain| chain.as_ref().ok().and_then(time));
         times.reduce(|a, b| Some(a?.max(b?))).flatten()
     };
-    let latency_ns = longest(|chain| chain.latency_ns);
+    let latency_ns = longest(|chain| Some(chain.latency_ns));
     CheckedChain {
         name: entry.name.clone(),
         latency_ns,
         reaction_ns: longest(|chain| chain.reaction_ns),
-        age_ns: longest(|chain| chain.age_ns),
+        age_ns: longest(|chain| Some(chain.age_ns)),
         deadline_ns: entry.deadline_ns,
         met: latency_ns.is_some_and(|latency| latency <= entry.deadline_ns),
     }
@@ -244,6 +273,21 @@ fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = Stri
     })
 }
 
+/// A warning for each window that messages may miss for ever.
+fn starved(file: &SystemFile, report: &SystemReport) -> impl Iterator<Item = String> {
+    file.callbacks.iter().filter_map(|entry| {
+        let join = report.joins[entry.tasks.start].as_ref()?;
+        let far = entry.topics.get(*join.starved_by.first()?)?;
+        Some(format!(
+            "callback `{}` runs only if stamps lie within {} ms, but messages of `{far}` may lie further apart than that: unless \
+             something keeps the topics in step, it may never run, and nothing bounds how long a message waits to be \
+             reflected; make the `window` as long as the time between two messages of all topics but the slowest",
+            entry.name,
+            entry.window_ns.unwrap_or(0) as f64 / 1e6
+        ))
+    })
+}
+
 /// A warning for each node whose one sampler serves several cores.
 fn split_nodes(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
     let mut nodes: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
@@ -282,6 +326,7 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
             ));
         }
     }
+    warnings.extend(starved(file, report));
     warnings.extend(shared_priorities(callbacks));
     warnings.extend(split_nodes(callbacks));
     for ((entry, core), throttled) in file.cores.iter().zip(&file.system.cores).zip(&report.throttled) {

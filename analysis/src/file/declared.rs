@@ -61,7 +61,14 @@ pub(super) struct Callback {
     pub name: String,
     pub at: usize,
     pub node: Option<At<String>>,
+    /// Those that trigger it, or those that it waits for.
     pub topics: Vec<At<String>>,
+    /// Where `all` is, if it waits for all of its topics.
+    pub all: Option<usize>,
+    /// Whether there is a `topic`.
+    pub has_topic: bool,
+    pub window: Option<At<u64>>,
+    pub take: Option<At<u64>>,
     pub period: Option<At<u64>>,
     /// Whether the file says anything of a trigger, be it wrong.
     pub triggered: bool,

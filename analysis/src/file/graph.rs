@@ -6,6 +6,9 @@ use super::declared::{Callback, Declared, Topic};
 use super::places::Place;
 use super::problem::{Collector, suggestion};
 
+/// Most topics that a callback waits for, as in message_filters.
+const MOST_INPUTS: usize = 9;
+
 /// Longer ways back to a period are not followed to check times; the analysis follows all.
 const DEEPEST: usize = 64;
 
@@ -32,6 +35,7 @@ impl<'f> Graph<'f> {
     pub fn check(&self, places: &[Option<Place>], problems: &mut Collector) {
         for (i, callback) in self.file.callbacks.iter().enumerate() {
             self.check_trigger(callback, problems);
+            self.check_join(callback, problems);
             for topic in callback.topics.iter().chain(&callback.reads) {
                 self.check_topic(callback, topic.at, &topic.value, problems);
                 self.check_way(i, topic.at, &topic.value, places, problems);
@@ -63,13 +67,17 @@ impl<'f> Graph<'f> {
     fn check_trigger(&self, callback: &Callback, problems: &mut Collector) {
         let name = &callback.name;
         if !callback.triggered {
-            problems.add(callback.at, format!("callback `{name}` has no trigger: add `topic` or `period`"));
+            problems.add(
+                callback.at,
+                format!("callback `{name}` has no trigger: add `topic`, `all` or `period`"),
+            );
         } else if let (Some(period), Some(_)) = (&callback.period, callback.topics.first()) {
             problems.add(
                 period.at,
                 format!(
-                    "callback `{name}` has two triggers, `topic` and `period`: \
-                 remove one, or list the topic in `reads`"
+                    "callback `{name}` has two triggers, `{}` and `period`: \
+                 remove one, or list the topic in `reads`",
+                    if callback.all.is_some() { "all" } else { "topic" }
                 ),
             );
         }
@@ -85,6 +93,57 @@ impl<'f> Graph<'f> {
                     );
                 }
             }
+        }
+    }
+
+    /// What a callback waits for: several topics, each once, and only then a window.
+    fn check_join(&self, callback: &Callback, problems: &mut Collector) {
+        let name = &callback.name;
+        let Some(all) = callback.all else {
+            for (key, value) in [("window", &callback.window), ("take", &callback.take)] {
+                if let Some(value) = value {
+                    problems.add(
+                        value.at,
+                        format!("`{key}` of callback `{name}` is without `all`: list the topics that it waits for there"),
+                    );
+                }
+            }
+            return;
+        };
+        if callback.has_topic {
+            problems.add(
+                all,
+                format!(
+                    "callback `{name}` has two triggers, `topic` and `all`: put the topics that it waits for together into \
+                     `all`, and the others into another callback, or into `reads`"
+                ),
+            );
+            return;
+        }
+        if !(2..=MOST_INPUTS).contains(&callback.topics.len()) {
+            problems.add(
+                all,
+                format!(
+                    "callback `{name}` waits for {} topic(s) in `all`: list 2 to {MOST_INPUTS}, or use `topic` for one",
+                    callback.topics.len()
+                ),
+            );
+        }
+        for (i, topic) in callback.topics.iter().enumerate() {
+            if callback.topics[..i].iter().any(|other| other.value == topic.value) {
+                problems.add(
+                    topic.at,
+                    format!("callback `{name}` waits for topic `{}` twice: list it once", topic.value),
+                );
+            }
+        }
+        if let (Some(take), Some(wcet)) = (&callback.take, &callback.wcet)
+            && take.value > wcet.value
+        {
+            problems.add(
+                take.at,
+                format!("`take` of callback `{name}` exceeds its wcet, of which it is a part: lower it"),
+            );
         }
     }
 

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use super::declared::Declared;
 use super::places::Place;
 use super::problem::Collector;
+use super::streams::Streams;
 use crate::system::Callback;
 use crate::{CriticalSection, Task, blocking};
 
@@ -37,7 +38,7 @@ pub(super) fn block(
     places: &[Place],
     core: usize,
     members: &[usize],
-    first: &[usize],
+    streams: &Streams,
     callbacks: &mut [Callback],
 ) {
     let mut names: Vec<&str> = Vec::new();
@@ -48,7 +49,7 @@ pub(super) fn block(
                 names.push(name);
                 names.len() - 1
             });
-            let task = members.iter().position(|member| *member == first[i]).unwrap_or(0);
+            let task = members.iter().position(|member| *member == streams.tasks(i).start).unwrap_or(0);
             sections.push(CriticalSection { task, resource, length_ns: *length_ns });
         }
     }

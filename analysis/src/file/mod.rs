@@ -21,7 +21,7 @@ mod reader;
 mod sections;
 mod streams;
 
-pub use check::{CheckedCallback, CheckedChain, CheckedCore, CheckedSystem};
+pub use check::{CheckedCallback, CheckedChain, CheckedCore, CheckedJoin, CheckedSystem};
 pub use problem::{Problem, Problems};
 
 /// A system file without problems: the threads, cores and priorities of all callbacks are known.
@@ -73,15 +73,20 @@ pub struct CallbackEntry {
     pub core: usize,
     /// SCHED_FIFO priority of the thread, 1 to 99.
     pub priority: u8,
-    /// The topics that trigger it; none if it has a period.
+    /// The topics that trigger it, or that it waits for; none if it has a period.
     pub topics: Vec<String>,
+    /// Whether it waits for messages of all its topics.
+    pub joins: bool,
+    /// How far apart the stamps of these may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each, whatever its stamp.
+    pub window_ns: Option<u64>,
     /// The topics that it publishes.
     pub publishes: Vec<String>,
     /// The smallest queue depth stated for these topics; `None` if all are `auto`.
     pub depth: Option<u64>,
     /// Latest end wanted, in nanoseconds after the arrival of the message, or after the nominal release of a period.
     pub deadline_ns: u64,
-    /// Its tasks in [`SystemFile::system`]: one for each way that messages reach it.
+    /// Its tasks in [`SystemFile::system`]: one for each way that messages reach it; if it joins, before them the one that runs when
+    /// all are there.
     pub tasks: Range<usize>,
 }
 

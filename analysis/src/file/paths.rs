@@ -3,7 +3,7 @@
 use super::declared::{Chain, Declared};
 use super::graph::Graph;
 use super::problem::{Collector, suggestion};
-use super::streams::Source;
+use super::streams::Streams;
 use crate::system::Callback;
 
 /// Checks that every stage exists and takes something from the one before.
@@ -51,27 +51,24 @@ pub(super) fn resolve(file: &Declared, chain: &Chain) -> Vec<usize> {
     chain.path.iter().filter_map(|stage| index(&stage.value)).collect()
 }
 
-/// All ways through the streams of these callbacks, as indices of tasks: the same message where one triggers the next,
-/// any stream of a callback that reads at its own pace.
-pub(super) fn streams(
-    stages: &[usize],
-    streams: &[Vec<Source>],
-    callbacks: &[Callback],
-    first: &[usize],
-) -> Vec<Vec<usize>> {
-    let tasks = |stage: usize| first[stage]..first[stage] + streams[stage].len();
+/// All ways through the streams of these callbacks, as indices of tasks: the same message where one triggers the next, or the
+/// next waits for it and others; any stream of a callback that reads at its own pace.
+pub(super) fn ways(stages: &[usize], streams: &Streams, callbacks: &[Callback]) -> Vec<Vec<usize>> {
     let Some((&start, rest)) = stages.split_first() else { return Vec::new() };
-    let mut paths: Vec<Vec<usize>> = tasks(start).map(|task| vec![task]).collect();
+    let mut paths: Vec<Vec<usize>> = streams.outputs(start).map(|task| vec![task]).collect();
     for &stage in rest {
         let triggered = |from: usize| {
-            tasks(stage).filter(move |to| callbacks[*to].trigger.is_some_and(|(i, _)| i == from))
+            streams.tasks(stage).filter(move |to| callbacks[*to].trigger.is_some_and(|(i, _)| i == from))
         };
         let direct =
             paths.iter().any(|path| path.last().is_some_and(|from| triggered(*from).next().is_some()));
         let extend = |path: &Vec<usize>| -> Vec<Vec<usize>> {
             let from = path.last().copied().unwrap_or(0);
-            let next: Vec<usize> = if direct { triggered(from).collect() } else { tasks(stage).collect() };
-            next.into_iter().map(|to| [path.as_slice(), &[to]].concat()).collect()
+            let next: Vec<usize> =
+                if direct { triggered(from).collect() } else { streams.outputs(stage).collect() };
+            // What takes a message for a join hands it on to that.
+            let join = streams.outputs(stage).next().filter(|_| direct && streams.is_join(stage));
+            next.into_iter().map(|to| path.iter().copied().chain([to]).chain(join).collect()).collect()
         };
         paths = paths.iter().flat_map(extend).take(1_000).collect();
     }

@@ -198,11 +198,18 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
     if !section.has("wcet") {
         problems.add(section.at, format!("callback `{name}` lacks `wcet`: add its longest execution time"));
     }
+    let (mut topics, together) = (section.texts("topic", problems), section.texts("all", problems));
+    let all = section.has("all").then(|| together.first().map_or(section.at, |topic| topic.at));
+    topics.extend(together);
     let callback = Callback {
         node: section.text("node", problems),
-        topics: section.texts("topic", problems),
+        topics,
+        all,
+        has_topic: section.has("topic"),
+        window: section.time("window", problems),
+        take: section.positive_time("take", problems),
         period: section.positive_time("period", problems),
-        triggered: section.has("topic") || section.has("period"),
+        triggered: section.has("topic") || section.has("all") || section.has("period"),
         wcet: section.positive_time("wcet", problems),
         bcet: section.time("bcet", problems),
         deadline: section.positive_time("deadline", problems),

@@ -2,6 +2,7 @@
 //! The streams of messages that reach each callback.
 use super::graph::Graph;
 use super::problem::Collector;
+use std::ops::Range;
 
 /// A callback is analysed once for each way that messages reach it; more ways than this are refused.
 const MAX_STREAMS: usize = 64;
@@ -15,11 +16,80 @@ pub(super) enum Source {
     Outside(usize),
     /// A stream of another callback: the callback, and which of its streams.
     Stream(usize, usize),
+    /// All that the callback waits for.
+    All,
+}
+
+/// The streams of releases that reach a callback, by callback.
+pub(super) struct Streams {
+    sources: Vec<Vec<Source>>,
+    /// Whether the callback waits for all of them.
+    joins: Vec<bool>,
+    /// Its first task.
+    first: Vec<usize>,
+}
+
+/// What is released by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum First {
+    /// A callback with a period.
+    Callback(usize),
+    /// A topic whose publisher is not in the file.
+    Topic(usize),
+    /// A callback that waits for several.
+    Join(usize),
+}
+
+impl Streams {
+    /// What reaches a callback.
+    pub fn sources(&self, callback: usize) -> &[Source] {
+        &self.sources[callback]
+    }
+
+    pub fn is_join(&self, callback: usize) -> bool {
+        self.joins[callback]
+    }
+
+    /// Its tasks: one for each stream; of a join before these the one that runs when all are there.
+    pub fn tasks(&self, callback: usize) -> Range<usize> {
+        let first = self.first[callback];
+        first..first + self.sources[callback].len() + usize::from(self.joins[callback])
+    }
+
+    /// What releases the first of those that trigger one another down to this source; of several that meet by equal stamps, of
+    /// one of them.
+    pub fn first(&self, callback: usize, source: Source) -> First {
+        match source {
+            Source::Period => First::Callback(callback),
+            Source::Outside(topic) => First::Topic(topic),
+            Source::All => First::Join(callback),
+            Source::Stream(publisher, _) if self.joins[publisher] => First::Join(publisher),
+            Source::Stream(publisher, stream) => self.first(publisher, self.sources[publisher][stream]),
+        }
+    }
+
+    /// The tasks that publish, one for each stream that leaves it.
+    pub fn outputs(&self, callback: usize) -> Range<usize> {
+        let tasks = self.tasks(callback);
+        if self.joins[callback] { tasks.start..tasks.start + 1 } else { tasks }
+    }
 }
 
 impl Graph<'_> {
-    /// The streams of releases of every callback; call it on a graph without problems.
-    pub fn streams(&self, problems: &mut Collector) -> Vec<Vec<Source>> {
+    /// The streams of releases of every callback, and the places of their tasks; call it on a graph without problems.
+    pub fn streams(&self, problems: &mut Collector) -> Streams {
+        let sources = self.sources(problems);
+        let joins: Vec<bool> = self.file.callbacks.iter().map(|callback| callback.all.is_some()).collect();
+        let mut first = Vec::with_capacity(sources.len());
+        let mut next = 0;
+        for (streams, is_join) in sources.iter().zip(&joins) {
+            first.push(next);
+            next += streams.len() + usize::from(*is_join);
+        }
+        Streams { sources, joins, first }
+    }
+
+    fn sources(&self, problems: &mut Collector) -> Vec<Vec<Source>> {
         let mut streams: Vec<Vec<Source>> = vec![Vec::new(); self.file.callbacks.len()];
         let mut waiting: Vec<usize> = (0..streams.len()).collect();
         while !waiting.is_empty() {
@@ -30,6 +100,20 @@ impl Graph<'_> {
             }
             for i in now {
                 streams[i] = self.streams_of(i, &streams);
+                let callback = &self.file.callbacks[i];
+                if callback.all.is_some() && streams[i].len() != callback.topics.len() {
+                    problems.add(
+                        callback.at,
+                        format!(
+                            "callback `{}` waits for {} topics, which reach it in {} ways: each has to come from one \
+                             publisher that one thing triggers, for others have no common pace",
+                            callback.name,
+                            callback.topics.len(),
+                            streams[i].len()
+                        ),
+                    );
+                    return streams;
+                }
                 if streams[i].len() > MAX_STREAMS {
                     let callback = &self.file.callbacks[i];
                     problems.add(
@@ -53,13 +137,13 @@ impl Graph<'_> {
         if callback.period.is_some() {
             return vec![Source::Period];
         }
+        let outputs = |p: usize| if self.file.callbacks[p].all.is_some() { 1 } else { streams[p].len() };
         let mut sources = Vec::new();
         for topic in &callback.topics {
             let name = topic.value.as_str();
             match self.publishers.get(name) {
                 Some(publishers) => {
-                    let all =
-                        publishers.iter().flat_map(|p| (0..streams[*p].len()).map(|s| Source::Stream(*p, s)));
+                    let all = publishers.iter().flat_map(|p| (0..outputs(*p)).map(|s| Source::Stream(*p, s)));
                     sources.extend(all);
                 }
                 None => {

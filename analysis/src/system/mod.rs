@@ -4,13 +4,15 @@
 //! Each core is analysed for itself. A callback that a message triggers inherits the releases of who publishes it, with
 //! jitter J + R - bcet + (longest - shortest transfer), which may lengthen response times on its core, and so on: all is
 //! repeated until nothing changes any more (compositional analysis, Richter 2005). Jitter starts at its least and only
-//! grows, so what is reached is the least fixed point.
+//! grows, so what is reached is the least fixed point. Callbacks that wait for messages of several others: [`Join`].
 use crate::{AnalysisError, Overheads, Response, Task};
 
 mod chains;
 mod fixpoint;
+mod join;
 
 pub use chains::ChainBound;
+pub use join::{Join, JoinBound, Matching};
 
 /// Callbacks on the cores of one or several hosts.
 ///
@@ -52,8 +54,10 @@ pub struct Callback {
     pub task: Task,
     /// Index of its core.
     pub core: usize,
-    /// Which callback triggers it, by index, and the way of the message; `None` if it has releases of its own.
+    /// Which callback triggers it, by index, and the way of the message; `None` if it has releases of its own, or is a join.
     pub trigger: Option<(usize, Transfer)>,
+    /// What it waits for, if it needs messages of several others; its period, trace and jitter are then replaced.
+    pub join: Option<Join>,
 }
 
 /// How long a message is on its way from the end of one callback to the release of another.
@@ -88,7 +92,7 @@ impl Callback {
     /// A callback with releases of its own.
     #[must_use]
     pub fn new(task: Task, core: usize) -> Self {
-        Self { task, core, trigger: None }
+        Self { task, core, trigger: None, join: None }
     }
 
     /// Makes the messages of another callback trigger this one.
@@ -96,6 +100,28 @@ impl Callback {
     pub fn triggered_by(mut self, callback: usize, transfer: Transfer) -> Self {
         self.trigger = Some((callback, transfer));
         self
+    }
+
+    /// Makes it run once messages of several others are there, which these callbacks take.
+    #[must_use]
+    pub fn joining(mut self, inputs: Vec<usize>, matching: Matching) -> Self {
+        self.join = Some(Join { inputs, matching });
+        self
+    }
+
+    /// Whether its releases are those of messages of the system, not its own.
+    #[must_use]
+    pub fn is_triggered(&self) -> bool {
+        self.trigger.is_some() || self.join.is_some()
+    }
+
+    /// Whose messages release it.
+    fn predecessors(&self) -> &[usize] {
+        match (&self.trigger, &self.join) {
+            (Some((source, _)), _) => std::slice::from_ref(source),
+            (None, Some(join)) => &join.inputs,
+            (None, None) => &[],
+        }
     }
 }
 
@@ -107,6 +133,8 @@ pub struct SystemReport {
     pub callbacks: Vec<Result<Response, AnalysisError>>,
     /// The bounds of each chain, or why it has none.
     pub chains: Vec<Result<ChainBound, AnalysisError>>,
+    /// For each callback that is a join, what is known of it; `None` also without a bound.
+    pub joins: Vec<Option<JoinBound>>,
     /// For each core, whether the kernel may pause its real-time threads.
     pub throttled: Vec<bool>,
     /// How often all was repeated until nothing changed.
@@ -124,25 +152,34 @@ impl SystemReport {
 }
 
 impl System {
+    /// The period of a callback: its own, or what it inherits from what triggers it, of several the longest. The system must
+    /// have no circles.
+    #[must_use]
+    pub fn period_ns(&self, callback: usize) -> u64 {
+        join::period(self, callback)
+    }
+
     /// Bounds every callback and every chain.
     ///
     /// The deadline of a triggered callback counts from the arrival of its message, that of any other from its nominal
     /// release.
     ///
     /// # Errors
-    /// What makes the whole system meaningless: an index that does not exist, a circle of triggers, an invalid task.
+    /// What makes the whole system meaningless: an index that does not exist, a circle of triggers, an invalid task, a join
+    /// without a meaning.
     /// What leaves single callbacks without a bound is in the report.
     pub fn analyse(&self) -> Result<SystemReport, AnalysisError> {
-        let (outcomes, throttled, rounds) = fixpoint::solve(self)?;
-        let chains = self.chains.iter().map(|chain| chains::bound(self, chain, &outcomes)).collect();
-        let callbacks = outcomes.into_iter().zip(&self.callbacks).map(|(outcome, callback)| {
+        let solved = fixpoint::solve(self)?;
+        let chains = self.chains.iter().map(|chain| chains::bound(self, chain, &solved)).collect();
+        let callbacks = solved.outcomes.into_iter().zip(&self.callbacks).map(|(outcome, callback)| {
             outcome.map(|mut response| {
-                if callback.trigger.is_some() {
+                if callback.is_triggered() {
                     response.met = response.from_arrival_ns <= response.deadline_ns;
                 }
                 response
             })
         });
-        Ok(SystemReport { callbacks: callbacks.collect(), chains, throttled, rounds })
+        let (throttled, rounds, joins) = (solved.throttled, solved.rounds, solved.joins);
+        Ok(SystemReport { callbacks: callbacks.collect(), chains, joins, throttled, rounds })
     }
 }

@@ -29,6 +29,22 @@ struct Callback<'a> {
     response_overhead_ms: Option<f64>,
     deadline_ms: f64,
     capacity: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    join: Option<Join<'a>>,
+}
+
+/// Without a window: the newest of each.
+#[derive(Serialize)]
+struct Join<'a> {
+    window_ms: Option<f64>,
+    queue_size: usize,
+    inputs: Vec<Input<'a>>,
+}
+
+#[derive(Serialize)]
+struct Input<'a> {
+    topic: &'a str,
+    wait_ms: f64,
 }
 
 #[derive(Serialize)]
@@ -51,6 +67,15 @@ pub fn write(checked: &CheckedSystem, growth: Option<&Growth>, out: &mut impl Wr
         response_overhead_ms: callback.response_overhead_ns.map(ms),
         deadline_ms: ms(callback.entry.deadline_ns),
         capacity: callback.capacity,
+        join: callback.join.as_ref().map(|join| Join {
+            window_ms: join.window_ns.map(ms),
+            queue_size: join.queue_size,
+            inputs: join
+                .inputs
+                .iter()
+                .map(|(topic, wait_ns)| Input { topic, wait_ms: ms(*wait_ns) })
+                .collect(),
+        }),
     });
     let chains = checked.chains.iter().map(|chain| Chain {
         name: &chain.name,

@@ -6,6 +6,30 @@ use tautline_analysis::file::{CheckedCallback, CheckedSystem};
 
 use crate::table::{BAD, GOOD, WARNING, ms, write_table};
 
+/// What callbacks that wait for several topics keep, and how long a message waits for the others.
+fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
+    let mut rows = Vec::new();
+    for callback in &checked.callbacks {
+        let Some(join) = &callback.join else { continue };
+        let stamps = match join.window_ns {
+            None => "newest of each".to_owned(),
+            Some(0) => "equal".to_owned(),
+            Some(_) => format!("within {} ms", ms(join.window_ns)),
+        };
+        for (i, (topic, wait_ns)) in join.inputs.iter().enumerate() {
+            let of_all = |text: String| if i == 0 { text } else { String::new() };
+            let queue = join.window_ns.map_or("-".into(), |_| join.queue_size.to_string());
+            let (name, stamps) = (of_all(callback.entry.name.clone()), of_all(stamps.clone()));
+            rows.push((true, vec![name, stamps, topic.clone(), of_all(queue), ms(Some(*wait_ns))]));
+        }
+    }
+    if rows.is_empty() {
+        return Ok(());
+    }
+    writeln!(out)?;
+    write_table(&["waits", "for stamps", "of topic", "queue\nsize", "wait\nms"], 3, rows, out)
+}
+
 /// Writes all there is to know; lines that fail are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let several = checked.cores.iter().any(|core| core.host != checked.cores[0].host);
@@ -53,6 +77,7 @@ pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
         let head = ["chain", "latency\nms", "deadline\nms", "slack\nms", "reaction\nms", "data age\nms"];
         write_table(&head, 1, rows.collect(), out)?;
     }
+    write_joins(checked, out)?;
     writeln!(out)?;
     let cores = checked.cores.iter().map(|core| {
         let host = if several { format!("{}:", core.host) } else { String::new() };

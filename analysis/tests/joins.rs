@@ -1,0 +1,631 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Callbacks that wait for several topics: hand-computed cases, files, and random systems in which the synchronizers' own
+//! policies decide, on simulated cores, and nothing takes longer or is more than its bound.
+mod random;
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+use tautline_analysis::file::SystemFile;
+use tautline_analysis::system::{Callback, Chain, Core, Matching, System, SystemReport, Transfer};
+use tautline_analysis::{AnalysisError, Order, Task};
+use tautline_join::{ApproximateTime, Arrival, ExactTime, Policy};
+
+fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn task(name: &str, period: u64, wcet: u64, priority: u8) -> Task {
+    Task::new(name, ms(period), ms(wcet), priority)
+}
+
+/// Two sensors on cores of their own, and what waits for both on a third, with the highest priority there.
+fn two_sensors(periods: [u64; 2], matching: Matching) -> System {
+    let taker = |name: &str, source| {
+        let task = Task::new(name, ms(1), Duration::from_nanos(1), 2).group(0, Order::Any);
+        Callback::new(task, 2).triggered_by(source, Transfer::LOCAL)
+    };
+    let callbacks = vec![
+        Callback::new(task("left", periods[0], 1, 1), 0),
+        Callback::new(task("right", periods[1], 2, 1), 1),
+        taker("takes left", 0),
+        taker("takes right", 1),
+        Callback::new(task("fuse", 1, 3, 2).group(0, Order::Any), 2).joining(vec![2, 3], matching),
+    ];
+    let chain = |stages: [usize; 3]| Chain {
+        name: "way".into(),
+        stages: stages.to_vec(),
+        transfers: vec![],
+        deadline_ns: u64::MAX,
+    };
+    System { cores: vec![Core::default(); 3], callbacks, chains: vec![chain([0, 2, 4]), chain([1, 3, 4])] }
+}
+
+fn in_ms(ns: &[u64]) -> Vec<u64> {
+    ns.iter().map(|ns| ns / 1_000_000).collect()
+}
+
+#[test]
+fn the_newest_of_each_runs_at_the_pace_of_the_slowest() {
+    let report = two_sensors([10, 40], Matching::Newest).analyse().unwrap();
+    let join = report.joins[4].clone().unwrap();
+    // A message of the fast one waits for the slow one's period and response, and the other way round.
+    assert_eq!(in_ms(&join.wait_ns), [42, 11]);
+    assert_eq!((join.reflected_ns, join.queue_size), (Some(join.wait_ns), 1));
+    let fuse = report.callbacks[4].as_ref().unwrap();
+    assert_eq!((fuse.period_ns / 1_000_000, fuse.jitter_ns / 1_000_000), (40, 42));
+    let chain = report.chains[0].as_ref().unwrap();
+    // 1 ms of the sensor, 42 until the other one has come, and twice the callback: the one before may just have begun.
+    assert_eq!(
+        (chain.latency_ns / 1_000_000, chain.reaction_ns.unwrap() / 1_000_000),
+        (1 + 42 + 6, 10 + 1 + 42 + 6)
+    );
+}
+
+#[test]
+fn close_stamps_meet_when_everyone_has_sent_something_later() {
+    let report = two_sensors([10, 40], Matching::Approximate { window_ns: 11_000_000 }).analyse().unwrap();
+    let join = report.joins[4].clone().unwrap();
+    // Window 11, then the slow one's next stamp: at most 40 + 2 later, and it comes within 2. A stamp is up to R after the release.
+    assert_eq!(in_ms(&join.wait_ns), [11 + 44 + 1, 11 + 44 + 2]);
+    assert_eq!(in_ms(&join.reflected_ns.unwrap()), [42 + 42 + 44 + 1, 42 + 42 + 44 + 2]);
+    assert!(join.starved_by.is_empty());
+    // Of the fast one: those stamped within 55 ms and what its own thread needs.
+    assert_eq!(
+        join.queue_size,
+        (55_u64 + report.callbacks[4].as_ref().unwrap().from_arrival_ns / 1_000_000 + 1).div_ceil(10)
+    );
+
+    let report = two_sensors([40, 40], Matching::Approximate { window_ns: 5_000_000 }).analyse().unwrap();
+    let (join, chain) = (report.joins[4].as_ref().unwrap(), report.chains[0].as_ref().unwrap());
+    assert_eq!(
+        (join.starved_by.clone(), join.reflected_ns.clone(), chain.reaction_ns),
+        (vec![0], None, None)
+    );
+    assert!(chain.latency_ns > 0);
+}
+
+#[test]
+fn equal_stamps_wait_for_the_longer_way() {
+    let mut system = two_sensors([10, 10], Matching::Exact);
+    // Both filters of one source.
+    system.callbacks[1] = Callback::new(task("filter", 10, 4, 1), 1).triggered_by(0, Transfer::LOCAL);
+    system.callbacks[0].task.bcet_ns = 1_000_000;
+    system.chains[1].stages = vec![0, 1, 3, 4];
+    let report = system.analyse().unwrap();
+    let join = report.joins[4].clone().unwrap();
+    // The short way is 1 ms, the long one 1 + 0 to 4.
+    assert_eq!((in_ms(&join.wait_ns), join.queue_size), (vec![4, 4], 1));
+    assert_eq!(report.callbacks[4].as_ref().unwrap().jitter_ns, 4_000_000);
+    let latencies: Vec<u64> =
+        report.chains.iter().map(|chain| chain.as_ref().unwrap().latency_ns / 1_000_000).collect();
+    assert_eq!(latencies, [8, 8], "1 + 4 + 3 on either way");
+}
+
+/// A camera and a lidar, each on its core, and what waits for both.
+const FILE: &str = r#"
+[hosts.robot]
+cores = 3
+[nodes.camera]
+core = 0
+[nodes.lidar]
+core = 1
+[nodes.fusion]
+core = 2
+[callbacks.image]
+node = "camera"
+period = "30ms"
+wcet = "2ms"
+publishes = "/image"
+[callbacks.cloud]
+node = "lidar"
+period = "100ms"
+wcet = "5ms"
+publishes = "/cloud"
+[callbacks.fuse]
+node = "fusion"
+all = ["/image", "/cloud"]
+window = "32ms"
+wcet = "8ms"
+take = "50us"
+publishes = "/objects"
+[callbacks.plan]
+node = "fusion"
+topic = "/objects"
+wcet = "3ms"
+[[chains]]
+name = "cloud to plan"
+path = ["cloud", "fuse", "plan"]
+deadline = "400ms"
+"#;
+
+#[test]
+fn a_file_says_what_is_waited_for() {
+    let checked = SystemFile::parse(FILE).unwrap().check();
+    let fuse = checked.callbacks.iter().find(|callback| callback.entry.name == "fuse").unwrap();
+    let join = fuse.join.as_ref().unwrap();
+    assert_eq!(fuse.entry.topics, ["/image", "/cloud"]);
+    assert_eq!(join.window_ns, Some(32_000_000));
+    assert!(join.inputs.iter().map(|(topic, _)| topic).eq(&fuse.entry.topics));
+    // 32 of the window, 100 + 5 to the next cloud and 5 on its way, and a stamp may be taken when the sensor's run ends.
+    assert_eq!(
+        join.inputs.iter().map(|(_, wait)| wait / 1_000_000).collect::<Vec<_>>(),
+        [32 + 110 + 2, 32 + 110 + 5]
+    );
+    assert!((5..=6).contains(&join.queue_size), "{join:?}");
+    // Its queues take one message each, and its releases are messages.
+    assert_eq!((fuse.capacity, fuse.releases.len()), (Some(1), 2));
+    assert!(
+        checked.schedulable && checked.warnings.iter().all(|warning| warning.contains("[overheads]")),
+        "{checked:?}"
+    );
+    let chain = &checked.chains[0];
+    assert!(chain.latency_ns < chain.reaction_ns && chain.reaction_ns < Some(500_000_000), "{chain:?}");
+
+    let narrow = SystemFile::parse(&FILE.replace("window = \"32ms\"", "window = \"10ms\"")).unwrap().check();
+    assert!(
+        narrow.warnings.iter().any(|warning| warning.contains("messages of `/image` may lie further apart"))
+    );
+    assert_eq!(narrow.chains[0].reaction_ns, None);
+    let newest = SystemFile::parse(&FILE.replace("window = \"32ms\"", "")).unwrap().check();
+    assert_eq!(newest.callbacks[2].join.as_ref().unwrap().window_ns, None);
+    assert!(newest.chains[0].latency_ns < chain.latency_ns);
+}
+
+#[test]
+fn what_is_wrong_with_a_join_is_said_with_its_line() {
+    let wrong = |piece: &str, replacement: &str, line: usize, message: &str| {
+        assert!(FILE.contains(piece), "{piece}");
+        let problems = SystemFile::parse(&FILE.replacen(piece, replacement, 1)).unwrap_err().to_string();
+        assert!(problems.contains(message), "{problems}");
+        assert!(problems.starts_with(&format!("{line}:")), "{line}: {problems}");
+    };
+    let all = "all = [\"/image\", \"/cloud\"]";
+    wrong(all, "all = [\"/image\"]", 22, "waits for 1 topic(s) in `all`: list 2 to 9, or use `topic`");
+    wrong(all, "all = [\"/image\", \"/image\"]", 22, "waits for topic `/image` twice");
+    wrong(all, "all = [\"/image\", \"/clout\"]", 22, "did you mean `/cloud`?");
+    wrong(all, "topic = \"/image\"", 23, "`window` of callback `fuse` is without `all`");
+    wrong(all, "all = [\"/image\", \"/cloud\"]\nperiod = \"1s\"", 23, "two triggers, `all` and `period`");
+    wrong(all, "all = [\"/cloud\", \"/image\"]\ntopic = \"/image\"", 22, "two triggers, `topic` and `all`");
+    wrong("window = \"32ms\"", "window = \"0ms\"", 23, "do not come from one source");
+    wrong("window = \"32ms\"", "window = \"soon\"", 23, "soon");
+    wrong("take = \"50us\"", "take = \"9ms\"", 25, "`take` of callback `fuse` exceeds its wcet");
+    wrong("publishes = \"/image\"", "publishes = [\"/image\", \"/cloud\"]", 20, "which reach it in 3 ways");
+    wrong(
+        "publishes = \"/cloud\"",
+        "publishes = \"/cloud\"\n[callbacks.more]\nnode = \"lidar\"\nall = [\"/objects\", \"/image\"]\nwcet = \"1ms\"\nwindow = \"1ms\"",
+        22,
+        "those of `/objects` are not known",
+    );
+    wrong("period = \"100ms\"", "all = [\"/image\", \"/objects\"]", 15, "in a circle");
+    let outside = "[topics]\n\"/left\" = { period = \"30ms\" }\n\"/right\" = { period = \"PERIOD\" }\n[hosts.robot]\ncores = 1\n\
+                   [nodes.n]\n[callbacks.c]\nall = [\"/left\", \"/right\"]\nwindow = \"0ms\"\nwcet = \"1ms\"\n";
+    // A hardware trigger may keep topics from outside in step, if they have one period.
+    assert!(SystemFile::parse(&outside.replace("PERIOD", "30ms")).unwrap().check().schedulable);
+    let uneven = SystemFile::parse(&outside.replace("PERIOD", "40ms")).unwrap_err().to_string();
+    assert!(uneven.contains("have different periods"), "{uneven}");
+}
+
+#[test]
+fn joins_without_a_meaning_are_refused() {
+    let refused = |system: System| system.analyse().unwrap_err();
+    let uneven = refused(two_sensors([10, 40], Matching::Exact));
+    assert!(
+        matches!(&uneven, AnalysisError::BadJoin { problem, .. } if problem.contains("different periods")),
+        "{uneven}"
+    );
+    let mut alone = two_sensors([10, 40], Matching::Newest);
+    alone.callbacks[4].join.as_mut().unwrap().inputs.pop();
+    assert!(matches!(refused(alone), AnalysisError::BadJoin { .. }));
+    let mut itself = two_sensors([10, 40], Matching::Newest);
+    itself.callbacks[2].trigger = Some((4, Transfer::LOCAL));
+    assert!(matches!(refused(itself), AnalysisError::Cycle { .. }));
+    let mut nothing = two_sensors([10, 40], Matching::Newest);
+    nothing.callbacks[4].join.as_mut().unwrap().inputs[0] = 9;
+    assert!(matches!(refused(nothing), AnalysisError::BadReference { index: 9, .. }));
+}
+
+/// A random system with joins: sources, filters, what waits for some of them, what follows it, and bystanders.
+fn random_system(rng: &mut StdRng) -> System {
+    let mut callbacks: Vec<Callback> = Vec::new();
+    let mut chains = Vec::new();
+    let mut ways: Vec<Vec<usize>> = Vec::new();
+    let ns = Duration::from_nanos;
+    let add = |callbacks: &mut Vec<Callback>, rng: &mut StdRng, period: u64, trigger: Option<usize>| {
+        let wcet = rng.random_range(1..=period / 8);
+        let mut task =
+            Task::new(format!("{}", callbacks.len()), ns(period), ns(wcet), rng.random_range(1..=9));
+        task.bcet_ns = rng.random_range(0..=wcet);
+        let mut callback = Callback::new(task, rng.random_range(0..3));
+        match trigger {
+            Some(source) => {
+                let least_ns = rng.random_range(0..=9);
+                let network = Transfer { least_ns, most_ns: least_ns + rng.random_range(0..=20) };
+                let way = if rng.random_bool(0.5) { Transfer::LOCAL } else { network };
+                callback = callback.triggered_by(source, way);
+            }
+            None if rng.random_bool(0.5) => callback.task.jitter_ns = rng.random_range(0..=period / 2),
+            None => {}
+        }
+        callbacks.push(callback);
+        callbacks.len() - 1
+    };
+    let kind = rng.random_range(0..3);
+    let inputs = rng.random_range(2..=3);
+    let source = (kind == 1).then(|| add(&mut callbacks, rng, 100, None));
+    for _ in 0..inputs {
+        let period = rng.random_range(40..=200);
+        let root = source.unwrap_or_else(|| add(&mut callbacks, rng, period, None));
+        let mut way = vec![root];
+        if source.is_some() || rng.random_bool(0.5) {
+            way.push(add(&mut callbacks, rng, period.min(100), Some(root)));
+        }
+        ways.push(way);
+    }
+    let longest = ways.iter().map(|way| callbacks[way[0]].task.period_ns).max().unwrap();
+    let matching = match kind {
+        0 => Matching::Newest,
+        1 => Matching::Exact,
+        _ => Matching::Approximate { window_ns: rng.random_range(1..=longest * 3 / 2) },
+    };
+    let (core, priority) = (rng.random_range(0..3), rng.random_range(1..=9));
+    let group = |task: Task| task.group(7, Order::Any);
+    for way in &mut ways {
+        let from = *way.last().unwrap();
+        let taker =
+            group(Task::new(format!("{}", callbacks.len()), ns(1), ns(rng.random_range(1..=2)), priority));
+        let least_ns = rng.random_range(0..=9);
+        let transfer = Transfer { least_ns, most_ns: least_ns + rng.random_range(0..=9) };
+        way.push(callbacks.len());
+        callbacks.push(Callback::new(taker, core).triggered_by(from, transfer));
+    }
+    let takers: Vec<usize> = ways.iter().map(|way| *way.last().unwrap()).collect();
+    let join = callbacks.len();
+    let mut fuse = group(Task::new("fuse", ns(1), ns(rng.random_range(1..=12)), priority));
+    fuse.bcet_ns = rng.random_range(0..=fuse.wcet_ns);
+    callbacks.push(Callback::new(fuse, core).joining(takers, matching));
+    let after = rng.random_bool(0.7).then(|| add(&mut callbacks, rng, 40, Some(join)));
+    for _ in 0..rng.random_range(0..=2) {
+        let period = rng.random_range(20..=100);
+        add(&mut callbacks, rng, period, None);
+    }
+    for way in ways {
+        let stages = way.into_iter().chain([join]).chain(after).collect();
+        chains.push(Chain { name: "way".into(), stages, transfers: vec![], deadline_ns: u64::MAX });
+    }
+    System { cores: vec![Core::default(); 3], callbacks, chains }
+}
+
+/// One job. Of each chain that it is a part of: the nominal release of the chain's first job.
+#[derive(Clone)]
+struct Job {
+    callback: usize,
+    arrival: i64,
+    work: i64,
+    stamp: i64,
+    origins: Vec<Option<i64>>,
+}
+
+/// The messages that wait in a join.
+struct Waiting {
+    policy: Decider,
+    queues: Vec<Vec<Job>>,
+    last_arrival: i64,
+}
+
+impl Waiting {
+    /// The sets that a message completes.
+    fn add(&mut self, input: usize, job: Job) -> Vec<Vec<Job>> {
+        self.last_arrival = self.last_arrival.max(job.arrival);
+        let queues = &mut self.queues;
+        let take = |queues: &mut Vec<Vec<Job>>| queues.iter_mut().map(|queue| queue.remove(0)).collect();
+        let Decider::Stamps(policy) = &mut self.policy else {
+            queues[input] = vec![job];
+            return if queues.iter().all(|queue| !queue.is_empty()) {
+                vec![take(queues)]
+            } else {
+                Vec::new()
+            };
+        };
+        let Arrival::Wait(place) = policy.arrived(input, job.stamp) else { panic!("stamps are in order") };
+        queues[input].insert(place, job);
+        let mut sets = Vec::new();
+        loop {
+            let mut drop = |input: usize| {
+                queues[input].remove(0);
+            };
+            if !policy.decide(&mut drop) {
+                return sets;
+            }
+            sets.push(take(queues));
+        }
+    }
+
+    /// Of the input of which most wait.
+    fn most(&self) -> u64 {
+        self.queues.iter().map(Vec::len).max().unwrap_or(0) as u64
+    }
+}
+
+enum Decider {
+    Newest,
+    Stamps(Box<dyn Policy>),
+}
+
+/// What was seen at most: responses by callback, waits and reflections by input of the join, what waited, latencies and reflections by
+/// chain, from the nominal release of its first job.
+#[derive(Default)]
+struct Seen {
+    responses: Vec<i64>,
+    waits: Vec<i64>,
+    reflections: Vec<i64>,
+    waiting: u64,
+    latencies: Vec<i64>,
+    reactions: Vec<i64>,
+    sets: u64,
+}
+
+const UNTIL: i64 = 6_000;
+
+/// Runs a system for a while. Stamps are nominal releases, real ones, or the ends of the first jobs.
+fn simulate(system: &System, rng: &mut StdRng, join: usize) -> Seen {
+    let count = system.callbacks.len();
+    let matching = system.callbacks[join].join.as_ref().unwrap();
+    let inputs = matching.inputs.len();
+    let mut seen = Seen {
+        responses: vec![0; count],
+        waits: vec![0; inputs],
+        reflections: vec![0; inputs],
+        latencies: vec![0; system.chains.len()],
+        reactions: vec![0; system.chains.len()],
+        ..Seen::default()
+    };
+    let policy = match matching.matching {
+        Matching::Newest => Decider::Newest,
+        Matching::Exact => {
+            let mut policy = ExactTime::new(1_000);
+            policy.start(inputs);
+            Decider::Stamps(Box::new(policy))
+        }
+        Matching::Approximate { window_ns } => {
+            let mut policy = ApproximateTime::new(1_000).max_interval(Duration::from_nanos(window_ns));
+            if rng.random_bool(0.5) {
+                policy = policy.age_penalty(rng.random_range(0.0..2.0));
+            }
+            policy.start(inputs);
+            Decider::Stamps(Box::new(policy))
+        }
+    };
+    let mut waiting = Waiting { policy, queues: vec![Vec::new(); inputs], last_arrival: 0 };
+    let stamp_of = rng.random_range(0..3);
+    let mut pending: Vec<Job> = Vec::new();
+    for (i, callback) in system.callbacks.iter().enumerate().filter(|(_, c)| !c.is_triggered()) {
+        let (period, jitter) = (callback.task.period_ns as i64, callback.task.jitter_ns as i64);
+        let late = rng.random_bool(0.5);
+        let (mut nominal, mut last) = (rng.random_range(0..=period), 0);
+        while nominal < UNTIL {
+            let delay = if late && nominal < UNTIL / 3 { jitter } else { rng.random_range(0..=jitter) };
+            last = last.max(nominal + delay);
+            let begins = |chain: &Chain| (chain.stages[0] == i).then_some(nominal);
+            pending.push(Job {
+                callback: i,
+                arrival: last,
+                work: execution(system, i, rng),
+                stamp: if stamp_of == 0 { nominal } else { last },
+                origins: system.chains.iter().map(begins).collect(),
+            });
+            nominal += period;
+        }
+    }
+    // Bounds hold once everyone sends: from when the first message of each has come.
+    let (mut has_come, mut all_since) = (vec![false; inputs], None);
+    // What has come for each input, and to each chain's first job, and is not yet in what followed.
+    let mut unreflected: Vec<Vec<(i64, i64)>> = vec![Vec::new(); inputs];
+    let mut unanswered: Vec<Vec<i64>> = vec![Vec::new(); system.chains.len()];
+    let mut ready: Vec<Job> = Vec::new();
+    let mut delivered: HashMap<usize, i64> = HashMap::new();
+    let mut now = 0;
+    while !(pending.is_empty() && ready.is_empty()) {
+        let (arrived, rest): (Vec<Job>, _) = pending.into_iter().partition(|job| job.arrival <= now);
+        pending = rest;
+        for job in arrived {
+            if let Some(input) = matching.inputs.iter().position(|taker| *taker == job.callback) {
+                has_come[input] = true;
+                if all_since.is_some() {
+                    unreflected[input].push((job.stamp, job.arrival));
+                } else if has_come.iter().all(|has_come| *has_come) {
+                    all_since = Some(job.arrival);
+                }
+            }
+            for (chain, origin) in job.origins.iter().enumerate() {
+                if let Some(origin) =
+                    origin.filter(|_| system.chains[chain].stages[0] == job.callback && all_since.is_some())
+                {
+                    unanswered[chain].push(origin);
+                }
+            }
+            ready.push(job);
+        }
+        let next = pending.iter().map(|job| job.arrival).min();
+        let running: Vec<usize> = (0..system.cores.len())
+            .filter_map(|core| {
+                let here = (0..ready.len()).filter(|j| system.callbacks[ready[*j].callback].core == core);
+                // A set is worked on before the next message is taken.
+                let rank = |j: &usize| {
+                    let job = &ready[*j];
+                    (
+                        system.callbacks[job.callback].task.priority,
+                        job.callback == join,
+                        -job.arrival,
+                        -(*j as i64),
+                    )
+                };
+                here.max_by_key(rank)
+            })
+            .collect();
+        let step = running.iter().map(|j| ready[*j].work).min();
+        let step = match (step, next) {
+            (Some(work), Some(next)) => work.min(next - now),
+            (Some(work), None) => work,
+            (None, Some(next)) => next - now,
+            (None, None) => break,
+        };
+        now += step;
+        running.iter().for_each(|j| ready[*j].work -= step);
+        let (done, rest): (Vec<Job>, _) = ready.into_iter().partition(|job| job.work == 0);
+        ready = rest;
+        for mut job in done {
+            seen.responses[job.callback] = (now - job.arrival).max(seen.responses[job.callback]);
+            if stamp_of == 2 && !system.callbacks[job.callback].is_triggered() {
+                job.stamp = now;
+            }
+            for (chain, origin) in job.origins.iter().enumerate() {
+                if let Some(origin) =
+                    origin.filter(|_| system.chains[chain].stages.last() == Some(&job.callback))
+                {
+                    let counts = all_since.is_some_and(|since| origin >= since);
+                    let latency = if counts { now - origin } else { 0 };
+                    seen.latencies[chain] = latency.max(seen.latencies[chain]);
+                    let worst = &mut seen.reactions[chain];
+                    unanswered[chain].retain(|before| {
+                        *worst = if *before <= origin { (now - before).max(*worst) } else { *worst };
+                        *before > origin
+                    });
+                }
+            }
+            for (i, callback) in system.callbacks.iter().enumerate() {
+                let Some((_, way)) = callback.trigger.filter(|(source, _)| *source == job.callback) else {
+                    continue;
+                };
+                let last = delivered.entry(i).or_default();
+                *last = (now + rng.random_range(way.least_ns..=way.most_ns) as i64).max(*last);
+                let follows = |(chain, origin): (usize, &Option<i64>)| {
+                    let stages = &system.chains[chain].stages;
+                    origin.filter(|_| stages.windows(2).any(|pair| pair == [job.callback, i]))
+                };
+                let origins = job.origins.iter().enumerate().map(follows).collect();
+                pending.push(Job {
+                    callback: i,
+                    arrival: *last,
+                    work: execution(system, i, rng),
+                    stamp: job.stamp,
+                    origins,
+                });
+            }
+            if let Some(input) = matching.inputs.iter().position(|taker| *taker == job.callback) {
+                for set in waiting.add(input, job) {
+                    seen.sets += 1;
+                    // It may be a message that only shows that no better set comes.
+                    let activation = waiting.last_arrival;
+                    for (input, message) in set.iter().enumerate() {
+                        let counts = all_since.is_some_and(|since| message.arrival >= since);
+                        let wait = if counts { activation - message.arrival } else { 0 };
+                        seen.waits[input] = wait.max(seen.waits[input]);
+                        let worst = &mut seen.reflections[input];
+                        unreflected[input].retain(|(stamp, arrival)| {
+                            let is = *stamp <= message.stamp && *arrival <= message.arrival;
+                            *worst = if is { (activation - arrival).max(*worst) } else { *worst };
+                            !is
+                        });
+                    }
+                    let of = |chain: usize| {
+                        let stages = &system.chains[chain].stages;
+                        let from = stages.windows(2).find(|pair| pair[1] == join)?[0];
+                        let input = matching.inputs.iter().position(|taker| *taker == from)?;
+                        set[input].origins[chain]
+                    };
+                    ready.push(Job {
+                        callback: join,
+                        arrival: activation,
+                        work: execution(system, join, rng),
+                        stamp: 0,
+                        origins: (0..system.chains.len()).map(of).collect(),
+                    });
+                }
+                seen.waiting = waiting.most().max(seen.waiting);
+            }
+        }
+    }
+    // What was never answered, as far as there was time to.
+    for (chain, origins) in unanswered.iter().enumerate() {
+        let over = origins.first().map_or(0, |origin| UNTIL - origin);
+        seen.reactions[chain] = seen.reactions[chain].max(over);
+    }
+    seen
+}
+
+fn execution(system: &System, callback: usize, rng: &mut StdRng) -> i64 {
+    let task = &system.callbacks[callback].task;
+    if rng.random_bool(0.5) {
+        return task.wcet_ns as i64;
+    }
+    rng.random_range(task.bcet_ns.max(1)..=task.wcet_ns) as i64
+}
+
+/// What was seen exceeds no bound.
+fn check(system: &System, report: &SystemReport, seen: &Seen, join: usize, context: &dyn Fn() -> String) {
+    for (i, (worst, bound)) in seen.responses.iter().zip(&report.callbacks).enumerate() {
+        let bound = bound.as_ref().unwrap().from_arrival_ns as i64;
+        assert!(*worst <= bound, "response of {i}: {worst} > {bound}: {}", context());
+    }
+    let bound = report.joins[join].as_ref().unwrap();
+    for (i, (worst, bound)) in seen.waits.iter().zip(&bound.wait_ns).enumerate() {
+        assert!(*worst <= *bound as i64, "wait of input {i}: {worst} > {bound}: {}", context());
+    }
+    for (i, worst) in seen.reflections.iter().enumerate() {
+        let bound = bound.reflected_ns.as_ref().map_or(i64::MAX, |reflected| reflected[i] as i64);
+        assert!(*worst <= bound, "reflection of input {i}: {worst} > {bound}: {}", context());
+    }
+    assert!(seen.waiting <= bound.queue_size, "{} wait > {}: {}", seen.waiting, bound.queue_size, context());
+    for (i, chain) in report.chains.iter().enumerate() {
+        let chain = chain.as_ref().unwrap();
+        let (worst, bound) = (seen.latencies[i], chain.latency_ns as i64);
+        assert!(worst <= bound, "latency of chain {i}: {worst} > {bound}: {}", context());
+        // The reaction time has a period before the first release.
+        let period = report.callbacks[system.chains[i].stages[0]].as_ref().unwrap().period_ns;
+        let bound = chain.reaction_ns.map_or(i64::MAX, |reaction| (reaction - period) as i64);
+        let worst = seen.reactions[i];
+        assert!(worst <= bound, "reaction of chain {i}: {worst} > {bound}: {}", context());
+    }
+}
+
+#[test]
+fn simulated_joins_stay_within_their_bounds() {
+    let seed = random::seed();
+    let count = std::env::var("SYSTEMS").ok().and_then(|count| count.parse().ok()).unwrap_or(2_000);
+    let mut rng = StdRng::seed_from_u64(seed);
+    let (mut checked, mut starved, mut sets) = ([0; 3], 0, 0);
+    // How close what was seen came to its bound, in percent: waits, reflections, what waits.
+    let mut close = [0_i64; 3];
+    for round in 0..count {
+        let system = random_system(&mut rng);
+        let report = system.analyse().unwrap();
+        if report.callbacks.iter().any(Result::is_err) {
+            continue;
+        }
+        let join = system.callbacks.iter().position(|callback| callback.join.is_some()).unwrap();
+        let seen = simulate(&system, &mut rng, join);
+        check(&system, &report, &seen, join, &|| format!("seed {seed}, system {round}: {system:#?}"));
+        let bound = report.joins[join].as_ref().unwrap();
+        let share = |worst: i64, bound: u64| if bound > 20 { worst * 100 / bound as i64 } else { 0 };
+        for (i, worst) in seen.waits.iter().enumerate() {
+            close[0] = close[0].max(share(*worst, bound.wait_ns[i]));
+            if let Some(reflected) = &bound.reflected_ns {
+                close[1] = close[1].max(share(seen.reflections[i], reflected[i]));
+            }
+        }
+        close[2] = close[2].max(seen.waiting as i64 * 100 / bound.queue_size as i64);
+        checked[match system.callbacks[join].join.as_ref().unwrap().matching {
+            Matching::Newest => 0,
+            Matching::Exact => 1,
+            Matching::Approximate { .. } => 2,
+        }] += 1;
+        starved += usize::from(bound.reflected_ns.is_none());
+        sets += seen.sets;
+    }
+    println!(
+        "{checked:?} of each kind, {starved} may starve, {sets} sets; as near as {close:?} % of the bounds"
+    );
+    assert!(checked.iter().all(|checked| *checked > count / 20) && starved > 0 && sets > 1_000);
+}
