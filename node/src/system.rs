@@ -94,9 +94,14 @@ impl LoadedSystem {
         if !callback.entry.joins {
             return Err(Error::NoJoin { name, path });
         }
-        let join = callback.join.as_ref().ok_or(Error::NoCapacity { name, path })?;
-        let window = join.window_ns.map(Duration::from_nanos);
-        Ok(CallbackJoin { window, queue_size: join.queue_size })
+        let bounds = callback.join.as_ref().zip(callback.response_overhead_ns);
+        let (join, response_ns) = bounds.ok_or(Error::NoCapacity { name, path })?;
+        let wait_ns = join.inputs.iter().map(|(_, wait_ns)| *wait_ns).max().unwrap_or(0);
+        Ok(CallbackJoin {
+            window: join.window_ns.map(Duration::from_nanos),
+            queue_size: join.queue_size,
+            latency: Duration::from_nanos(wait_ns.saturating_add(response_ns)),
+        })
     }
 
     /// What other processes are told of the one that has this file.
@@ -128,6 +133,8 @@ pub struct CallbackJoin {
     pub window: Option<Duration>,
     /// How many messages of a topic have to wait, at most: enough, as computed, that none is dropped which may be needed.
     pub queue_size: usize,
+    /// Longest time, as computed, from the arrival of a message that is in a set to the end of the callback's work on the set.
+    pub latency: Duration,
 }
 
 impl CallbackJoin {
