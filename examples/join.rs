@@ -31,7 +31,7 @@ fn show() -> tautline::Result<()> {
     }
     let qos = context.callback_qos("fuse")?;
     let inputs = (
-        node.subscribe_loaned::<PointStamped>("/image", qos.clone())?,
+        node.subscribe_loaned::<PointStamped>("/image", qos)?,
         node.subscribe_loaned::<PointStamped>("/cloud", qos)?,
     );
     let pairs = Synchronizer::new(join.approximate_time(), inputs).expect("the limits are set");

@@ -77,9 +77,9 @@ pub use plain::{dense_end, read_dense, read_dense_vec, view_plain, write_dense};
 pub use serde;
 pub use service::{Action, GoalId, Service};
 pub use shape::definition_text;
-pub use stamp::{HasStamp, time_ns};
 #[doc(hidden)]
 pub use shape::{Shape, StructShape};
+pub use stamp::{HasStamp, time_ns};
 /// Derives [`Plain`] for a struct or field-less enum, and the trait [`Message`](trait@Message) for a struct that is a
 /// topic's type.
 ///

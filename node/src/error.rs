@@ -138,6 +138,10 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A transform buffer that cannot be made.
+    #[cfg(feature = "tf2_msgs")]
+    #[error(transparent)]
+    TransformLimits(#[from] tautline_tf::LimitsError),
     /// A callback that waits for one topic only.
     #[error("callback '{name}' of {} does not wait for several topics: list them in `all`, in place of `topic`", path.display())]
     NoJoin {

@@ -57,6 +57,8 @@ mod untyped;
 pub mod lifecycle;
 pub mod logging;
 pub mod qos;
+#[cfg(feature = "tf2_msgs")]
+pub mod tf;
 
 #[cfg(feature = "action_msgs")]
 pub use action::{

@@ -404,7 +404,7 @@ fn stress(steps: &mut Steps) {
 /// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
 fn loom(steps: &mut Steps) {
     let mut command = cargo(
-        "test --release -p tautline-rt -p tautline-doorbell -p tautline-transport -p tautline-trace --lib loom",
+        "test --release -p tautline-rt -p tautline-doorbell -p tautline-transport -p tautline-trace -p tautline-tf --lib loom",
     );
     command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
     steps.command("loom", &mut command);

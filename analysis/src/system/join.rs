@@ -28,8 +28,8 @@
 //! before x is by x + G* + max(w, G*) at the latest the pivot of the next (dropping early messages moves the latest of the
 //! oldest only where the slowest input is dropped, to G* after what was dropped, which was w before the latest). So a message
 //! with stamp x, or a later one of its input, is in a set by x + G* + max(w, G*) + max(G + D). RTSS 2023 (Li et al.,
-//! 'Worst-Case Latency Analysis of Message Synchronization in ROS') and RTCSA 2024 (Wu et al.) have tighter bounds without
-//! jitter; these hold with it, and are checked against the policy itself.
+//! 'Worst-Case Latency Analysis of Message Synchronization in ROS') and RTCSA 2024 (Wu et al.) analyse the same policy, with
+//! predicted arrivals and without windows; the bounds above are for windows and jitter, and checked against the policy itself.
 use super::System;
 use crate::{AnalysisError, Release, Task};
 

@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Transforms between frames, as ROS 2's tf2: a listener of `/tf` and `/tf_static`, broadcasters, and the buffer between them.
+//!
+//! ```
+//! use std::time::Duration;
+//! use tautline::geometry_msgs::msg::TransformStamped;
+//! use tautline::tf::{Limits, StaticTransformBroadcaster, Time, TransformListener};
+//! use tautline::{CallbackOptions, Context, Node, Realtime};
+//!
+//! let context = Context::builder().domain(125).realtime(Realtime::Off).build()?;
+//! let mut node = Node::create(context.clone(), "localisation", "")?;
+//! let listener = TransformListener::new(&mut node, CallbackOptions::other().name("tf"), Limits::default())?;
+//! let buffer = listener.buffer(); // for any thread
+//!
+//! let mut laser = TransformStamped { child_frame_id: "laser".into(), ..TransformStamped::default() };
+//! laser.header.frame_id = "base_link".into();
+//! laser.transform.translation.z = 0.3;
+//! StaticTransformBroadcaster::new(&mut node)?.send_transform(&laser)?;
+//! # let sampler = std::thread::spawn({ let context = context.clone(); move || context.spin() });
+//! let found = futures::executor::block_on(buffer.wait_for("base_link", "laser", Time::Latest)?)?;
+//! assert_eq!(found.transform.point([1.0, 0.0, 0.0]), [1.0, 0.0, 0.3]);
+//! # context.shutdown();
+//! # sampler.join().unwrap()?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use crate::error::Result;
+use crate::node::Node;
+use crate::qos::QosProfile;
+use crate::{Logger, log_warn};
+use futures::task::AtomicWaker;
+use futures::{StreamExt, stream};
+use std::future::ready;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tautline_executor::{CallbackHandle, CallbackOptions};
+use tautline_msgs::time_ns;
+use tautline_ros_msgs::geometry_msgs::msg;
+use tautline_ros_msgs::tf2_msgs::msg::TFMessage;
+use tautline_transport::{PublishError, Publisher, Sample};
+
+pub use tautline_tf::*;
+
+/// The queue of `/tf`, as tf2_ros has it.
+const DEPTH: usize = 100;
+
+/// Reads `/tf` and `/tf_static` into a buffer, in a callback of its own, until it is dropped.
+///
+/// What the buffer refuses is counted ([`Buffer::counters`]) and logged, at most every ten seconds. If simulated time leaps back, all
+/// but static transforms are forgotten, as in tf2.
+///
+/// # Real-time
+/// Its callback allocates nothing. For each transform of a message it does what [`Writer::set`] does.
+#[must_use = "dropping it ends it"]
+pub struct TransformListener {
+    buffer: Buffer,
+    callback: CallbackHandle,
+    #[cfg(feature = "rosgraph_msgs")]
+    _jump: crate::time::JumpCallback,
+}
+
+impl TransformListener {
+    /// Makes a buffer, of [`Limits::bytes`], and spawns the callback that fills it.
+    ///
+    /// # Errors
+    /// [`Error::TransformLimits`](crate::Error::TransformLimits), else as
+    /// [`Node::create_publisher`](crate::Node::create_publisher) and [`Node::spawn_callback`](crate::Node::spawn_callback).
+    pub fn new(node: &mut Node, options: CallbackOptions, limits: Limits) -> Result<TransformListener> {
+        let (mut writer, buffer) = Buffer::new(limits)?;
+        let moving = node.subscribe_loaned::<TFMessage>("/tf", QosProfile::default().keep_last(DEPTH))?;
+        let fixed = QosProfile::default().keep_last(DEPTH).transient_local();
+        let fixed = node.subscribe_loaned::<TFMessage>("/tf_static", fixed)?;
+        let leap = Arc::new(Leap::default());
+        #[cfg(feature = "rosgraph_msgs")]
+        let jump = {
+            let leap = leap.clone();
+            let threshold = crate::time::JumpThreshold {
+                min_backward: Some(Duration::from_nanos(1)),
+                min_forward: None,
+                on_clock_change: true,
+            };
+            node.clock().on_jump(threshold, move |_| leap.note())?
+        };
+        let both = stream::select(
+            moving.map(|sample| Some((sample, Kind::Dynamic))),
+            fixed.map(|sample| Some((sample, Kind::Static))),
+        );
+        let leaps = leap.clone();
+        let leaps = stream::poll_fn(move |context| leaps.poll(context)).map(|()| None);
+        let logger = node.logger().clone();
+        let callback = stream::select(leaps, both).for_each(move |event| {
+            // A message may be taken before the leap was seen that it comes after.
+            if event.is_none() || leap.take() {
+                writer.clear();
+            }
+            if let Some((sample, kind)) = event {
+                set_all(&mut writer, &sample, kind, &logger);
+            }
+            ready(())
+        });
+        let callback = node.spawn_callback(options, callback)?;
+        Ok(TransformListener {
+            buffer,
+            callback,
+            #[cfg(feature = "rosgraph_msgs")]
+            _jump: jump,
+        })
+    }
+
+    /// What transforms are looked up in; a clone is the same.
+    #[must_use]
+    pub fn buffer(&self) -> Buffer {
+        self.buffer.clone()
+    }
+
+    /// The callback, with its statistics.
+    #[must_use]
+    pub fn callback(&self) -> &CallbackHandle {
+        &self.callback
+    }
+}
+
+impl std::fmt::Debug for TransformListener {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("TransformListener").field("counters", &self.buffer.counters()).finish_non_exhaustive()
+    }
+}
+
+impl Drop for TransformListener {
+    fn drop(&mut self) {
+        self.callback.stop();
+    }
+}
+
+/// That time has leapt back, told by the thread that reads `/clock`.
+#[derive(Default)]
+struct Leap {
+    is_new: AtomicBool,
+    waker: AtomicWaker,
+}
+
+impl Leap {
+    #[cfg(feature = "rosgraph_msgs")]
+    fn note(&self) {
+        self.is_new.store(true, Ordering::Release);
+        self.waker.wake();
+    }
+
+    fn take(&self) -> bool {
+        self.is_new.swap(false, Ordering::Acquire)
+    }
+
+    fn poll(&self, context: &mut Context<'_>) -> Poll<Option<()>> {
+        self.waker.register(context.waker());
+        if self.take() { Poll::Ready(Some(())) } else { Poll::Pending }
+    }
+}
+
+fn set_all(writer: &mut Writer, sample: &Sample<TFMessage>, kind: Kind, logger: &Logger) {
+    for stamped in sample.view().transforms() {
+        let (stamp, transform) = (stamped.header().stamp(), stamped.transform());
+        let stamped = TransformStamped {
+            parent: stamped.header().frame_id(),
+            child: stamped.child_frame_id(),
+            stamp_ns: time_ns(stamp.sec, stamp.nanosec),
+            transform: of_message(transform),
+        };
+        if let Err(error) = writer.set(&stamped, kind) {
+            log_warn!(logger.throttle(Duration::from_secs(10)), "{error}");
+        }
+    }
+}
+
+/// Publishes transforms on `/tf`.
+#[derive(Debug)]
+pub struct TransformBroadcaster {
+    publisher: Publisher<TFMessage>,
+}
+
+impl TransformBroadcaster {
+    /// Publishes for `node`.
+    ///
+    /// # Errors
+    /// As [`Node::create_publisher`](crate::Node::create_publisher).
+    pub fn new(node: &mut Node) -> Result<Self> {
+        let publisher = node.create_publisher("/tf", QosProfile::default().keep_last(DEPTH))?;
+        Ok(TransformBroadcaster { publisher })
+    }
+
+    /// Publishes a message, which is written into shared memory as it stands: keep one and change it.
+    ///
+    /// # Real-time
+    /// As [`Publisher::publish`].
+    ///
+    /// # Errors
+    /// As [`Publisher::publish`].
+    pub fn send(&self, message: &TFMessage) -> std::result::Result<(), PublishError> {
+        self.publisher.publish(message)
+    }
+
+    /// Publishes one transform. Allocates: real-time callbacks [`send`](Self::send).
+    ///
+    /// # Errors
+    /// As [`Publisher::publish`].
+    pub fn send_transform(&self, transform: &msg::TransformStamped) -> std::result::Result<(), PublishError> {
+        self.send(&TFMessage { transforms: vec![transform.clone()] })
+    }
+}
+
+/// Publishes transforms that never change on `/tf_static`, where whoever comes later gets them, too.
+#[derive(Debug)]
+pub struct StaticTransformBroadcaster {
+    publisher: Publisher<TFMessage>,
+    all: TFMessage,
+}
+
+impl StaticTransformBroadcaster {
+    /// Publishes for `node`, as long as it is there.
+    ///
+    /// # Errors
+    /// As [`Node::create_publisher`](crate::Node::create_publisher).
+    pub fn new(node: &mut Node) -> Result<Self> {
+        let qos = QosProfile::default().keep_last(1).transient_local();
+        let publisher = node.create_publisher("/tf_static", qos)?;
+        Ok(StaticTransformBroadcaster { publisher, all: TFMessage::default() })
+    }
+
+    /// Publishes this transform beside those from before, in place of the one of the same child. Allocates.
+    ///
+    /// # Errors
+    /// As [`Publisher::publish`].
+    pub fn send_transform(
+        &mut self,
+        transform: &msg::TransformStamped,
+    ) -> std::result::Result<(), PublishError> {
+        let all = &mut self.all.transforms;
+        match all.iter_mut().find(|known| known.child_frame_id == transform.child_frame_id) {
+            Some(known) => known.clone_from(transform),
+            None => all.push(transform.clone()),
+        }
+        self.publisher.publish(&self.all)
+    }
+}
+
+/// A transform as messages have it.
+#[must_use]
+pub fn to_message(transform: &Transform) -> msg::Transform {
+    let ([x, y, z], [qx, qy, qz, qw]) = (transform.translation, transform.rotation);
+    msg::Transform {
+        translation: msg::Vector3 { x, y, z },
+        rotation: msg::Quaternion { x: qx, y: qy, z: qz, w: qw },
+    }
+}
+
+/// A transform of a message.
+#[must_use]
+pub fn of_message(transform: &msg::Transform) -> Transform {
+    let (by, turned) = (&transform.translation, &transform.rotation);
+    Transform::new([by.x, by.y, by.z], [turned.x, turned.y, turned.z, turned.w])
+}

@@ -1,0 +1,305 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The side that looks transforms up.
+
+use std::fmt::Write;
+use std::sync::Arc;
+
+use crate::counters::Counters;
+use crate::error::{LookupError, Seconds};
+use crate::limits::{Limits, LimitsError};
+use crate::names::{FrameId, FrameName};
+use crate::ring::Kind;
+use crate::shared::{Path, Shared, Trouble};
+use crate::transform::Transform;
+use crate::wait::WaitFor;
+use crate::writer::Writer;
+
+/// Looks up transforms between frames. Clones look into the same buffer; any number of threads may.
+#[derive(Clone)]
+pub struct Buffer {
+    pub(crate) shared: Arc<Shared>,
+}
+
+/// For which time a transform is looked up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Time {
+    /// The latest one for which all frames on the way have samples: tf2's `TimePointZero`.
+    Latest,
+    /// A stamp, in nanoseconds.
+    At(i64),
+}
+
+/// A transform and the time at which it holds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stamped {
+    /// The time: as asked for, or the latest common one. Nothing: it was asked for the latest, and all are static.
+    pub stamp_ns: Option<i64>,
+    /// Takes coordinates in the source frame to coordinates in the target frame.
+    pub transform: Transform,
+}
+
+/// What a buffer knows of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameInfo {
+    /// Its name.
+    pub name: FrameName,
+    /// The newest parent, and of which kind the frame's samples are. Nothing for roots.
+    pub parent: Option<(FrameName, Kind)>,
+    /// Oldest and newest stamp; of a static one, its stamp.
+    pub stamps_ns: Option<(i64, i64)>,
+    /// How many samples there are.
+    pub samples: usize,
+    /// Samples per second, on average from the oldest to the newest; zero if there is but one.
+    pub rate_hz: f64,
+}
+
+/// A frame, by name or by number. A name is hashed at each lookup; a slash in front is taken off.
+pub trait Frame: sealed::Sealed {
+    #[doc(hidden)]
+    fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError>;
+    #[doc(hidden)]
+    fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError>;
+}
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for &str {}
+    impl Sealed for super::FrameId {}
+    impl Sealed for super::FrameName {}
+}
+
+impl Frame for &str {
+    fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
+        self.name(buffer)?.find(buffer)
+    }
+
+    fn name(&self, _: &Buffer) -> Result<FrameName, LookupError> {
+        FrameName::parse(self).map_err(|name| LookupError::InvalidArgument { name })
+    }
+}
+
+impl Frame for FrameName {
+    fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
+        buffer.shared.names.find(self).ok_or(LookupError::Lookup { frame: *self })
+    }
+
+    fn name(&self, _: &Buffer) -> Result<FrameName, LookupError> {
+        Ok(*self)
+    }
+}
+
+impl Frame for FrameId {
+    fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
+        self.name(buffer).map(|_| *self)
+    }
+
+    fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError> {
+        let name = buffer.shared.names.get(*self).filter(|_| (self.0 as usize) < buffer.shared.names.len());
+        name.ok_or(LookupError::Lookup { frame: FrameName::FOREIGN })
+    }
+}
+
+impl Buffer {
+    /// A buffer, and what sets its transforms.
+    ///
+    /// # Real-time
+    /// Setup only: allocates, and touches, [`Limits::bytes`].
+    ///
+    /// # Errors
+    /// If a limit is out of its range.
+    pub fn new(limits: Limits) -> Result<(Writer, Buffer), LimitsError> {
+        limits.check()?;
+        let shared = Arc::new(Shared::new(limits));
+        Ok((Writer::new(shared.clone()), Buffer { shared }))
+    }
+
+    /// The number of a frame that some transform has named.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. Compares one or two names, in the worst case all.
+    pub fn frame(&self, name: &str) -> Option<FrameId> {
+        Frame::find(&name, self).ok()
+    }
+
+    /// The name of a frame of this buffer.
+    pub fn name(&self, frame: FrameId) -> Option<FrameName> {
+        frame.name(self).ok()
+    }
+
+    /// The transform that takes coordinates in `source` to coordinates in `target`.
+    ///
+    /// Between two samples it is interpolated; it is never extrapolated. Each transform on the way was in the buffer at
+    /// some moment of the lookup, and none is older than a [`Writer::clear`] that others are newer than. If the tree
+    /// changes meanwhile, the way may go through the old place of one frame and the new place of another: ask for a time
+    /// at which it did not change.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. At most 2 × [`MAX_DEPTH`](crate::MAX_DEPTH) frames, of which each costs
+    /// log2(samples) + 4 slots, and those of late samples around the time. Twice that for what is not there, three times
+    /// for [`Time::Latest`], and all of it up to three times if there is a `clear` meanwhile.
+    ///
+    /// # Errors
+    /// See [`LookupError`].
+    pub fn lookup(&self, target: impl Frame, source: impl Frame, time: Time) -> Result<Stamped, LookupError> {
+        let (target, source) = (target.find(self)?, source.find(self)?);
+        self.find(target, source, time).map_err(|trouble| self.explain(target, source, trouble))
+    }
+
+    /// The transform that takes coordinates in `source` at `source_time` to coordinates in `target` at `target_time`, if
+    /// what is fixed in `fixed` does not move in between. Its stamp is that of `target_time`.
+    ///
+    /// # Real-time
+    /// As two calls of [`lookup`](Self::lookup).
+    ///
+    /// # Errors
+    /// See [`LookupError`]; it names `fixed` and that frame from or to which there is no way.
+    pub fn lookup_full(
+        &self,
+        target: impl Frame,
+        target_time: Time,
+        source: impl Frame,
+        source_time: Time,
+        fixed: impl Frame,
+    ) -> Result<Stamped, LookupError> {
+        let (target, source, fixed) = (target.find(self)?, source.find(self)?, fixed.find(self)?);
+        let way = |target, source, time| {
+            self.shared.path(target, source, stamp(time)).map_err(|trouble| (target, source, trouble))
+        };
+        // The inner error is that of one of the two ways, the outer one that of the epoch.
+        let paths = self.shared.in_one_epoch(|| {
+            let both = || Ok((way(fixed, source, source_time)?, way(target, fixed, target_time)?));
+            Ok(both())
+        });
+        match paths {
+            Ok(Ok((first, second))) => {
+                Ok(Stamped { stamp_ns: second.stamp_ns, transform: second.transform * first.transform })
+            }
+            Ok(Err((target, source, trouble))) => Err(self.explain(target, source, trouble)),
+            Err(trouble) => Err(self.explain(target, source, trouble)),
+        }
+    }
+
+    /// Whether [`lookup`](Self::lookup) would find a transform.
+    ///
+    /// # Real-time
+    /// As `lookup`.
+    pub fn can_transform(&self, target: impl Frame, source: impl Frame, time: Time) -> bool {
+        match (target.find(self), source.find(self)) {
+            (Ok(target), Ok(source)) => self.find(target, source, time).is_ok(),
+            _ => false,
+        }
+    }
+
+    /// Waits until there is a transform: a future, which the writer's [`set`](Writer::set) wakes. It also ends if the time
+    /// is further before a frame's newest stamp than [`Limits::cache_time`]: such a transform will not come. There is no
+    /// time-out: drop it to give up.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. Each poll looks up at most three times; the first one that has to wait looks
+    /// for one of [`Limits::waiters`] places. A waker is cloned.
+    ///
+    /// # Errors
+    /// If a name names no frame, by being empty for example. One that is not there yet is waited for.
+    pub fn wait_for(
+        &self,
+        target: impl Frame,
+        source: impl Frame,
+        time: Time,
+    ) -> Result<WaitFor, LookupError> {
+        Ok(WaitFor::new(self.clone(), target.name(self)?, source.name(self)?, time))
+    }
+
+    /// What was set and refused so far.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn counters(&self) -> Counters {
+        self.shared.counts.read()
+    }
+
+    /// What the buffer was made with.
+    pub fn limits(&self) -> Limits {
+        self.shared.limits
+    }
+
+    /// All frames, in the order in which they were first named.
+    ///
+    /// # Real-time
+    /// Allocates, and reads all samples.
+    pub fn frames(&self) -> Vec<FrameInfo> {
+        let frames = (0..self.shared.names.len() as u32).map(FrameId);
+        frames.filter_map(|frame| self.info(frame)).collect()
+    }
+
+    /// All frames that have a parent, as tf2's tools print them, without the broadcasters' names.
+    ///
+    /// # Real-time
+    /// Allocates, and reads all samples.
+    pub fn all_frames_as_yaml(&self) -> String {
+        let mut yaml = String::new();
+        for FrameInfo { name, parent, stamps_ns, rate_hz, .. } in self.frames() {
+            if let (Some((parent, _)), Some((oldest_ns, newest_ns))) = (parent, stamps_ns) {
+                let seconds = |ns| Seconds(ns).to_string().replace(" s", "");
+                let (oldest, newest) = (seconds(oldest_ns), seconds(newest_ns));
+                let length = seconds(newest_ns.saturating_sub(oldest_ns));
+                // Writing to a String does not fail.
+                let _ = write!(
+                    yaml,
+                    "{}:\n  parent: {}\n  rate: {rate_hz:.3}\n  most_recent_transform: {newest}\n  oldest_transform: {oldest}\n  buffer_length: {length}\n",
+                    quoted(&name),
+                    quoted(&parent),
+                );
+            }
+        }
+        yaml
+    }
+
+    fn info(&self, frame: FrameId) -> Option<FrameInfo> {
+        let (shared, name) = (&self.shared, self.name(frame)?);
+        let ring = shared.ring(frame)?;
+        let mut info = FrameInfo { name, parent: None, stamps_ns: None, samples: 0, rate_hz: 0.0 };
+        let Some(newest) = ring.newest().ok().flatten() else { return Some(info) };
+        info.parent = self.name(FrameId(newest.parent)).map(|parent| (parent, newest.kind));
+        let (oldest_ns, newest_ns, samples) = match newest.kind {
+            Kind::Static => (newest.stamp_ns, newest.stamp_ns, 1),
+            Kind::Dynamic => ring.span(shared.cache_ns).unwrap_or((newest.stamp_ns, newest.stamp_ns, 1)),
+        };
+        (info.stamps_ns, info.samples) = (Some((oldest_ns, newest_ns)), samples);
+        if newest_ns > oldest_ns {
+            info.rate_hz = (samples as f64 - 1.0) / (newest_ns.saturating_sub(oldest_ns) as f64 / 1e9);
+        }
+        Some(info)
+    }
+
+    pub(crate) fn find(&self, target: FrameId, source: FrameId, time: Time) -> Result<Stamped, Trouble> {
+        let path = self.shared.in_one_epoch(|| self.shared.path(target, source, stamp(time)))?;
+        let Path { transform, stamp_ns } = path;
+        Ok(Stamped { stamp_ns, transform })
+    }
+
+    pub(crate) fn explain(&self, target: FrameId, source: FrameId, trouble: Trouble) -> LookupError {
+        let name = |frame| self.name(frame).unwrap_or(FrameName::FOREIGN);
+        let (target, source_frame) = (name(target), name(source));
+        match trouble {
+            Trouble::Connectivity => LookupError::Connectivity { target, source_frame },
+            Trouble::Extrapolation { frame, asked_ns, oldest_ns, newest_ns } => {
+                let frame = name(frame);
+                LookupError::Extrapolation { target, source_frame, frame, asked_ns, oldest_ns, newest_ns }
+            }
+            Trouble::Cycle { frame } => LookupError::Cycle { target, source_frame, frame: name(frame) },
+            Trouble::TooDeep => LookupError::TooDeep { target, source_frame },
+            Trouble::Overtaken => LookupError::Overtaken { target, source_frame },
+        }
+    }
+}
+
+fn stamp(time: Time) -> Option<i64> {
+    match time {
+        Time::Latest => None,
+        Time::At(stamp_ns) => Some(stamp_ns),
+    }
+}
+
+fn quoted(name: &FrameName) -> String {
+    format!("'{}'", name.as_str().replace('\'', "''"))
+}

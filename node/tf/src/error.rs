@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Errors: plain data, so that none allocates; they name the frames and what to do.
+
+use std::fmt;
+
+use crate::names::FrameName;
+use crate::shared::MAX_DEPTH;
+
+/// Why there is no transform from `source` to `target`. The kinds are tf2's, and what a bounded buffer adds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum LookupError {
+    /// It is not the name of a frame. tf2: `InvalidArgumentException`.
+    #[error(
+        "'{name}' is no frame's name: take one of 1 to {} bytes without a zero byte",
+        FrameName::MAX_BYTES
+    )]
+    InvalidArgument {
+        /// What there is of it.
+        name: FrameName,
+    },
+    /// Nothing was set with this name. tf2: `LookupException`.
+    #[error(
+        "frame '{frame}' does not exist: no transform has named it as parent or child. Check its spelling, or wait for it (Buffer::wait_for)"
+    )]
+    Lookup {
+        /// The frame.
+        frame: FrameName,
+    },
+    /// Both are there, in two trees. tf2: `ConnectivityException`.
+    #[error(
+        "no transform from '{source_frame}' to '{target}': they are not in one tree. See Buffer::frames for the parents, and who should broadcast the missing one"
+    )]
+    Connectivity {
+        /// Where to.
+        target: FrameName,
+        /// Where from.
+        source_frame: FrameName,
+    },
+    /// A frame on the way has no samples around the time asked for. tf2: `ExtrapolationException`.
+    #[error("no transform from '{source_frame}' to '{target}' at {}: {}", Seconds(*.asked_ns), Span(.frame, *.asked_ns, *.oldest_ns, *.newest_ns))]
+    Extrapolation {
+        /// Where to.
+        target: FrameName,
+        /// Where from.
+        source_frame: FrameName,
+        /// The frame on the way.
+        frame: FrameName,
+        /// The time asked for.
+        asked_ns: i64,
+        /// Its oldest stamp.
+        oldest_ns: i64,
+        /// Its newest stamp.
+        newest_ns: i64,
+    },
+    /// A frame is its own ancestor.
+    #[error(
+        "no transform from '{source_frame}' to '{target}': the tree has a cycle through '{frame}'. Two broadcasters disagree who is whose parent: see Buffer::frames"
+    )]
+    Cycle {
+        /// Where to.
+        target: FrameName,
+        /// Where from.
+        source_frame: FrameName,
+        /// A frame of the cycle.
+        frame: FrameName,
+    },
+    /// There are more than [`MAX_DEPTH`] transforms between a frame and its root.
+    #[error(
+        "no transform from '{source_frame}' to '{target}': more than {MAX_DEPTH} transforms to the root (MAX_DEPTH). Join fixed frames into one static transform"
+    )]
+    TooDeep {
+        /// Where to.
+        target: FrameName,
+        /// Where from.
+        source_frame: FrameName,
+    },
+    /// Each of several times that it was looked for, whole rings of samples or a `clear` came between.
+    #[error(
+        "no transform from '{source_frame}' to '{target}': it was overwritten while being read. Raise Limits::samples or the reader's priority, or ask again"
+    )]
+    Overtaken {
+        /// Where to.
+        target: FrameName,
+        /// Where from.
+        source_frame: FrameName,
+    },
+}
+
+/// Why a wait ended without a transform.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum WaitError {
+    /// It is not there and will not come.
+    #[error(transparent)]
+    Lookup(#[from] LookupError),
+    /// As many wait as there may.
+    #[error("{waiters} futures wait for transforms already: raise Limits::waiters")]
+    WaitersFull {
+        /// The limit.
+        waiters: usize,
+    },
+}
+
+/// Why a transform was not taken. Nothing has changed but a counter.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum SetError {
+    /// It is not the name of a frame (TF_NO_FRAME_ID, TF_NO_CHILD_FRAME_ID).
+    #[error(
+        "'{name}' is no frame's name: take one of 1 to {} bytes without a zero byte",
+        FrameName::MAX_BYTES
+    )]
+    InvalidName {
+        /// What there is of it.
+        name: FrameName,
+    },
+    /// Parent and child are the same (TF_SELF_TRANSFORM).
+    #[error("frame '{frame}' cannot be its own parent: name another parent or child")]
+    SelfTransform {
+        /// The frame.
+        frame: FrameName,
+    },
+    /// A number is infinite or none (TF_NAN_INPUT).
+    #[error("the transform of '{child}' has a number that is not finite: check what computes it")]
+    NotFinite {
+        /// The frame.
+        child: FrameName,
+    },
+    /// The rotation's length is not 1 (TF_DENORMALIZED_QUATERNION).
+    #[error(
+        "the rotation of '{child}' has the squared length {squared_length}, which is off 1 by 0.01 or more: normalise it"
+    )]
+    Denormalized {
+        /// The frame.
+        child: FrameName,
+        /// The squared length.
+        squared_length: f64,
+    },
+    /// It is older than what is kept (TF_OLD_DATA).
+    #[error("the transform of '{child}' at {} is too old: only what is after {} is kept. Send it sooner, or raise Limits::cache_time and Limits::samples; after time was set back, call Writer::clear", Seconds(*.stamp_ns), Seconds(*.above_ns))]
+    Old {
+        /// The frame.
+        child: FrameName,
+        /// Its stamp.
+        stamp_ns: i64,
+        /// Stamps above this one are taken.
+        above_ns: i64,
+    },
+    /// There is one with this stamp (TF_REPEATED_DATA).
+    #[error("there is a transform of '{child}' at {} already: the first one stays. Let one broadcaster send it, once per stamp", Seconds(*.stamp_ns))]
+    Repeated {
+        /// The frame.
+        child: FrameName,
+        /// Its stamp.
+        stamp_ns: i64,
+    },
+    /// There is no room for another name.
+    #[error("no room for frame '{frame}' beside {frames} others: raise Limits::frames")]
+    FramesFull {
+        /// The frame.
+        frame: FrameName,
+        /// The limit.
+        frames: usize,
+    },
+}
+
+/// Nanoseconds as seconds, exactly.
+pub(crate) struct Seconds(pub(crate) i64);
+
+impl fmt::Display for Seconds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (sign, ns) = (if self.0 < 0 { "-" } else { "" }, self.0.unsigned_abs());
+        write!(f, "{sign}{}.{:09} s", ns / 1_000_000_000, ns % 1_000_000_000)
+    }
+}
+
+struct Span<'e>(&'e FrameName, i64, i64, i64);
+
+impl fmt::Display for Span<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Span(frame, asked_ns, oldest_ns, newest_ns) = *self;
+        let (when, fix) = if asked_ns > newest_ns {
+            ("future", "Wait for it (Buffer::wait_for), or ask for Time::Latest")
+        } else {
+            ("past", "Raise Limits::cache_time and Limits::samples, or ask for a later time")
+        };
+        write!(f, "that is in the {when} of frame '{frame}', which has ")?;
+        if oldest_ns == newest_ns {
+            write!(f, "one sample at {}", Seconds(oldest_ns))?;
+        } else {
+            write!(f, "samples from {} to {}", Seconds(oldest_ns), Seconds(newest_ns))?;
+        }
+        write!(f, ". {fix}")
+    }
+}

@@ -1,0 +1,326 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The samples of one frame: a ring in the order in which they were set, and a list in the order of their stamps.
+//!
+//! Samples are numbered as they are set; number n lies at n modulo the ring. Each also names the sample that is next
+//! older by its stamp. `newest` is the only word that readers share beside the slots:
+//!
+//! ```text
+//!  number    7      8      9      10     11          newest = 10
+//!  stamp     70  <- 80  <-,90     100    85          11 came late: written first, then linked between 9 and 8
+//!             \________/   \_____/^ \____^
+//!  newest_ns 70     80     90     100    100         never falls: binary search
+//! ```
+//!
+//! To find what encloses a stamp, a reader searches by number for the first sample that was the newest when it was set
+//! and is above the stamp, and follows the list from there: past late samples only. Nothing that readers can see moves,
+//! so they never try again. One that finds a number gone has learnt that the sample, and with it all that is older, has
+//! left the ring.
+
+use crate::slot::Slot;
+use crate::sync::{AtomicU64, Ordering};
+use crate::transform::Transform;
+
+/// How often something is read again that the writer has overwritten a whole ring of samples, or a `clear`, later.
+pub(crate) const TRIES: usize = 3;
+
+/// Whether a transform holds at its stamp, or always.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// Holds at every time, whatever its stamp: `/tf_static`.
+    Static,
+    /// Holds at its stamp, and between stamps interpolated: `/tf`.
+    Dynamic,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sample {
+    pub(crate) number: u64,
+    pub(crate) older: Option<u64>,
+    pub(crate) stamp_ns: i64,
+    /// The newest stamp of the run when this one was set: its own, unless it came late.
+    pub(crate) newest_ns: i64,
+    /// Number of the first sample of the run, which ends when the frame is cleared or gets to be of the other kind.
+    pub(crate) first: u64,
+    pub(crate) parent: u32,
+    pub(crate) kind: Kind,
+    pub(crate) transform: Transform,
+}
+
+/// The transform of a frame in its parent at one time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Edge {
+    pub(crate) parent: u32,
+    pub(crate) transform: Transform,
+    /// Nothing for static ones.
+    pub(crate) stamp_ns: Option<i64>,
+}
+
+/// Why there is no edge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Miss {
+    /// The stamp is not from oldest to newest.
+    Extrapolation { oldest_ns: i64, newest_ns: i64 },
+    /// The writer has set whole rings of samples while this one was read.
+    Overtaken,
+}
+
+/// What the writer remembers of a frame.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Head {
+    next: u64,
+    run: Option<Run>,
+}
+
+#[derive(Clone, Copy)]
+struct Run {
+    kind: Kind,
+    first: u64,
+    newest: u64,
+    newest_ns: i64,
+    parent: u32,
+    /// The newest stamp that has left the ring: what is not above it is not taken any more.
+    gone_ns: Option<i64>,
+}
+
+/// What the writer sets.
+pub(crate) struct New {
+    pub(crate) stamp_ns: i64,
+    pub(crate) parent: u32,
+    pub(crate) kind: Kind,
+    pub(crate) transform: Transform,
+}
+
+/// How a sample was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Taken {
+    /// Its stamp is not the newest.
+    pub(crate) late: bool,
+    /// The frame has a parent that it did not have before, or is of the other kind.
+    pub(crate) moved: bool,
+}
+
+/// Why a sample was not taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Refused {
+    /// Only what is above this stamp is kept.
+    Old {
+        above_ns: i64,
+    },
+    Repeated,
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct Ring<'m> {
+    /// Number + 1 of the newest sample; zero: none.
+    pub(crate) newest: &'m AtomicU64,
+    /// A power of two of them, two at least.
+    pub(crate) slots: &'m [Slot],
+}
+
+impl Ring<'_> {
+    fn slot(&self, number: u64) -> &Slot {
+        &self.slots[number as usize & (self.slots.len() - 1)]
+    }
+
+    fn read(&self, number: u64) -> Option<Sample> {
+        self.slot(number).read(number)
+    }
+
+    /// Takes a sample. Only the writer may; `head` is the frame's.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. Writes one slot; if the stamp is not the newest, searches as `at` does.
+    pub(crate) fn set(&self, head: &mut Head, new: &New, cache_ns: i64) -> Result<Taken, Refused> {
+        let number = head.next;
+        let run = head.run.filter(|run| run.kind == new.kind);
+        let mut next = run.unwrap_or(Run {
+            kind: new.kind,
+            first: number,
+            newest: number,
+            newest_ns: i64::MIN,
+            parent: new.parent,
+            gone_ns: None,
+        });
+        let mut newer = None;
+        let mut older = None;
+        if let Some(run) = run.filter(|_| new.kind == Kind::Dynamic) {
+            let leaves = number.checked_sub(self.slots.len() as u64).filter(|leaves| *leaves >= run.first);
+            next.gone_ns =
+                run.gone_ns.max(leaves.and_then(|leaves| self.read(leaves)).map(|sample| sample.stamp_ns));
+            older = Some(run.newest);
+            if new.stamp_ns <= run.newest_ns {
+                let (above, below) = self.between(&run, new.stamp_ns, cache_ns, next.gone_ns)?;
+                (newer, older) = (Some(above), below);
+            }
+        }
+        let late = newer.is_some();
+        if !late {
+            (next.newest, next.newest_ns, next.parent) = (number, new.stamp_ns, new.parent);
+        }
+        self.slot(number).write(&Sample {
+            number,
+            older,
+            stamp_ns: new.stamp_ns,
+            newest_ns: next.newest_ns,
+            first: next.first,
+            parent: new.parent,
+            kind: new.kind,
+            transform: new.transform,
+        });
+        match newer {
+            Some(newer) => self.slot(newer).link(number),
+            // Release: pairs with the Acquire in `newest`.
+            None => self.newest.store(number + 1, Ordering::Release),
+        }
+        *head = Head { next: number + 1, run: Some(next) };
+        Ok(Taken { late, moved: run.is_none_or(|run| run.parent != new.parent) })
+    }
+
+    /// The samples between which one belongs that came late.
+    fn between(
+        &self,
+        run: &Run,
+        stamp_ns: i64,
+        cache_ns: i64,
+        gone_ns: Option<i64>,
+    ) -> Result<(u64, Option<u64>), Refused> {
+        if stamp_ns == run.newest_ns {
+            return Err(Refused::Repeated);
+        }
+        let kept_ns = run.newest_ns.saturating_sub(cache_ns);
+        let above_ns =
+            gone_ns.map_or(kept_ns.saturating_sub(1), |gone_ns| gone_ns.max(kept_ns.saturating_sub(1)));
+        if stamp_ns <= above_ns {
+            return Err(Refused::Old { above_ns });
+        }
+        // All that is above `gone_ns` is there, and nobody but this thread overwrites it.
+        let enclosing = self.read(run.newest).and_then(|newest| self.enclosing(&newest, stamp_ns));
+        match enclosing {
+            Some((_, Some(older))) if older.stamp_ns == stamp_ns => Err(Refused::Repeated),
+            Some((newer, older)) => Ok((newer.number, older.map(|older| older.number))),
+            None => Err(Refused::Old { above_ns }),
+        }
+    }
+
+    /// Forgets all samples, unless they are static. Only the writer may.
+    pub(crate) fn clear(&self, head: &mut Head) {
+        if head.run.is_some_and(|run| run.kind == Kind::Dynamic) {
+            head.run = None;
+            self.newest.store(0, Ordering::Release);
+        }
+    }
+
+    /// The newest sample.
+    pub(crate) fn newest(&self) -> Result<Option<Sample>, Miss> {
+        for _ in 0..TRIES {
+            // Acquire: pairs with the Release in `set`.
+            let Some(number) = self.newest.load(Ordering::Acquire).checked_sub(1) else { return Ok(None) };
+            if let Some(newest) = self.read(number) {
+                return Ok(Some(newest));
+            }
+        }
+        Err(Miss::Overtaken)
+    }
+
+    /// The transform at a stamp: nothing if none was set.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. Reads log2(samples) + 4 slots, and those of the samples between two others
+    /// that came late, which are at most all. Twice that to say what there is if the stamp is too old or too new.
+    pub(crate) fn at(&self, stamp_ns: i64, cache_ns: i64) -> Result<Option<Edge>, Miss> {
+        let Some(newest) = self.newest()? else { return Ok(None) };
+        if newest.kind == Kind::Static || newest.stamp_ns == stamp_ns {
+            return Ok(Some(newest.edge()));
+        }
+        let kept_ns = newest.stamp_ns.saturating_sub(cache_ns);
+        if stamp_ns < newest.stamp_ns
+            && let Some((newer, Some(older))) = self.enclosing(&newest, stamp_ns)
+            && older.stamp_ns >= kept_ns
+        {
+            return Ok(Some(older.until(&newer, stamp_ns)));
+        }
+        Err(Miss::Extrapolation { oldest_ns: self.oldest_ns(&newest, kept_ns), newest_ns: newest.stamp_ns })
+    }
+
+    /// The two samples that enclose a stamp below `newest`'s: the first is above it, the second is not. Nothing if the
+    /// first one has left the ring.
+    fn enclosing(&self, newest: &Sample, stamp_ns: i64) -> Option<(Sample, Option<Sample>)> {
+        let mut newer = self.read(self.first_above(newest, stamp_ns))?;
+        if newer.stamp_ns != newer.newest_ns {
+            // It came late: the one that was the newest then is above the stamp, too, and has left the ring.
+            return None;
+        }
+        // A list that gets longer while it is read does not hold its reader for ever.
+        for _ in 0..self.slots.len() {
+            match newer.older.and_then(|older| self.read(older)) {
+                Some(older) if older.stamp_ns > stamp_ns => newer = older,
+                older => return Some((newer, older)),
+            }
+        }
+        None
+    }
+
+    /// Number of the first sample in the ring at which `newest_ns` was above a stamp.
+    fn first_above(&self, newest: &Sample, stamp_ns: i64) -> u64 {
+        let ring = self.slots.len() as u64;
+        let (mut low, mut high) = (newest.first.max((newest.number + 1).saturating_sub(ring)), newest.number);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            match self.slot(middle).newest_ns(middle) {
+                Some(newest_ns) if newest_ns > stamp_ns => high = middle,
+                // Not above it, or no longer there, and then what is before it is not, either.
+                _ => low = middle + 1,
+            }
+        }
+        high
+    }
+
+    /// The oldest stamp that is there and not below `kept_ns`.
+    fn oldest_ns(&self, newest: &Sample, kept_ns: i64) -> i64 {
+        let mut start = self.read(self.first_above(newest, kept_ns.saturating_sub(1)));
+        if let Some(late) = start.filter(|start| start.stamp_ns != start.newest_ns) {
+            start = self.read(self.first_above(newest, late.newest_ns));
+        }
+        let mut oldest_ns = newest.stamp_ns;
+        let mut next = start;
+        for _ in 0..self.slots.len() {
+            let Some(sample) = next.filter(|sample| sample.stamp_ns >= kept_ns) else { break };
+            oldest_ns = sample.stamp_ns;
+            next = sample.older.and_then(|older| self.read(older));
+        }
+        oldest_ns
+    }
+
+    /// The oldest and the newest stamp and how many samples there are.
+    pub(crate) fn span(&self, cache_ns: i64) -> Option<(i64, i64, usize)> {
+        let newest = self.newest().ok()??;
+        let kept_ns = newest.stamp_ns.saturating_sub(cache_ns);
+        let next = |sample: &Sample| {
+            sample.older.and_then(|older| self.read(older)).filter(|older| older.stamp_ns >= kept_ns)
+        };
+        let samples = std::iter::successors(Some(newest), next).take(self.slots.len());
+        let (oldest_ns, count) =
+            samples.fold((newest.stamp_ns, 0), |(_, count), sample| (sample.stamp_ns, count + 1));
+        Some((oldest_ns, newest.stamp_ns, count))
+    }
+}
+
+impl Sample {
+    pub(crate) fn edge(&self) -> Edge {
+        let stamp_ns = (self.kind == Kind::Dynamic).then_some(self.stamp_ns);
+        Edge { parent: self.parent, transform: self.transform, stamp_ns }
+    }
+
+    /// The edge at a stamp from this sample's to before that of the next newer one. Nothing is interpolated from one
+    /// parent to another: as in tf2, the older one holds until then.
+    fn until(&self, newer: &Sample, stamp_ns: i64) -> Edge {
+        let Edge { parent, mut transform, .. } = self.edge();
+        if stamp_ns != self.stamp_ns && self.parent == newer.parent {
+            // In i128, as stamps may be as far apart as they can.
+            let after = |from_ns: i64, to_ns: i64| (i128::from(to_ns) - i128::from(from_ns)) as f64;
+            let ratio = after(self.stamp_ns, stamp_ns) / after(self.stamp_ns, newer.stamp_ns);
+            transform = transform.interpolate(&newer.transform, ratio);
+        }
+        Edge { parent, transform, stamp_ns: Some(stamp_ns) }
+    }
+}

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The one side that sets transforms.
+
+use std::sync::Arc;
+
+use crate::counters::count;
+use crate::error::SetError;
+use crate::names::{FrameId, FrameName};
+use crate::ring::{Head, Kind, New, Refused};
+use crate::shared::Shared;
+use crate::transform::Transform;
+
+/// tf2's: how far the squared length of a rotation may be off 1.
+const ROTATION_TOLERANCE: f64 = 10e-3;
+
+/// The pose of frame `child` in frame `parent` at a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TransformStamped<'n> {
+    /// `header.frame_id`. A slash in front is taken off.
+    pub parent: &'n str,
+    /// `child_frame_id`. A slash in front is taken off.
+    pub child: &'n str,
+    /// `header.stamp`, in nanoseconds.
+    pub stamp_ns: i64,
+    /// Takes coordinates in `child` to coordinates in `parent`.
+    pub transform: Transform,
+}
+
+/// Sets the transforms of its [`Buffer`](crate::Buffer). There is one.
+pub struct Writer {
+    shared: Arc<Shared>,
+    heads: Box<[Head]>,
+}
+
+impl Writer {
+    pub(crate) fn new(shared: Arc<Shared>) -> Writer {
+        let heads = vec![Head::default(); shared.limits.frames].into_boxed_slice();
+        Writer { shared, heads }
+    }
+
+    /// Takes a transform, and wakes who waits for it. A frame whose transform is of the other kind than before forgets
+    /// what it had, as in tf2, and may get a new parent, which it has from this stamp on. Whether the tree has a cycle
+    /// then is found by lookups.
+    ///
+    /// A stamp below the newest of its frame is put in its place. It counts among the samples as the one set last: the
+    /// ring forgets the sample that was set first, and with it what is older.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall but the wakes. Two names are looked up and one sample is written. One that comes
+    /// late is preceded by a search of log2(samples) + 4 slots, and of the late samples around its stamp, at most all.
+    /// Then a look at each of [`Limits::waiters`](crate::Limits::waiters), if any waits.
+    ///
+    /// # Errors
+    /// Invalid, old or repeated ones are refused, and what is more than [`Limits::frames`](crate::Limits::frames).
+    pub fn set(&mut self, transform: &TransformStamped<'_>, kind: Kind) -> Result<(), SetError> {
+        let set =
+            self.check(transform).and_then(|(parent, child)| self.place(transform, kind, parent, child));
+        let counts = &self.shared.counts;
+        count(match set {
+            Ok(()) => &counts.set,
+            Err(SetError::Old { .. }) => &counts.old,
+            Err(SetError::Repeated { .. }) => &counts.repeated,
+            Err(SetError::FramesFull { .. }) => &counts.frames_full,
+            Err(_) => &counts.invalid,
+        });
+        set
+    }
+
+    fn check(&self, stamped: &TransformStamped<'_>) -> Result<(FrameName, FrameName), SetError> {
+        let name = |name| FrameName::parse(name).map_err(|name| SetError::InvalidName { name });
+        let (parent, child) = (name(stamped.parent)?, name(stamped.child)?);
+        if parent == child {
+            return Err(SetError::SelfTransform { frame: child });
+        }
+        if !stamped.transform.is_finite() {
+            return Err(SetError::NotFinite { child });
+        }
+        let squared_length = stamped.transform.rotation_squared();
+        if (squared_length - 1.0).abs() >= ROTATION_TOLERANCE {
+            return Err(SetError::Denormalized { child, squared_length });
+        }
+        Ok((parent, child))
+    }
+
+    fn place(
+        &mut self,
+        stamped: &TransformStamped<'_>,
+        kind: Kind,
+        parent: FrameName,
+        child: FrameName,
+    ) -> Result<(), SetError> {
+        let (shared, stamp_ns) = (&*self.shared, stamped.stamp_ns);
+        let full = |frame| SetError::FramesFull { frame, frames: shared.limits.frames };
+        let ids = (shared.names.find(&parent), shared.names.find(&child));
+        if shared.names.spare() < usize::from(ids.0.is_none()) + usize::from(ids.1.is_none()) {
+            return Err(full(if ids.1.is_none() { child } else { parent }));
+        }
+        let id = |id: Option<FrameId>, name| id.or_else(|| shared.names.insert(&name)).ok_or(full(name));
+        let (parent, frame) = (id(ids.0, parent)?, id(ids.1, child)?);
+        let (Some(ring), Some(head)) = (shared.ring(frame), self.heads.get_mut(frame.0 as usize)) else {
+            return Err(full(child));
+        };
+        let transform = stamped.transform.normalized();
+        let taken = ring
+            .set(head, &New { stamp_ns, parent: parent.0, kind, transform }, shared.cache_ns)
+            .map_err(|refused| match refused {
+                Refused::Old { above_ns } => SetError::Old { child, stamp_ns, above_ns },
+                Refused::Repeated => SetError::Repeated { child, stamp_ns },
+            })?;
+        if taken.late {
+            count(&shared.counts.out_of_order);
+        }
+        // What comes late, or from elsewhere in the tree, may complete a path that was missing something else.
+        shared.waiters.notify(frame, stamp_ns, taken.late || taken.moved);
+        Ok(())
+    }
+
+    /// Forgets all samples but those of static transforms, as tf2's `clear`: for simulated time that is set back. Names
+    /// stay. A lookup meanwhile finds what was there before or nothing, never some of the frames before and some after.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. One store for each frame.
+    pub fn clear(&mut self) {
+        let known = self.shared.names.len();
+        self.shared.clear(&mut self.heads[..known]);
+        count(&self.shared.counts.cleared);
+    }
+}
