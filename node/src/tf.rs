@@ -7,7 +7,7 @@
 //! use tautline::tf::{Limits, StaticTransformBroadcaster, Time, TransformListener};
 //! use tautline::{CallbackOptions, Context, Node, Realtime};
 //!
-//! let context = Context::builder().domain(125).realtime(Realtime::Off).build()?;
+//! let context = Context::builder().domain(127).realtime(Realtime::Off).build()?;
 //! let mut node = Node::create(context.clone(), "localisation", "")?;
 //! let listener = TransformListener::new(&mut node, CallbackOptions::other().name("tf"), Limits::default())?;
 //! let buffer = listener.buffer(); // for any thread
