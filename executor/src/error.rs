@@ -42,6 +42,14 @@ pub enum ExecutorError {
         /// The callback.
         name: String,
     },
+    /// Jobs that cannot be held to their budget.
+    #[error("callback `{name}` is to be demoted when a job overruns its budget, but {problem}")]
+    CannotDemote {
+        /// The callback.
+        name: String,
+        /// Why not, and what to do.
+        problem: &'static str,
+    },
     /// Busy polling without a core of its own.
     #[error(
         "callback `{name}` cannot busy-poll on cores {cores}: give it exactly one, with CallbackOptions::core"

@@ -12,13 +12,14 @@ use futures::executor::LocalPool;
 use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
-    CoreSet, Policy, Realtime, RtError, ThreadBuilder, current_affinity, current_policy, host::online_cores,
+    BudgetTimer, CoreSet, Policy, Realtime, RtError, ThreadBuilder, current_affinity, current_policy,
+    host::online_cores,
 };
 
 use crate::callback::{Callback, End, Presence, Thread};
 use crate::group::{CallbackGroup, MemberInfo};
 use crate::hot::{
-    self, CallbackThread, Control, Controlled, GroupFuture, Measured, Parker, Stopwatch, Waiting,
+    self, CallbackThread, Control, Controlled, GroupFuture, Holder, Measured, Parker, Stopwatch, Waiting,
 };
 use crate::registry::{Registry, Seat};
 use crate::{
@@ -174,6 +175,8 @@ impl Executor {
             options.name = format!("#{number}");
         }
         check_handlers(&options, &members)?;
+        check_demotion(&options, &members)?;
+        let holds = options.demotes && self.realtime == Realtime::Required;
         let parker = self.parker(&options)?;
         let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
         let (seat, online) = self.seat(&options).map_err(refused)?;
@@ -193,6 +196,8 @@ impl Executor {
         let (busy, spin, execution_time, thread_control) =
             (options.busy_poll, options.spin.min(MAX_SPIN), options.execution_time, Arc::clone(&control));
         let (thread_stats, watch) = (Arc::clone(&stats), options.watch.clone());
+        let (trouble, policy) = (Arc::<Mutex<Option<RtError>>>::default(), options.policy);
+        let thread_trouble = Arc::clone(&trouble);
         let mut builder =
             ThreadBuilder::new(format!("cb:{}", options.thread_name.as_ref().unwrap_or(&options.name)))
                 .policy(options.policy)
@@ -203,7 +208,16 @@ impl Executor {
             tautline_trace::register_thread();
             let trace = tautline_trace::callback_init(thread_stats.name());
             let stopwatch = execution_time.then(|| Stopwatch::new(busy));
-            let (measured, future) = make(Measured { stats: thread_stats, watch, stopwatch });
+            let timer = if holds { BudgetTimer::new().map(Some) } else { Ok(None) };
+            let timer = timer.unwrap_or_else(|error| {
+                // Nothing of the callback has run: it ends before it begins.
+                thread_control.stop();
+                *thread_trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                None
+            });
+            let (running, overran_until_ns) = (Cell::new(0), Cell::new(0));
+            let holder = timer.map(|timer| Holder { timer, policy, running, overran_until_ns });
+            let (measured, future) = make(Measured { stats: thread_stats, watch, stopwatch, holder });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
             let announced = Cell::default();
             let thread =
@@ -228,6 +242,11 @@ impl Executor {
             }
         });
         let thread = thread.map_err(refused)?;
+        if let Some(source) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            // It ends by itself, and what it may say then is this.
+            let _ = thread.join();
+            return Err(refused(source));
+        }
 
         let info = thread.info().clone();
         stats.describe(&info, options.period, execution_time);
@@ -285,6 +304,21 @@ fn check_handlers(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(
         Some(name) => Err(ExecutorError::UnmeasuredBudget { name: name.to_owned() }),
         None => Ok(()),
     }
+}
+
+/// Refuses to hold jobs to budgets where that cannot be done.
+fn check_demotion(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(), ExecutorError> {
+    let problem = match options {
+        _ if !options.demotes => return Ok(()),
+        _ if !options.execution_time => "its execution times are not measured: drop `.execution_time(false)`",
+        _ if options.busy_poll => "it polls busily, and uses its core all the time: drop `.busy_poll()`",
+        _ if options.policy.realtime_priority().is_none() => {
+            "it has no real-time priority to lose: use `CallbackOptions::fifo`"
+        }
+        _ if options.budget.is_none() && members.is_empty() => "it has none: state it with `.budget(..)`",
+        _ => return Ok(()),
+    };
+    Err(ExecutorError::CannotDemote { name: options.name.clone(), problem })
 }
 
 impl std::fmt::Debug for Executor {

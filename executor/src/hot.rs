@@ -15,6 +15,7 @@ use std::time::Duration;
 use futures::Stream;
 use futures::task::AtomicWaker;
 use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
+use tautline_rt::{BudgetTimer, Policy};
 use tautline_trace::{Object, ObjectId};
 
 use crate::group::Kept;
@@ -44,6 +45,43 @@ pub(crate) struct Measured {
     pub watch: Watch,
     /// `None` where execution times are off.
     pub stopwatch: Option<Stopwatch>,
+    /// What holds jobs to their budgets, if something does.
+    pub holder: Option<Holder>,
+}
+
+/// Holds jobs to their budgets: see [`CallbackOptions::demote_on_overrun`](crate::CallbackOptions::demote_on_overrun).
+pub(crate) struct Holder {
+    pub timer: BudgetTimer,
+    /// What a demoted thread gets back.
+    pub policy: Policy,
+    /// Jobs that have begun and not ended: streams of one callback may overlap.
+    pub running: Cell<u32>,
+    /// When the last demoted job ended: what was released before has waited for it.
+    pub overran_until_ns: Cell<u64>,
+}
+
+impl Holder {
+    /// A job begins that has a budget, in a thread that had used `since_ns`. One that has waited for an overrun is done below all
+    /// others: its release is past, and at the thread's priority it would be an interference that nobody has counted.
+    fn begin(&self, release_ns: u64, since_ns: u64, budget: Option<Duration>) {
+        let running = self.running.replace(self.running.get().saturating_add(1));
+        if running == 0 && release_ns < self.overran_until_ns.get() {
+            self.timer.demote();
+        } else if let Some(budget) = budget {
+            self.timer.arm(since_ns, budget);
+        }
+    }
+
+    /// A job ends. Says whether it was demoted.
+    fn end(&self) -> bool {
+        self.running.set(self.running.get().saturating_sub(1));
+        // Jobs that overlap share what comes of it, until the last of them ends.
+        let demoted = self.running.get() == 0 && self.timer.disarm(self.policy);
+        if demoted {
+            self.overran_until_ns.set(monotonic_ns());
+        }
+        demoted
+    }
 }
 
 /// Measures execution times on the thread it was made on.
@@ -79,10 +117,14 @@ impl Stopwatch {
 }
 
 impl Measured {
-    fn begin(&self, release_ns: u64) -> Begun {
+    /// A job begins of the callback with these statistics: the thread's own, or a member's.
+    fn begin(&self, release_ns: u64, of: &CallbackStats) -> Begun {
         self.stats.release(release_ns);
         if let Some(stopwatch) = &self.stopwatch {
             stopwatch.begin();
+            if let (Some(holder), Some(since_ns)) = (&self.holder, stopwatch.since_ns.get()) {
+                holder.begin(release_ns, since_ns, of.budget());
+            }
         }
         Begun { release_ns }
     }
@@ -91,6 +133,9 @@ impl Measured {
     fn end(&self, begun: Begun) -> stats::Job {
         let Begun { release_ns } = begun;
         let response_ns = monotonic_ns().saturating_sub(release_ns);
+        if self.holder.as_ref().is_some_and(Holder::end) {
+            self.stats.demoted();
+        }
         stats::Job { release_ns, response_ns, execution_ns: self.stopwatch.as_ref().map(Stopwatch::lap) }
     }
 
@@ -302,7 +347,7 @@ pub fn begin(release_ns: u64) -> Job {
 /// As [`begin`].
 pub fn begin_for(callback: ObjectId, release_ns: u64) -> Job {
     let begun = current(|thread| {
-        let begun = thread.measured.as_ref().map(|measured| measured.begin(release_ns));
+        let begun = thread.measured.as_ref().map(|measured| measured.begin(release_ns, &measured.stats));
         if begun.is_none() {
             thread.announced.set(callback);
         }
@@ -319,7 +364,8 @@ impl Job {
     ///
     /// # Real-time
     /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the thread
-    /// polls busily. Besides, what the handlers of [`CallbackOptions`](crate::CallbackOptions) do, if one is called.
+    /// polls busily; where jobs are held to budgets one more, and as many when they begin, and after an overrun another one
+    /// at either. Besides, what the handlers of [`CallbackOptions`](crate::CallbackOptions) do, if one is called.
     pub fn finish(self) {
         tautline_trace::callback_end(self.callback);
         if let Some(begun) = self.begun {
@@ -451,7 +497,7 @@ where
         if let Some(item) = self.next.take() {
             let release_ns = (self.release)(&item);
             self.stats.release(release_ns);
-            self.begun = Some(total.begin(release_ns));
+            self.begun = Some(total.begin(release_ns, &self.stats));
             tautline_trace::callback_start(self.traced, release_ns);
             self.future.set(Some((self.callback)(item)));
         }

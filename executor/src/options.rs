@@ -35,6 +35,8 @@ pub struct CallbackOptions {
     pub deadline: Option<Duration>,
     /// The CPU time that a job may use: see [`CallbackOptions::budget`].
     pub budget: Option<Duration>,
+    /// Whether a job that uses more goes on below all others: see [`CallbackOptions::demote_on_overrun`].
+    pub demotes: bool,
     /// What happens after a job that used more than its budget, and after one that missed its deadline.
     pub watch: Watch,
     /// Poll all the time instead of parking: see [`CallbackOptions::busy_poll`].
@@ -69,6 +71,7 @@ impl CallbackOptions {
             period: None,
             deadline: None,
             budget: None,
+            demotes: false,
             watch: Watch { on_overrun: None, on_deadline_miss: None },
             busy_poll: false,
             direct_wake: false,
@@ -122,10 +125,30 @@ impl CallbackOptions {
     ///
     /// Checked once, when a job ends, with the CPU clock that measures execution times: a job that used more is an
     /// overrun, which is counted and told to [`on_overrun`](Self::on_overrun). The job is not stopped: nobody but
-    /// itself could leave its data whole. What it took too long delays lower priorities, whose bounds no longer hold.
+    /// itself could leave its data whole. What it took too long delays lower priorities, whose bounds no longer hold, unless
+    /// it is [demoted](Self::demote_on_overrun).
     /// Not noticed where [`execution_time`](Self::execution_time) is off.
     pub const fn budget(mut self, budget: Duration) -> CallbackOptions {
         self.budget = Some(budget);
+        self
+    }
+
+    /// Holds each job to its budget: one that has used it up goes on as `SCHED_OTHER`, below every real-time thread, until it ends;
+    /// and so do the jobs that were released before that, which have waited for it. What is released later is done at the
+    /// thread's priority again. So the bounds of other callbacks do not rest on the budget being enough.
+    ///
+    /// A high-resolution timer demotes the thread in the midst of the job, a few microseconds late; it finds out what was the
+    /// job's own time, and not that of others who preempted it. Each job costs two system calls more: state them in the analysis
+    /// (`demotion` in the system file's overheads). A group's thread holds each member to its own budget, and demotes them together.
+    ///
+    /// For real-time policies and measured execution times, not for a thread that polls busily. With
+    /// [`Realtime::Off`](crate::Realtime::Off) there is nothing to hold.
+    ///
+    /// # Real-time
+    /// Locks that the job holds then are held by a thread of low priority: use [`PiMutex`](tautline_rt::PiMutex), whose waiters
+    /// lend it theirs.
+    pub const fn demote_on_overrun(mut self) -> CallbackOptions {
+        self.demotes = true;
         self
     }
 

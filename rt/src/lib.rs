@@ -4,6 +4,7 @@
 //! - [`ThreadBuilder`] starts a thread with a [`Policy`] and a [`CoreSet`], and reports success only after the
 //!   kernel has confirmed both. [`Realtime::Off`] is the explicit opt-out for machines without the privilege.
 //! - [`set_policy`], [`set_affinity`] do the same for a thread that exists; [`threads`] reads every thread back.
+//! - [`BudgetTimer`] demotes a thread that uses more processor time than it was given.
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
@@ -30,6 +31,7 @@
 //! # Ok::<(), tautline_rt::RtError>(())
 //! ```
 
+mod budget;
 mod cores;
 mod error;
 mod exit;
@@ -51,6 +53,7 @@ pub mod host;
 pub mod permission;
 pub mod shm;
 
+pub use budget::BudgetTimer;
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;
 pub use exit::{AtExit, at_exit};

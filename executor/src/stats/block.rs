@@ -39,6 +39,7 @@ pub(crate) mod word {
     pub const LOST: usize = 23;
     pub const MAX_QUEUE: usize = 24;
     pub const DEPTH: usize = 25;
+    pub const DEMOTIONS: usize = 26;
     pub const NAME: usize = 32;
 }
 
@@ -151,6 +152,8 @@ pub struct CallbackSnapshot {
     pub completions: u64,
     /// Jobs that used more processor time than the budget.
     pub overruns: u64,
+    /// Jobs that were demoted: those that used more than the budget where it is held, and those that waited for them.
+    pub demotions: u64,
     /// Jobs that ended later than the deadline.
     pub deadline_misses: u64,
     /// When the first job was released, in ns of `CLOCK_MONOTONIC`.
@@ -192,6 +195,7 @@ impl CallbackSnapshot {
             releases: word(word::RELEASES),
             completions: word(word::COMPLETIONS),
             overruns: word(word::OVERRUNS),
+            demotions: word(word::DEMOTIONS),
             deadline_misses: word(word::DEADLINE_MISSES),
             first_release_ns: word(word::FIRST_RELEASE),
             last_release_ns: word(word::LAST_RELEASE),

@@ -78,6 +78,13 @@ impl CallbackStats {
         verdict
     }
 
+    /// A job was demoted.
+    pub(crate) fn demoted(&self) {
+        if let Some(head) = self.head() {
+            add(&head[word::DEMOTIONS], 1);
+        }
+    }
+
     /// What a subscription of this callback found.
     pub(crate) fn note_queue(&self, queue: QueueState) {
         let Some(head) = self.head() else { return };

@@ -140,6 +140,11 @@ impl CallbackStats {
         self.word(word::OVERRUNS)
     }
 
+    /// Jobs that were demoted: see [`CallbackOptions::demote_on_overrun`](crate::CallbackOptions::demote_on_overrun).
+    pub fn demotions(&self) -> u64 {
+        self.word(word::DEMOTIONS)
+    }
+
     /// Jobs whose response took longer than the deadline.
     pub fn deadline_misses(&self) -> u64 {
         self.word(word::DEADLINE_MISSES)
