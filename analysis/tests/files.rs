@@ -507,3 +507,28 @@ fn a_process_is_on_the_host_that_it_says_or_on_the_only_one() {
     let two = SystemFile::parse(&text("[hosts.a]\ncores = 1\n[hosts.b]\ncores = 2\n")).unwrap();
     assert_eq!((two.host(Some("b")), two.host(None)), (Ok("b"), Err(vec!["a", "b"])));
 }
+
+#[test]
+fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_own() {
+    let overrun = |text: &str| with("wcet = \"3ms\"", &format!("wcet = \"3ms\"\n{text}"));
+    let file = overrun("overrun = \"demote\"\n[overheads]\ndemotion = \"20us\"\nper_message = \"1us\"");
+    let checked = SystemFile::parse(&file).unwrap().check();
+    let of =
+        |name: &str| checked.callbacks.iter().find(|callback| callback.entry.name == name).unwrap().clone();
+    assert!(of("plan").entry.demotes && !of("scan").entry.demotes);
+    assert_eq!((of("plan").charged_ns, of("scan").charged_ns), (3_021_000, 2_001_000));
+    assert!(!checked.warnings.iter().any(|warning| warning.contains("demotion")), "{:?}", checked.warnings);
+    let told = SystemFile::parse(&overrun("overrun = \"tell\"")).unwrap().check();
+    assert!(told.callbacks.iter().all(|callback| !callback.entry.demotes));
+    let free = SystemFile::parse(&overrun("overrun = \"demote\"")).unwrap().check();
+    assert!(free.warnings.iter().any(|warning| warning.contains("add `demotion = ")), "{:?}", free.warnings);
+
+    expect(
+        &overrun("overrun = \"stop\""),
+        &[(24, "unknown `overrun` \"stop\" in callback `plan` (known: tell, demote)")],
+    );
+    let grouped = overrun("overrun = \"demote\"\ngroup = \"g\"") + "[groups.g]\n";
+    expect(&grouped, &[(24, "callback `plan` is to be demoted when it overruns, but shares its thread")]);
+    let foreign = overrun("overrun = \"demote\"").replace("core = 1", "core = 1\nclient = \"rclcpp\"");
+    expect(&foreign, &[(25, "is run by an executor of ROS 2's")]);
+}

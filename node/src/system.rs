@@ -63,7 +63,9 @@ impl LoadedSystem {
     /// The thread of the callback `name`.
     pub(crate) fn options(&self, name: &str) -> Result<CallbackOptions> {
         let callback = self.find(name)?;
-        Ok(thread_of(callback)
+        let thread = thread_of(callback);
+        let thread = if callback.entry.demotes { thread.demote_on_overrun() } else { thread };
+        Ok(thread
             .name(name)
             .period(Duration::from_nanos(callback.period_ns))
             .deadline(Duration::from_nanos(callback.entry.deadline_ns))

@@ -123,6 +123,15 @@ enum Verb {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// What overruns of one callback do to the deadlines of others, if they are counted and if they are demoted
+    Budgets {
+        /// A twentieth of the runs: half a minute
+        #[arg(long)]
+        quick: bool,
+        /// Write the numbers to FILE as well
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// How late the event of a missed deadline is with 200 topics on a sampler, beside a timer and a bare sleep
     Deadlines {
         /// Fewer and shorter rounds: some seconds
@@ -269,6 +278,9 @@ fn main() -> ExitCode {
             steps::run(bench("messages", quick, json.as_deref()).args(arguments))
         }
         Verb::Bench(Bench::Services(options)) => services::run(&options),
+        Verb::Bench(Bench::Budgets { quick, json }) => {
+            steps::run(&mut bench("budgets", quick, json.as_deref()))
+        }
         Verb::Bench(Bench::Deadlines { quick, json }) => {
             steps::run(&mut bench("deadlines", quick, json.as_deref()))
         }

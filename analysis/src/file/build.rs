@@ -40,6 +40,7 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     if !problems.is_empty() {
         return Err(problems.into_problems());
     }
+    demote(&file, &places, &mut problems);
     meet(&file, &streams, &mut problems);
     if !problems.is_empty() {
         return Err(problems.into_problems());
@@ -171,7 +172,9 @@ impl Builder<'_> {
             Client::Rclcpp => costs.rclcpp,
             Client::Rclpy => costs.rclpy,
         };
-        task.executor_overhead_ns = executor.unwrap_or(0);
+        // What holds its jobs to their budget is done in its thread, too.
+        let held = costs.demotion.filter(|_| declared.demotes.is_some());
+        task.executor_overhead_ns = executor.unwrap_or(0).saturating_add(held.unwrap_or(0));
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
         let thread = self.threads.iter().position(|thread| thread.callbacks.contains(&index)).unwrap_or(0);
         // A callback of several streams takes their messages in any order.
@@ -203,6 +206,7 @@ impl Builder<'_> {
             gateway: own.gateway.or(all.gateway),
             rclcpp: own.rclcpp.or(all.rclcpp),
             rclpy: own.rclpy.or(all.rclpy),
+            demotion: own.demotion.or(all.demotion),
             tick: own.tick.or(all.tick),
             throttling: own.throttling.or(all.throttling),
         }
@@ -300,7 +304,29 @@ impl Builder<'_> {
             deadline_ns: callbacks[tasks.start].task.deadline_ns,
             window_ns: declared.all.and_then(|_| Some(declared.window.as_ref()?.value)),
             joins: declared.all.is_some(),
+            demotes: declared.demotes.is_some(),
             tasks,
+        }
+    }
+}
+
+/// Checks that jobs which are to be demoted have a thread of their own, of Tautline's.
+fn demote(file: &Declared, places: &[Option<Place>], problems: &mut Collector) {
+    for (callback, place) in file.callbacks.iter().zip(places) {
+        let Some(at) = callback.demotes else { continue };
+        let name = &callback.name;
+        if callback.group.is_some() {
+            let message = format!(
+                "callback `{name}` is to be demoted when it overruns, but shares its thread, whose other callbacks would go \
+                 down with it: give it a thread of its own, or leave out `overrun`"
+            );
+            problems.add(at, message);
+        }
+        if place.is_some_and(|place| file.nodes[place.node].client != Client::Tautline) {
+            let message = format!(
+                "callback `{name}` is to be demoted when it overruns, but is run by an executor of ROS 2's: leave out `overrun`"
+            );
+            problems.add(at, message);
         }
     }
 }

@@ -343,6 +343,17 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
             ));
         }
     }
+    let held = |callback: &&CheckedCallback| {
+        let mut tasks = file.system.callbacks[callback.entry.tasks.clone()].iter();
+        callback.entry.demotes && tasks.all(|of| of.task.executor_overhead_ns == 0)
+    };
+    if let Some(callback) = callbacks.iter().find(held) {
+        warnings.push(format!(
+            "callback `{}` is demoted when it overruns, by a timer whose cost the file does not state: add `demotion = \"...\"` \
+             to [overheads], what it takes for each job and how late it may be",
+            callback.entry.name
+        ));
+    }
     for (client, name) in [(Client::Rclcpp, "rclcpp"), (Client::Rclpy, "rclpy")] {
         let costs_nothing = |callback: &&CheckedCallback| {
             let mut tasks = file.system.callbacks[callback.entry.tasks.clone()].iter();

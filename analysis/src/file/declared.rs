@@ -19,6 +19,7 @@ pub(super) struct Costs {
     pub gateway: Option<u64>,
     pub rclcpp: Option<u64>,
     pub rclpy: Option<u64>,
+    pub demotion: Option<u64>,
     pub tick: Option<(u64, u64)>,
     pub throttling: Option<(u64, u64)>,
 }
@@ -82,6 +83,8 @@ pub(super) struct Callback {
     pub shares_priority: bool,
     pub core: Option<At<i64>>,
     pub group: Option<At<String>>,
+    /// Where `overrun` is, if a job that overruns is to be demoted.
+    pub demotes: Option<usize>,
     pub publishes: Vec<At<String>>,
     pub reads: Vec<At<String>>,
     pub locks: Vec<(String, u64)>,

@@ -77,6 +77,8 @@ pub struct CallbackEntry {
     pub topics: Vec<String>,
     /// Whether it waits for messages of all its topics.
     pub joins: bool,
+    /// Whether a job that overruns its budget is demoted, so that the bounds of others do not rest on its wcet.
+    pub demotes: bool,
     /// How far apart the stamps of these may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each, whatever its stamp.
     pub window_ns: Option<u64>,
     /// The topics that it publishes.

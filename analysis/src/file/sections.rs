@@ -52,11 +52,11 @@ fn costs(section: &mut Section<'_>, problems: &mut Collector) -> Costs {
     let mut time = |key| table.time(key, problems).map(|time| time.value);
     let (context_switch, per_message, gateway) =
         (time("context_switch"), time("per_message"), time("gateway"));
-    let (rclcpp, rclpy) = (time("rclcpp"), time("rclpy"));
+    let (rclcpp, rclpy, demotion) = (time("rclcpp"), time("rclpy"), time("demotion"));
     let tick = pair(&mut table, "tick", ["period", "wcet"], problems);
     let throttling = pair(&mut table, "throttling", ["period", "runtime"], problems);
     table.finish(problems);
-    Costs { context_switch, per_message, gateway, rclcpp, rclpy, tick, throttling }
+    Costs { context_switch, per_message, gateway, rclcpp, rclpy, demotion, tick, throttling }
 }
 
 /// A table of a period and a part of it.
@@ -201,7 +201,10 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
     let (mut topics, together) = (section.texts("topic", problems), section.texts("all", problems));
     let all = section.has("all").then(|| together.first().map_or(section.at, |topic| topic.at));
     topics.extend(together);
+    let overrun_at = section.raw("overrun").map(|value| value.span().start);
+    let demotes = choice(&mut section, "overrun", &[("tell", false), ("demote", true)], problems);
     let callback = Callback {
+        demotes: overrun_at.filter(|_| demotes == Some(true)),
         node: section.text("node", problems),
         topics,
         all,

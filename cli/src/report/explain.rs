@@ -114,9 +114,16 @@ pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64,
         0 => format!("wcet {}", Time(wcet_ns)),
         _ => format!("wcet {} and {} of overheads", Time(wcet_ns), Time(overheads_ns)),
     };
+    let demoted = match seen.demotions {
+        0 => String::new(),
+        _ => format!(
+            "; {} below all others, with what waited for it, so no other bound rests on it",
+            times(seen.demotions)
+        ),
+    };
     let text = format!(
-        "a job used {} of processor time, the file allows {allowed} (exceeded {} in {} jobs): set `wcet = {}` or more and \
-         run `taut check`, or make the callback shorter",
+        "a job used {} of processor time, the file allows {allowed} (exceeded {} in {} jobs{demoted}): set `wcet = {}` or more \
+         and run `taut check`, or make the callback shorter",
         Time(used_ns),
         times(how_often),
         seen.completions,

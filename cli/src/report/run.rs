@@ -59,6 +59,8 @@ pub struct Callback {
     pub releases: u64,
     pub completions: u64,
     pub overruns: u64,
+    #[serde(default)]
+    pub demotions: u64,
     pub deadline_misses: u64,
     pub first_release_ns: u64,
     pub last_release_ns: u64,
@@ -175,6 +177,7 @@ impl Callback {
             releases: of.releases,
             completions: of.completions,
             overruns: of.overruns,
+            demotions: of.demotions,
             deadline_misses: of.deadline_misses,
             first_release_ns: of.first_release_ns,
             last_release_ns: of.last_release_ns,
