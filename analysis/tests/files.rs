@@ -511,7 +511,7 @@ fn a_process_is_on_the_host_that_it_says_or_on_the_only_one() {
 #[test]
 fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_own() {
     let overrun = |text: &str| with("wcet = \"3ms\"", &format!("wcet = \"3ms\"\n{text}"));
-    let file = overrun("overrun = \"demote\"\n[overheads]\ndemotion = \"20us\"\nper_message = \"1us\"");
+    let file = overrun("overrun = \"demote\"") + "[overheads]\ndemotion = \"20us\"\nper_message = \"1us\"\n";
     let checked = SystemFile::parse(&file).unwrap().check();
     let of =
         |name: &str| checked.callbacks.iter().find(|callback| callback.entry.name == name).unwrap().clone();
@@ -525,10 +525,10 @@ fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_o
 
     expect(
         &overrun("overrun = \"stop\""),
-        &[(24, "unknown `overrun` \"stop\" in callback `plan` (known: tell, demote)")],
+        &[(19, "unknown `overrun` \"stop\" in callback `plan` (known: tell, demote)")],
     );
     let grouped = overrun("overrun = \"demote\"\ngroup = \"g\"") + "[groups.g]\n";
-    expect(&grouped, &[(24, "callback `plan` is to be demoted when it overruns, but shares its thread")]);
+    expect(&grouped, &[(19, "callback `plan` is to be demoted when it overruns, but shares its thread")]);
     let foreign = overrun("overrun = \"demote\"").replace("core = 1", "core = 1\nclient = \"rclcpp\"");
-    expect(&foreign, &[(25, "is run by an executor of ROS 2's")]);
+    expect(&foreign, &[(20, "is run by an executor of ROS 2's")]);
 }

@@ -2,9 +2,6 @@
 //! Transforms over `/tf` and `/tf_static`: from broadcasters in one context to a listener in another, late joiners, what is refused,
 //! simulated time that leaps back, and no allocation.
 
-// Errors carry names in place.
-#![allow(clippy::result_large_err)]
-
 mod common;
 
 use std::alloc::{GlobalAlloc, Layout, System};

@@ -3,7 +3,8 @@
 //!
 //! Four callbacks of one core, with rate-monotonic priorities, each a timer and work that takes a part of its budget. One after the
 //! other, jobs chosen at random do 2 to 100 times their work; in parts of one run those are only counted, demoted when their budget
-//! is used up, or do not happen, which is what this machine does to deadlines by itself. What is printed is in how many runs any other
+//! is used up, or do not
+//! happen while something else computes below the callbacks, which is what this machine does to deadlines by itself. What is printed is in how many runs any other
 //! callback missed a deadline, and how often.
 
 use clap::Parser;
@@ -11,11 +12,13 @@ use futures::StreamExt;
 use serde::Serialize;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 use tautline::rt::clock::burn_cpu;
 use tautline::{CallbackHandle, CallbackOptions, Node};
 use tautline_benches::{Disturbance, Stage, machine, print_no_verdict, print_verdict};
+use tautline_rt::CoreSet;
+use tautline_rt::host::steal_ticks;
 
 /// Periods in ms, which are the deadlines.
 const PERIODS_MS: [u64; 4] = [5, 10, 20, 40];
@@ -46,7 +49,7 @@ enum Part {
 impl Part {
     fn name(self) -> &'static str {
         match self {
-            Part::None => "nobody overruns",
+            Part::None => "nobody, others compute",
             Part::Counted => "overruns are counted",
             Part::Demoted => "overruns are demoted",
         }
@@ -58,6 +61,8 @@ struct Row {
     part: &'static str,
     runs: u64,
     runs_with_misses: u64,
+    /// Of these runs: those in which the hypervisor took time of the core.
+    runs_with_misses_and_steal: u64,
     misses: u64,
     overruns: u64,
     demotions: u64,
@@ -106,14 +111,15 @@ fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row, Box<dyn std::er
         callbacks.push(node.spawn_callback(thread, timer)?);
     }
     let watched: Vec<CallbackHandle> = callbacks.clone();
-    let (runs_with_misses, misses) =
-        stage.spin_while(callbacks, || run(part, runs, seed, &more, &watched))?;
+    let core = stage.core;
+    let seen = stage.spin_while(callbacks, || run(part, runs, seed, core, &more, &watched))?;
     let sum = |of: fn(&CallbackHandle) -> u64| watched.iter().map(of).sum();
     Ok(Row {
         part: part.name(),
         runs,
-        runs_with_misses,
-        misses,
+        runs_with_misses: seen.runs,
+        runs_with_misses_and_steal: seen.runs_with_steal,
+        misses: seen.misses,
         overruns: sum(|callback| callback.stats().overruns()),
         demotions: sum(|callback| callback.stats().demotions()),
         realtime: stage.is_fit(),
@@ -121,15 +127,35 @@ fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row, Box<dyn std::er
     })
 }
 
+/// What others missed.
+#[derive(Default)]
+struct Seen {
+    runs: u64,
+    runs_with_steal: u64,
+    misses: u64,
+}
+
 /// One overrun after the other. In how many runs others missed deadlines, and how many.
 fn run(
     part: Part,
     runs: u64,
     seed: u64,
+    core: usize,
     more: &[Arc<AtomicU64>],
     callbacks: &[CallbackHandle],
-) -> (u64, u64) {
+) -> Seen {
     let longest = Duration::from_millis(PERIODS_MS[PERIODS_MS.len() - 1]);
+    let stop = Arc::new(AtomicBool::new(part != Part::None));
+    // A core that computes is one from which a hypervisor takes time: so it does while something overruns.
+    let computing = std::thread::spawn({
+        let stop = stop.clone();
+        move || {
+            let bound = tautline_rt::set_affinity(CoreSet::one(core));
+            while bound.is_ok() && !stop.load(Ordering::Relaxed) {
+                std::hint::spin_loop();
+            }
+        }
+    });
     std::thread::sleep(2 * longest);
     let mut random = seed | 1;
     let mut below = |limit: u64| {
@@ -139,16 +165,16 @@ fn run(
         random ^= random << 17;
         random % limit
     };
-    let (mut runs_with_misses, mut misses) = (0, 0);
+    let mut seen = Seen::default();
     for _ in 0..runs {
         let (who, times) = (below(callbacks.len() as u64) as usize, 2 + below(99));
         let others = || {
             let others = callbacks.iter().enumerate().filter(|(i, _)| *i != who);
             others.map(|(_, callback)| missed(callback)).sum::<u64>()
         };
-        let (before, over) = (others(), callbacks[who].stats().overruns());
+        let (before, over, steal) = (others(), callbacks[who].stats().overruns(), steal_ticks(Some(core)));
         if part == Part::None {
-            std::thread::sleep(2 * longest);
+            std::thread::sleep(longest * 7 / 2);
         } else {
             more[who].store(times, Ordering::Release);
             while callbacks[who].stats().overruns() == over {
@@ -158,10 +184,14 @@ fn run(
             std::thread::sleep(2 * longest);
         }
         let now = others() - before;
-        misses += now;
-        runs_with_misses += u64::from(now > 0);
+        seen.misses += now;
+        seen.runs += u64::from(now > 0);
+        seen.runs_with_steal += u64::from(now > 0 && steal_ticks(Some(core)) > steal);
     }
-    (runs_with_misses, misses)
+    stop.store(true, Ordering::Relaxed);
+    // It only computes.
+    let _ = computing.join();
+    seen
 }
 
 /// Deadlines that jobs missed, and releases for which there was no job because the one before had not ended.
@@ -172,13 +202,19 @@ fn missed(callback: &CallbackHandle) -> u64 {
 fn report(rows: &[Row], options: &Options, machine: &str) -> Result<(), Box<dyn std::error::Error>> {
     println!("\nmissed deadlines of the others, while a callback does 2 to 100 times its work\n");
     println!(
-        "{:<22}  {:>5}  {:>9}  {:>7}  {:>9}  {:>9}",
-        "", "runs", "with some", "misses", "overruns", "demotions"
+        "{:<22}  {:>5}  {:>9}  {:>9}  {:>7}  {:>9}  {:>9}",
+        "", "runs", "with some", "and steal", "misses", "overruns", "demotions"
     );
     for row in rows {
         println!(
-            "{:<22}  {:>5}  {:>9}  {:>7}  {:>9}  {:>9}",
-            row.part, row.runs, row.runs_with_misses, row.misses, row.overruns, row.demotions
+            "{:<22}  {:>5}  {:>9}  {:>9}  {:>7}  {:>9}  {:>9}",
+            row.part,
+            row.runs,
+            row.runs_with_misses,
+            row.runs_with_misses_and_steal,
+            row.misses,
+            row.overruns,
+            row.demotions
         );
     }
     println!("\n{machine}");
@@ -193,12 +229,16 @@ fn report(rows: &[Row], options: &Options, machine: &str) -> Result<(), Box<dyn 
         return Ok(());
     }
     // What the machine does by itself may happen a little more often or less.
-    let limit = none.misses * 2 + 2;
+    let unexplained = |row: &Row| row.runs_with_misses - row.runs_with_misses_and_steal;
     print_verdict(
-        demoted.misses <= limit,
+        unexplained(demoted) <= 2 * unexplained(none) + 1,
         &format!(
-            "an overrun costs no other callback its deadline: {} were missed in {} runs, {} while nobody overran",
-            demoted.misses, demoted.runs, none.misses
+            "an overrun costs no other callback its deadline: in {} of {} runs some was missed though the hypervisor took no time, in \
+             {} of {} while nobody overran",
+            unexplained(demoted),
+            demoted.runs,
+            unexplained(none),
+            none.runs
         ),
     );
     Ok(())

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::sync::Arc;
 
 use crate::counters::Counters;
-use crate::error::{LookupError, Seconds};
+use crate::error::{LookupError, NamedFrame, Seconds};
 use crate::limits::{Limits, LimitsError};
 use crate::names::{FrameId, FrameName};
 use crate::ring::Kind;
@@ -278,7 +278,7 @@ impl Buffer {
     }
 
     pub(crate) fn explain(&self, target: FrameId, source: FrameId, trouble: Trouble) -> LookupError {
-        let name = |frame| self.name(frame).unwrap_or(FrameName::FOREIGN);
+        let name = |frame| NamedFrame::new(self, frame);
         let (target, source_frame) = (name(target), name(source));
         match trouble {
             Trouble::Connectivity => LookupError::Connectivity { target, source_frame },

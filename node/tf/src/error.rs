@@ -1,13 +1,53 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Errors: plain data, so that none allocates; they name the frames and what to do.
+//! Errors, none of which allocates; they name the frames and what to do.
 
 use std::fmt;
 
-use crate::names::FrameName;
+use crate::buffer::Buffer;
+use crate::names::{FrameId, FrameName};
 use crate::shared::MAX_DEPTH;
 
+/// A frame of a buffer, which knows its name: for errors, which are small that way and allocate nothing. The buffer stays as long.
+#[derive(Clone)]
+pub struct NamedFrame {
+    buffer: Buffer,
+    frame: FrameId,
+}
+
+impl NamedFrame {
+    pub(crate) fn new(buffer: &Buffer, frame: FrameId) -> NamedFrame {
+        NamedFrame { buffer: buffer.clone(), frame }
+    }
+
+    /// Its name.
+    #[must_use]
+    pub fn name(&self) -> FrameName {
+        self.buffer.name(self.frame).unwrap_or(FrameName::FOREIGN)
+    }
+}
+
+impl PartialEq for NamedFrame {
+    fn eq(&self, other: &NamedFrame) -> bool {
+        self.name() == other.name()
+    }
+}
+
+impl Eq for NamedFrame {}
+
+impl fmt::Display for NamedFrame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(&self.name(), f)
+    }
+}
+
+impl fmt::Debug for NamedFrame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(&self.name(), f)
+    }
+}
+
 /// Why there is no transform from `source` to `target`. The kinds are tf2's, and what a bounded buffer adds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LookupError {
     /// It is not the name of a frame. tf2: `InvalidArgumentException`.
     #[error(
@@ -32,19 +72,19 @@ pub enum LookupError {
     )]
     Connectivity {
         /// Where to.
-        target: FrameName,
+        target: NamedFrame,
         /// Where from.
-        source_frame: FrameName,
+        source_frame: NamedFrame,
     },
     /// A frame on the way has no samples around the time asked for. tf2: `ExtrapolationException`.
     #[error("no transform from '{source_frame}' to '{target}' at {}: {}", Seconds(*.asked_ns), Span(.frame, *.asked_ns, *.oldest_ns, *.newest_ns))]
     Extrapolation {
         /// Where to.
-        target: FrameName,
+        target: NamedFrame,
         /// Where from.
-        source_frame: FrameName,
+        source_frame: NamedFrame,
         /// The frame on the way.
-        frame: FrameName,
+        frame: NamedFrame,
         /// The time asked for.
         asked_ns: i64,
         /// Its oldest stamp.
@@ -58,11 +98,11 @@ pub enum LookupError {
     )]
     Cycle {
         /// Where to.
-        target: FrameName,
+        target: NamedFrame,
         /// Where from.
-        source_frame: FrameName,
+        source_frame: NamedFrame,
         /// A frame of the cycle.
-        frame: FrameName,
+        frame: NamedFrame,
     },
     /// There are more than [`MAX_DEPTH`] transforms between a frame and its root.
     #[error(
@@ -70,9 +110,9 @@ pub enum LookupError {
     )]
     TooDeep {
         /// Where to.
-        target: FrameName,
+        target: NamedFrame,
         /// Where from.
-        source_frame: FrameName,
+        source_frame: NamedFrame,
     },
     /// Each of several times that it was looked for, whole rings of samples or a `clear` came between.
     #[error(
@@ -80,14 +120,14 @@ pub enum LookupError {
     )]
     Overtaken {
         /// Where to.
-        target: FrameName,
+        target: NamedFrame,
         /// Where from.
-        source_frame: FrameName,
+        source_frame: NamedFrame,
     },
 }
 
 /// Why a wait ended without a transform.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WaitError {
     /// It is not there and will not come.
     #[error(transparent)]
@@ -172,7 +212,7 @@ impl fmt::Display for Seconds {
     }
 }
 
-struct Span<'e>(&'e FrameName, i64, i64, i64);
+struct Span<'e>(&'e NamedFrame, i64, i64, i64);
 
 impl fmt::Display for Span<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -57,8 +57,6 @@
 //!   it has learnt that it is older than what the buffer holds.
 //! - [`Writer::clear`] is counted, and lookups that it came between look again, three times at most.
 #![forbid(unsafe_code)]
-// Errors carry names in place, so that they need no memory: copying 200 bytes is less than allocating them.
-#![allow(clippy::large_enum_variant, clippy::result_large_err)]
 
 mod buffer;
 mod counters;
@@ -78,7 +76,7 @@ mod loom_tests;
 
 pub use buffer::{Buffer, Frame, FrameInfo, Stamped, Time};
 pub use counters::Counters;
-pub use error::{LookupError, SetError, WaitError};
+pub use error::{LookupError, NamedFrame, SetError, WaitError};
 pub use limits::{Limits, LimitsError};
 pub use names::{FrameId, FrameName};
 pub use ring::Kind;

@@ -150,7 +150,7 @@ fn check(got: &Result<Stamped, LookupError>, wanted: &Result<(Matrix, Option<i64
         (
             Err(LookupError::Extrapolation { frame: got, oldest_ns, newest_ns, .. }),
             Err(Missing::Extrapolation { frame, oldest_ns: oldest, newest_ns: newest }),
-        ) => assert_eq!((got.as_str(), oldest_ns, newest_ns), (&*name(*frame), oldest, newest)),
+        ) => assert_eq!((got.name().as_str(), oldest_ns, newest_ns), (&*name(*frame), oldest, newest)),
         other => panic!("{other:?}"),
     }
 }
