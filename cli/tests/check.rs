@@ -101,7 +101,7 @@ fn a_bad_file_is_2_with_all_problems_by_line_and_column() {
         [
             "system.toml:1:8: host `a` lacks `cores`: add their number, or the list of those to use",
             "system.toml:2:1: unknown key `coers` in host `a`: did you mean `cores`?",
-            "system.toml:4:12: callback `c` has no trigger: add `topic` or `period`",
+            "system.toml:4:12: callback `c` has no trigger: add `topic`, `all` or `period`",
             "taut: system.toml has 3 problems",
         ]
     );

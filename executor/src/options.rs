@@ -138,7 +138,8 @@ impl CallbackOptions {
     /// thread's priority again. So the bounds of other callbacks do not rest on the budget being enough.
     ///
     /// A high-resolution timer demotes the thread in the midst of the job, a few microseconds late; it finds out what was the
-    /// job's own time, and not that of others who preempted it. Each job costs two system calls more: state them in the analysis
+    /// job's own time, and not that of others who preempted it, nor that in
+    /// which the job waited: a job that waits long in its midst gets a signal each time that what is left of its budget has passed. Each job costs two system calls more: state them in the analysis
     /// (`demotion` in the system file's overheads). A group's thread holds each member to its own budget, and demotes them together.
     ///
     /// For real-time policies and measured execution times, not for a thread that polls busily. With
