@@ -17,6 +17,7 @@
 //! | see how much may grow | [`sensitivity`] |
 //! | see what happens | [`timeline`] |
 //! | read all of it from `system.toml` | [`mod@file`] |
+//! | admit what comes beside what runs | [`file::admission`] |
 //!
 //! # Model
 //! Each core has fixed priorities and preempts: SCHED_FIFO threads pinned to it. Tasks do not suspend themselves while

@@ -114,6 +114,12 @@ impl Release {
         self
     }
 
+    /// How much later than nominal a release may be, in nanoseconds.
+    #[must_use]
+    pub const fn jitter_ns(&self) -> u64 {
+        self.jitter_ns
+    }
+
     /// The most releases in any half-open window of this length: ceil((window + J) / T), and no more than
     /// ceil(window / minimum distance). `u64::MAX` if that is not known to be fewer.
     #[must_use]

@@ -527,6 +527,45 @@ fn priorities_and_cores_are_compared_where_they_are_real() {
 }
 
 #[test]
+fn what_does_not_fit_beside_it_is_told_by_check_and_by_the_report() {
+    if let Err(error) = tautline::rt::permission::realtime_permitted(60) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        println!("skipped: {error}");
+        return;
+    }
+    let scratch = Scratch::new("admission");
+    let system = scratch.write("system.toml", SYSTEM);
+    let heavy = SYSTEM.replace("fine", "plan").replace("other", "act").replace("\"20s\"", "\"499s\"");
+    let heavy = scratch.write("heavy.toml", &heavy);
+    let check = |domain: &str, json: bool| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+        command.args(["check", heavy.to_str().unwrap(), "--admit", "--domain", domain]);
+        command.args(json.then_some("--json")).env_remove("TAUT_HOST").output().unwrap()
+    };
+    let alone = check("96", true);
+    assert_eq!((alone.status.code(), &json(&alone)["admission"]["admitted"]), (Some(0), &Value::Bool(true)));
+
+    let _running = Running::start(96, Realtime::Required, &system);
+    let beside = check("96", true);
+    let told = json(&beside);
+    assert_eq!((beside.status.code(), &told["admission"]["admitted"]), (Some(1), &Value::Bool(false)));
+    assert_eq!(told["admission"]["beside"].as_array().unwrap().len(), 1, "{told}");
+    assert_eq!(told["callbacks"].as_array().unwrap().len(), 4, "both files' callbacks");
+    let shown = check("96", false);
+    let shown = text(&shown.stdout);
+    assert!(shown.contains("Not admitted to domain 96, beside report-"), "{shown}");
+    assert!(shown.contains("- callback `act` of ") && shown.contains("its deadline is 1000s"), "{shown}");
+
+    let builder = || Context::builder().domain(96).lock_memory(false).system(&heavy);
+    let refused = builder().build().map(drop).unwrap_err().to_string();
+    assert!(refused.contains("callback `act`") && refused.contains("heavy.toml --admit"), "{refused}");
+    let forced = builder().admission(tautline::Admission::Force).build().unwrap();
+    let report = taut(&["--domain", "96", "--json", system.to_str().unwrap()]);
+    assert!(text(&report.stdout).contains("was admitted by force: "), "{report:?}");
+    drop(forced);
+}
+
+#[test]
 fn bad_input_is_refused_and_names_the_fix() {
     let scratch = Scratch::new("bad");
     let bad = scratch.write("bad.toml", "[hosts.robot]\ncoers = 1");

@@ -70,6 +70,11 @@ impl Executor {
         self
     }
 
+    /// The file of [`with_statistics`](Self::with_statistics).
+    pub fn statistics(&self) -> Option<&StatisticsFile> {
+        self.statistics.as_ref()
+    }
+
     /// Gives a future a thread of its own. On return the kernel has confirmed the thread's policy and cores.
     ///
     /// A future that holds items which are not `Send` is made in its thread: see [`Executor::spawn_local`].
@@ -250,7 +255,7 @@ impl Executor {
 
         let info = thread.info().clone();
         stats.describe(&info, options.period, execution_time);
-        members.iter().for_each(|member| member.stats.describe(&info, member.period, execution_time));
+        members.iter().for_each(|member| member.stats.describe(&info, member.options.period, execution_time));
         let thread = Mutex::new(Thread { running: Some(thread), panic: None });
         let callback = Arc::new(Callback { stats, control, end, info, thread });
         self.keep(Arc::clone(&callback));
@@ -298,8 +303,12 @@ fn check_handlers(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(
         return Ok(());
     }
     let own = options.watch.on_overrun.as_ref().map(|_| options.name.as_str());
-    let of_member =
-        || members.iter().find(|member| member.handles_overruns).map(|member| member.stats.name());
+    let of_member = || {
+        members
+            .iter()
+            .find(|member| member.options.watch.on_overrun.is_some())
+            .map(|member| member.stats.name())
+    };
     match own.or_else(of_member) {
         Some(name) => Err(ExecutorError::UnmeasuredBudget { name: name.to_owned() }),
         None => Ok(()),

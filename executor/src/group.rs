@@ -3,7 +3,6 @@
 
 use std::future::Future;
 use std::sync::Arc;
-use std::time::Duration;
 
 use futures::Stream;
 
@@ -67,9 +66,7 @@ pub(crate) type Kept = Box<dyn std::any::Any + Send>;
 /// What the executor has to know of a member.
 pub(crate) struct MemberInfo {
     pub stats: Arc<CallbackStats>,
-    pub period: Option<Duration>,
-    /// Whether it wants to hear of overruns.
-    pub handles_overruns: bool,
+    pub options: CallbackOptions,
 }
 
 impl CallbackGroup {
@@ -106,9 +103,8 @@ impl CallbackGroup {
         let stats = Arc::new(CallbackStats::new(options.name.as_str()));
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
-        let (member_stats, watch) = (Arc::clone(&stats), options.watch);
-        let handles_overruns = watch.on_overrun.is_some();
-        self.members.push(MemberInfo { stats: Arc::clone(&stats), period: options.period, handles_overruns });
+        let (member_stats, watch) = (Arc::clone(&stats), options.watch.clone());
+        self.members.push(MemberInfo { stats: Arc::clone(&stats), options });
         self.recipes.push(Box::new(move || {
             let trace = tautline_trace::callback_init(member_stats.name());
             Box::new(StreamMember {
@@ -126,6 +122,11 @@ impl CallbackGroup {
             })
         }));
         stats
+    }
+
+    /// What each member was added with, in the order of adding.
+    pub fn members(&self) -> impl Iterator<Item = &CallbackOptions> {
+        self.members.iter().map(|member| &member.options)
     }
 
     pub(crate) fn take_members(&mut self) -> Vec<MemberInfo> {

@@ -52,7 +52,7 @@ pub use hot::{Parker, busy_polling, parker, parks_on, stop_requested};
 pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, Watch};
 pub use registry::ThreadRegistration;
 pub use stats::{
-    Bucket, CallbackSnapshot, CallbackStats, ForeignStatistics, Histogram, HistogramSnapshot, ProcessInfo,
-    ProcessSnapshot, StatisticsFile,
+    Admitted, Bucket, CallbackSnapshot, CallbackStats, ForeignStatistics, Histogram, HistogramSnapshot,
+    ProcessInfo, ProcessSnapshot, StatisticsFile,
 };
 pub use tautline_rt::{CoreSet, Policy, Realtime};

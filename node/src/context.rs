@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The context: a domain joined, a sampler, callback threads.
 
+use crate::admission::{self, Admission, Gate};
 use crate::args::Arguments;
 use crate::error::{Error, Result};
 use crate::logging::{self, FlushOnDrop, Rosout};
@@ -12,7 +13,9 @@ use crate::system::{CallbackJoin, LoadedSystem};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tautline_executor::{CallbackOptions, CoreSet, Executor, Policy, ProcessInfo, Realtime, StatisticsFile};
+use tautline_executor::{
+    Admitted, CallbackOptions, CoreSet, Executor, Policy, ProcessInfo, Realtime, StatisticsFile,
+};
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Wait};
 use tautline_trace::TraceSettings;
@@ -52,6 +55,7 @@ pub(crate) struct Shared {
     pub(crate) events: Events,
     pub(crate) participant: Participant,
     realtime: Realtime,
+    admission: Admission,
     sampler_priority: u8,
     system: Option<LoadedSystem>,
     pub(crate) arguments: Arguments,
@@ -79,6 +83,7 @@ pub struct ContextBuilder {
     hold_idle: bool,
     system: Option<PathBuf>,
     host: Option<String>,
+    admission: Option<Admission>,
     share_statistics: bool,
     trace: Option<TraceSettings>,
     remap: RemapRules,
@@ -146,6 +151,21 @@ impl ContextBuilder {
         self
     }
 
+    /// Whether this process is checked against what runs in the domain: its system file when the context is built, and each real-time
+    /// callback that the file does not count when it is spawned. Otherwise `TAUT_ADMISSION=check`, `force` or `off`, else
+    /// [`Admission::Check`] with a system file and [`Admission::Off`] without. Without real-time priorities nobody is delayed, and
+    /// nothing is checked.
+    ///
+    /// ```
+    /// use tautline::{Admission, Context, Realtime};
+    /// let context = Context::builder().domain(66).realtime(Realtime::Off).admission(Admission::Force).build()?;
+    /// # Ok::<(), tautline::Error>(())
+    /// ```
+    pub fn admission(mut self, admission: Admission) -> Self {
+        self.admission = Some(admission);
+        self
+    }
+
     /// Whether the statistics of callbacks lie in a file of `/dev/shm`, where other processes read them
     /// ([`shared_statistics`](crate::shared_statistics)): `taut report`, if there is a system file. On by default; it costs callbacks
     /// nothing.
@@ -188,7 +208,7 @@ impl ContextBuilder {
     ///
     /// # Errors
     /// [`Error::Argument`], [`Error::Remap`] and [`Error::Parameter`] for a command line that is not understood; [`Error::Environment`] for a variable that is not understood; [`Error::System`] and [`Error::Host`] for a system
-    /// file that cannot be used; [`Error::Transport`] and [`Error::Statistics`] if shared memory cannot be had.
+    /// file that cannot be used; [`Error::NotAdmitted`] for one that does not fit beside what runs; [`Error::Transport`] and [`Error::Statistics`] if shared memory cannot be had.
     pub fn build(mut self) -> Result<Context> {
         let arguments = Arguments::parse(std::mem::take(&mut self.args))?;
         self.remap = arguments.remap.clone().then(&self.remap);
@@ -208,13 +228,26 @@ impl ContextBuilder {
         if let Some(settings) = self.trace {
             tautline_trace::configure(settings);
         }
+        let admission = match (self.admission, &system) {
+            _ if realtime == Realtime::Off => Admission::Off,
+            (Some(admission), _) => admission,
+            (None, system) => admission_of_environment(system.is_some())?,
+        };
         let participant = Participant::new(domain)?;
+        let (_gate, admitted) = match &system {
+            Some(system) if admission != Admission::Off => {
+                let (gate, admitted) = admission::admit_system(domain, admission, system)?;
+                (Some(gate), admitted)
+            }
+            _ => (None, Admitted::Unchecked),
+        };
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
         let mut executor = Executor::new(realtime).with_parkers(thread_parkers(&participant));
         if self.share_statistics {
             let mut about = ProcessInfo {
                 realtime: realtime == Realtime::Required,
                 sampler_priority: Some(sampler_priority),
+                admitted,
                 ..ProcessInfo::of_this()
             };
             if let Some(system) = &system {
@@ -235,6 +268,7 @@ impl ContextBuilder {
             rosout: Arc::new(Rosout::new(participant.clone())),
             participant,
             realtime,
+            admission,
             sampler_priority,
             system,
             settings: self,
@@ -255,6 +289,7 @@ impl Default for ContextBuilder {
             hold_idle: true,
             system: None,
             host: None,
+            admission: None,
             share_statistics: true,
             trace: None,
             remap: RemapRules::default(),
@@ -270,6 +305,17 @@ fn realtime_of_environment() -> Result<Realtime> {
         Some(value) if value == "required" => Ok(Realtime::Required),
         Some(value) if value == "off" => Ok(Realtime::Off),
         Some(value) => Err(Error::Environment { variable, value, expected }),
+    }
+}
+
+fn admission_of_environment(has_system: bool) -> Result<Admission> {
+    let (variable, expected) = ("TAUT_ADMISSION", "it may be 'check', 'force' or 'off'");
+    match environment(variable).as_deref() {
+        None if has_system => Ok(Admission::Check),
+        None | Some("off") => Ok(Admission::Off),
+        Some("check") => Ok(Admission::Check),
+        Some("force") => Ok(Admission::Force),
+        Some(value) => Err(Error::Environment { variable, value: value.to_owned(), expected }),
     }
 }
 
@@ -454,6 +500,23 @@ impl Context {
                 "callback '{name}' at {policy} is not below the sampler at {sampler}: while it runs, nothing is woken"
             );
         }
+    }
+
+    /// Checks callbacks that are to be spawned on a thread with the settings `thread`. What is returned is kept until they are.
+    pub(crate) fn admit<'o>(
+        &self,
+        thread: &CallbackOptions,
+        callbacks: impl Iterator<Item = &'o CallbackOptions>,
+    ) -> Result<Option<Gate>> {
+        let (mode, system) = (self.shared.admission, self.shared.system.as_ref());
+        if mode == Admission::Off || thread.policy.realtime_priority().is_none() {
+            return Ok(None);
+        }
+        let (gate, admitted) = admission::admit_callbacks(self.domain(), mode, system, thread, callbacks)?;
+        if let (Admitted::Forced(_), Some(file)) = (&admitted, self.shared.executor.statistics()) {
+            file.set_admitted(&admitted);
+        }
+        Ok(Some(gate))
     }
 
     fn become_sampler(&self) -> Result<SamplerSettings> {

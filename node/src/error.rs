@@ -125,6 +125,36 @@ pub enum Error {
         /// The groups there are.
         known: String,
     },
+    /// It does not fit beside what runs in the domain.
+    #[error(
+        "{what} is not admitted to domain {domain}: {late}; beside it run: {beside}. Lower the load or its priority, move it to another \
+         core, or end what runs; {table} shows the response times; TAUT_ADMISSION=force runs it all the same, and `taut report` says so"
+    )]
+    NotAdmitted {
+        /// A system file, or a callback.
+        what: String,
+        /// The domain.
+        domain: u32,
+        /// The response times that would be too long, with their deadlines.
+        late: String,
+        /// The processes that run.
+        beside: String,
+        /// What shows all.
+        table: String,
+    },
+    /// Another process is being admitted, and does not come to an end.
+    #[error(
+        "a process has been checked against domain {domain} for {waited:?}, and only one can be at a time: see who holds {} \
+         (`fuser`), end it, or set TAUT_ADMISSION=off", folder.display()
+    )]
+    AdmissionBusy {
+        /// The domain.
+        domain: u32,
+        /// What is locked.
+        folder: PathBuf,
+        /// For how long this process has waited.
+        waited: Duration,
+    },
     /// The statistics could not be made readable for others.
     #[error(
         "the callbacks' statistics cannot be shared: {0}; `ContextBuilder::share_statistics(false)` does without"

@@ -32,6 +32,7 @@
 
 #[cfg(feature = "action_msgs")]
 mod action;
+mod admission;
 mod args;
 mod callbacks;
 mod context;
@@ -67,6 +68,7 @@ pub use action::{
 };
 #[cfg(all(feature = "action_msgs", feature = "untyped"))]
 pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
+pub use admission::{Admission, Running};
 pub use callbacks::NodeCallbacks;
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
@@ -108,9 +110,9 @@ pub use tautline_trace::{TraceMode, TraceSettings};
 pub use uuid;
 
 pub use tautline_executor::{
-    Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats, CoreSet,
-    DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions, Overrun,
-    Policy, ProcessInfo, ProcessSnapshot, Realtime, StatisticsFile, assign,
+    Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
+    CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions,
+    Overrun, Policy, ProcessInfo, ProcessSnapshot, Realtime, StatisticsFile, assign,
 };
 /// Callbacks that wait for several topics.
 pub use tautline_join as join;

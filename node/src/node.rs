@@ -367,7 +367,8 @@ impl Node {
     /// wake-up of all others.
     ///
     /// # Errors
-    /// [`Error::Executor`] with the fix if a setting is refused.
+    /// [`Error::Executor`] with the fix if a setting is refused; [`Error::NotAdmitted`] if the context checks what comes, and somebody
+    /// would miss a deadline: see [`ContextBuilder::admission`](crate::ContextBuilder::admission).
     pub fn spawn_callback(
         &self,
         options: CallbackOptions,
@@ -386,6 +387,7 @@ impl Node {
         make: impl FnOnce() -> F + Send + 'static,
     ) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
+        let _gate = self.context.admit(&options, [&options].into_iter())?;
         let life = self.life.clone();
         let make = move || {
             let future = make();
@@ -403,6 +405,7 @@ impl Node {
     /// As [`spawn_callback`](Self::spawn_callback).
     pub fn spawn_group(&self, options: CallbackOptions, mut group: CallbackGroup) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
+        let _gate = self.context.admit(&options, group.members())?;
         group.keep(self.life.clone());
         Ok(self.kept(self.context.shared.executor.spawn_group(options, group)?))
     }
@@ -415,6 +418,7 @@ impl Node {
         future: impl Future<Output = ()> + Send + 'static,
     ) -> Result<CallbackHandle> {
         self.prepare_thread(&options);
+        let _gate = self.context.admit(&options, [&options].into_iter())?;
         Ok(self.kept(self.context.shared.executor.spawn_callback(options, future)?))
     }
 

@@ -14,9 +14,9 @@ use tautline_transport::Limits;
 #[derive(Debug)]
 pub(crate) struct LoadedSystem {
     path: PathBuf,
-    host: String,
+    pub(crate) host: String,
+    pub(crate) file: SystemFile,
     checked: CheckedSystem,
-    fingerprint: u64,
     pub(crate) sampler_priority: u8,
 }
 
@@ -40,8 +40,8 @@ impl LoadedSystem {
         if !checked.schedulable {
             tracing::warn!("{}: not schedulable; see `taut check {0}`", path.display());
         }
-        let (path, fingerprint) = (path.into(), file.fingerprint());
-        Ok(LoadedSystem { path, host, checked, fingerprint, sampler_priority: sampler.unwrap_or(90) })
+        let path = path.into();
+        Ok(LoadedSystem { path, host, file, checked, sampler_priority: sampler.unwrap_or(90) })
     }
 
     fn find(&self, name: &str) -> Result<&CheckedCallback> {
@@ -110,7 +110,36 @@ impl LoadedSystem {
     pub(crate) fn describe(&self, about: &mut ProcessInfo) {
         about.host.clone_from(&self.host);
         about.system_path = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
-        about.system_hash = self.fingerprint;
+        about.system_hash = self.file.fingerprint();
+    }
+
+    /// Whether a process has this file, as this host.
+    pub(crate) fn is_of(&self, process: &ProcessInfo) -> bool {
+        process.system_hash == self.file.fingerprint() && process.host == self.host
+    }
+
+    /// What people call it.
+    pub(crate) fn label(&self) -> String {
+        std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone()).display().to_string()
+    }
+
+    /// Whether a thread is the one that the file gives the callback `name`: its priority, its core.
+    pub(crate) fn describes(&self, thread: &CallbackOptions, name: &str) -> bool {
+        self.find(name).is_ok_and(|callback| {
+            let of_file = thread_of(callback);
+            (of_file.policy, of_file.cores) == (thread.policy, thread.cores)
+        })
+    }
+
+    /// How many topics, or timers, release the callback `name`: 1 or more.
+    pub(crate) fn streams(&self, name: &str) -> u64 {
+        self.find(name).map_or(1, |callback| callback.releases.len().max(1) as u64)
+    }
+
+    /// How late the callback `name` may be released.
+    pub(crate) fn jitter_ns(&self, name: &str) -> u64 {
+        let jitter = |callback: &CheckedCallback| callback.releases.iter().map(|of| of.jitter_ns()).max();
+        self.find(name).ok().and_then(jitter).unwrap_or(0)
     }
 
     /// The queue of the callback `name`: as deep as the file says, else as the analysis computed.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use crate::system::System;
 
+pub mod admission;
 mod build;
 mod check;
 mod declared;
@@ -44,7 +45,7 @@ pub use problem::{Problem, Problems};
 /// assert!(problems.to_string().contains("2:1: unknown key `coers` in host `robot`: did you mean `cores`?"));
 /// # Ok::<(), tautline_analysis::file::Problems>(())
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SystemFile {
     pub(super) callbacks: Vec<CallbackEntry>,
     pub(super) chains: Vec<ChainEntry>,

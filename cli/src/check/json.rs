@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use serde::Serialize;
 use tautline_analysis::file::CheckedSystem;
 
+use super::admit;
 use super::sensitivity::Growth;
 
 #[derive(Serialize)]
@@ -15,6 +16,8 @@ struct Verdict<'a> {
     warnings: &'a [String],
     #[serde(skip_serializing_if = "Option::is_none")]
     sensitivity: Option<&'a Growth>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    admission: Option<admit::Verdict<'a>>,
 }
 
 /// Times without a bound are null.
@@ -54,8 +57,13 @@ struct Chain<'a> {
     deadline_ms: f64,
 }
 
-/// Writes one JSON object and a newline; `sensitivity` is there only if it was asked for.
-pub fn write(checked: &CheckedSystem, growth: Option<&Growth>, out: &mut impl Write) -> io::Result<()> {
+/// Writes one JSON object and a newline; `sensitivity` and `admission` are there only if they were asked for.
+pub fn write(
+    checked: &CheckedSystem,
+    growth: Option<&Growth>,
+    admission: Option<admit::Verdict<'_>>,
+    out: &mut impl Write,
+) -> io::Result<()> {
     let ms = |ns: u64| ns as f64 / 1e6;
     let callbacks = checked.callbacks.iter().map(|callback| Callback {
         name: &callback.entry.name,
@@ -88,6 +96,7 @@ pub fn write(checked: &CheckedSystem, growth: Option<&Growth>, out: &mut impl Wr
         chains: chains.collect(),
         warnings: &checked.warnings,
         sensitivity: growth,
+        admission,
     };
     serde_json::to_writer(&mut *out, &verdict)?;
     writeln!(out)

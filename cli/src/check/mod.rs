@@ -4,9 +4,11 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use admit::Admitted;
 use clap::Args;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
+mod admit;
 mod gantt;
 mod json;
 mod sensitivity;
@@ -16,12 +18,14 @@ mod table;
 ///
 /// Computes worst-case response times with overheads, queue capacities and end-to-end latencies from periods, execution
 /// times and priorities. Exits with 0 if all deadlines are met, 1 if not, 2 if the file cannot be used; everything that
-/// is wrong with it is listed with line and column.
+/// is wrong with it is listed with line and column. With --admit it is checked beside what runs, as a process that starts with it would
+/// be; 1 is then a refusal.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut check system.toml                      the table, the chains, the warnings
   taut check system.toml --sensitivity        how much each execution time may grow
   taut check system.toml --svg timeline.svg   who runs when after the critical instant
+  taut check system.toml --admit              beside what runs in the domain: all their response times
   taut check system.toml --json | jq .schedulable
 
 taut init writes a commented file to begin with; docs/system-toml.md explains the format.")]
@@ -38,6 +42,12 @@ pub struct CheckArgs {
     /// Add how much the load, the overheads and each execution time may grow (a dozen analyses for each callback)
     #[arg(long)]
     sensitivity: bool,
+    /// Check it together with what runs in the domain
+    #[arg(long, conflicts_with = "sensitivity")]
+    admit: bool,
+    /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
+    #[arg(long, value_name = "N", requires = "admit", value_parser = clap::value_parser!(u32).range(0..=232))]
+    domain: Option<u32>,
 }
 
 /// Why the result could not be given.
@@ -47,6 +57,8 @@ enum CheckError {
     Write { path: PathBuf, source: io::Error },
     #[error("the result cannot be printed: {0}")]
     Print(#[from] io::Error),
+    #[error("{0}")]
+    Admission(String),
 }
 
 /// Runs the verb; the exit code is the verdict.
@@ -58,12 +70,19 @@ pub fn run(args: &CheckArgs) -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    let checked = file.check();
-    match print(args, &file, &checked) {
+    let label = args.file.display().to_string();
+    let admitted = args.admit.then(|| Admitted::new(&file, &label, args.domain)).transpose();
+    let admitted = match admitted {
+        Ok(admitted) => admitted,
+        Err(reason) => return failed(&CheckError::Admission(reason)),
+    };
+    let checked = admitted.as_ref().map_or_else(|| file.check(), |admitted| admitted.checked().clone());
+    let is_good = admitted.as_ref().map_or(checked.schedulable, Admitted::is_admitted);
+    match print(args, &file, &checked, admitted.as_ref()) {
         // Whoever reads no further (`taut check | head`) has seen enough.
         Err(CheckError::Print(error)) if error.kind() != io::ErrorKind::BrokenPipe => failed(&error.into()),
         Err(error @ CheckError::Write { .. }) => failed(&error),
-        _ if checked.schedulable => ExitCode::SUCCESS,
+        _ if is_good => ExitCode::SUCCESS,
         _ => ExitCode::from(1),
     }
 }
@@ -73,7 +92,12 @@ fn failed(error: &CheckError) -> ExitCode {
     ExitCode::from(2)
 }
 
-fn print(args: &CheckArgs, file: &SystemFile, checked: &CheckedSystem) -> Result<(), CheckError> {
+fn print(
+    args: &CheckArgs,
+    file: &SystemFile,
+    checked: &CheckedSystem,
+    admitted: Option<&Admitted>,
+) -> Result<(), CheckError> {
     if let Some(path) = &args.svg {
         let picture = gantt::draw(checked);
         std::fs::write(path, picture).map_err(|source| CheckError::Write { path: path.clone(), source })?;
@@ -81,11 +105,14 @@ fn print(args: &CheckArgs, file: &SystemFile, checked: &CheckedSystem) -> Result
     let growth = args.sensitivity.then(|| sensitivity::Growth::of(file));
     let mut out = anstream::stdout().lock();
     if args.json {
-        json::write(checked, growth.as_ref(), &mut out)?;
+        json::write(checked, growth.as_ref(), admitted.map(Admitted::json), &mut out)?;
     } else {
         table::write(checked, &mut out)?;
         if let Some(growth) = &growth {
             sensitivity::write(growth, &mut out)?;
+        }
+        if let Some(admitted) = admitted {
+            admitted.write(&mut out)?;
         }
         if let Some(path) = &args.svg {
             writeln!(out, "\nTimeline of the critical instant: {}", path.display())?;

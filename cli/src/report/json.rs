@@ -77,6 +77,8 @@ struct Process<'a> {
     process: &'a str,
     host: &'a str,
     running: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    forced: Option<&'a str>,
     violations: Vec<Violation<'a>>,
 }
 
@@ -147,6 +149,7 @@ fn process(running: &Running) -> Process<'_> {
         process: &running.label,
         host: &running.host,
         running: running.running,
+        forced: running.forced.as_deref(),
         violations: violations(running.mark.as_slice()),
     }
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
-use tautline::{Bucket, CallbackSnapshot, ForeignStatistics, HistogramSnapshot, ProcessSnapshot};
+use tautline::{Admitted, Bucket, CallbackSnapshot, ForeignStatistics, HistogramSnapshot, ProcessSnapshot};
 
 use super::ReportError;
 
@@ -40,6 +40,9 @@ pub struct Process {
     /// The node that it plays from a bag; empty: none.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub stands_in: String,
+    /// It runs although this is late with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub forced: Option<String>,
     pub callbacks: Vec<Callback>,
 }
 
@@ -148,6 +151,10 @@ impl Process {
             system_hash: process.system_hash,
             steal_ticks: tautline::rt::host::steal_ticks(None).saturating_sub(process.steal_ticks),
             stands_in: process.stands_in.clone(),
+            forced: match &process.admitted {
+                Admitted::Forced(why) => Some(why.clone()),
+                Admitted::Unchecked | Admitted::Checked => None,
+            },
             callbacks: snapshot.callbacks.iter().map(|of| Callback::new(of, now_ns)).collect(),
         }
     }

@@ -47,6 +47,7 @@ pub struct Running {
     pub label: String,
     pub host: String,
     pub running: bool,
+    pub forced: Option<String>,
     pub mark: Option<Mark>,
 }
 
@@ -103,6 +104,7 @@ impl Comparison {
             label: process.label(),
             host: process.host.clone(),
             running: process.running,
+            forced: process.forced.clone(),
             mark: sampler_too_low(process),
         });
         let realtime = run.processes.iter().all(|process| process.realtime);
@@ -293,6 +295,11 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row]) ->
             "{} runs without real-time priorities: no bound applies to it; start it with the right to them",
             list(off)
         ));
+    }
+    for process in &run.processes {
+        if let Some(why) = &process.forced {
+            notes.push(format!("{} was admitted by force: {why}", process.label()));
+        }
     }
     let other = run.processes.iter().filter(|process| process.system_hash != file.fingerprint());
     let other: Vec<_> = other.map(Process::label).collect();

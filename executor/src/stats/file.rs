@@ -12,8 +12,8 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, sta
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 2;
-const HEADER_WORDS: usize = 672;
+const VERSION: u64 = 3;
+const HEADER_WORDS: usize = 736;
 
 /// What each word of the header is.
 mod header {
@@ -28,10 +28,13 @@ mod header {
     pub const SAMPLER_PRIORITY: usize = 6;
     pub const SYSTEM_HASH: usize = 7;
     pub const STEAL_TICKS: usize = 8;
+    /// 0: nobody looked; 1: admitted; 2: by force, with why.
+    pub const ADMITTED: usize = 9;
     pub const PROGRAM: Range<usize> = 16..48;
     pub const HOST: Range<usize> = 48..80;
     pub const SYSTEM_PATH: Range<usize> = 80..640;
     pub const STANDS_IN: Range<usize> = 640..672;
+    pub const FORCED: Range<usize> = 672..736;
 }
 
 /// What a process tells of itself.
@@ -55,6 +58,20 @@ pub struct ProcessInfo {
     pub steal_ticks: u64,
     /// The node of the system file that it plays from a bag; empty: none.
     pub stands_in: String,
+    /// Whether it was checked against what ran already.
+    pub admitted: Admitted,
+}
+
+/// Whether a process's load was checked against that of others when it came.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Admitted {
+    /// It was not.
+    #[default]
+    Unchecked,
+    /// All deadlines are met with it.
+    Checked,
+    /// It came although some are not: the first of them; a text longer than 504 bytes is cut.
+    Forced(String),
 }
 
 /// A file in /dev/shm in which an executor keeps the statistics of its callbacks: see
@@ -120,6 +137,7 @@ impl StatisticsFile {
         put_text(&header[header::HOST], &about.host);
         put_text(&header[header::STANDS_IN], &about.stands_in);
         put_text(&header[header::SYSTEM_PATH], &about.system_path.to_string_lossy());
+        put_admitted(&header, &about.admitted);
         // Release: pairs with the Acquire in `ForeignWords::read`; all else is there when the magic is.
         header[header::MAGIC].store(MAGIC, Ordering::Release);
         Ok(StatisticsFile { places: Arc::new(Places { file, header, free: Mutex::default() }) })
@@ -133,6 +151,14 @@ impl StatisticsFile {
     /// Where it is.
     pub fn path(&self) -> &Path {
         self.places.file.path()
+    }
+
+    /// Tells of what became of the process's load since.
+    ///
+    /// # Real-time
+    /// Setup only.
+    pub fn set_admitted(&self, admitted: &Admitted) {
+        put_admitted(&self.places.header, admitted);
     }
 
     /// A place for the statistics of one more callback: all zeros.
@@ -158,6 +184,19 @@ impl Drop for StatisticsFile {
     fn drop(&mut self) {
         self.places.file.retire();
     }
+}
+
+fn put_admitted(header: &Words, admitted: &Admitted) {
+    let number = match admitted {
+        Admitted::Unchecked => 0,
+        Admitted::Checked => 1,
+        Admitted::Forced(why) => {
+            put_text(&header[header::FORCED], why);
+            2
+        }
+    };
+    // Release: pairs with the Acquire in `ForeignWords::read`; the text is there when the number is.
+    header[header::ADMITTED].store(number, Ordering::Release);
 }
 
 /// Where place `index` begins, in words.
@@ -238,6 +277,11 @@ impl ForeignStatistics {
             system_hash: words[header::SYSTEM_HASH],
             steal_ticks: words[header::STEAL_TICKS],
             stands_in: get_text(&words[header::STANDS_IN]),
+            admitted: match words[header::ADMITTED] {
+                0 => Admitted::Unchecked,
+                1 => Admitted::Checked,
+                _ => Admitted::Forced(get_text(&words[header::FORCED])),
+            },
         };
         // As many as fit into the file, whatever it says.
         let size_words = self.file.size_words()?;
@@ -276,6 +320,7 @@ mod tests {
             system_hash: 42,
             steal_ticks: 3,
             stands_in: "camera".into(),
+            admitted: Admitted::Forced("callback `scan` would be late".into()),
         }
     }
 

@@ -13,7 +13,7 @@ use std::time::Duration;
 use tautline_rt::ThreadInfo;
 
 pub use block::CallbackSnapshot;
-pub use file::{ForeignStatistics, ProcessInfo, ProcessSnapshot, StatisticsFile};
+pub use file::{Admitted, ForeignStatistics, ProcessInfo, ProcessSnapshot, StatisticsFile};
 pub use histogram::{Bucket, Histogram, HistogramSnapshot};
 
 use crate::options::{DeadlineMiss, Overrun, Watch};

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-use tautline::{CallbackOptions, Context, Node, Realtime};
+use tautline::{Admission, CallbackOptions, Context, Node, Realtime};
 use tautline_components::{Container, Load};
 use tautline_dylib as _;
 
@@ -24,7 +24,7 @@ use tautline_dylib as _;
 #[command(
     version,
     after_help = "Load, unload and list while it runs with `taut component`.\n\nExamples:\n  taut-container libdemo.so:demo::Counter libdemo.so:demo::Doubler\n  \
-                  taut-container --no-rt --namespace /robot libdrive.so\n  \
+                  taut-container --no-rt --namespace /robot libdrive.so\n  taut-container --system system.toml libdrive.so\n  \
                   taut-container libdemo.so:demo::Counter --ros-args -p step:=2 -r count:=/count"
 )]
 struct Args {
@@ -40,6 +40,12 @@ struct Args {
     /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
     domain: Option<u32>,
+    /// The system file by whose names components spawn their callbacks; what does not fit beside what runs is refused.
+    #[arg(long, value_name = "FILE")]
+    system: Option<PathBuf>,
+    /// Admit what does not fit all the same; `taut report` says so.
+    #[arg(long)]
+    force: bool,
     /// Without real-time priorities.
     #[arg(long)]
     no_rt: bool,
@@ -62,6 +68,12 @@ fn run(args: &Args, ros_args: impl Iterator<Item = String>) -> Result<(), Box<dy
     let mut settings = Context::builder().args(ros_args);
     if let Some(domain) = args.domain {
         settings = settings.domain(domain);
+    }
+    if let Some(system) = &args.system {
+        settings = settings.system(system);
+    }
+    if args.force {
+        settings = settings.admission(Admission::Force);
     }
     if args.no_rt {
         settings = settings.realtime(Realtime::Off);

@@ -1,0 +1,380 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Whether what comes may run beside what runs: all that shares the cores of one machine, as one system.
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+use super::{CallbackEntry, ChainEntry, CheckedSystem, Client, CoreEntry, SystemFile};
+use crate::system::{Callback, Core};
+use crate::{Overheads, Task};
+
+/// A system file in use, as the machine sees it that is one of its hosts.
+#[derive(Debug, Clone, Copy)]
+pub struct Share<'f> {
+    /// The file.
+    pub file: &'f SystemFile,
+    /// Which of its hosts the machine is.
+    pub host: &'f str,
+    /// What people call it: its path.
+    pub label: &'f str,
+}
+
+/// A real-time thread that no system file describes, by what it says of itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LooseThread {
+    /// The name of its callback.
+    pub name: String,
+    /// Whose it is: a program and its process.
+    pub label: String,
+    /// Its one core; `None`: it may run on any, and counts on each.
+    pub core: Option<usize>,
+    /// `SCHED_FIFO` priority, 1 to 99.
+    pub priority: u8,
+    /// Least time between two releases. Without it, or without a budget, nothing at its priority or below has a bound.
+    pub period_ns: Option<u64>,
+    /// How much later than nominal a release may be.
+    pub jitter_ns: u64,
+    /// The processor time of a job.
+    pub budget_ns: Option<u64>,
+    /// When a job must have ended, after its release; `None`: nobody waits for it.
+    pub deadline_ns: Option<u64>,
+}
+
+/// All that shares the cores of one machine.
+#[derive(Debug, Clone, Default)]
+pub struct Machine<'f> {
+    shares: Vec<Share<'f>>,
+    threads: Vec<LooseThread>,
+}
+
+/// What asks to run.
+#[derive(Debug, Clone)]
+pub enum Candidate<'f> {
+    /// Everything that a system file describes.
+    File(Share<'f>),
+    /// One thread more.
+    Thread(LooseThread),
+}
+
+/// What the analysis says of a candidate.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Admission {
+    /// All that runs and the candidate, analysed as one system; names that several files have bear their files.
+    pub checked: CheckedSystem,
+    /// What would miss its deadline, the candidate's own first; empty: it may run.
+    pub broken: Vec<Broken>,
+}
+
+/// A deadline that would not be met.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Broken {
+    /// `callback` or `chain`.
+    pub kind: &'static str,
+    /// Its name.
+    pub name: String,
+    /// Whose it is: a system file's path, or a program.
+    pub label: String,
+    /// Whether it is the candidate's.
+    pub is_own: bool,
+    /// Its response time, or latency, beside all others; `None`: nothing bounds it.
+    pub response_ns: Option<u64>,
+    /// What it has to be.
+    pub deadline_ns: u64,
+}
+
+impl fmt::Display for Broken {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Broken { kind, name, label, deadline_ns, .. } = self;
+        let deadline = Duration::from_nanos(*deadline_ns);
+        match self.response_ns.map(Duration::from_nanos) {
+            Some(time) => write!(
+                f,
+                "{kind} `{name}` of {label} would take up to {time:?}, its deadline is {deadline:?}"
+            ),
+            None => write!(f, "{kind} `{name}` of {label} would have no bound, its deadline is {deadline:?}"),
+        }
+    }
+}
+
+impl<'f> Machine<'f> {
+    /// A file in use. One whose text is there already for this host is the same system, however many processes have it.
+    pub fn add_file(&mut self, share: Share<'f>) {
+        if self.position(&share).is_none() {
+            self.shares.push(share);
+        }
+    }
+
+    /// A thread that no file describes.
+    pub fn add_thread(&mut self, thread: LooseThread) {
+        self.threads.push(thread);
+    }
+
+    /// Whether nothing real-time is known to run.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.shares.is_empty() && self.threads.is_empty()
+    }
+
+    /// All that runs, as one system.
+    #[must_use]
+    pub fn check(&self) -> CheckedSystem {
+        self.unite().file.check()
+    }
+
+    /// What becomes of all deadlines if the candidate runs, too. It is admitted if it meets its own, and breaks none that
+    /// is met without it.
+    #[must_use]
+    pub fn admit(&self, candidate: &Candidate<'f>) -> Admission {
+        let mut with = self.clone();
+        let own = match candidate {
+            Candidate::File(share) => {
+                with.add_file(*share);
+                Origin::File(with.position(share).unwrap_or(0))
+            }
+            Candidate::Thread(thread) => {
+                with.add_thread(thread.clone());
+                Origin::Thread(self.threads.len())
+            }
+        };
+        let union = with.unite();
+        let checked = union.file.check();
+        let mut broken = with.unmet(&union, &checked, own);
+        if broken.iter().any(|broken| !broken.1.is_own) {
+            let before = self.unite();
+            let before = self.unmet(&before, &before.file.check(), own);
+            broken.retain(|(key, broken)| broken.is_own || before.iter().all(|(other, _)| other != key));
+        }
+        broken.sort_by_key(|(_, broken)| !broken.is_own);
+        // A thread that may run on several cores is there once for each.
+        broken.dedup_by(|(a, _), (b, _)| a == b);
+        Admission { checked, broken: broken.into_iter().map(|(_, broken)| broken).collect() }
+    }
+
+    fn position(&self, share: &Share) -> Option<usize> {
+        let is_same =
+            |other: &Share| (other.file.fingerprint, other.host) == (share.file.fingerprint, share.host);
+        self.shares.iter().position(is_same)
+    }
+
+    /// All deadlines that are not met, each with what tells it from others.
+    fn unmet(&self, union: &Union, checked: &CheckedSystem, own: Origin) -> Vec<(Key, Broken)> {
+        let broken = |kind: &'static str, key: &(Origin, usize), response_ns, deadline_ns| {
+            let (name, label) = self.name_of(kind, *key);
+            let broken = Broken { kind, name, label, is_own: key.0 == own, response_ns, deadline_ns };
+            ((kind, key.0, key.1), broken)
+        };
+        let callbacks = checked.callbacks.iter().zip(&union.callbacks).filter(|(callback, _)| !callback.met);
+        // Nobody waits for a thread that states no deadline.
+        let callbacks = callbacks.filter(|(_, (origin, _))| self.has_deadline(*origin));
+        let callbacks = callbacks.map(|(callback, key)| {
+            broken("callback", key, callback.response_overhead_ns, callback.entry.deadline_ns)
+        });
+        let chains = checked.chains.iter().zip(&union.chains).filter(|(chain, _)| !chain.met);
+        let chains = chains.map(|(chain, key)| broken("chain", key, chain.latency_ns, chain.deadline_ns));
+        callbacks.chain(chains).collect()
+    }
+
+    fn has_deadline(&self, origin: Origin) -> bool {
+        match origin {
+            Origin::File(_) => true,
+            Origin::Thread(index) => self.threads[index].deadline_ns.is_some(),
+        }
+    }
+
+    fn name_of(&self, kind: &str, (origin, index): (Origin, usize)) -> (String, String) {
+        match origin {
+            Origin::File(share) => {
+                let Share { file, label, .. } = &self.shares[share];
+                let name =
+                    if kind == "chain" { &file.chains[index].name } else { &file.callbacks[index].name };
+                (name.clone(), (*label).to_owned())
+            }
+            Origin::Thread(thread) => (self.threads[thread].name.clone(), self.threads[thread].label.clone()),
+        }
+    }
+
+    fn unite(&self) -> Union {
+        let mut union = Union::default();
+        for (index, share) in self.shares.iter().enumerate() {
+            union.add_file(Origin::File(index), share);
+        }
+        // Those that may run anywhere last: by then all cores are known.
+        let (floating, pinned): (Vec<_>, Vec<_>) =
+            self.threads.iter().enumerate().partition(|(_, thread)| thread.core.is_none());
+        for (index, thread) in pinned.into_iter().chain(floating) {
+            union.add_thread(Origin::Thread(index), thread);
+        }
+        let labels = |origin: Origin| match origin {
+            Origin::File(index) => self.shares[index].label,
+            Origin::Thread(index) => self.threads[index].label.as_str(),
+        };
+        union.tell_apart(labels);
+        union
+    }
+}
+
+/// Where a callback or a chain is from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Origin {
+    File(usize),
+    Thread(usize),
+}
+
+type Key = (&'static str, Origin, usize);
+
+/// Several systems in one, which is no file's: its order is that of what it was made of.
+#[derive(Default)]
+struct Union {
+    file: SystemFile,
+    /// Where each callback is from: what, and the callback's number there.
+    callbacks: Vec<(Origin, usize)>,
+    chains: Vec<(Origin, usize)>,
+    /// The next number of a thread that several callbacks share.
+    groups: u32,
+}
+
+/// The machine itself, whatever a file calls it.
+const HERE: &str = "";
+
+impl Union {
+    fn add_file(&mut self, origin: Origin, share: &Share) {
+        let Share { file, host, .. } = share;
+        let cores: Vec<usize> = (0..file.cores.len()).map(|core| self.core_of(file, core, host)).collect();
+        let (first_task, first_stream) = (self.file.system.callbacks.len(), self.file.system.chains.len());
+        for (index, entry) in file.callbacks.iter().enumerate() {
+            let tasks = entry.tasks.start + first_task..entry.tasks.end + first_task;
+            self.file.callbacks.push(CallbackEntry { core: cores[entry.core], tasks, ..entry.clone() });
+            self.callbacks.push((origin, index));
+        }
+        let groups = self.groups;
+        for callback in &file.system.callbacks {
+            let mut callback = Callback { core: cores[callback.core], ..callback.clone() };
+            if let Some((source, _)) = &mut callback.trigger {
+                *source += first_task;
+            }
+            if let Some(join) = &mut callback.join {
+                join.inputs.iter_mut().for_each(|input| *input += first_task);
+            }
+            if let Some(group) = &mut callback.task.group {
+                group.id = group.id.saturating_add(groups);
+                self.groups = self.groups.max(group.id.saturating_add(1));
+            }
+            self.file.system.callbacks.push(callback);
+        }
+        for (index, entry) in file.chains.iter().enumerate() {
+            let streams = entry.streams.start + first_stream..entry.streams.end + first_stream;
+            self.file.chains.push(ChainEntry { streams, ..entry.clone() });
+            self.chains.push((origin, index));
+        }
+        for chain in &file.system.chains {
+            let mut chain = chain.clone();
+            chain.stages.iter_mut().for_each(|stage| *stage += first_task);
+            self.file.system.chains.push(chain);
+        }
+        self.file.topics.extend(file.topics.iter().cloned());
+        self.file.warnings.extend(file.warnings.iter().cloned());
+    }
+
+    /// A thread is a task of its own: on each core of the machine, if it may run on several.
+    fn add_thread(&mut self, origin: Origin, thread: &LooseThread) {
+        let here = |entry: &(usize, &CoreEntry)| entry.1.host == HERE;
+        let cores: Vec<usize> = match thread.core {
+            Some(number) => vec![self.core(HERE, number, 99, Overheads::NONE)],
+            None => {
+                self.core(HERE, 0, 99, Overheads::NONE);
+                self.file.cores.iter().enumerate().filter(here).map(|(index, _)| index).collect()
+            }
+        };
+        // What says nothing of its load is taken to use all there is.
+        let (period_ns, wcet_ns) = match (thread.period_ns, thread.budget_ns) {
+            (Some(period_ns), Some(budget_ns)) => (period_ns.max(1), budget_ns.max(1)),
+            _ => (1_000_000_000, 1_000_000_000),
+        };
+        let deadline_ns = thread.deadline_ns.unwrap_or(period_ns);
+        for core in cores {
+            let (period, wcet) = (Duration::from_nanos(period_ns), Duration::from_nanos(wcet_ns));
+            let task = Task::new(&thread.name, period, wcet, thread.priority)
+                .deadline(Duration::from_nanos(deadline_ns))
+                .jitter(Duration::from_nanos(thread.jitter_ns));
+            let index = self.file.system.callbacks.len();
+            self.file.system.callbacks.push(Callback::new(task, core));
+            self.file.callbacks.push(CallbackEntry {
+                name: thread.name.clone(),
+                node: thread.label.clone(),
+                client: Client::Tautline,
+                thread: format!("cb:{}", thread.name),
+                group: None,
+                core,
+                priority: thread.priority,
+                topics: Vec::new(),
+                joins: false,
+                demotes: false,
+                window_ns: None,
+                publishes: Vec::new(),
+                depth: None,
+                deadline_ns,
+                tasks: index..index + 1,
+            });
+            self.callbacks.push((origin, 0));
+        }
+    }
+
+    fn core_of(&mut self, file: &SystemFile, core: usize, here: &str) -> usize {
+        let CoreEntry { host, number, sampler_priority } = &file.cores[core];
+        let host = if host == here { HERE } else { host };
+        self.core(host, *number, *sampler_priority, file.system.cores[core].overheads)
+    }
+
+    /// A core costs what the most careful of all says, and its lowest sampler is what callbacks have to be below.
+    fn core(&mut self, host: &str, number: usize, sampler_priority: u8, costs: Overheads) -> usize {
+        let is_it = |entry: &CoreEntry| entry.host == host && entry.number == number;
+        match self.file.cores.iter().position(is_it) {
+            Some(index) => {
+                let entry = &mut self.file.cores[index];
+                entry.sampler_priority = entry.sampler_priority.min(sampler_priority);
+                let overheads = &mut self.file.system.cores[index].overheads;
+                *overheads = worse(overheads, &costs);
+                index
+            }
+            None => {
+                self.file.cores.push(CoreEntry { host: host.to_owned(), number, sampler_priority });
+                self.file.system.cores.push(Core { overheads: costs });
+                self.file.cores.len() - 1
+            }
+        }
+    }
+
+    /// Gives names that several have the labels of what they are from.
+    fn tell_apart<'l>(&mut self, label: impl Fn(Origin) -> &'l str) {
+        let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+        for entry in &self.file.callbacks {
+            *counts.entry(entry.name.clone()).or_default() += 1;
+        }
+        for (entry, (origin, _)) in self.file.callbacks.iter_mut().zip(&self.callbacks) {
+            if counts[&entry.name] > 1 {
+                entry.name = format!("{} ({})", entry.name, label(*origin));
+                for callback in &mut self.file.system.callbacks[entry.tasks.clone()] {
+                    callback.task.name.clone_from(&entry.name);
+                }
+            }
+        }
+    }
+}
+
+/// Ticks that cost most, and the shortest time for real-time work.
+fn worse(a: &Overheads, b: &Overheads) -> Overheads {
+    let load = |of: &Overheads| u128::from(of.tick_ns) * 1_000_000 / u128::from(of.tick_period_ns.max(1));
+    let ticks = if load(b) > load(a) { b } else { a };
+    let left = |throttling: &crate::Throttling| {
+        u128::from(throttling.runtime_ns) * 1_000_000 / u128::from(throttling.period_ns.max(1))
+    };
+    Overheads {
+        context_switch_ns: a.context_switch_ns.max(b.context_switch_ns),
+        per_message_ns: a.per_message_ns.max(b.per_message_ns),
+        tick_period_ns: ticks.tick_period_ns,
+        tick_ns: ticks.tick_ns,
+        throttling: [a.throttling, b.throttling].into_iter().flatten().min_by_key(left),
+    }
+}

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut check --admit`: the same file beside what runs in a domain.
+use std::io::{self, Write};
+
+use serde::Serialize;
+use tautline::{Context, Running};
+use tautline_analysis::file::admission::{Admission, Candidate, Share};
+use tautline_analysis::file::{CheckedSystem, SystemFile};
+
+use crate::table::{BAD, GOOD, WARNING, wrap};
+
+/// What became of it.
+pub struct Admitted {
+    domain: u32,
+    running: Running,
+    admission: Admission,
+}
+
+/// As JSON has it.
+#[derive(Serialize)]
+pub struct Verdict<'a> {
+    admitted: bool,
+    domain: u32,
+    /// The processes that run.
+    beside: &'a [String],
+    broken: Vec<String>,
+}
+
+impl Admitted {
+    /// The host is `TAUT_HOST`, or the only one; `domain` that of the environment, unless one is named.
+    pub fn new(file: &SystemFile, label: &str, domain: Option<u32>) -> Result<Admitted, String> {
+        let wanted = std::env::var("TAUT_HOST").ok().filter(|host| !host.is_empty());
+        let host = file
+            .host(wanted.as_deref())
+            .map_err(|hosts| format!("which of {label}'s hosts is this? TAUT_HOST=<{}>", hosts.join(", ")))?;
+        let domain = match domain {
+            Some(domain) => domain,
+            None => Context::domain_of_environment().map_err(|error| error.to_string())?,
+        };
+        let running = Running::of_domain(domain).map_err(|error| error.to_string())?;
+        let admission = running.machine().admit(&Candidate::File(Share { file, host, label }));
+        Ok(Admitted { domain, running, admission })
+    }
+
+    /// All that would run, the file among it.
+    pub fn checked(&self) -> &CheckedSystem {
+        &self.admission.checked
+    }
+
+    pub fn is_admitted(&self) -> bool {
+        self.admission.broken.is_empty()
+    }
+
+    pub fn json(&self) -> Verdict<'_> {
+        Verdict {
+            admitted: self.is_admitted(),
+            domain: self.domain,
+            beside: &self.running.processes,
+            broken: self.admission.broken.iter().map(ToString::to_string).collect(),
+        }
+    }
+
+    /// After the table of all.
+    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
+        let Admitted { domain, running, admission } = self;
+        for note in &running.notes {
+            writeln!(out, "{WARNING}warning:{WARNING:#} {note}")?;
+        }
+        let beside = match running.processes.as_slice() {
+            [] => "nothing that has real-time priorities and shares its statistics".to_owned(),
+            processes => processes.join(", "),
+        };
+        if admission.broken.is_empty() {
+            let text = format!("Admitted to domain {domain}, beside {beside}.");
+            return writeln!(out, "{GOOD}{}{GOOD:#}", wrap(&text));
+        }
+        let text = format!("Not admitted to domain {domain}, beside {beside}:");
+        writeln!(out, "{BAD}{}{BAD:#}", wrap(&text))?;
+        admission.broken.iter().try_for_each(|broken| writeln!(out, "- {broken}"))
+    }
+}
