@@ -7,7 +7,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::time::Duration;
 
-use common::{Log, Number, context, spin};
+use common::{Log, Number, context, eventually, spin};
 use futures::StreamExt;
 use tautline::geometry_msgs::msg::{PointStamped, PoseStamped};
 use tautline::join::{ApproximateTime, ExactTime, JoinError, Synchronizer, all_of, latest};
@@ -91,8 +91,9 @@ fn messages_of_two_topics_meet_by_their_headers() {
     let sets = SETS.wait_for(19);
     let expected: Vec<_> = (0..sets.len()).map(|i| (i as f64, i as f64)).collect();
     assert_eq!(sets, expected);
-    callback.stop();
     let stats = callback.stats().clone();
+    eventually("the end of the last job", || stats.completions() == 60);
+    callback.stop();
     callback.join().unwrap();
     // Each message is a job, whether it completes a set or not.
     assert_eq!((stats.releases(), stats.completions()), (60, 60));

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
+//! | `alks` | the automated lane keeping system: builds r2r's side, if it can, and runs both |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
@@ -26,6 +27,7 @@
 //! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
 
+mod alks;
 mod bridge;
 mod colcon;
 mod compare;
@@ -218,6 +220,8 @@ enum Bench {
     Paper(paper::Options),
     /// The Autoware reference system, 24 nodes in one process, on Tautline and, if there is a ROS 2, on r2r beside it
     ReferenceSystem(reference::Options),
+    /// An automated lane keeping system, three processes in a closed loop with a simulated car, on Tautline and, if there is a ROS 2, on r2r
+    Alks(alks::Options),
 }
 
 #[derive(Subcommand)]
@@ -302,6 +306,7 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Rmw(options)) => rmw::bench(&options),
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Bench(Bench::ReferenceSystem(options)) => reference::run(&options),
+        Verb::Bench(Bench::Alks(options)) => alks::run(&options),
         Verb::Readme { quick, only } => readme::run(quick, &only),
         Verb::Miri => {
             let mut steps = Steps::new();

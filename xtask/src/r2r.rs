@@ -24,7 +24,7 @@ pub fn cargo(arguments: &str) -> Result<Command, String> {
 }
 
 /// The packages of messages that the benches' programs use; all there are take minutes. One list for all: r2r is built once.
-pub const MESSAGES: &str = "geometry_msgs;std_msgs;test_msgs";
+pub const MESSAGES: &str = "geometry_msgs;nav_msgs;sensor_msgs;std_msgs;test_msgs;visualization_msgs";
 
 /// Where r2r's side of the benches is built.
 fn programs() -> PathBuf {

@@ -3,12 +3,12 @@
 
 use crate::machine::{self, Scope};
 use crate::reports::{
-    check_ablation, check_compare, check_demo, check_domain, check_messages, check_network, check_paper,
-    check_reference, check_reference_beside, check_wake,
+    check_ablation, check_compare, check_demo, check_domain, check_lane, check_messages, check_network,
+    check_paper, check_reference, check_reference_beside, check_wake,
 };
 use crate::steps::{Outcome, Steps, build_with, cargo, execute};
 use crate::{
-    bench, bench_domain, bench_tools, bridge, compare as comparison, examples, fuzz, lttng, packages,
+    alks, bench, bench_domain, bench_tools, bridge, compare as comparison, examples, fuzz, lttng, packages,
     paper as evaluation, peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips,
     stress_doorbell, stress_kills,
 };
@@ -34,11 +34,12 @@ pub fn run(scope: &Scope, quick: bool) -> ExitCode {
     lttng::test(&mut steps);
     clock_step(&mut steps);
     // In one go: cargo then builds what they share once, with the features that all of them need.
-    let binaries = "build --release -p taut -p tautline-examples -p own-messages -p reference-system -p tautline-benches -p tautline-compare --bins --examples";
+    let binaries = "build --release -p taut -p tautline-examples -p own-messages -p alks -p reference-system -p tautline-benches -p tautline-compare --bins --examples";
     let built = steps.command("build", &mut cargo(binaries));
     demo(&mut steps);
     examples::run(&mut steps, built, false);
     reference_system(&mut steps, built);
+    lane_keeping(&mut steps, built);
     two_hosts(&mut steps, built);
     systemd(&mut steps);
     if quick {
@@ -96,7 +97,8 @@ fn leftovers(scope: &Scope) -> Outcome {
 fn lints(steps: &mut Steps) {
     steps.command("fmt", &mut cargo("fmt --all --check"));
     // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
-    let sources = ["src/main.rs", "src/bin/reference-r2r.rs", "src/bin/services-r2r.rs"];
+    let sources =
+        ["src/main.rs", "src/bin/alks-r2r.rs", "src/bin/reference-r2r.rs", "src/bin/services-r2r.rs"];
     for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
         let r2r = machine::root().join(folder);
         let mut format = Command::new("rustfmt");
@@ -212,6 +214,37 @@ fn reference_system(steps: &mut Steps, built: bool) {
         };
         let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
         run(&arguments, &|| check_reference_beside(&json))
+    });
+}
+
+/// Three seconds of the automated lane keeping system in each way to share, and a second beside r2r where that has been built before: the
+/// lane is kept and no message lost. Its bounds are for a machine that does nothing else.
+fn lane_keeping(steps: &mut Steps, built: bool) {
+    let name = "lane keeping";
+    if !built {
+        return steps.skip(name, "not built");
+    }
+    let target = machine::target_dir();
+    let (json, page) = (target.join("alks.json"), target.join("alks.html"));
+    let run = |arguments: &[&str]| {
+        let _ = std::fs::remove_file(&json);
+        let mut command = Command::new(target.join("release/alks"));
+        command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.arg("--no-rt");
+        }
+        // What it says of bounds is not judged here.
+        let _ = execute(&mut command);
+        check_lane(&json)
+    };
+    steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
+    let name = "lane keeping: beside r2r";
+    if !r2r::is_built(alks::PROGRAM) {
+        return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
+    }
+    steps.step(name, || match r2r::program(alks::PROGRAM) {
+        Ok(program) => run(&["--seconds", "2", "--r2r", &program.display().to_string()]),
+        Err(reason) => Outcome::Failed(reason),
     });
 }
 

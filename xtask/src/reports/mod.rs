@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The JSON that scripts rely on: every promised field is there, with its type. No time is judged.
 
+mod alks;
 mod bridge;
 mod compare;
 mod demo;
@@ -13,6 +14,7 @@ use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
 
+pub use alks::check_lane;
 pub use bridge::check_bridge;
 pub use compare::check_compare;
 pub use demo::{check_ablation, check_demo};

@@ -1,0 +1,304 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the callbacks of a process write down: memory that is there before they start.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
+use tautline_rt::clock::monotonic_ns;
+
+use crate::drive::Drive;
+
+/// What is timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Span {
+    /// The odometry chain, from the release of the IMU's callback to the end of the visualizer's.
+    Chain,
+    /// The adapter's callback of the IMU: a step of the simulation, nine topics.
+    Imu,
+    /// The adapter's callback of vehicles and lines, with the curve fit.
+    Perception,
+    /// The callback of the odometry in the ALKS node.
+    Odometry,
+    /// Any of the eleven callbacks of the ALKS node.
+    Subscriber,
+    /// The time that these waited for what they share with the timer.
+    Waited,
+    /// The subscribers' thread from its wake-up until nothing is ready: r2r's `run_until_stalled`.
+    Stalled,
+    /// The timer's calls that do not plan.
+    Timer,
+    /// Those that plan.
+    Planning,
+    /// The callback of the odometry in the visualizer.
+    ShowOdometry,
+    /// The visualizer's timer that draws.
+    Draw,
+}
+
+impl Span {
+    /// All, in the order of reports.
+    pub const ALL: [Span; 11] = [
+        Span::Chain,
+        Span::Imu,
+        Span::Perception,
+        Span::Odometry,
+        Span::Subscriber,
+        Span::Waited,
+        Span::Stalled,
+        Span::Timer,
+        Span::Planning,
+        Span::ShowOdometry,
+        Span::Draw,
+    ];
+
+    /// For people.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Span::Chain => "odometry chain, end to end",
+            Span::Imu => "adapter: IMU callback",
+            Span::Perception => "adapter: vehicles and lines",
+            Span::Odometry => "ALKS: odometry callback",
+            Span::Subscriber => "ALKS: all subscribers",
+            Span::Waited => "ALKS: of that waiting for the timer",
+            Span::Stalled => "ALKS: run_until_stalled",
+            Span::Timer => "ALKS: timer without planning",
+            Span::Planning => "ALKS: timer with planning",
+            Span::ShowOdometry => "visualizer: odometry callback",
+            Span::Draw => "visualizer: markers",
+        }
+    }
+}
+
+/// Times of one kind, up to a minute, to three digits.
+#[derive(Debug)]
+struct Times(Mutex<Histogram<u64>>);
+
+/// What a process has to tell. Each span is one thread's at a time: its lock is free.
+#[derive(Debug)]
+pub struct Records {
+    begin_ns: u64,
+    times: Vec<Times>,
+    sent: Vec<AtomicU64>,
+    received: Vec<AtomicU64>,
+}
+
+/// The topics, by whose numbers messages are counted.
+pub const TOPICS: [&str; 15] = [
+    "/flexray/speed",
+    "/flexray/steering_wheel_angle",
+    "/flexray/gps",
+    "/flexray/odometry",
+    "/flexray/imu",
+    "/flexray/wheel_speeds",
+    "/flexray/pedals",
+    "/flexray/status",
+    "/flexray/driver",
+    "/flexray/vehicles",
+    "/flexray/lines",
+    "/alks/odometry",
+    "/alks/command",
+    "/alks/trajectory",
+    "/alks/state",
+];
+
+impl Records {
+    /// Times from `begin_ns` on count, on `CLOCK_MONOTONIC`; messages always do.
+    ///
+    /// # Panics
+    /// Never: the bounds are those of the library.
+    #[must_use]
+    pub fn new(begin_ns: u64) -> Records {
+        let times = || {
+            Times(Mutex::new(
+                Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds that it can have"),
+            ))
+        };
+        let zeroes = || TOPICS.iter().map(|_| AtomicU64::new(0)).collect();
+        let times = Span::ALL.iter().map(|_| times()).collect();
+        Records { begin_ns, times, sent: zeroes(), received: zeroes() }
+    }
+
+    /// A time that ended at `now_ns`.
+    ///
+    /// # Real-time
+    /// O(1), no allocation.
+    pub fn note(&self, span: Span, now_ns: u64, ns: u64) {
+        if now_ns >= self.begin_ns
+            && let Some(times) = self.times.get(span as usize)
+        {
+            times.0.lock().unwrap_or_else(PoisonError::into_inner).saturating_record(ns);
+        }
+    }
+
+    /// Does it, and notes how long it took.
+    pub fn timed<R>(&self, span: Span, work: impl FnOnce() -> R) -> R {
+        let begin_ns = monotonic_ns();
+        let result = work();
+        let end_ns = monotonic_ns();
+        self.note(span, end_ns, end_ns.saturating_sub(begin_ns));
+        result
+    }
+
+    /// A message of topic number `topic` was published.
+    pub fn sent(&self, topic: usize) {
+        self.sent[topic].fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// A message of topic number `topic` came.
+    pub fn received(&self, topic: usize) {
+        self.received[topic].fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// What has been noted so far.
+    #[must_use]
+    pub fn part(&self, drive: Option<Drive>) -> Part {
+        let counts = |of: &[AtomicU64]| of.iter().map(|count| count.load(Ordering::Relaxed)).collect();
+        let times = Span::ALL.iter().zip(&self.times).filter_map(|(span, times)| {
+            let times = times.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let values =
+                times.iter_recorded().map(|value| (value.value_iterated_to(), value.count_at_value()));
+            (!times.is_empty()).then(|| Told { span: *span, values: values.collect(), max_ns: times.max() })
+        });
+        Part { times: times.collect(), sent: counts(&self.sent), received: counts(&self.received), drive }
+    }
+}
+
+/// What one process tells the one that started it.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Part {
+    times: Vec<Told>,
+    sent: Vec<u64>,
+    received: Vec<u64>,
+    /// The adapter's.
+    pub drive: Option<Drive>,
+}
+
+/// Of a span the values with their counts, ascending, and the largest one.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Told {
+    span: Span,
+    values: Vec<(u64, u64)>,
+    max_ns: u64,
+}
+
+/// Times of one span: in ms.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Which.
+    pub span: Span,
+    /// For people.
+    pub name: String,
+    /// How many there are.
+    pub n: u64,
+    /// Quantiles and the largest.
+    pub p50_ms: f64,
+    /// See `p50_ms`.
+    pub p99_ms: f64,
+    /// See `p50_ms`.
+    pub p999_ms: f64,
+    /// See `p50_ms`.
+    pub max_ms: f64,
+    /// Values in ns with their counts, ascending.
+    pub values: Vec<(u64, u64)>,
+}
+
+impl Summary {
+    /// Share of the times below `limit`, 0 to 1.
+    #[must_use]
+    pub fn share_below(&self, limit: Duration) -> f64 {
+        let below = self.values.iter().filter(|(ns, _)| u128::from(*ns) < limit.as_nanos());
+        below.map(|(_, count)| count).sum::<u64>() as f64 / self.n.max(1) as f64
+    }
+}
+
+/// Summaries of all that several processes, or several runs, have told.
+#[must_use]
+pub fn summaries<'p>(parts: impl Iterator<Item = &'p Part> + Clone) -> Vec<Summary> {
+    let of_span = |span: &Span| {
+        let mut values = std::collections::BTreeMap::new();
+        let mut max_ns = 0;
+        for told in parts.clone().flat_map(|part| &part.times).filter(|told| told.span == *span) {
+            told.values.iter().for_each(|(value, count)| *values.entry(*value).or_insert(0) += count);
+            max_ns = max_ns.max(told.max_ns);
+        }
+        let values: Vec<(u64, u64)> = values.into_iter().collect();
+        let n: u64 = values.iter().map(|(_, count)| count).sum();
+        let quantile = |share: f64| {
+            let rank = ((n as f64 * share).ceil() as u64).max(1);
+            let mut seen = 0;
+            let found = values.iter().find(|(_, count)| {
+                seen += count;
+                seen >= rank
+            });
+            found.map_or(0, |(value, _)| *value).min(max_ns) as f64 / 1e6
+        };
+        (n > 0).then(|| Summary {
+            span: *span,
+            name: span.as_str().to_owned(),
+            n,
+            p50_ms: quantile(0.5),
+            p99_ms: quantile(0.99),
+            p999_ms: quantile(0.999),
+            max_ms: max_ns as f64 / 1e6,
+            values: values.clone(),
+        })
+    };
+    Span::ALL.iter().filter_map(of_span).collect()
+}
+
+/// Messages that were published to a topic and did not come: of each topic that lost some, and how many of how many.
+/// `readers` receive each topic of the processes that tell of it.
+#[must_use]
+pub fn losses(parts: &[Part]) -> Vec<(String, u64, u64)> {
+    let of_topic = |(index, topic): (usize, &&str)| {
+        let sent: u64 = parts.iter().filter_map(|part| part.sent.get(index)).sum();
+        let received = parts.iter().filter_map(|part| part.received.get(index)).filter(|count| **count > 0);
+        let lost = received.map(|count| sent.saturating_sub(*count)).max().unwrap_or(0);
+        (lost > 0).then(|| ((*topic).to_owned(), lost, sent))
+    };
+    TOPICS.iter().enumerate().filter_map(of_topic).collect()
+}
+
+/// Messages that were published in all.
+#[must_use]
+pub fn published(parts: &[Part]) -> u64 {
+    parts.iter().flat_map(|part| &part.sent).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_all_parts_and_what_came_before_the_begin_is_none() {
+        let part = |values: std::ops::RangeInclusive<u64>| {
+            let records = Records::new(1_000);
+            records.note(Span::Chain, 999, 5);
+            values.for_each(|value| records.note(Span::Chain, 1_000, value * 1_000_000));
+            records.part(None)
+        };
+        let parts = [part(1..=50), part(51..=100)];
+        let [all] = summaries(parts.iter()).try_into().unwrap();
+        assert_eq!((all.span, all.n), (Span::Chain, 100));
+        for (quantile, expected) in [(all.p50_ms, 50.0), (all.p99_ms, 99.0), (all.max_ms, 100.0)] {
+            assert!((quantile / expected - 1.0).abs() < 2e-3, "{quantile} for {expected}");
+        }
+        assert!((all.share_below(Duration::from_millis(31)) - 0.3).abs() < 0.011);
+    }
+
+    #[test]
+    fn what_is_sent_and_does_not_come_is_lost() {
+        let (sender, reader, other) = (Records::new(0), Records::new(0), Records::new(0));
+        (0..10).for_each(|_| sender.sent(3));
+        (0..10).for_each(|_| reader.received(3));
+        assert_eq!(losses(&[sender.part(None), reader.part(None), other.part(None)]), []);
+        (0..8).for_each(|_| other.received(3));
+        let parts = [sender.part(None), reader.part(None), other.part(None)];
+        assert_eq!(losses(&parts), [("/flexray/odometry".to_owned(), 2, 10)]);
+        assert_eq!(published(&parts), 10);
+    }
+}

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The reports of the automated lane keeping system.
+
+use super::{Kind, Kind::*, check_fields, judge};
+use crate::steps::Outcome;
+use serde_json::Value;
+use std::path::Path;
+
+const REPORT: &[(&str, Kind)] = &[
+    ("system", Text),
+    ("shared", Text),
+    ("realtime", Bool),
+    ("rows", List),
+    ("chain_below_paper", Number),
+    ("lost", List),
+    ("published", Count),
+    ("steal_ticks", Count),
+];
+
+const ROW: &[(&str, Kind)] = &[
+    ("span", Text),
+    ("name", Text),
+    ("n", Count),
+    ("p50_ms", Number),
+    ("p99_ms", Number),
+    ("p999_ms", Number),
+    ("max_ms", Number),
+    ("values", List),
+];
+
+/// Each way to share was measured, no message of Tautline's was lost, and the car kept its lane.
+pub fn check_lane(path: &Path) -> Outcome {
+    judge(path, |reports| {
+        let reports = reports.as_array().ok_or("the report is no list")?;
+        for shared in ["latest", "inherit", "mutex"] {
+            let is_it = |report: &&Value| report["system"] == "Tautline" && report["shared"] == shared;
+            let report =
+                reports.iter().find(is_it).ok_or_else(|| format!("Tautline with '{shared}' is missing"))?;
+            check_run(report).map_err(|reason| format!("{shared}: {reason}"))?;
+        }
+        reports.iter().try_for_each(|report| check_fields(report, "a run", REPORT))
+    })
+}
+
+fn check_run(report: &Value) -> Result<(), String> {
+    let rows = report["rows"].as_array().ok_or("no rows")?;
+    rows.iter().try_for_each(|row| check_fields(row, "a row", ROW))?;
+    for span in ["Chain", "Imu", "Odometry", "Subscriber", "Timer", "Planning", "Draw"] {
+        if !rows.iter().any(|row| row["span"] == span && row["n"].as_u64() > Some(0)) {
+            return Err(format!("nothing is known of '{span}'"));
+        }
+    }
+    if report["lost"].as_array().is_none_or(|lost| !lost.is_empty()) {
+        return Err(format!("messages were lost: {}", report["lost"]));
+    }
+    let drive = &report["drive"];
+    let off_m = drive["lateral_max_m"].as_f64().ok_or("no 'lateral_max_m'")?;
+    if off_m > 0.6 || drive["collisions"] != 0 {
+        return Err(format!(
+            "the car was {off_m} m off the lane's centre, with {} collisions",
+            drive["collisions"]
+        ));
+    }
+    Ok(())
+}
