@@ -63,8 +63,13 @@ impl Running {
         let mut running = Running::default();
         let mut found = Vec::new();
         for statistics in shared_statistics(domain)?.0 {
-            let snapshot = statistics.read().map_err(Error::Statistics)?;
-            found.extend(snapshot.filter(|of| of.process.realtime && statistics.is_running()));
+            match statistics.read() {
+                Ok(snapshot) => {
+                    found.extend(snapshot.filter(|of| of.process.realtime && statistics.is_running()));
+                }
+                // Such as of a process that was built with another version of Tautline.
+                Err(error) => running.notes.push(format!("a process is not looked at: {error}")),
+            }
         }
         for snapshot in &found {
             running.processes.push(label_of(&snapshot.process));
@@ -156,7 +161,7 @@ fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
     let is_it =
         |of: &CallbackSnapshot| !of.is_group && !of.ended && of.priority.is_some() && of.name == callback;
     for statistics in shared_statistics(domain)?.0 {
-        let Some(snapshot) = statistics.read().map_err(Error::Statistics)? else { continue };
+        let Ok(Some(snapshot)) = statistics.read() else { continue };
         let has_file = system.is_of(&snapshot.process);
         if has_file && statistics.is_running() && snapshot.callbacks.iter().any(is_it) {
             return Ok(true);

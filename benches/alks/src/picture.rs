@@ -40,8 +40,8 @@ pub fn drive(drive: &Drive) -> Result<String> {
     let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "{:.0} min, {:.1} km at {:.0} km/h: at most {:.2} m off the lane's centre, {} cut-ins (shaded), seed {}",
-        drive.seconds / 60.0,
+        "{}, {:.1} km at {:.0} km/h: at most {:.2} m off the lane's centre, {} cut-ins (shaded), seed {}",
+        length(drive.seconds),
         drive.kilometres,
         drive.mean_kmh,
         drive.lateral_max_m,
@@ -80,6 +80,10 @@ pub fn drive(drive: &Drive) -> Result<String> {
     root.present()?;
     drop((area, root));
     Ok(svg)
+}
+
+fn length(seconds: f64) -> String {
+    if seconds < 120.0 { format!("{seconds:.0} s") } else { format!("{:.0} min", seconds / 60.0) }
 }
 
 fn draw(panel: &Panel, drive: &Drive, area: &DrawingArea<SVGBackend, Shift>) -> Result<()> {

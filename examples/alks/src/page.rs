@@ -110,7 +110,7 @@ fn histogram(title: &str, all: &[&Summary], bound_ms: Option<f64>) -> Result<Str
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
+        .position(SeriesLabelPosition::UpperMiddle)
         .background_style(WHITE.mix(0.8))
         .label_font(("sans-serif", 13))
         .draw()?;

@@ -17,7 +17,7 @@ use crate::{Options, Result, own_file, progress, sharing};
 
 /// Longest time for a process to hear its topics, and, once it was told, to end.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Nobody else's; r2r's, too.
+/// Of comparisons, nobody else's; r2r's, too.
 const DOMAIN: &str = "87";
 /// What in the environment would set a system otherwise than it is said.
 const INHERITED: [&str; 8] = [
@@ -86,7 +86,7 @@ pub fn all(options: &Options, realtime: bool) -> Result<Vec<Report>> {
                 eprintln!("{}: {:.0} s", bar.message(), contestant.job.seconds);
             }
             let before = steal_ticks(None);
-            let parts = drive(&contestant.program, &contestant.job, &bar);
+            let parts = drive(&contestant.program, &contestant.job, compares, &bar);
             bar.finish_and_clear();
             contestant.parts.push(parts.map_err(|error| format!("{what}: {error}"))?);
             contestant.steal_ticks += steal_ticks(None).saturating_sub(before);
@@ -104,15 +104,16 @@ pub fn all(options: &Options, realtime: bool) -> Result<Vec<Report>> {
         .collect()
 }
 
-/// The three processes of one run: their words in the order of [`Role`].
-fn drive(program: &Path, job: &Job, bar: &ProgressBar) -> Result<Vec<Part>> {
-    let mut visualizer = Process::start(program, job, Role::Visualizer)?;
-    let mut alks = Process::start(program, job, Role::Alks)?;
+/// The three processes of one run: their words in the order of [`Role`]. Not `apart` they are in the domain of the environment, where tools
+/// find them.
+fn drive(program: &Path, job: &Job, apart: bool, bar: &ProgressBar) -> Result<Vec<Part>> {
+    let mut visualizer = Process::start(program, job, Role::Visualizer, apart)?;
+    let mut alks = Process::start(program, job, Role::Alks, apart)?;
     for process in [&mut visualizer, &mut alks] {
         process.expect_ready()?;
     }
     let begin = Instant::now();
-    let adapter = Process::start(program, job, Role::Adapter)?;
+    let adapter = Process::start(program, job, Role::Adapter, apart)?;
     let limit = Duration::from_secs_f64(job.seconds) + PATIENCE;
     let told = adapter.part(limit, |since| {
         bar.set_position((since.as_secs_f64() / (job.seconds + 1.5) * 1000.0) as u64);
@@ -134,14 +135,16 @@ struct Process {
 }
 
 impl Process {
-    fn start(program: &Path, job: &Job, role: Role) -> Result<Process> {
+    fn start(program: &Path, job: &Job, role: Role, apart: bool) -> Result<Process> {
         let mut command = Command::new(program);
         command.arg("--child").arg(serde_json::to_string(&Job { role, ..job.clone() })?);
-        for name in INHERITED {
-            command.env_remove(name);
+        if apart {
+            INHERITED.iter().for_each(|name| {
+                command.env_remove(name);
+            });
+            // r2r would look for others in the whole network, and hear whoever publishes the same topics.
+            command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", DOMAIN);
         }
-        // r2r would look for others in the whole network, and hear whoever publishes the same topics.
-        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", DOMAIN);
         let child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
         let mut child = child.map_err(|error| format!("{}: {error}", program.display()))?;
         let lines = read(child.stdout.take().ok_or("a process without output")?);

@@ -153,7 +153,7 @@ impl<T: WrappedTypesupport + 'static> Sender<T> {
     }
 }
 
-fn hear<T: WrappedTypesupport + 'static>(
+fn hear<T: WrappedTypesupport + Send + 'static>(
     node: &mut Node,
     topic: usize,
 ) -> Result<impl Stream<Item = T> + Unpin + Send + use<T>> {
@@ -265,7 +265,7 @@ impl Subscribers {
         self.store.borrow_mut().update(change, waited);
     }
 
-    fn keep<T: WrappedTypesupport + 'static>(
+    fn keep<T: WrappedTypesupport + Send + 'static>(
         &self,
         node: &mut Node,
         pool: &LocalPool,
