@@ -243,7 +243,7 @@ pub(crate) fn admit_callbacks<'o>(
         };
         let loose = loose(thread, callback, of_file);
         let silent = loose.period_ns.is_none() || loose.budget_ns.is_none();
-        let hint = if silent { ", which states no `period` or no `budget`," } else { "" };
+        let hint = if silent { " (which states no `period` or no `budget`)" } else { "" };
         let what = format!("callback '{}'{hint}", callback.name);
         let candidate = Candidate::Thread(loose.clone());
         if let forced @ Admitted::Forced(_) = decide(domain, mode, running, &candidate, &what, None)? {
@@ -301,7 +301,10 @@ fn decide(
         count @ 1..=NAMED => running.processes[..count].join(", "),
         count => format!("{} and {} more", running.processes[..NAMED].join(", "), count - NAMED),
     };
-    let table = file.map_or("the system files".to_owned(), |file| format!("`taut check {file} --admit`"));
+    let table = match file {
+        Some(file) => format!("`taut check {file} --admit` shows all response times"),
+        None => "`taut report` shows what runs".to_owned(),
+    };
     Err(Error::NotAdmitted { what: what.to_owned(), domain, late, beside, table })
 }
 

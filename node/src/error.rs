@@ -128,7 +128,7 @@ pub enum Error {
     /// It does not fit beside what runs in the domain.
     #[error(
         "{what} is not admitted to domain {domain}: {late}; beside it run: {beside}. Lower the load or its priority, move it to another \
-         core, or end what runs; {table} shows the response times; TAUT_ADMISSION=force runs it all the same, and `taut report` says so"
+         core, or end what runs; {table}; TAUT_ADMISSION=force runs it all the same, and `taut report` says so"
     )]
     NotAdmitted {
         /// A system file, or a callback.
