@@ -250,8 +250,8 @@ pub fn summaries<'p>(parts: impl Iterator<Item = &'p Part> + Clone) -> Vec<Summa
     Span::ALL.iter().filter_map(of_span).collect()
 }
 
-/// Messages that were published to a topic and did not come: of each topic that lost some, and how many of how many.
-/// `readers` receive each topic of the processes that tell of it.
+/// Messages that were published to a topic and did not come to one who subscribes to it: of each topic that lost some, and how many of how
+/// many.
 #[must_use]
 pub fn losses(parts: &[Part]) -> Vec<(String, u64, u64)> {
     let of_topic = |(index, topic): (usize, &&str)| {

@@ -77,7 +77,7 @@ fn steps(
     (first_ns, end_ns): (u64, u64),
 ) -> Result<()> {
     let timer = node.create_wall_timer_at(first_ns, std::time::Duration::from_nanos(PERIOD_NS))?;
-    let fasts = Fasts::open(node, context)?;
+    let fasts = Fasts::open(node)?;
     let (world, records, events) = (world.clone(), records.clone(), context.events().clone());
     group.add(
         context.callback("imu")?,
@@ -157,7 +157,7 @@ fn commands(
 }
 
 impl Fasts {
-    fn open(node: &mut Node, _context: &Context) -> Result<Fasts> {
+    fn open(node: &mut Node) -> Result<Fasts> {
         Ok(Fasts {
             speed: publisher(node, 0)?,
             steering: publisher(node, 1)?,

@@ -185,7 +185,8 @@ fn adapter(mut node: Node, job: &Job) -> Result<()> {
     let lines = Sender::<Float64MultiArray>::new(&mut node, 10, &records)?;
     let mut commands = hear::<Float64MultiArray>(&mut node, 12)?;
     let (timer, slow_timer) = (node.create_wall_timer(PERIOD)?, node.create_wall_timer(2 * PERIOD)?);
-    let (thread_records, thread_over, told, thread_job) = (records.clone(), over.clone(), result.0, job.clone());
+    let (thread_records, thread_over, told, thread_job) =
+        (records.clone(), over.clone(), result.0, job.clone());
     spawn(CALLBACKS, job, move || {
         let simulator = Rc::new(RefCell::new(Simulator::new(thread_job.seed, thread_job.minutes())));
         let command = Rc::new(RefCell::new(Wanted::default()));
@@ -348,7 +349,11 @@ fn control(node: &mut Node, job: &Job, mut view: View, records: &Arc<Records>) -
                 trajectories.send(&ros::trajectory(trajectory));
             }
             let end_ns = monotonic_ns();
-            records.note(if output.planned { Span::Planning } else { Span::Timer }, end_ns, end_ns - begin_ns);
+            records.note(
+                if output.planned { Span::Planning } else { Span::Timer },
+                end_ns,
+                end_ns - begin_ns,
+            );
         }))
     })
 }
@@ -358,8 +363,10 @@ fn visualizer(mut node: Node, job: &Job) -> Result<()> {
     let known = Rc::new(RefCell::new((Inputs::default(), None)));
     let mut pool = LocalPool::new();
     let spawner = pool.spawner();
-    let (mut odometry, mut vehicles) = (hear::<Odometry>(&mut node, 11)?, hear::<Float64MultiArray>(&mut node, 9)?);
-    let (mut lines, mut plans) = (hear::<Float64MultiArray>(&mut node, 10)?, hear::<Float64MultiArray>(&mut node, 13)?);
+    let (mut odometry, mut vehicles) =
+        (hear::<Odometry>(&mut node, 11)?, hear::<Float64MultiArray>(&mut node, 9)?);
+    let (mut lines, mut plans) =
+        (hear::<Float64MultiArray>(&mut node, 10)?, hear::<Float64MultiArray>(&mut node, 13)?);
     let to = (known.clone(), records.clone());
     spawner.spawn_local(async move {
         while let Some(message) = odometry.next().await {
@@ -394,7 +401,8 @@ fn visualizer(mut node: Node, job: &Job) -> Result<()> {
         }
     })?;
     let markers = node.create_publisher::<MarkerArray>("/visualization/markers", QosProfile::default())?;
-    let (timer, draw_records, mut scene) = (node.create_wall_timer(2 * PERIOD)?, records.clone(), Drawing::default());
+    let (timer, draw_records, mut scene) =
+        (node.create_wall_timer(2 * PERIOD)?, records.clone(), Drawing::default());
     spawner.spawn_local(each_tick(timer, move || {
         draw_records.timed(Span::Draw, || {
             let known = known.borrow();
