@@ -9,6 +9,7 @@ use std::process::{Command, ExitCode};
 #[command(after_help = "Examples:
   cargo xtask bench paper --quick                              some minutes: two runs of three seconds
   cargo xtask bench paper --json paper.json --html paper.html  two hours: ten runs of twenty seconds, as in the paper
+  cargo xtask bench paper --results paper.runs --minutes 30    half an hour of it; the same once more goes on
   cargo xtask bench paper --runs 3 -- --variants futures-rt,tokio,nort-tokio
 
 r2r's side is built with the ROS 2 that is sourced, else with one from PyPI under target/ros.")]
@@ -22,6 +23,12 @@ pub struct Options {
     /// Length of a run [default: 20]
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
+    /// Keep every run in FILE, and go on from the runs that it holds
+    #[arg(long, value_name = "FILE")]
+    pub results: Option<PathBuf>,
+    /// Stop after so many minutes; the same command goes on later
+    #[arg(long, value_name = "N", requires = "results")]
+    pub minutes: Option<u64>,
     /// Write the numbers to FILE as well
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -53,7 +60,11 @@ pub fn command(options: &Options) -> Command {
     if let Some(seconds) = options.seconds {
         command.args(["--seconds", &seconds.to_string()]);
     }
-    for (name, path) in [("--json", &options.json), ("--html", &options.html)] {
+    if let Some(minutes) = options.minutes {
+        command.args(["--minutes", &minutes.to_string()]);
+    }
+    let results = ("--results", &options.results);
+    for (name, path) in [results, ("--json", &options.json), ("--html", &options.html)] {
         if let Some(path) = path {
             command.arg(name).arg(path);
         }
@@ -72,6 +83,8 @@ mod tests {
             no_r2r: true,
             runs: Some(3),
             seconds: Some(0.5),
+            results: Some("paper.runs".into()),
+            minutes: Some(30),
             html: Some("paper.html".into()),
             arguments: vec!["--core".into(), "0".into()],
             ..Options::default()
@@ -85,6 +98,10 @@ mod tests {
             "3",
             "--seconds",
             "0.5",
+            "--minutes",
+            "30",
+            "--results",
+            "paper.runs",
             "--html",
             "paper.html",
             "--core",

@@ -9,6 +9,7 @@
 //! |---|---|
 //! | `application` | the topics of both experiments, from examples/systems |
 //! | `plan` | what is measured: systems, variants, runs |
+//! | `ledger` | the runs on disk, to go on with |
 //! | `rounds` | the order of the runs, and the repetition of those that the hypervisor disturbed |
 //! | `process` | one run: starts both processes, collects what they measured |
 //! | `tautline` | both processes on Tautline |
@@ -20,6 +21,7 @@
 mod application;
 mod figures;
 mod html;
+mod ledger;
 mod plan;
 mod predict;
 mod process;
@@ -32,6 +34,7 @@ mod verdict;
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::Parser;
 use tautline_paper::{Variant, priorities};
@@ -45,6 +48,7 @@ pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
 #[command(after_help = "Examples:
   cargo xtask bench paper --quick                              five minutes: two runs of three seconds
   cargo xtask bench paper --json paper.json --html paper.html  as in the paper: ten runs of twenty seconds
+  cargo xtask bench paper --results paper.runs --minutes 30    half an hour of it; the same once more goes on
   cargo xtask bench paper --runs 3 -- --variants futures-rt,tokio,nort-tokio")]
 struct Options {
     /// Two runs of three seconds
@@ -59,6 +63,12 @@ struct Options {
     /// How often a variant may be run once more because the core was taken away [default: half of the runs]
     #[arg(long, value_name = "N")]
     repeats: Option<u32>,
+    /// Keep every run in FILE, and go on from the runs that it holds
+    #[arg(long, value_name = "FILE")]
+    results: Option<PathBuf>,
+    /// Stop after so many minutes; the same command goes on later
+    #[arg(long, value_name = "N", requires = "results", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    minutes: Option<u64>,
     /// Write the numbers to FILE as well
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -111,7 +121,8 @@ fn measure(options: &Options) -> Result<()> {
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
     let plan = plan::Plan::new(options, core(options)?)?;
-    let results = rounds::run(&plan)?;
+    let limit = options.minutes.map(|minutes| Duration::from_secs(60 * minutes));
+    let results = rounds::run(&plan, options.results.as_deref(), limit)?;
     let report = report::Report::new(&plan, &results)?;
     report::print(&report);
     if let Some(path) = &options.json {

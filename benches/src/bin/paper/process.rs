@@ -6,6 +6,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
 use tautline_benches::Process;
 use tautline_paper::{Job, Line, Measured, Published, Role};
 use tautline_rt::host::steal_ticks;
@@ -17,7 +18,7 @@ use crate::plan::{Cell, Plan, System};
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What one run of a cell gave.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Run {
     pub published: Published,
     pub measured: Measured,

@@ -42,16 +42,17 @@ pub struct Disturbed {
 
 impl Report {
     pub fn new(plan: &Plan, results: &Results) -> Result<Report> {
-        let mut rows: Vec<_> = results.cells.iter().flat_map(|cell| stats::rows(plan, cell)).collect();
+        let mut rows: Vec<_> = measured(results).flat_map(|cell| stats::rows(plan, cell)).collect();
         let mut overheads = Vec::new();
         for system in [System::Tautline, System::R2r] {
-            let runs = results.cells.iter().find(|cell| {
+            let runs = measured(results).find(|cell| {
                 cell.cell.system == system && cell.cell.experiment == Experiment::Paper(Variant::FUTURES_RT)
             });
             let Some(runs) = runs else { continue };
             let overhead_ns = stats::overhead_ns(&counted(&runs.runs, plan.runs as usize));
             overheads.push((system, overhead_ns));
-            let bounds = predict::response_times_ns(&plan.paper.topics, overhead_ns, &results.interruptions);
+            let bounds =
+                predict::response_times_ns(&plan.paper.topics, overhead_ns, &results.ledger.interruptions());
             for row in rows.iter_mut().filter(|row| row.cell == runs.cell) {
                 row.rta_overhead_ms = bounds[row.index].map(stats::ms);
             }
@@ -61,6 +62,11 @@ impl Report {
         let disturbed = results.cells.iter().flat_map(|cell| disturbed(plan, cell)).collect();
         Ok(Report { rows, verdicts, notes, disturbed })
     }
+}
+
+/// The cells that have been run.
+fn measured(results: &Results) -> impl Iterator<Item = &CellRuns> {
+    results.cells.iter().filter(|cell| !cell.runs.is_empty())
 }
 
 fn disturbed(plan: &Plan, cell: &CellRuns) -> Vec<Disturbed> {
@@ -137,9 +143,23 @@ fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) ->
             Ok(program) => crate::process::version(program)?,
             Err(reason) => format!("r2r LEFT OUT: {reason}"),
         },
-        results.disturbance.clone(),
     ];
-    let seen = &results.interruptions;
+    let missing = results.missing(plan);
+    if missing > 0 {
+        let all = plan.cells.len() * plan.runs as usize;
+        lines.push(format!("INCOMPLETE: {missing} of {all} runs are not made yet: the same command goes on"));
+    }
+    let ledger = &results.ledger;
+    for session in &ledger.sessions {
+        lines.push(match &session.disturbance {
+            Some(disturbance) => disturbance.clone(),
+            None => "a session was killed: what the machine did in its last run is not known".to_owned(),
+        });
+    }
+    if ledger.builds() > 1 {
+        lines.push(format!("{} builds of this program made the runs", ledger.builds()));
+    }
+    let seen = ledger.interruptions();
     lines.push(format!(
         "the core before the runs: interruptions of {:.0} µs that take {:.2} % (longest {:.0} µs)",
         seen.regular_ns as f64 / 1e3,
@@ -149,14 +169,14 @@ fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) ->
     for (system, overhead_ns) in overheads {
         lines.push(format!("{system}: {:.1} µs of middleware per message", *overhead_ns as f64 / 1e3));
     }
-    lines.extend(results.failed.iter().map(|error| format!("a run that failed and was made again: {error}")));
+    lines.extend(ledger.failed.iter().map(|error| format!("a run that failed and was made again: {error}")));
     let all = results.cells.iter().flat_map(|cell| &cell.runs);
     let (runs, disturbed) =
         all.clone().fold((0, 0), |(n, d), run| (n + 1, d + u32::from(run.is_disturbed())));
     let missed: u64 = all.map(|run| run.published.missed).sum();
     lines.push(format!(
         "{runs} runs in {:.0} s, {disturbed} of them disturbed; releases that the publishers missed: {missed}",
-        results.took.as_secs_f64()
+        ledger.sessions.iter().map(|session| session.took_s).sum::<f64>()
     ));
     Ok(lines)
 }

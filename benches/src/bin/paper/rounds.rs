@@ -2,6 +2,7 @@
 //! All runs, rivals next to each other, and again those in which the core was taken away.
 
 use std::io::IsTerminal;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -13,6 +14,7 @@ use tautline_paper::priorities;
 use tautline_rt::{CoreSet, IdleHold, Interruptions, Policy, Realtime, ThreadBuilder};
 
 use crate::Result;
+use crate::ledger::Ledger;
 use crate::plan::{Cell, Plan};
 use crate::process::{self, Run};
 
@@ -25,12 +27,15 @@ const ATTEMPTS: u32 = 3;
 /// Everything that was measured.
 pub struct Results {
     pub cells: Vec<CellRuns>,
-    /// What the machine itself takes from the core.
-    pub interruptions: Interruptions,
-    pub disturbance: String,
-    /// Runs that failed and were made again, and why they failed.
-    pub failed: Vec<String>,
-    pub took: Duration,
+    /// Sessions, failures, what the machine itself took.
+    pub ledger: Ledger,
+}
+
+impl Results {
+    /// The runs of the plan that were not made yet, as time was up: repetitions aside.
+    pub fn missing(&self, plan: &Plan) -> usize {
+        self.cells.iter().map(|cell| (plan.runs as usize).saturating_sub(cell.planned())).sum()
+    }
 }
 
 /// The runs of one cell, in the order in which they were made.
@@ -41,19 +46,24 @@ pub struct CellRuns {
 }
 
 impl CellRuns {
+    /// Runs that are no repetitions.
+    fn planned(&self) -> usize {
+        self.runs.iter().filter(|run| !run.repetition).count()
+    }
+
     fn undisturbed(&self) -> usize {
         self.runs.iter().filter(|run| !run.is_disturbed()).count()
     }
 
     /// Whether another run is due: every run counts at first; then disturbed ones are repeated, a limited number of times.
     fn wants_repetition(&self, plan: &Plan) -> bool {
-        let repeated = self.runs.iter().filter(|run| run.repetition).count();
+        let repeated = self.runs.len() - self.planned();
         self.undisturbed() < plan.runs as usize && repeated < plan.repeats as usize
     }
 }
 
-/// Measures everything in the plan.
-pub fn run(plan: &Plan) -> Result<Results> {
+/// Measures everything in the plan that `results` does not hold yet, until `limit` is over.
+pub fn run(plan: &Plan, results: Option<&Path>, limit: Option<Duration>) -> Result<Results> {
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         // The second one ends at once.
@@ -63,24 +73,49 @@ pub fn run(plan: &Plan) -> Result<Results> {
     if let Err(reason) = &plan.r2r {
         eprintln!("r2r is left out: {reason}");
     }
+    let ledger = Ledger::open(results, plan)?;
+    let of_before = |cell: &Cell| {
+        let name = cell.to_string();
+        let runs = ledger.runs.iter().filter(|(of, _)| *of == name).map(|(_, run)| run.clone());
+        CellRuns { cell: *cell, runs: runs.collect() }
+    };
+    let cells = plan.cells.iter().map(of_before).collect();
+    let mut results = Results { cells, ledger };
+    if results.missing(plan) > 0 || results.cells.iter().any(|cell| cell.wants_repetition(plan)) {
+        let measured = measure(plan, &mut results, limit, &interrupted);
+        if let (Err(_), Some(path)) = (&measured, results.ledger.path()) {
+            let path = path.display();
+            eprintln!("what has been measured is in {path}: the same command goes on from there");
+        }
+        measured?;
+    }
+    Ok(results)
+}
+
+fn measure(
+    plan: &Plan,
+    results: &mut Results,
+    limit: Option<Duration>,
+    interrupted: &AtomicBool,
+) -> Result<()> {
     let (disturbance, started) = (Disturbance::start(), Instant::now());
-    let interruptions = watch_core(plan)?;
+    results.ledger.begin(&watch_core(plan)?)?;
     // For both systems alike. Ignored: where it is refused, all wake-ups are slower by the same.
     let _idle = IdleHold::new();
 
-    let mut progress = Progress::new(plan);
-    let mut cells: Vec<_> =
-        plan.cells.iter().map(|cell| CellRuns { cell: *cell, runs: Vec::new() }).collect();
-    let (mut number, mut failed) = (0, Vec::new());
+    let mut progress = Progress::new(plan, results);
+    let Results { cells, ledger } = results;
+    let (mut number, time_is_up) = (0, || limit.is_some_and(|limit| started.elapsed() >= limit));
     let mut once = |cell: &mut CellRuns, repetition| -> Result<()> {
         let mut attempts = 0;
         loop {
             (number, attempts) = (number + 1, attempts + 1);
             let namespace = format!("/paper_{}_{number}", std::process::id());
-            let error = match process::run(plan, cell.cell, namespace, &interrupted) {
+            let error = match process::run(plan, cell.cell, namespace, interrupted) {
                 Ok(run) => {
-                    cell.runs.push(Run { repetition, ..run });
-                    return Ok(());
+                    let run = Run { repetition, ..run };
+                    cell.runs.push(run.clone());
+                    return ledger.keep(cell.cell.to_string(), started.elapsed().as_secs_f64(), run);
                 }
                 Err(error) => format!("{}: {error}", cell.cell),
             };
@@ -88,25 +123,36 @@ pub fn run(plan: &Plan) -> Result<Results> {
                 return Err(error.into());
             }
             eprintln!("{error}; once more");
-            failed.push(error);
+            ledger.failed(error)?;
         }
     };
-    for round in 1..=plan.runs {
-        for cell in &mut cells {
-            progress.next(&format!("run {round} of {}: {}", plan.runs, cell.cell));
-            once(cell, false)?;
+    'measuring: {
+        for round in 1..=plan.runs {
+            let due: Vec<_> = cells.iter_mut().filter(|cell| cell.planned() < round as usize).collect();
+            if due.is_empty() {
+                continue;
+            }
+            for cell in due {
+                if time_is_up() {
+                    break 'measuring;
+                }
+                progress.next(&format!("run {round} of {}: {}", plan.runs, cell.cell));
+                once(cell, false)?;
+            }
+            progress.round(&format!("run {round} of {} is done", plan.runs));
         }
-        progress.round(&format!("run {round} of {} is done", plan.runs));
-    }
-    for repeat in 1..=plan.repeats {
-        for cell in cells.iter_mut().filter(|cell| cell.wants_repetition(plan)) {
-            progress.more(&format!("repetition {repeat}: {}", cell.cell));
-            once(cell, true)?;
+        for repeat in 1..=plan.repeats {
+            for cell in cells.iter_mut().filter(|cell| cell.wants_repetition(plan)) {
+                if time_is_up() {
+                    break 'measuring;
+                }
+                progress.more(&format!("repetition {repeat}: {}", cell.cell));
+                once(cell, true)?;
+            }
         }
     }
     progress.end();
-    let (disturbance, took) = (disturbance.report(), started.elapsed());
-    Ok(Results { cells, interruptions, disturbance, failed, took })
+    ledger.end(disturbance.report())
 }
 
 /// Sees what the machine itself takes from the core, at a priority that no run has.
@@ -130,14 +176,16 @@ struct Progress {
 }
 
 impl Progress {
-    fn new(plan: &Plan) -> Self {
-        let expected = Duration::from_secs_f64(plan.expected_seconds());
-        let runs = plan.cells.len() as u64 * u64::from(plan.runs);
+    fn new(plan: &Plan, results: &Results) -> Self {
+        let all = plan.cells.len() * plan.runs as usize;
+        let runs = results.missing(plan);
+        let expected = Duration::from_secs_f64(plan.expected_seconds() * runs as f64 / all.max(1) as f64);
         let terminal = std::io::stderr().is_terminal();
-        eprintln!("{runs} runs on core {}, about {}", plan.core, HumanDuration(expected));
+        let rest = if runs < all { format!(", the rest of {all}") } else { String::new() };
+        eprintln!("{runs} runs on core {}{rest}, about {}", plan.core, HumanDuration(expected));
         let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}, {eta} left  {msg}");
         let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-        let bar = ProgressBar::new(runs).with_style(style);
+        let bar = ProgressBar::new(runs as u64).with_style(style);
         bar.enable_steady_tick(Duration::from_secs(1));
         Progress { bar, terminal, started: Instant::now() }
     }
