@@ -97,7 +97,12 @@ enum Verb {
     /// Measures
     #[command(subcommand)]
     Bench(Bench),
-    /// Runs the demo and the benches and puts their tables and picture into the README, those of domains into docs/adr/0007
+    /// Runs the demo and the benches and puts their tables and pictures into the README and docs/benchmarks.md, those of domains into
+    /// docs/adr/0007
+    #[command(after_help = "Examples:
+  cargo xtask readme                             all of it, some hours
+  cargo xtask readme --only demo,wake
+  cargo xtask readme --only paper --minutes 60   an hour more of the evaluation, and the table of all hours so far")]
     Readme {
         /// Fewer payloads, rounds and runs of the benches
         #[arg(long)]
@@ -105,6 +110,9 @@ enum Verb {
         /// Only these parts [default: all]
         #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]
         only: Vec<readme::Part>,
+        /// Stop the evaluation after so many minutes; the next time goes on
+        #[arg(long, value_name = "N")]
+        minutes: Option<u64>,
     },
     /// Runs the tests of unsafe code under miri: `rustup component add miri --toolchain nightly`
     Miri,
@@ -307,7 +315,7 @@ fn main() -> ExitCode {
         Verb::Bench(Bench::Paper(options)) => paper::run(&options),
         Verb::Bench(Bench::ReferenceSystem(options)) => reference::run(&options),
         Verb::Bench(Bench::Alks(options)) => alks::run(&options),
-        Verb::Readme { quick, only } => readme::run(quick, &only),
+        Verb::Readme { quick, only, minutes } => readme::run(quick, minutes, &only),
         Verb::Miri => {
             let mut steps = Steps::new();
             test::miri(&mut steps);

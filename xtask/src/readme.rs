@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The README's tables and picture, and those of the documents that it leads to, made from a run on this machine: no number in them
+//! The tables and pictures of the README and of the documents that it leads to, made from a run on this machine: no number in them
 //! is typed.
 
 mod compare;
@@ -69,13 +69,14 @@ impl Part {
     /// Where its mark is.
     fn document(self) -> &'static str {
         match self {
+            Part::Demo => "README.md",
             Part::Domain => "docs/adr/0007-the-graph-and-topics-are-files.md",
-            _ => "README.md",
+            _ => "docs/benchmarks.md",
         }
     }
 
     /// What measures it and writes `json`.
-    fn command(self, quick: bool, json: &Path) -> Result<Command, String> {
+    fn command(self, quick: bool, minutes: Option<u64>, json: &Path) -> Result<Command, String> {
         Ok(match self {
             Part::Demo => {
                 let mut demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
@@ -106,10 +107,12 @@ impl Part {
             Part::Paper => {
                 // The whole evaluation takes two hours: what was begun is gone on with.
                 let results = (!quick).then(|| json.with_extension("runs"));
+                let minutes = minutes.filter(|_| !quick);
                 let (json, html) = (Some(json.to_owned()), Some(json.with_extension("html")));
                 crate::paper::command(&crate::paper::Options {
                     quick,
                     results,
+                    minutes,
                     json,
                     html,
                     ..Default::default()
@@ -135,14 +138,16 @@ impl Part {
 
 /// Runs what the parts (none: all) are made from and puts them into their documents. Measures first: no table is made of a run
 /// that failed.
-pub fn run(quick: bool, parts: &[Part]) -> ExitCode {
+pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> ExitCode {
     let parts = if parts.is_empty() { &Part::ALL[..] } else { parts };
     let json = |part: &Part| format!("target/readme-{}.json", part.mark());
     for part in parts {
-        let run = part.command(quick, json(part).as_ref()).and_then(|mut command| match command.status() {
-            Ok(status) if status.success() => Ok(()),
-            Ok(status) => Err(status.to_string()),
-            Err(error) => Err(error.to_string()),
+        let run = part.command(quick, minutes, json(part).as_ref()).and_then(|mut command| {
+            match command.status() {
+                Ok(status) if status.success() => Ok(()),
+                Ok(status) => Err(status.to_string()),
+                Err(error) => Err(error.to_string()),
+            }
         });
         if let Err(reason) = run {
             eprintln!("the documents stay as they are: the run failed: {reason}");
