@@ -104,8 +104,25 @@ fn measure(
     let _idle = IdleHold::new();
 
     let mut progress = Progress::new(plan, results);
+    let time_is_up = || limit.is_some_and(|limit| started.elapsed() >= limit);
+    let measured = all(plan, results, &mut progress, started, time_is_up, interrupted);
+    progress.end();
+    // Also of a session that was interrupted.
+    results.ledger.end(disturbance.report())?;
+    measured
+}
+
+/// Round after round, then the repetitions, until time is up.
+fn all(
+    plan: &Plan,
+    results: &mut Results,
+    progress: &mut Progress,
+    started: Instant,
+    time_is_up: impl Fn() -> bool,
+    interrupted: &AtomicBool,
+) -> Result<()> {
     let Results { cells, ledger } = results;
-    let (mut number, time_is_up) = (0, || limit.is_some_and(|limit| started.elapsed() >= limit));
+    let mut number = 0;
     let mut once = |cell: &mut CellRuns, repetition| -> Result<()> {
         let mut attempts = 0;
         loop {
@@ -126,33 +143,30 @@ fn measure(
             ledger.failed(error)?;
         }
     };
-    'measuring: {
-        for round in 1..=plan.runs {
-            let due: Vec<_> = cells.iter_mut().filter(|cell| cell.planned() < round as usize).collect();
-            if due.is_empty() {
-                continue;
-            }
-            for cell in due {
-                if time_is_up() {
-                    break 'measuring;
-                }
-                progress.next(&format!("run {round} of {}: {}", plan.runs, cell.cell));
-                once(cell, false)?;
-            }
-            progress.round(&format!("run {round} of {} is done", plan.runs));
+    for round in 1..=plan.runs {
+        let due: Vec<_> = cells.iter_mut().filter(|cell| cell.planned() < round as usize).collect();
+        if due.is_empty() {
+            continue;
         }
-        for repeat in 1..=plan.repeats {
-            for cell in cells.iter_mut().filter(|cell| cell.wants_repetition(plan)) {
-                if time_is_up() {
-                    break 'measuring;
-                }
-                progress.more(&format!("repetition {repeat}: {}", cell.cell));
-                once(cell, true)?;
+        for cell in due {
+            if time_is_up() {
+                return Ok(());
             }
+            progress.next(&format!("run {round} of {}: {}", plan.runs, cell.cell));
+            once(cell, false)?;
+        }
+        progress.round(&format!("run {round} of {} is done", plan.runs));
+    }
+    for repeat in 1..=plan.repeats {
+        for cell in cells.iter_mut().filter(|cell| cell.wants_repetition(plan)) {
+            if time_is_up() {
+                return Ok(());
+            }
+            progress.more(&format!("repetition {repeat}: {}", cell.cell));
+            once(cell, true)?;
         }
     }
-    progress.end();
-    ledger.end(disturbance.report())
+    Ok(())
 }
 
 /// Sees what the machine itself takes from the core, at a priority that no run has.
