@@ -16,6 +16,7 @@
 //! | bound chains over cores and hosts | [`system`], [`chain`] |
 //! | see how much may grow | [`sensitivity`] |
 //! | see what happens | [`timeline`] |
+//! | explain a run in which the host took the core | [`taken`] |
 //! | read all of it from `system.toml` | [`mod@file`] |
 //! | admit what comes beside what runs | [`file::admission`] |
 //!
@@ -92,6 +93,7 @@ mod release;
 mod response;
 pub mod sensitivity;
 pub mod system;
+pub mod taken;
 mod task;
 pub mod timeline;
 mod utilisation;

@@ -515,9 +515,12 @@ fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_o
     let checked = SystemFile::parse(&file).unwrap().check();
     let of =
         |name: &str| checked.callbacks.iter().find(|callback| callback.entry.name == name).unwrap().clone();
-    assert!(of("plan").entry.demotes && !of("scan").entry.demotes);
+    assert!(of("plan").entry.demotes && !of("plan").entry.ends && !of("scan").entry.demotes);
     assert_eq!((of("plan").charged_ns, of("scan").charged_ns), (3_021_000, 2_001_000));
     assert!(!checked.warnings.iter().any(|warning| warning.contains("demotion")), "{:?}", checked.warnings);
+    let ends = SystemFile::parse(&overrun("overrun = \"end\"")).unwrap().check();
+    let plan = ends.callbacks.iter().find(|callback| callback.entry.name == "plan").unwrap();
+    assert!(plan.entry.demotes && plan.entry.ends);
     let told = SystemFile::parse(&overrun("overrun = \"tell\"")).unwrap().check();
     assert!(told.callbacks.iter().all(|callback| !callback.entry.demotes));
     let free = SystemFile::parse(&overrun("overrun = \"demote\"")).unwrap().check();
@@ -525,7 +528,7 @@ fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_o
 
     expect(
         &overrun("overrun = \"stop\""),
-        &[(19, "unknown `overrun` \"stop\" in callback `plan` (known: tell, demote)")],
+        &[(19, "unknown `overrun` \"stop\" in callback `plan` (known: tell, demote, end)")],
     );
     let grouped = overrun("overrun = \"demote\"\ngroup = \"g\"") + "[groups.g]\n";
     expect(&grouped, &[(19, "callback `plan` is to be demoted when it overruns, but shares its thread")]);

@@ -22,11 +22,20 @@ impl Stage {
     ///
     /// If there is no context to be had.
     pub fn new() -> Result<Self> {
+        Stage::with(Context::builder())
+    }
+
+    /// With a context of other settings.
+    ///
+    /// # Errors
+    ///
+    /// As [`new`](Self::new).
+    pub fn with(builder: ContextBuilder) -> Result<Self> {
         let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
         let (core, other_core) = (cores[cores.len() - 1], cores[0]);
         let realtime = realtime_permitted(ContextBuilder::SAMPLER_PRIORITY).is_ok();
         let mode = if realtime { Realtime::Required } else { Realtime::Off };
-        let context = Context::builder().realtime(mode).sampler_core(core).build()?;
+        let context = builder.realtime(mode).sampler_core(core).build()?;
         Ok(Stage { context, core, other_core, realtime })
     }
 

@@ -23,6 +23,7 @@ mod lifecycle;
 mod log;
 mod man;
 mod manners;
+mod moment;
 mod msg;
 mod node;
 mod offers;

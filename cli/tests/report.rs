@@ -228,6 +228,58 @@ fn what_was_kept_is_kept_and_a_saved_run_says_the_same() {
     assert!(text(&output.stdout).contains("another text of the system file"));
 }
 
+/// What a host takes is not to be had at will: it is put into a saved run.
+#[test]
+fn what_the_host_took_explains_a_late_response_or_it_does_not() {
+    let scratch = Scratch::new("host");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(97, Realtime::Off, &system);
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
+    let path = scratch.0.join("run.json");
+    let path = path.to_str().unwrap();
+    assert_eq!(taut(&["--domain", "97", "--save", path]).status.code(), Some(0));
+    drop(running);
+    let saved = std::fs::read_to_string(path).unwrap();
+
+    // `other` took 43 s, its bound is 40 s, and while it ran the host had the core for this long.
+    let report = |taken_ns: u64, accounts: bool| {
+        let mut run: Value = serde_json::from_str(&saved).unwrap();
+        let callbacks = run["processes"][0]["callbacks"].as_array_mut().unwrap();
+        let other = callbacks.iter_mut().find(|of| of["name"] == "other").unwrap();
+        let (begin_ns, response_ns) = (100_000_000_000u64, 43_000_000_000u64);
+        let end_ns = begin_ns + response_ns;
+        other["response"] = serde_json::json!({
+            "sum_ns": response_ns, "max_ns": response_ns, "buckets": [[response_ns, 1]],
+        });
+        other["accounts_core_time"] = accounts.into();
+        let moment = |kind: &str, length_ns: u64| serde_json::json!({"kind": kind, "from_ns": begin_ns, "to_ns": end_ns, "length_ns": length_ns});
+        other["moments"] = serde_json::json!([moment("taken", taken_ns), moment("late", response_ns)]);
+        std::fs::write(path, run.to_string()).unwrap();
+        (taut(&[path, "--json"]), text(&taut(&[path]).stdout).replace('\n', " "))
+    };
+
+    let (explained, shown) = report(3_000_000_000, true);
+    assert_eq!(explained.status.code(), Some(0), "{explained:?}");
+    let other = &json(&explained)["callbacks"][1];
+    let host = serde_json::json!({
+        "response_ms": 43_000.0, "beyond": 1, "unexplained": 0, "longest_ms": 43_000.0, "taken_ms": 3_000.0,
+    });
+    assert_eq!((&other["measured"]["host"], &other["violations"]), (&host, &serde_json::json!([])));
+    assert!(shown.contains("other: once beyond its bound, by what the host took"), "{shown}");
+    assert!(shown.contains("took 3000.00 ms of core 0 of `robot`") && shown.contains("host"), "{shown}");
+
+    let (unexplained, shown) = report(2_999_000_000, true);
+    assert_eq!(unexplained.status.code(), Some(1), "{unexplained:?}");
+    assert_eq!(violations(&json(&unexplained), "other"), ["bound exceeded"]);
+    assert!(shown.contains("1 of 1 such responses with less taken by the host"), "{shown}");
+
+    // Nobody looked.
+    let (unknown, shown) = report(3_000_000_000, false);
+    assert_eq!(violations(&json(&unknown), "other"), ["bound exceeded"]);
+    assert!(!shown.contains("the host took"), "{shown}");
+}
+
 #[test]
 fn execution_times_are_fitted_and_written_with_their_source() {
     let scratch = Scratch::new("wcet");

@@ -12,14 +12,15 @@ use futures::executor::LocalPool;
 use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
-    BudgetTimer, CoreSet, Policy, Realtime, RtError, ThreadBuilder, current_affinity, current_policy,
-    host::online_cores,
+    BudgetTimer, CoreSet, CoreTime, Policy, Realtime, RtError, ThreadBuilder, current_affinity,
+    current_policy, host::online_cores,
 };
 
 use crate::callback::{Callback, End, Presence, Thread};
 use crate::group::{CallbackGroup, MemberInfo};
 use crate::hot::{
-    self, CallbackThread, Control, Controlled, GroupFuture, Holder, Measured, Parker, Stopwatch, Waiting,
+    self, Account, CallbackThread, Control, Controlled, GroupFuture, Holder, Measured, Parker, Stopwatch,
+    Waiting,
 };
 use crate::registry::{Registry, Seat};
 use crate::{
@@ -41,6 +42,7 @@ pub struct Executor {
     registry: Registry,
     statistics: Option<StatisticsFile>,
     parkers: Option<MakeParker>,
+    accounts: bool,
     spawned: AtomicUsize,
     callbacks: Mutex<Vec<Arc<Callback>>>,
 }
@@ -49,7 +51,8 @@ impl Executor {
     /// An executor without threads. With [`Realtime::Off`] policies are not applied, everything else is.
     pub fn new(realtime: Realtime) -> Executor {
         let (registry, spawned, callbacks) = Default::default();
-        Executor { realtime, registry, statistics: None, parkers: None, spawned, callbacks }
+        let (statistics, parkers, accounts) = (None, None, false);
+        Executor { realtime, registry, statistics, parkers, accounts, spawned, callbacks }
     }
 
     /// What callback threads sleep on that publishers wake themselves: `make` is called for each callback with
@@ -67,6 +70,15 @@ impl Executor {
     #[must_use]
     pub fn with_statistics(mut self, file: StatisticsFile) -> Executor {
         self.statistics = Some(file);
+        self
+    }
+
+    /// Notes what was taken from the core of each callback, by the hypervisor or by interrupts, among its
+    /// [moments](crate::CallbackSnapshot::moments): pieces of 100 µs and more, at three system calls before each job and three after
+    /// it. For callbacks that are spawned from now on; not for those that poll busily.
+    #[must_use]
+    pub fn account_core_time(mut self, accounts: bool) -> Executor {
+        self.accounts = accounts;
         self
     }
 
@@ -182,6 +194,7 @@ impl Executor {
         check_handlers(&options, &members)?;
         check_demotion(&options, &members)?;
         let holds = options.demotes && self.realtime == Realtime::Required;
+        let ends = options.ends;
         let parker = self.parker(&options)?;
         let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
         let (seat, online) = self.seat(&options).map_err(refused)?;
@@ -190,6 +203,7 @@ impl Executor {
         let stats = Arc::new(CallbackStats::new(options.name.as_str()));
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
+        stats.set_bound(options.bound);
         let no_statistics = |source| ExecutorError::Statistics { name: options.name.clone(), source };
         stats.place(self.statistics.as_ref(), !members.is_empty()).map_err(no_statistics)?;
         for member in &members {
@@ -198,6 +212,7 @@ impl Executor {
         let (control, end) = (Arc::<Control>::default(), Arc::<End>::default());
         let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();
         let presence = Presence { end: Arc::clone(&end), stats: all_stats, _registration: registration };
+        let accounts = self.accounts && !options.busy_poll;
         let (busy, spin, execution_time, thread_control) =
             (options.busy_poll, options.spin.min(MAX_SPIN), options.execution_time, Arc::clone(&control));
         let (thread_stats, watch) = (Arc::clone(&stats), options.watch.clone());
@@ -213,16 +228,18 @@ impl Executor {
             tautline_trace::register_thread();
             let trace = tautline_trace::callback_init(thread_stats.name());
             let stopwatch = execution_time.then(|| Stopwatch::new(busy));
-            let timer = if holds { BudgetTimer::new().map(Some) } else { Ok(None) };
-            let timer = timer.unwrap_or_else(|error| {
+            let failed = |error| {
                 // Nothing of the callback has run: it ends before it begins.
                 thread_control.stop();
                 *thread_trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
-                None
-            });
+            };
+            let timer = holds.then(|| BudgetTimer::new().map_err(failed).ok()).flatten();
+            let account = accounts.then(|| CoreTime::new().map_err(failed).ok()).flatten().map(Account::new);
             let (running, overran_until_ns) = (Cell::new(0), Cell::new(0));
-            let holder = timer.map(|timer| Holder { timer, policy, running, overran_until_ns });
-            let (measured, future) = make(Measured { stats: thread_stats, watch, stopwatch, holder });
+            let ends = ends.then(|| Arc::clone(&thread_control));
+            let holder = timer.map(|timer| Holder { timer, policy, ends, running, overran_until_ns });
+            let (measured, future) =
+                make(Measured { stats: thread_stats, watch, stopwatch, holder, account });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
             let announced = Cell::default();
             let thread =
@@ -256,6 +273,13 @@ impl Executor {
         let info = thread.info().clone();
         stats.describe(&info, options.period, execution_time);
         members.iter().for_each(|member| member.stats.describe(&info, member.options.period, execution_time));
+        if accounts {
+            members
+                .iter()
+                .map(|member| &member.stats)
+                .chain([&stats])
+                .for_each(|stats| stats.describe_account());
+        }
         let thread = Mutex::new(Thread { running: Some(thread), panic: None });
         let callback = Arc::new(Callback { stats, control, end, info, thread });
         self.keep(Arc::clone(&callback));

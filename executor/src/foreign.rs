@@ -39,7 +39,7 @@ pub struct ForeignCallback {
 }
 
 impl ForeignCallback {
-    /// Of the options, the name, the period, the deadline, the budget and whether the execution time is measured are used.
+    /// Of the options, the name, the period, the deadline, the budget, the bound and whether the execution time is measured are used.
     ///
     /// # Real-time
     /// Setup only.
@@ -50,6 +50,7 @@ impl ForeignCallback {
         let stats = CallbackStats::new(&*options.name);
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
+        stats.set_bound(options.bound);
         stats.place(Some(file), false)?;
         stats.describe_jobs(options.period, options.execution_time);
         Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time })

@@ -83,8 +83,8 @@ impl CallbackGroup {
     /// Adds a callback for the items of a stream. `release` gives an item's release in ns of `CLOCK_MONOTONIC`; a
     /// stream's items must come in order of release. Neither items nor the callback's futures need be `Send`.
     ///
-    /// `member` is a name, or [`CallbackOptions`], of which a member has the name, the period, the deadline, the budget
-    /// and the handlers: its thread is the group's.
+    /// `member` is a name, or [`CallbackOptions`], of which a member has the name, the period, the deadline, the budget,
+    /// the bound and the handlers: its thread is the group's.
     ///
     /// Returns the member's statistics, which count from the moment the group is spawned.
     pub fn add<S, F, Fut>(
@@ -103,6 +103,7 @@ impl CallbackGroup {
         let stats = Arc::new(CallbackStats::new(options.name.as_str()));
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
+        stats.set_bound(options.bound);
         let (member_stats, watch) = (Arc::clone(&stats), options.watch.clone());
         self.members.push(MemberInfo { stats: Arc::clone(&stats), options });
         self.recipes.push(Box::new(move || {

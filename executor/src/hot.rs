@@ -15,12 +15,12 @@ use std::time::Duration;
 use futures::Stream;
 use futures::task::AtomicWaker;
 use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
-use tautline_rt::{BudgetTimer, Policy};
+use tautline_rt::{BudgetTimer, CoreMark, CoreTime, Policy};
 use tautline_trace::{Object, ObjectId};
 
 use crate::group::Kept;
 use crate::options::Watch;
-use crate::stats::{self, CallbackStats, QueueState};
+use crate::stats::{self, CallbackStats, Moment, MomentKind, QueueState};
 
 thread_local! {
     static CURRENT: RefCell<Option<CallbackThread>> = const { RefCell::new(None) };
@@ -47,6 +47,8 @@ pub(crate) struct Measured {
     pub stopwatch: Option<Stopwatch>,
     /// What holds jobs to their budgets, if something does.
     pub holder: Option<Holder>,
+    /// What notes what was taken from the core, if it is accounted for.
+    pub account: Option<Account>,
 }
 
 /// Holds jobs to their budgets: see [`CallbackOptions::demote_on_overrun`](crate::CallbackOptions::demote_on_overrun).
@@ -54,6 +56,8 @@ pub(crate) struct Holder {
     pub timer: BudgetTimer,
     /// What a demoted thread gets back.
     pub policy: Policy,
+    /// What ends the callback instead, if that is wanted.
+    pub ends: Option<Arc<Control>>,
     /// Jobs that have begun and not ended: streams of one callback may overlap.
     pub running: Cell<u32>,
     /// When the last demoted job ended: what was released before has waited for it.
@@ -76,11 +80,67 @@ impl Holder {
     fn end(&self) -> bool {
         self.running.set(self.running.get().saturating_sub(1));
         // Jobs that overlap share what comes of it, until the last of them ends.
-        let demoted = self.running.get() == 0 && self.timer.disarm(self.policy);
+        // One that ends has nothing more to do at its priority.
+        let after = if self.ends.is_some() { Policy::Other { nice: 0 } } else { self.policy };
+        let demoted = self.running.get() == 0 && self.timer.disarm(after);
         if demoted {
             self.overran_until_ns.set(monotonic_ns());
+            if let Some(control) = &self.ends {
+                control.stop();
+            }
         }
         demoted
+    }
+}
+
+/// Accounts for the time of a callback's core: see [`Executor::account_core_time`](crate::Executor::account_core_time).
+pub(crate) struct Account {
+    clock: CoreTime,
+    /// At the begin of the job that runs; of jobs that overlap, the first.
+    begun: Cell<Option<CoreMark>>,
+    /// At the end of the last one.
+    ended: Cell<Option<CoreMark>>,
+    /// Jobs that have begun and not ended.
+    running: Cell<u32>,
+}
+
+impl Account {
+    /// Shorter pieces are not noted: they are what context switches and a middleware cost.
+    const LEAST_NS: u64 = 100_000;
+
+    pub const fn new(clock: CoreTime) -> Account {
+        Account { clock, begun: Cell::new(None), ended: Cell::new(None), running: Cell::new(0) }
+    }
+
+    /// A job begins that a clock released at `due_ns`, if one did.
+    fn begin(&self, due_ns: Option<u64>, stats: &CallbackStats) {
+        if self.running.replace(self.running.get().saturating_add(1)) > 0 {
+            return;
+        }
+        let now = self.clock.mark();
+        if let (Some(due_ns), Some(asleep)) = (due_ns, self.ended.get())
+            && let Some(length_ns) = asleep.woken_late_by(due_ns, &now).filter(|ns| *ns >= Self::LEAST_NS)
+        {
+            let to_ns = now.from_ns;
+            stats.note(&Moment { kind: MomentKind::WokenLate, from_ns: due_ns, to_ns, length_ns });
+        }
+        self.begun.set(Some(now));
+    }
+
+    /// A job has ended; of jobs that overlap, the last.
+    fn end(&self, stats: &CallbackStats) {
+        self.running.set(self.running.get().saturating_sub(1));
+        if self.running.get() > 0 {
+            return;
+        }
+        let now = self.clock.mark();
+        if let Some(begun) = self.begun.take()
+            && let Some(length_ns) = begun.taken_until(&now).filter(|ns| *ns >= Self::LEAST_NS)
+        {
+            let (from_ns, to_ns) = (begun.to_ns, now.from_ns);
+            stats.note(&Moment { kind: MomentKind::Taken, from_ns, to_ns, length_ns });
+        }
+        self.ended.set(Some(now));
     }
 }
 
@@ -117,9 +177,13 @@ impl Stopwatch {
 }
 
 impl Measured {
-    /// A job begins of the callback with these statistics: the thread's own, or a member's.
-    fn begin(&self, release_ns: u64, of: &CallbackStats) -> Begun {
+    /// A job begins of the callback with these statistics: the thread's own, or a member's. `due_ns`: when a clock was to release
+    /// it.
+    fn begin(&self, release_ns: u64, due_ns: Option<u64>, of: &CallbackStats) -> Begun {
         self.stats.release(release_ns);
+        if let Some(account) = &self.account {
+            account.begin(due_ns, of);
+        }
         if let Some(stopwatch) = &self.stopwatch {
             stopwatch.begin();
             if let (Some(holder), Some(since_ns)) = (&self.holder, stopwatch.since_ns.get()) {
@@ -129,10 +193,13 @@ impl Measured {
         Begun { release_ns }
     }
 
-    /// A job that ends now.
-    fn end(&self, begun: Begun) -> stats::Job {
+    /// A job that ends now, of the callback with these statistics.
+    fn end(&self, begun: Begun, of: &CallbackStats) -> stats::Job {
         let Begun { release_ns } = begun;
         let response_ns = monotonic_ns().saturating_sub(release_ns);
+        if let Some(account) = &self.account {
+            account.end(of);
+        }
         if self.holder.as_ref().is_some_and(Holder::end) {
             self.stats.demoted();
         }
@@ -336,7 +403,7 @@ pub struct Job {
 /// Begins a job of the current thread's callback that was released at `release_ns` of `CLOCK_MONOTONIC`.
 ///
 /// # Real-time
-/// Wait-free; no allocation; no syscall, except one in a thread's first job.
+/// Wait-free; no allocation; no syscall, except one in a thread's first job, and three where core time is accounted for.
 pub fn begin(release_ns: u64) -> Job {
     begin_for(current(|thread| thread.trace.id()).unwrap_or_default(), release_ns)
 }
@@ -346,8 +413,21 @@ pub fn begin(release_ns: u64) -> Job {
 /// # Real-time
 /// As [`begin`].
 pub fn begin_for(callback: ObjectId, release_ns: u64) -> Job {
+    start(callback, release_ns, None)
+}
+
+/// As [`begin_for`], of a job that a clock released: if the thread slept then, it was to be woken at that instant.
+///
+/// # Real-time
+/// As [`begin`].
+pub fn begin_due(callback: ObjectId, release_ns: u64) -> Job {
+    start(callback, release_ns, Some(release_ns))
+}
+
+fn start(callback: ObjectId, release_ns: u64, due_ns: Option<u64>) -> Job {
     let begun = current(|thread| {
-        let begun = thread.measured.as_ref().map(|measured| measured.begin(release_ns, &measured.stats));
+        let begin = |measured: &Measured| measured.begin(release_ns, due_ns, &measured.stats);
+        let begun = thread.measured.as_ref().map(begin);
         if begun.is_none() {
             thread.announced.set(callback);
         }
@@ -365,13 +445,13 @@ impl Job {
     /// # Real-time
     /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the thread
     /// polls busily; where jobs are held to budgets one more, and as many when they begin, and after an overrun another one
-    /// at either. Besides, what the handlers of [`CallbackOptions`](crate::CallbackOptions) do, if one is called.
+    /// at either; where core time is accounted for, three more. Besides, what the handlers of [`CallbackOptions`](crate::CallbackOptions) do, if one is called.
     pub fn finish(self) {
         tautline_trace::callback_end(self.callback);
         if let Some(begun) = self.begun {
             current(|thread| {
                 if let Some(to) = &thread.measured {
-                    let job = to.end(begun);
+                    let job = to.end(begun, &to.stats);
                     to.pass_over(to.watch.tell(to.stats.complete(&job), &job));
                 }
             });
@@ -497,7 +577,7 @@ where
         if let Some(item) = self.next.take() {
             let release_ns = (self.release)(&item);
             self.stats.release(release_ns);
-            self.begun = Some(total.begin(release_ns, &self.stats));
+            self.begun = Some(total.begin(release_ns, None, &self.stats));
             tautline_trace::callback_start(self.traced, release_ns);
             self.future.set(Some((self.callback)(item)));
         }
@@ -508,7 +588,7 @@ where
         self.future.set(None);
         if let Some(begun) = self.begun.take() {
             tautline_trace::callback_end(self.traced);
-            let job = total.end(begun);
+            let job = total.end(begun, &self.stats);
             let of_member = self.watch.tell(self.stats.complete(&job), &job);
             let of_group = total.watch.tell(total.stats.complete(&job), &job);
             total.pass_over(of_member || of_group);

@@ -10,6 +10,7 @@
 //! - Each callback has [`CallbackStats`]: releases, completions, overruns, missed deadlines, execution and response times.
 //!   Streams record into them through [`job`], without any code in the callback. With a [`StatisticsFile`] other
 //!   processes can read them.
+//! - [`Executor::account_core_time`] adds what was taken from each callback's core, so that a late job can be explained.
 //! - [`CallbackOptions::budget`] and its handlers tell when a job breaks what the analysis assumed.
 //! - [`assign`] turns periods or deadlines into priorities.
 //!
@@ -53,6 +54,6 @@ pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, Watch};
 pub use registry::ThreadRegistration;
 pub use stats::{
     Admitted, Bucket, CallbackSnapshot, CallbackStats, ForeignStatistics, Histogram, HistogramSnapshot,
-    ProcessInfo, ProcessSnapshot, StatisticsFile,
+    Moment, MomentKind, ProcessInfo, ProcessSnapshot, StatisticsFile,
 };
 pub use tautline_rt::{CoreSet, Policy, Realtime};

@@ -35,8 +35,12 @@ pub struct CallbackOptions {
     pub deadline: Option<Duration>,
     /// The CPU time that a job may use: see [`CallbackOptions::budget`].
     pub budget: Option<Duration>,
+    /// Jobs whose responses take longer are kept with their instants: see [`CallbackOptions::bound`].
+    pub bound: Option<Duration>,
     /// Whether a job that uses more goes on below all others: see [`CallbackOptions::demote_on_overrun`].
     pub demotes: bool,
+    /// Whether the callback ends with that job: see [`CallbackOptions::end_on_overrun`].
+    pub ends: bool,
     /// What happens after a job that used more than its budget, and after one that missed its deadline.
     pub watch: Watch,
     /// Poll all the time instead of parking: see [`CallbackOptions::busy_poll`].
@@ -71,7 +75,9 @@ impl CallbackOptions {
             period: None,
             deadline: None,
             budget: None,
+            bound: None,
             demotes: false,
+            ends: false,
             watch: Watch { on_overrun: None, on_deadline_miss: None },
             busy_poll: false,
             direct_wake: false,
@@ -133,6 +139,13 @@ impl CallbackOptions {
         self
     }
 
+    /// Sets the response time that analysis computed. Jobs that take longer are kept with their instants among the
+    /// [moments](crate::CallbackSnapshot::moments), so that each can be explained.
+    pub const fn bound(mut self, bound: Duration) -> CallbackOptions {
+        self.bound = Some(bound);
+        self
+    }
+
     /// Holds each job to its budget: one that has used it up goes on as `SCHED_OTHER`, below every real-time thread, until it ends;
     /// and so do the jobs that were released before that, which have waited for it. What is released later is done at the
     /// thread's priority again. So the bounds of other callbacks do not rest on the budget being enough.
@@ -150,6 +163,14 @@ impl CallbackOptions {
     /// lend it theirs.
     pub const fn demote_on_overrun(mut self) -> CallbackOptions {
         self.demotes = true;
+        self
+    }
+
+    /// As [`demote_on_overrun`](Self::demote_on_overrun), and the callback ends when such a job does, its thread still below all
+    /// others: for one that nobody trusts any more once it has broken its word. Its handlers are called, its statistics say that it has ended.
+    /// In a group it ends the group.
+    pub const fn end_on_overrun(mut self) -> CallbackOptions {
+        (self.demotes, self.ends) = (true, true);
         self
     }
 

@@ -156,7 +156,9 @@ fn waking_and_polling_a_callback() {
     let _traced = traced(1206);
     let told = Arc::new(AtomicU64::new(0));
     let watched = watched(&told);
-    for options in [CallbackOptions::other(), CallbackOptions::other().execution_time(false), watched] {
+    let unmeasured = CallbackOptions::other().execution_time(false);
+    let (plain, late) = (CallbackOptions::other(), CallbackOptions::other().bound(Duration::from_nanos(1)));
+    for (options, accounts) in [(plain, false), (unmeasured, false), (watched, false), (late, true)] {
         let limits = u64::from(options.budget.is_some()) + u64::from(options.deadline.is_some());
         let bell = Bell::new();
         let (callback_bell, mut heard, mut job) = (bell.clone(), 0, None);
@@ -172,10 +174,12 @@ fn waking_and_polling_a_callback() {
                 callback_bell.answer();
             }
         });
-        let executor = Executor::new(Realtime::Off);
+        let executor = Executor::new(Realtime::Off).account_core_time(accounts);
         let callback = executor.spawn_callback(options, future).unwrap();
         assert_eq!(cycle(&[&bell]), [0, 0]);
         assert!(callback.stats().completions() >= CYCLES);
+        let seen = callback.stats().snapshot().unwrap();
+        assert_eq!((seen.accounts_core_time, seen.older_moments >= CYCLES - 128), (accounts, accounts));
         assert!(told.load(Ordering::Relaxed) >= limits * CYCLES);
         executor.shutdown().unwrap();
     }

@@ -5,12 +5,15 @@ mod common;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::task::Poll;
 use std::time::Duration;
 
 use common::{Log, cores, realtime};
 use futures::StreamExt;
 use futures::channel::mpsc;
-use tautline_executor::{CallbackGroup, CallbackOptions, Executor, ExecutorError, Realtime, job};
+use tautline_executor::{
+    CallbackGroup, CallbackOptions, Executor, ExecutorError, Realtime, job, stop_requested,
+};
 use tautline_rt::{Policy, clock, current_policy};
 
 const BUDGET: Duration = Duration::from_millis(2);
@@ -25,6 +28,9 @@ fn jobs(orders: mpsc::UnboundedReceiver<Order>) -> impl futures::Stream<Item = D
     futures::stream::poll_fn(move |context| {
         if let Some(job) = running.take() {
             job.finish();
+        }
+        if stop_requested() {
+            return Poll::Pending;
         }
         orders.poll_next_unpin(context).map(|order| {
             let (release_ns, work) = order?;
@@ -86,6 +92,41 @@ fn what_waited_for_an_overrun_is_done_below_too_and_what_comes_later_is_not() {
     control.join().unwrap();
     assert_eq!(log.events(), ["own own", "own below", "below below", "below below", "own own"]);
     assert_eq!((stats.completions(), stats.overruns(), stats.demotions()), (5, 2, 3));
+}
+
+#[test]
+fn a_callback_that_is_to_end_does_no_other_job() {
+    if !realtime() {
+        return;
+    }
+    let (orders, receiver) = mpsc::unbounded();
+    let log = Log::default();
+    let work_log = log.clone();
+    let work = jobs(receiver).for_each(move |work| {
+        clock::burn_cpu(work);
+        work_log.add(level());
+        async {}
+    });
+    let little = BUDGET / 4;
+    for work in [little, BUDGET * 5, little] {
+        orders.unbounded_send((clock::monotonic_ns(), work)).unwrap();
+    }
+    let executor = Executor::new(Realtime::Required);
+    let told = Log::default();
+    let handler_told = told.clone();
+    let options = CallbackOptions::fifo(20).name("last").budget(BUDGET).end_on_overrun();
+    let options = options.on_overrun(move |overrun| handler_told.add(format!("job {}", overrun.job)));
+    let callback = executor.spawn_callback(options, work).unwrap();
+    let stats = callback.stats().clone();
+    // Nobody closes the channel: it ends by itself.
+    callback.join().unwrap();
+    assert_eq!(
+        (log.events(), told.events()),
+        (vec!["own".to_owned(), "below".to_owned()], vec!["job 2".to_owned()])
+    );
+    let seen = stats.snapshot().unwrap();
+    assert_eq!((seen.completions, seen.demotions, seen.ended), (2, 1, true));
+    drop(orders);
 }
 
 #[test]

@@ -112,7 +112,7 @@ pub use uuid;
 pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
     CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions,
-    Overrun, Policy, ProcessInfo, ProcessSnapshot, Realtime, StatisticsFile, assign,
+    Moment, MomentKind, Overrun, Policy, ProcessInfo, ProcessSnapshot, Realtime, StatisticsFile, assign,
 };
 /// Callbacks that wait for several topics.
 pub use tautline_join as join;

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::qos::QosProfile;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use tautline_analysis::file::{CheckedCallback, CheckedSystem, SystemFile};
+use tautline_analysis::file::{CallbackEntry, CheckedCallback, CheckedSystem, SystemFile};
 use tautline_executor::{CallbackOptions, ProcessInfo};
 use tautline_join::{ApproximateTime, ExactTime};
 use tautline_transport::Limits;
@@ -64,8 +64,9 @@ impl LoadedSystem {
     pub(crate) fn options(&self, name: &str) -> Result<CallbackOptions> {
         let callback = self.find(name)?;
         let thread = thread_of(callback);
-        let thread = if callback.entry.demotes { thread.demote_on_overrun() } else { thread };
-        Ok(thread
+        let CallbackEntry { demotes, ends, .. } = callback.entry;
+        let bound = callback.response_overhead_ns.map(Duration::from_nanos);
+        Ok(CallbackOptions { bound, demotes, ends, ..thread }
             .name(name)
             .period(Duration::from_nanos(callback.period_ns))
             .deadline(Duration::from_nanos(callback.entry.deadline_ns))

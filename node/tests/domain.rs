@@ -17,7 +17,7 @@ fn describe() -> String {
 #[test]
 fn the_environment_names_the_domain_and_the_policy() {
     let not_a_domain = "is not understood: a domain is a number from 0 to 232";
-    let cases: [(&[(&str, &str)], String); 12] = [
+    let cases: [(&[(&str, &str)], String); 14] = [
         (&[], "0 Required".into()),
         (&[("TAUT_DOMAIN", "217")], "217 Required".into()),
         (&[("ROS_DOMAIN_ID", "218")], "218 Required".into()),
@@ -33,6 +33,11 @@ fn the_environment_names_the_domain_and_the_policy() {
         (
             &[("TAUT_DOMAIN", "217"), ("TAUT_REALTIME", "no")],
             "TAUT_REALTIME=no is not understood: it may be 'required' or 'off'".into(),
+        ),
+        (&[("TAUT_DOMAIN", "217"), ("TAUT_CORE_TIME", "on")], "217 Required".into()),
+        (
+            &[("TAUT_DOMAIN", "217"), ("TAUT_CORE_TIME", "1")],
+            "TAUT_CORE_TIME=1 is not understood: it may be 'on' or 'off'".into(),
         ),
     ];
     for (variables, expected) in cases {

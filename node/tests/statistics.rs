@@ -9,11 +9,13 @@ use common::{Log, Number, run_again, spin};
 use futures::StreamExt;
 use tautline::rt::clock;
 use tautline::{
-    CallbackGroup, CallbackSnapshot, Context, Node, ProcessSnapshot, QosProfile, Realtime, shared_statistics,
+    CallbackGroup, CallbackSnapshot, Context, MomentKind, Node, ProcessSnapshot, QosProfile, Realtime,
+    shared_statistics,
 };
 
 const DOMAIN: u32 = 166;
 const KILLED: u32 = 167;
+const ACCOUNTED: u32 = 95;
 
 const SYSTEM: &str = r#"
 [hosts.robot]
@@ -123,6 +125,45 @@ fn what_callbacks_do_is_seen_from_outside() {
         "who looked before sees it still"
     );
     assert_eq!(scan.stats().releases(), 2);
+}
+
+/// Each job beyond the bound of the file is there with its instants, beside what was taken from its core.
+#[test]
+fn late_jobs_are_kept_with_their_instants() {
+    static DONE: Log<u64> = Log::new();
+    let path = std::env::temp_dir().join(format!("tautline-{}-accounted.toml", std::process::id()));
+    std::fs::write(&path, SYSTEM).unwrap();
+    let builder = Context::builder().domain(ACCOUNTED).realtime(Realtime::Off).system(&path);
+    let context = builder.account_core_time(true).build().unwrap();
+    std::fs::remove_file(&path).unwrap();
+    let mut node = Node::create(context.clone(), "driver", "").unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/n", QosProfile::default().keep_last(2)).unwrap();
+    let publisher = node.create_publisher::<Number>("/n", QosProfile::default()).unwrap();
+    // An hour ago, and not yet.
+    let (hour_ns, now_ns) = (3_600_000_000_000, clock::monotonic_ns());
+    let releases = [now_ns.saturating_sub(hour_ns), now_ns + hour_ns];
+    for (value, released_ns) in releases.into_iter().enumerate() {
+        let mut loan = publisher.loan().unwrap();
+        loan.value = value as u64;
+        loan.publish_released_at(released_ns).unwrap();
+    }
+    let options = context.callback("scan").unwrap();
+    let bound = options.bound.unwrap();
+    assert!(bound > options.budget.unwrap(), "{bound:?}");
+    let scan = node
+        .spawn_callback(options, numbers.for_each(|number| async move { DONE.add(number.value) }))
+        .unwrap();
+    let _spinning = spin(&context);
+    DONE.wait_for(2);
+    scan.stop();
+    scan.clone().join().unwrap();
+    let snapshot = &snapshots(ACCOUNTED)[0];
+    let seen = find(snapshot, "scan");
+    assert_eq!((seen.bound_ns, seen.accounts_core_time), (Some(bound.as_nanos() as u64), true));
+    let late: Vec<_> = seen.moments.iter().filter(|moment| moment.kind == MomentKind::Late).collect();
+    let [late] = late.as_slice() else { panic!("{late:?}") };
+    assert_eq!((late.from_ns, late.length_ns), (releases[0], late.to_ns - late.from_ns));
+    assert_eq!(u128::from(late.length_ns), seen.response.max().as_nanos());
 }
 
 #[test]

@@ -99,11 +99,14 @@ impl System {
             self.callbacks.iter().find(is_it)
         };
         let options = match of(node).or_else(|| of(short)) {
-            Some(callback) => CallbackOptions::other()
-                .name(&callback.entry.name)
-                .period(Duration::from_nanos(callback.period_ns))
-                .deadline(Duration::from_nanos(callback.entry.deadline_ns))
-                .budget(Duration::from_nanos(callback.charged_ns)),
+            Some(callback) => CallbackOptions {
+                bound: callback.response_overhead_ns.map(Duration::from_nanos),
+                ..CallbackOptions::other()
+                    .name(&callback.entry.name)
+                    .period(Duration::from_nanos(callback.period_ns))
+                    .deadline(Duration::from_nanos(callback.entry.deadline_ns))
+                    .budget(Duration::from_nanos(callback.charged_ns))
+            },
             None => CallbackOptions::other().name(format!("{node} {topic}")),
         }
         .execution_time(self.is_named);

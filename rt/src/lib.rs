@@ -5,6 +5,7 @@
 //!   kernel has confirmed both. [`Realtime::Off`] is the explicit opt-out for machines without the privilege.
 //! - [`set_policy`], [`set_affinity`] do the same for a thread that exists; [`threads`] reads every thread back.
 //! - [`BudgetTimer`] demotes a thread that uses more processor time than it was given.
+//! - [`CoreTime`] tells what a thread used, what it waited for, and what was taken from it.
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
@@ -32,6 +33,7 @@
 //! ```
 
 mod budget;
+mod core_time;
 mod cores;
 mod error;
 mod exit;
@@ -54,6 +56,7 @@ pub mod permission;
 pub mod shm;
 
 pub use budget::BudgetTimer;
+pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;
 pub use exit::{AtExit, at_exit};

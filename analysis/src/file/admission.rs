@@ -311,6 +311,7 @@ impl Union {
                 topics: Vec::new(),
                 joins: false,
                 demotes: false,
+                ends: false,
                 window_ns: None,
                 publishes: Vec::new(),
                 depth: None,

@@ -305,6 +305,7 @@ impl Builder<'_> {
             window_ns: declared.all.and_then(|_| Some(declared.window.as_ref()?.value)),
             joins: declared.all.is_some(),
             demotes: declared.demotes.is_some(),
+            ends: declared.ends,
             tasks,
         }
     }

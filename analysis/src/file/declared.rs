@@ -85,6 +85,8 @@ pub(super) struct Callback {
     pub group: Option<At<String>>,
     /// Where `overrun` is, if a job that overruns is to be demoted.
     pub demotes: Option<usize>,
+    /// Whether its callback ends with that job.
+    pub ends: bool,
     pub publishes: Vec<At<String>>,
     pub reads: Vec<At<String>>,
     pub locks: Vec<(String, u64)>,

@@ -80,6 +80,8 @@ pub struct CallbackEntry {
     pub joins: bool,
     /// Whether a job that overruns its budget is demoted, so that the bounds of others do not rest on its wcet.
     pub demotes: bool,
+    /// Whether the callback ends with such a job.
+    pub ends: bool,
     /// How far apart the stamps of these may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each, whatever its stamp.
     pub window_ns: Option<u64>,
     /// The topics that it publishes.

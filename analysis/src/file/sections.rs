@@ -202,9 +202,12 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
     let all = section.has("all").then(|| together.first().map_or(section.at, |topic| topic.at));
     topics.extend(together);
     let overrun_at = section.raw("overrun").map(|value| value.span().start);
-    let demotes = choice(&mut section, "overrun", &[("tell", false), ("demote", true)], problems);
+    // Whether the job is demoted, and whether it is the last one.
+    let overruns = [("tell", (false, false)), ("demote", (true, false)), ("end", (true, true))];
+    let (demotes, ends) = choice(&mut section, "overrun", &overruns, problems).unwrap_or_default();
     let callback = Callback {
-        demotes: overrun_at.filter(|_| demotes == Some(true)),
+        demotes: overrun_at.filter(|_| demotes),
+        ends,
         node: section.text("node", problems),
         topics,
         all,

@@ -2,11 +2,12 @@
 //! The application: topics, message, priorities (ECRTS 2025, section 5), from examples/systems/paper.toml.
 
 use std::time::Duration;
-use tautline::{Context, ContextBuilder, Message, QosProfile, Realtime};
+use tautline::{CallbackHandle, Context, ContextBuilder, Message, QosProfile, Realtime};
 use tautline_analysis::Task;
 use tautline_analysis::file::{CheckedCallback, SystemFile};
 
 use super::{DemoArgs, DemoError};
+use crate::moment::Moment;
 
 /// Priorities of the publisher's sampler and worker in the paper: above the subscriber's.
 pub const PUBLISHER_SAMPLER_PRIORITY: u8 = 25;
@@ -67,11 +68,17 @@ pub fn qos() -> QosProfile {
 
 /// What both processes' contexts have in common.
 pub fn context(args: &DemoArgs, sampler_priority: u8) -> ContextBuilder {
-    Context::builder().realtime(realtime(args)).sampler_priority(sampler_priority)
+    let builder = Context::builder().realtime(realtime(args)).sampler_priority(sampler_priority);
+    builder.account_core_time(true)
 }
 
 pub fn realtime(args: &DemoArgs) -> Realtime {
     if args.no_rt { Realtime::Off } else { Realtime::Required }
+}
+
+/// What the thread of a callback saw being taken from its core.
+pub fn moments(callback: &CallbackHandle) -> Vec<Moment> {
+    callback.stats().snapshot().map_or_else(Vec::new, |seen| seen.moments.iter().map(Moment::from).collect())
 }
 
 /// Binds the whole process to the demo's core: threads inherit it.

@@ -7,6 +7,7 @@ use super::process::{GLANCE, Process};
 use super::protocol::{self, Line, Measured, Published};
 use super::report::{self, Costs, DemoReport, TopicRun};
 use super::{DemoArgs, DemoError, Role};
+use crate::moment::Moment;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -15,6 +16,7 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 use tautline::rt::{Interruptions, ThreadBuilder, current_affinity, host, permission};
 use tautline::{CoreSet, Policy};
+use tautline_analysis::taken::{Seen, TakenTimes};
 
 /// After the last release: the longest response time of a run that keeps its bounds, and some more.
 const DRAIN: Duration = Duration::from_millis(400);
@@ -164,9 +166,15 @@ fn assemble(
         0 => 0,
         handled => share(published.cpu_ns, published.messages) + share(measured.overhead_cpu_ns, handled),
     };
-    let costs = Costs { per_message: Duration::from_nanos(overhead_ns), interruptions: run.interruptions };
+    let moments = published.moments.iter().chain(&measured.moments);
+    let taken = TakenTimes::new(moments.filter_map(Moment::taken));
+    let (taken_ns, longest_taken_ns) = (|seen| taken.total_ns(seen), taken.longest_ns());
+    let (taken_running_ns, taken_late_ns) = (taken_ns(Seen::Running), taken_ns(Seen::WokenLate));
+    let (per_message, interruptions) = (Duration::from_nanos(overhead_ns), run.interruptions);
+    let costs = Costs { per_message, interruptions, taken };
     let pair = |(topic, measured): (Topic, protocol::TopicMeasured)| TopicRun {
         task: topic.task(),
+        releases_ns: measured.releases_ns,
         latencies_ns: measured.latencies_ns,
         lost: measured.lost,
         max_queue: measured.max_queue,
@@ -188,5 +196,8 @@ fn assemble(
         interruption_us: regular_ns as f64 / 1e3,
         interrupted_percent: 100.0 * total_ns as f64 / window_ns.max(1) as f64,
         longest_interruption_us: longest_ns as f64 / 1e3,
+        taken_running_ms: taken_running_ns as f64 / 1e6,
+        taken_late_ms: taken_late_ns as f64 / 1e6,
+        longest_taken_ms: longest_taken_ns as f64 / 1e6,
     })
 }

@@ -2,6 +2,7 @@
 //! What the demo's processes tell the one that started them: a line of JSON each, on standard output. What it tells them
 //! is to end, by closing their standard input.
 
+use crate::moment::Moment;
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::sync::mpsc;
@@ -28,6 +29,8 @@ pub struct Published {
     pub cpu_ns: u64,
     /// Releases that came too late to be published.
     pub missed: u64,
+    /// What was taken from the core, as its threads saw it.
+    pub moments: Vec<Moment>,
 }
 
 /// What the subscriber measured.
@@ -37,12 +40,16 @@ pub struct Measured {
     pub overhead_cpu_ns: u64,
     /// One for each topic.
     pub topics: Vec<TopicMeasured>,
+    /// What was taken from the core, as its threads saw it.
+    pub moments: Vec<Moment>,
 }
 
 /// What was measured on one topic.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct TopicMeasured {
-    /// From scheduled release to end of callback.
+    /// The scheduled releases.
+    pub releases_ns: Vec<u64>,
+    /// From there to the end of the callback, in the same order.
     pub latencies_ns: Vec<u64>,
     pub lost: u64,
     pub max_queue: u64,

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use serde::Serialize;
 use tautline::rt::Interruptions;
-use tautline_analysis::{Overheads, Response, Task, response_time_per_task};
+use tautline_analysis::taken::{TakenTimes, response_time_with};
+use tautline_analysis::{Overheads, Task};
 
 mod text;
 
@@ -38,6 +39,12 @@ pub struct DemoReport {
     pub interrupted_percent: f64,
     /// Longest interruption seen; charged to nobody.
     pub longest_interruption_us: f64,
+    /// Time that the host took from threads that ran, in this run: steal, and interrupts where the kernel accounts for them apart.
+    pub taken_running_ms: f64,
+    /// Time for which a timer was not served, and which no thread saw being taken.
+    pub taken_late_ms: f64,
+    /// The longest piece of either.
+    pub longest_taken_ms: f64,
 }
 
 /// Prediction and measurement of one topic. The fields up to `max_queue` are part of the contract.
@@ -71,6 +78,14 @@ pub struct TopicReport {
     pub max_queue: u64,
     /// Latest end wanted, relative to the scheduled release.
     pub deadline_ms: f64,
+    /// Predicted worst case with what the host took in this run besides; `None` (null) if there is no bound.
+    pub rta_host_ms: Option<f64>,
+    /// Response times above `rta_overhead_ms`.
+    pub beyond: u64,
+    /// Those of them that what the host took before their ends does not explain: defects.
+    pub unexplained: u64,
+    /// What the host took before the end of the longest response, or of the longest unexplained one.
+    pub host_took_ms: f64,
     /// Every response time, ascending, in nanoseconds.
     #[serde(skip)]
     pub latencies_ns: Vec<u64>,
@@ -81,7 +96,9 @@ pub struct TopicReport {
 pub struct TopicRun {
     /// Name, period, execution time, deadline and priority of the callback.
     pub task: Task,
-    /// Response times from scheduled release to end of callback, in nanoseconds and in any order.
+    /// Scheduled releases, in ns of `CLOCK_MONOTONIC`.
+    pub releases_ns: Vec<u64>,
+    /// Response times from there to the end of the callback, in nanoseconds and in the same order.
     pub latencies_ns: Vec<u64>,
     /// Messages overwritten before their callback took them.
     pub lost: u64,
@@ -90,40 +107,58 @@ pub struct TopicRun {
 }
 
 /// Worst-case response times in nanoseconds; `None` where the core is overloaded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Prediction {
     /// On a machine that costs nothing.
     pub rta_ns: Option<u64>,
     /// With the middleware's work for each message.
     pub rta_overhead_ns: Option<u64>,
+    /// With what the host took besides.
+    pub rta_host_ns: Option<u64>,
 }
 
 /// What the machine costs besides the callbacks, as measured in the run.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Costs {
     /// Middleware work for each message of any topic, charged at the highest priority.
     pub per_message: Duration,
     /// Interrupts, kernel and hypervisor: the regular ones as a task above all others, the longest of them as blocking.
     pub interruptions: Interruptions,
+    /// What the host took from the core during the run.
+    pub taken: TakenTimes,
+}
+
+/// The tasks and what each costs besides.
+struct Loaded {
+    tasks: Vec<Task>,
+    overheads: Overheads,
+}
+
+impl Loaded {
+    fn new(tasks: &[Task], costs: &Costs) -> Loaded {
+        let blocking = Duration::from_nanos(costs.interruptions.regular_ns);
+        let mut tasks: Vec<_> = tasks.iter().map(|task| task.clone().blocking(blocking)).collect();
+        tasks.extend(interrupt_task(&costs.interruptions));
+        let per_message_ns = u64::try_from(costs.per_message.as_nanos()).unwrap_or(u64::MAX);
+        Loaded { tasks, overheads: Overheads { per_message_ns, ..Overheads::NONE } }
+    }
+
+    /// The bound of a task if a window loses no more than this.
+    fn bound_ns(&self, index: usize, taken_within: impl Fn(u64) -> u64) -> Option<u64> {
+        let response = response_time_with(&self.tasks, &self.overheads, index, taken_within);
+        Some(response.ok()?.response_ns)
+    }
 }
 
 /// Predicts every task's response time, on a machine that costs nothing and on one that costs `costs`.
 pub fn predict(tasks: &[Task], costs: &Costs) -> Vec<Prediction> {
-    let bounds = |tasks: &[Task], per_message: Duration| -> Vec<Option<u64>> {
-        let per_message_ns = u64::try_from(per_message.as_nanos()).unwrap_or(u64::MAX);
-        let outcomes = response_time_per_task(tasks, &Overheads { per_message_ns, ..Overheads::NONE });
-        outcomes
-            .into_iter()
-            .map(|outcome| outcome.ok().map(|Response { response_ns, .. }| response_ns))
-            .collect()
+    let (ideal, real) = (Loaded::new(tasks, &Costs::default()), Loaded::new(tasks, costs));
+    let prediction = |index| Prediction {
+        rta_ns: ideal.bound_ns(index, |_| 0),
+        rta_overhead_ns: real.bound_ns(index, |_| 0),
+        rta_host_ns: real.bound_ns(index, |window_ns| costs.taken.most_within(window_ns)),
     };
-    let ideal = bounds(tasks, Duration::ZERO);
-    let blocking = Duration::from_nanos(costs.interruptions.regular_ns);
-    let mut loaded: Vec<_> = tasks.iter().map(|task| task.clone().blocking(blocking)).collect();
-    loaded.extend(interrupt_task(&costs.interruptions));
-    let real = bounds(&loaded, costs.per_message);
-    let both = ideal.into_iter().zip(real);
-    both.map(|(rta_ns, rta_overhead_ns)| Prediction { rta_ns, rta_overhead_ns }).collect()
+    (0..tasks.len()).map(prediction).collect()
 }
 
 fn interrupt_task(seen: &Interruptions) -> Option<Task> {
@@ -135,7 +170,13 @@ fn interrupt_task(seen: &Interruptions) -> Option<Task> {
 pub fn topic_reports(runs: Vec<TopicRun>, costs: &Costs) -> Vec<TopicReport> {
     let tasks: Vec<_> = runs.iter().map(|run| run.task.clone()).collect();
     let predictions = predict(&tasks, costs);
-    runs.into_iter().zip(predictions).map(|(run, prediction)| topic_report(run, prediction)).collect()
+    let loaded = Loaded::new(&tasks, costs);
+    let report = |(index, (run, prediction)): (usize, (TopicRun, Prediction))| {
+        let excess =
+            Excess::of(&run, prediction, &costs.taken, |taken_within| loaded.bound_ns(index, taken_within));
+        topic_report(run, prediction, excess)
+    };
+    runs.into_iter().zip(predictions).enumerate().map(report).collect()
 }
 
 /// Writes the report as one JSON object and a newline.
@@ -152,15 +193,54 @@ impl TopicReport {
         self.n == 0 || self.deadline_misses > 0 || self.lost > 0
     }
 
-    /// Longest response time and prediction, if the one exceeds the other.
-    fn beyond_prediction(&self) -> Option<(f64, f64)> {
-        let (max, bound) = (self.max_ms?, self.rta_overhead_ms?);
-        (max > bound).then_some((max, bound))
+    /// In words: the responses above the prediction, if there are, and what the host took of the longest.
+    fn beyond_prediction(&self) -> Option<String> {
+        let (max, bound, took) = (self.max_ms?, self.rta_overhead_ms?, self.host_took_ms);
+        let times = if self.beyond == 1 { "once".to_owned() } else { format!("{} times", self.beyond) };
+        let took = if took > 0.0 { format!(", {took:.2} ms of it taken by the host") } else { String::new() };
+        let text = format!("{} {times} (max {max:.2} ms{took}, predicted {bound:.2} ms)", self.topic);
+        (self.beyond > 0).then_some(text)
     }
 }
 
-fn topic_report(run: TopicRun, prediction: Prediction) -> TopicReport {
-    let TopicRun { task, mut latencies_ns, lost, max_queue } = run;
+/// The responses of a topic above the prediction.
+#[derive(Debug, Default)]
+struct Excess {
+    beyond: u64,
+    unexplained: u64,
+    /// What the host took before the end of the longest one, unexplained ones first.
+    host_took_ns: u64,
+}
+
+impl Excess {
+    /// `bound`: the topic's, if a window loses what it is told.
+    fn of(
+        run: &TopicRun,
+        prediction: Prediction,
+        taken: &TakenTimes,
+        bound: impl Fn(&dyn Fn(u64) -> u64) -> Option<u64>,
+    ) -> Excess {
+        let mut excess = Excess::default();
+        let mut longest = (false, 0);
+        let Some(bound_ns) = prediction.rta_overhead_ns else { return excess };
+        let jobs = run.releases_ns.iter().zip(&run.latencies_ns);
+        for (release_ns, &latency_ns) in jobs.filter(|(_, latency_ns)| **latency_ns > bound_ns) {
+            let end_ns = release_ns.saturating_add(latency_ns);
+            let allowed_ns = bound(&|window_ns| taken.before(end_ns, window_ns));
+            let unexplained = allowed_ns.is_none_or(|allowed_ns| latency_ns > allowed_ns);
+            excess.beyond += 1;
+            excess.unexplained += u64::from(unexplained);
+            if (unexplained, latency_ns) > longest {
+                longest = (unexplained, latency_ns);
+                excess.host_took_ns = taken.before(end_ns, latency_ns);
+            }
+        }
+        excess
+    }
+}
+
+fn topic_report(run: TopicRun, prediction: Prediction, excess: Excess) -> TopicReport {
+    let TopicRun { task, mut latencies_ns, lost, max_queue, .. } = run;
     latencies_ns.sort_unstable();
     let on_time = latencies_ns.partition_point(|latency| *latency <= task.deadline_ns);
     let percentile = |p| percentile(&latencies_ns, p).map(ms);
@@ -178,6 +258,10 @@ fn topic_report(run: TopicRun, prediction: Prediction) -> TopicReport {
         lost,
         max_queue,
         deadline_ms: ms(task.deadline_ns),
+        rta_host_ms: prediction.rta_host_ns.map(ms),
+        beyond: excess.beyond,
+        unexplained: excess.unexplained,
+        host_took_ms: ms(excess.host_took_ns),
         topic: task.name,
         latencies_ns,
     }

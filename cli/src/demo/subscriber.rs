@@ -33,7 +33,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
                 options,
                 subscription.for_each(move |message| {
                     clock::burn_cpu(wcet);
-                    log.note(clock::monotonic_ns().saturating_sub(message.release_ns));
+                    log.note(message.release_ns, clock::monotonic_ns());
                     async {}
                 }),
             )?
@@ -66,21 +66,22 @@ struct Callback {
 }
 
 fn measured(callbacks: Vec<Callback>, cpu_ns: u64) -> Result<Measured, DemoError> {
-    let (mut topics, mut busy_ns) = (Vec::new(), 0);
+    let (mut topics, mut moments, mut busy_ns) = (Vec::new(), Vec::new(), 0);
     for callback in callbacks {
         callback.handle.stop();
-        callback.handle.join().map_err(tautline::Error::from)?;
-        let latencies_ns = callback.log.latencies_ns();
+        callback.handle.clone().join().map_err(tautline::Error::from)?;
+        moments.extend(application::moments(&callback.handle));
+        let (releases_ns, latencies_ns): (Vec<_>, Vec<_>) = callback.log.jobs().unzip();
         busy_ns += latencies_ns.len() as u64 * callback.topic.wcet.as_nanos() as u64;
         let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
-        topics.push(TopicMeasured { latencies_ns, lost, max_queue });
+        topics.push(TopicMeasured { releases_ns, latencies_ns, lost, max_queue });
     }
-    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics })
+    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, moments })
 }
 
-/// Where a callback writes its response times: memory that is there before it starts.
+/// Where a callback writes its releases and response times: memory that is there before it starts.
 struct Log {
-    entries: Box<[AtomicU64]>,
+    entries: Box<[[AtomicU64; 2]]>,
     count: AtomicUsize,
 }
 
@@ -89,20 +90,23 @@ impl Log {
     fn for_run(topic: &Topic, seconds: u64) -> Self {
         let messages = Duration::from_secs(seconds).as_nanos() / topic.period.as_nanos();
         let room = (messages + messages / 4 + 16) as usize;
-        Log { entries: (0..room).map(|_| AtomicU64::new(0)).collect(), count: AtomicUsize::new(0) }
+        Log { entries: (0..room).map(|_| Default::default()).collect(), count: AtomicUsize::new(0) }
     }
 
-    fn note(&self, latency_ns: u64) {
+    fn note(&self, release_ns: u64, end_ns: u64) {
         let index = self.count.load(Ordering::Relaxed);
-        if let Some(entry) = self.entries.get(index) {
-            entry.store(latency_ns, Ordering::Relaxed);
+        if let Some([release, latency]) = self.entries.get(index) {
+            release.store(release_ns, Ordering::Relaxed);
+            latency.store(end_ns.saturating_sub(release_ns), Ordering::Relaxed);
             self.count.store(index + 1, Ordering::Release);
         }
     }
 
-    fn latencies_ns(&self) -> Vec<u64> {
+    /// Each release with its response time.
+    fn jobs(&self) -> impl Iterator<Item = (u64, u64)> {
         let count = self.count.load(Ordering::Acquire);
-        self.entries[..count].iter().map(|entry| entry.load(Ordering::Relaxed)).collect()
+        let value = |word: &AtomicU64| word.load(Ordering::Relaxed);
+        self.entries[..count].iter().map(move |[release, latency]| (value(release), value(latency)))
     }
 }
 

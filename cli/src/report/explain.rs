@@ -4,6 +4,7 @@ use std::fmt;
 
 use tautline_analysis::file::{CheckedCallback, Client};
 
+use super::host::Share;
 use super::run::{Callback, Process, Run};
 use super::verdict::Mark;
 
@@ -52,9 +53,13 @@ pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
     mark("not running", text)
 }
 
-pub fn ended(predicted: &CheckedCallback, process: &Process) -> Mark {
+pub fn ended(predicted: &CheckedCallback, process: &Process, seen: &Callback) -> Mark {
     let (name, process) = (&predicted.entry.name, process.label());
     let text = match predicted.entry.client {
+        Client::Tautline if predicted.entry.ends && seen.demotions > 0 => format!(
+            "a job used more than its budget and ended it, as `overrun = \"end\"` says, in {process}, which goes on without \
+             `{name}`: raise its `wcet` and run `taut check`, or make it shorter, and start it again"
+        ),
         Client::Tautline => format!(
             "its future has ended in {process}, which goes on without `{name}`: it ended by itself, was stopped, or panicked"
         ),
@@ -168,6 +173,7 @@ pub fn bound_exceeded(
     seen: &Callback,
     longest_ns: u64,
     bound_ns: u64,
+    share: Option<&Share>,
     explained: bool,
 ) -> Mark {
     let why = if !process.realtime {
@@ -177,16 +183,37 @@ pub fn bound_exceeded(
     } else {
         format!(
             "if no callback of core {} has another mark, something ran there that the file lacks: interrupts, other \
-             threads of priority {} or more, a lock, throttling, a hypervisor (steal), or [overheads] that are too small; \
+             threads of priority {} or more, a lock, throttling, {}or [overheads] that are too small; \
              `taut demo` measures them",
-            predicted.core, predicted.entry.priority
+            predicted.core,
+            predicted.entry.priority,
+            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on tells), " }
         )
     };
     let so_far =
         if seen.unfinished_ns == Some(longest_ns) { " so far, for its job has not ended" } else { "" };
-    let text =
-        format!("a response took {}{so_far}, the bound is {}: {why}", Time(longest_ns), Time(bound_ns));
-    mark("bound exceeded", text)
+    let host = match share {
+        Some(Share { beyond, unexplained, longest: Some((longest_ns, taken_ns)), .. }) => format!(
+            ", {unexplained} of {beyond} such responses with less taken by the host than that explains (of one of {}, it took {})",
+            Time(*longest_ns),
+            Time(*taken_ns)
+        ),
+        _ => String::new(),
+    };
+    let (longest, bound) = (Time(longest_ns), Time(bound_ns));
+    mark("bound exceeded", format!("a response took {longest}{so_far}, the bound is {bound}{host}: {why}"))
+}
+
+/// Not a violation: every response above the bound is within it if what the host took before its end is added.
+pub fn host_took(predicted: &CheckedCallback, share: &Share) -> String {
+    let (longest_ns, taken_ns) = share.longest.unwrap_or_default();
+    format!(
+        "{}: {} beyond its bound, by what the host took: the longest was {}, of which it took {}; no assumption on the system was violated",
+        predicted.entry.name,
+        times(share.beyond),
+        Time(longest_ns),
+        Time(taken_ns)
+    )
 }
 
 pub fn queue_over_capacity(predicted: &CheckedCallback, max_queue: u64, capacity: usize) -> Mark {

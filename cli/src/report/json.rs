@@ -56,6 +56,21 @@ struct Seen<'a> {
     depth: u64,
     lost: u64,
     ended: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    host: Option<HostShare>,
+}
+
+/// What the host had to do with it, if core time is accounted for.
+#[derive(Serialize)]
+struct HostShare {
+    /// The bound with the most that it took in any window.
+    response_ms: Option<f64>,
+    /// Responses above the bound, and those of them that what it took does not explain.
+    beyond: u64,
+    unexplained: u64,
+    /// Of the longest of them.
+    longest_ms: Option<f64>,
+    taken_ms: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -141,6 +156,13 @@ fn seen(measured: &Measured) -> Seen<'_> {
         depth: callback.depth,
         lost: callback.lost,
         ended: callback.ended,
+        host: measured.share.as_ref().map(|share| HostShare {
+            response_ms: share.bound_ns.map(ms),
+            beyond: share.beyond,
+            unexplained: share.unexplained,
+            longest_ms: share.longest.map(|(longest_ns, _)| ms(longest_ns)),
+            taken_ms: share.longest.map(|(_, taken_ns)| ms(taken_ns)),
+        }),
     }
 }
 

@@ -10,6 +10,7 @@ use clap::Args;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
 mod explain;
+mod host;
 mod json;
 pub mod run;
 mod table;

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use tautline::{Admitted, Bucket, CallbackSnapshot, ForeignStatistics, HistogramSnapshot, ProcessSnapshot};
 
 use super::ReportError;
+use crate::moment::Moment;
 
 /// First member of a saved run; the number grows when older programs would misread it.
 const FORMAT: &str = "tautline run 1";
@@ -76,6 +77,15 @@ pub struct Callback {
     pub unfinished_ns: Option<u64>,
     pub response: Times,
     pub execution: Times,
+    /// Whether what was taken from its core is among the moments.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub accounts_core_time: bool,
+    /// Late jobs, and what was taken from its core: the latest.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub moments: Vec<Moment>,
+    /// How many older ones there were.
+    #[serde(default)]
+    pub older_moments: u64,
 }
 
 /// A histogram: the least value and the count of each bucket that is not empty.
@@ -195,6 +205,9 @@ impl Callback {
             unfinished_ns: now_ns.filter(|_| is_busy).map(|now| now.saturating_sub(of.last_release_ns)),
             response: Times::new(&of.response),
             execution: Times::new(&of.execution),
+            accounts_core_time: of.accounts_core_time,
+            moments: of.moments.iter().map(Moment::from).collect(),
+            older_moments: of.older_moments,
         }
     }
 

@@ -5,19 +5,22 @@ use std::time::Duration;
 
 use tautline::HistogramSnapshot;
 
+use super::host::Share;
 use super::run::Run;
 use super::verdict::{Comparison, Row};
 use crate::table::{BAD, GOOD, WARNING, ms, wrap, write_table};
 
 /// Writes all there is to know; callbacks with a mark are red.
 pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Result<()> {
-    let head = [
+    let with_host = comparison.rows.iter().any(|row| share(row).is_some());
+    let mut head = vec![
         "callback",
         "jobs",
         "R p50\nms",
         "R p99\nms",
         "R max\nms",
         "R+\npredicted",
+        "R+\nhost",
         "missed",
         "used max\nms",
         "wcet\nms",
@@ -27,7 +30,12 @@ pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Re
         "lost",
     ];
     let rows = comparison.rows.iter().map(|row| (row.marks.is_empty(), cells(row)));
-    write_table(&head, 1, rows.collect(), out)?;
+    let mut rows: Vec<_> = rows.collect();
+    if !with_host {
+        head.remove(HOST);
+        rows.iter_mut().for_each(|(_, cells)| drop(cells.remove(HOST)));
+    }
+    write_table(&head, 1, rows, out)?;
     writeln!(out)?;
     for unknown in &comparison.unknown {
         let where_it_runs = match (unknown.callback.priority, unknown.callback.core) {
@@ -48,6 +56,13 @@ pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Re
         writeln!(out, "{WARNING}note:{WARNING:#} {}", wrap(note))?;
     }
     verdict(comparison, run, out)
+}
+
+/// Which column says what the host makes of the bound; left out where nobody looked.
+const HOST: usize = 6;
+
+fn share(row: &Row) -> Option<&Share> {
+    row.measured.as_ref()?.share.as_ref()
 }
 
 fn cells(row: &Row) -> Vec<String> {
@@ -73,6 +88,7 @@ fn cells(row: &Row) -> Vec<String> {
         response(|histogram| histogram.p(0.99)),
         response(HistogramSnapshot::max),
         ms(predicted.response_overhead_ns),
+        ms(share(row).and_then(|share| share.bound_ns)),
         count(|measured| measured.misses),
         seen.map_or_else(none, |measured| time(&measured.execution, HistogramSnapshot::max)),
         ms(Some(predicted.wcet_ns)),

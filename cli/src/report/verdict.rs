@@ -6,6 +6,7 @@ use tautline::HistogramSnapshot;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, Client, SystemFile};
 
 use super::explain;
+use super::host::{Host, Share};
 use super::run::{Callback, Process, Run};
 
 /// What the report says.
@@ -40,6 +41,8 @@ pub struct Measured {
     pub execution: HistogramSnapshot,
     /// Jobs later than the file's deadline.
     pub misses: u64,
+    /// What the host had to do with it; `None` if nobody looked.
+    pub share: Option<Share>,
 }
 
 /// A process.
@@ -77,9 +80,10 @@ impl Comparison {
         let (unseen, seen): (Vec<_>, Vec<_>) = here.iter().partition(|callback| {
             callback.entry.client != Client::Tautline && callback.entry.topics.is_empty()
         });
-        let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run)).collect();
+        let host = Host::new(checked, run);
+        let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run, &host)).collect();
         let unknown = unknown(&here, run);
-        let mut notes = notes(file, checked, run, &rows);
+        let mut notes = notes(file, checked, run, &rows, &host);
         let played: BTreeSet<_> = rows
             .iter()
             .filter(|row| row.measured.is_none())
@@ -143,7 +147,7 @@ fn callbacks<'r>(run: &'r Run, host: &'r str) -> impl Iterator<Item = (&'r Proce
         .filter(|(_, callback)| !callback.is_group)
 }
 
-fn row(predicted: &CheckedCallback, run: &Run) -> Row {
+fn row(predicted: &CheckedCallback, run: &Run, host: &Host) -> Row {
     let name = &predicted.entry.name;
     let mut found: Vec<_> =
         callbacks(run, &predicted.host).filter(|(_, callback)| callback.name == *name).collect();
@@ -160,13 +164,14 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
     if let [(first, _), (second, _), ..] = running.as_slice() {
         marks.push(explain::runs_twice(name, first, second));
     } else if running.is_empty() && process.running {
-        marks.push(explain::ended(predicted, process));
+        marks.push(explain::ended(predicted, process, callback));
     }
-    let misses = misses(predicted, callback);
-    marks.extend(violations(predicted, process, callback, misses));
+    let (misses, share) = (misses(predicted, callback), host.share(predicted, callback));
+    marks.extend(violations(predicted, process, callback, misses, share.as_ref()));
     // What an earlier process did, or another one does, has happened as well.
     for (process, callback) in found.iter().skip(1) {
-        let theirs = violations(predicted, process, callback, self::misses(predicted, callback));
+        let (misses, share) = (self::misses(predicted, callback), host.share(predicted, callback));
+        let theirs = violations(predicted, process, callback, misses, share.as_ref());
         marks.extend(theirs.into_iter().map(|mark| explain::of_another(process, mark)));
     }
     let measured = Measured {
@@ -174,6 +179,7 @@ fn row(predicted: &CheckedCallback, run: &Run) -> Row {
         response: callback.response.histogram(),
         execution: callback.execution.histogram(),
         misses,
+        share,
         callback: callback.clone(),
     };
     Row { predicted: predicted.clone(), measured: Some(measured), marks }
@@ -200,7 +206,13 @@ fn misses(predicted: &CheckedCallback, callback: &Callback) -> u64 {
 }
 
 /// Causes first: what follows from them is easier to understand then.
-fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, misses: u64) -> Vec<Mark> {
+fn violations(
+    predicted: &CheckedCallback,
+    process: &Process,
+    seen: &Callback,
+    misses: u64,
+    share: Option<&Share>,
+) -> Vec<Mark> {
     let mut marks = Vec::new();
     // A thread without a number is just starting: nobody knows yet what the kernel gave it.
     if process.realtime && seen.tid != 0 {
@@ -233,6 +245,7 @@ fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, m
     let longest_ns = seen.longest_response_ns();
     if let (Some(longest_ns), Some(bound_ns)) = (longest_ns, predicted.response_overhead_ns)
         && longest_ns > bound_ns
+        && !is_explained(seen, share)
     {
         marks.push(explain::bound_exceeded(
             predicted,
@@ -240,6 +253,7 @@ fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, m
             seen,
             longest_ns,
             bound_ns,
+            share,
             !marks.is_empty(),
         ));
     }
@@ -255,6 +269,12 @@ fn violations(predicted: &CheckedCallback, process: &Process, seen: &Callback, m
         marks.push(explain::deadline_missed(predicted, misses, longest_ns.unwrap_or(0)));
     }
     marks
+}
+
+/// Whether the host explains every response above the bound.
+fn is_explained(seen: &Callback, share: Option<&Share>) -> bool {
+    let is_running = seen.unfinished_ns > seen.response.max_ns();
+    !is_running && share.is_some_and(|share| share.beyond > 0 && share.unexplained == 0 && share.complete)
 }
 
 /// The shortest time that the analysis assumes between two releases; several streams may coincide.
@@ -286,7 +306,7 @@ fn unknown(here: &[&CheckedCallback], run: &Run) -> Vec<Unknown> {
     unknown
 }
 
-fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row]) -> Vec<String> {
+fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], host: &Host) -> Vec<String> {
     let mut notes = Vec::new();
     let list = |names: Vec<String>| names.join(", ");
     let off: Vec<_> = run.processes.iter().filter(|process| !process.realtime).map(Process::label).collect();
@@ -309,11 +329,25 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row]) ->
             list(other)
         ));
     }
+    notes.extend(host.notes());
+    for row in rows {
+        let Some(measured) = &row.measured else { continue };
+        let Some(share) = measured.share.as_ref().filter(|share| share.beyond > 0) else { continue };
+        if is_explained(&measured.callback, Some(share)) {
+            notes.push(explain::host_took(&row.predicted, share));
+        }
+    }
     let steal_ticks = run.processes.iter().map(|process| process.steal_ticks).max().unwrap_or(0);
     if steal_ticks > 0 {
+        let more = match host.is_known() {
+            true => "what callbacks saw of it is said above",
+            false => {
+                "outliers of about 10 ms go with that, and no analysis knows of them; with TAUT_CORE_TIME=on in the processes' \
+                 environment it is known which"
+            }
+        };
         notes.push(format!(
-            "steal: the hypervisor gave {} ms of processor time to others since the first process started; outliers of \
-             about 10 ms go with that, and no analysis knows of them",
+            "steal: the hypervisor gave {} ms of processor time to others since the first process started; {more}",
             steal_ticks.saturating_mul(10)
         ));
     }

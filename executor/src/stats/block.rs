@@ -8,10 +8,12 @@ use tautline_rt::{ThreadInfo, Words};
 
 use super::file::Place;
 use super::histogram::{HISTOGRAM_WORDS, Histogram, HistogramSnapshot};
+use super::moments::{MOMENT_WORDS, Moment, Moments};
 
-/// Counters and settings, then the name; then two histograms.
+/// Counters and settings, then the name; then two histograms and the moments.
 pub(crate) const HEAD_WORDS: usize = 64;
-pub(crate) const BLOCK_WORDS: usize = HEAD_WORDS + 2 * HISTOGRAM_WORDS;
+const MOMENTS_AT: usize = HEAD_WORDS + 2 * HISTOGRAM_WORDS;
+pub(crate) const BLOCK_WORDS: usize = MOMENTS_AT + MOMENT_WORDS;
 const NAME_WORDS: usize = 32;
 
 /// What each word of the head is. Zeros are a callback that has done nothing.
@@ -27,6 +29,8 @@ pub(crate) mod word {
     pub const PERIOD: usize = 6;
     pub const DEADLINE: usize = 7;
     pub const BUDGET: usize = 8;
+    pub const BOUND: usize = 9;
+    pub const ACCOUNTS: usize = 10;
     // Written by the callback's thread from here on.
     pub const RELEASES: usize = 16;
     pub const COMPLETIONS: usize = 17;
@@ -60,6 +64,7 @@ pub(crate) struct Block {
     words: Arc<Words>,
     pub response: Histogram,
     pub execution: Histogram,
+    pub moments: Moments,
     /// Its place in a file, if it has one: dropped after the words have been left.
     _place: Option<Place>,
 }
@@ -79,7 +84,8 @@ impl Block {
         let words = Arc::new(words);
         let response = Histogram::within(Arc::clone(&words), HEAD_WORDS);
         let execution = Histogram::within(Arc::clone(&words), HEAD_WORDS + HISTOGRAM_WORDS);
-        Block { words, response, execution, _place: place }
+        let moments = Moments::within(Arc::clone(&words), MOMENTS_AT);
+        Block { words, response, execution, moments, _place: place }
     }
 
     pub fn head(&self) -> Option<&[AtomicU64; HEAD_WORDS]> {
@@ -146,6 +152,10 @@ pub struct CallbackSnapshot {
     pub deadline_ns: Option<u64>,
     /// The budget that overruns are counted against.
     pub budget_ns: Option<u64>,
+    /// The response time beyond which a job is among the [`moments`](Self::moments).
+    pub bound_ns: Option<u64>,
+    /// Whether what was taken from its core is among the [`moments`](Self::moments).
+    pub accounts_core_time: bool,
     /// Jobs begun.
     pub releases: u64,
     /// Jobs finished.
@@ -172,6 +182,10 @@ pub struct CallbackSnapshot {
     pub response: HistogramSnapshot,
     /// CPU times of jobs.
     pub execution: HistogramSnapshot,
+    /// Jobs that took longer than the bound, and what was taken from the callback's core: the latest 128, the oldest first.
+    pub moments: Vec<Moment>,
+    /// How many older ones there were.
+    pub older_moments: u64,
 }
 
 impl CallbackSnapshot {
@@ -181,6 +195,8 @@ impl CallbackSnapshot {
         let some = |value: u64| (value != 0).then_some(value);
         let histogram =
             |at: usize| HistogramSnapshot::of_words(words.get(at..at + HISTOGRAM_WORDS).unwrap_or(&[]));
+        let (moments, older_moments) =
+            Moments::of_words(words.get(MOMENTS_AT..MOMENTS_AT + MOMENT_WORDS).unwrap_or(&[]));
         CallbackSnapshot {
             name: get_text(words.get(word::NAME..word::NAME + NAME_WORDS).unwrap_or(&[])),
             is_group: word(word::IS_GROUP) != 0,
@@ -192,6 +208,8 @@ impl CallbackSnapshot {
             period_ns: some(word(word::PERIOD)),
             deadline_ns: some(word(word::DEADLINE)),
             budget_ns: some(word(word::BUDGET)),
+            bound_ns: some(word(word::BOUND)),
+            accounts_core_time: word(word::ACCOUNTS) != 0,
             releases: word(word::RELEASES),
             completions: word(word::COMPLETIONS),
             overruns: word(word::OVERRUNS),
@@ -205,6 +223,8 @@ impl CallbackSnapshot {
             depth: word(word::DEPTH),
             response: histogram(HEAD_WORDS),
             execution: histogram(HEAD_WORDS + HISTOGRAM_WORDS),
+            moments,
+            older_moments,
         }
     }
 }

@@ -12,7 +12,7 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, sta
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 3;
+const VERSION: u64 = 4;
 const HEADER_WORDS: usize = 736;
 
 /// What each word of the header is.

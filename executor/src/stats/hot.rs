@@ -3,10 +3,11 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering, fence};
 
 use super::block::{self, word};
 use super::histogram::{Histogram, bucket_of};
+use super::moments::{self, Moment, MomentKind, Moments};
 use super::{CallbackStats, DeadlineMiss, Job, Overrun, QueueState, Watch};
 
 impl Histogram {
@@ -27,7 +28,37 @@ impl Histogram {
     }
 }
 
+impl Moments {
+    /// Keeps one in the place of the oldest. Only one thread may write.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn note(&self, moment: &Moment) {
+        let [written, entries @ .., begun] = self.words() else { return };
+        let number = written.load(Ordering::Relaxed);
+        begun.store(number + 1, Ordering::Relaxed);
+        // Whoever sees a word of the entry sees that it was begun: pairs with the Acquire of the reader.
+        fence(Ordering::Release);
+        let at = (number % moments::CAPACITY as u64) as usize * moments::ENTRY_WORDS;
+        let length = moments::encode(moment.kind, moment.length_ns);
+        for (index, value) in [moment.from_ns, moment.to_ns, length].into_iter().enumerate() {
+            if let Some(word) = entries.get(at + index) {
+                word.store(value, Ordering::Relaxed);
+            }
+        }
+        // Release: the entry is whole when the count is seen.
+        written.store(number + 1, Ordering::Release);
+    }
+}
+
 impl CallbackStats {
+    /// Keeps a moment.
+    pub(crate) fn note(&self, moment: &Moment) {
+        if let Some(block) = self.block.get() {
+            block.moments.note(moment);
+        }
+    }
+
     /// A job begins.
     pub(crate) fn release(&self, release_ns: u64) {
         let Some(head) = self.head() else { return };
@@ -67,6 +98,11 @@ impl CallbackStats {
             add(&head[word::DEADLINE_MISSES], 1);
         }
         block.response.record(job.response_ns);
+        if job.response_ns > limit(CallbackStats::BOUND) {
+            let (from_ns, length_ns) = (job.release_ns, job.response_ns);
+            let to_ns = from_ns.saturating_add(length_ns);
+            block.moments.note(&Moment { kind: MomentKind::Late, from_ns, to_ns, length_ns });
+        }
         if let Some(ns) = job.execution_ns {
             block.execution.record(ns);
             if ns > budget_ns {

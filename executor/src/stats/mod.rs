@@ -5,6 +5,7 @@ mod block;
 mod file;
 mod histogram;
 mod hot;
+mod moments;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{LazyLock, OnceLock};
@@ -15,6 +16,7 @@ use tautline_rt::ThreadInfo;
 pub use block::CallbackSnapshot;
 pub use file::{Admitted, ForeignStatistics, ProcessInfo, ProcessSnapshot, StatisticsFile};
 pub use histogram::{Bucket, Histogram, HistogramSnapshot};
+pub use moments::{Moment, MomentKind};
 
 use crate::options::{DeadlineMiss, Overrun, Watch};
 use block::{Block, HEAD_WORDS, state, word};
@@ -45,7 +47,7 @@ pub struct QueueState {
 pub struct CallbackStats {
     name: String,
     /// In ns, 0 for none.
-    limits: [AtomicU64; 2],
+    limits: [AtomicU64; 3],
     /// From the moment the callback is spawned.
     block: OnceLock<Block>,
 }
@@ -56,6 +58,7 @@ static NOTHING: LazyLock<Histogram> = LazyLock::new(Histogram::new);
 impl CallbackStats {
     const DEADLINE: usize = 0;
     const BUDGET: usize = 1;
+    const BOUND: usize = 2;
 
     /// Statistics of nothing yet.
     pub(crate) fn new(name: impl Into<String>) -> CallbackStats {
@@ -70,7 +73,9 @@ impl CallbackStats {
         };
         block.set_name(&self.name);
         block.set(word::IS_GROUP, u64::from(is_group));
-        for (index, place) in [(Self::DEADLINE, word::DEADLINE), (Self::BUDGET, word::BUDGET)] {
+        let limits =
+            [(Self::DEADLINE, word::DEADLINE), (Self::BUDGET, word::BUDGET), (Self::BOUND, word::BOUND)];
+        for (index, place) in limits {
             block.set(place, self.limits[index].load(Ordering::Relaxed));
         }
         block.set_state(state::RUNNING);
@@ -90,6 +95,13 @@ impl CallbackStats {
         if let Some(block) = self.block.get() {
             block.set(word::PERIOD, nanoseconds(period));
             block.set(word::MEASURES_EXECUTION, u64::from(measures_execution));
+        }
+    }
+
+    /// What was taken from its core is noted from here on.
+    pub(crate) fn describe_account(&self) {
+        if let Some(block) = self.block.get() {
+            block.set(word::ACCOUNTS, 1);
         }
     }
 
@@ -189,6 +201,12 @@ impl CallbackStats {
         self.set_limit(Self::BUDGET, word::BUDGET, budget);
     }
 
+    /// Changes the response time beyond which a job is kept among the [moments](CallbackSnapshot::moments), for jobs that end from
+    /// now on. Zero is none.
+    pub fn set_bound(&self, bound: Option<Duration>) {
+        self.set_limit(Self::BOUND, word::BOUND, bound);
+    }
+
     fn limit(&self, index: usize) -> Option<Duration> {
         match self.limits[index].load(Ordering::Relaxed) {
             0 => None,
@@ -251,6 +269,20 @@ mod tests {
         stats.release(1_295);
         stats.release(1_300);
         assert_eq!(seen(&stats), (6, 1_000, 1_300, Some(0)));
+    }
+
+    #[test]
+    fn jobs_beyond_the_bound_are_kept_with_their_instants() {
+        let stats = CallbackStats::new("a");
+        stats.set_bound(Some(Duration::from_nanos(100)));
+        stats.place(None, false).unwrap();
+        for response_ns in [100, 101, 7, 300] {
+            stats.complete(&Job { release_ns: 5, response_ns, execution_ns: None });
+        }
+        let now = stats.snapshot().unwrap();
+        let late = |length_ns| Moment { kind: MomentKind::Late, from_ns: 5, to_ns: 5 + length_ns, length_ns };
+        assert_eq!((now.moments, now.older_moments), (vec![late(101), late(300)], 0));
+        assert_eq!((now.bound_ns, now.accounts_core_time), (Some(100), false));
     }
 
     #[test]

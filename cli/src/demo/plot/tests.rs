@@ -9,7 +9,7 @@ use crate::demo::report::{Costs, TopicRun, topic_reports};
 fn topic(latencies_ms: &[f64]) -> TopicReport {
     let task = Task::new("topic<1>", Duration::from_millis(10), Duration::from_millis(2), 20);
     let latencies_ns = latencies_ms.iter().map(|ms| (ms * 1e6) as u64).collect();
-    let run = TopicRun { task, latencies_ns, lost: 0, max_queue: 1 };
+    let run = TopicRun { task, releases_ns: Vec::new(), latencies_ns, lost: 0, max_queue: 1 };
     topic_reports(vec![run], &Costs { per_message: Duration::from_micros(60), ..Costs::default() }).remove(0)
 }
 
@@ -27,6 +27,9 @@ fn report(topics: Vec<TopicReport>) -> DemoReport {
         interruption_us: 40.0,
         interrupted_percent: 0.5,
         longest_interruption_us: 60.0,
+        taken_running_ms: 0.0,
+        taken_late_ms: 0.0,
+        longest_taken_ms: 0.0,
     }
 }
 

@@ -1,12 +1,29 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 use super::*;
+use tautline_analysis::taken::{Seen, Taken};
 
 /// The five topics, with latencies as given by `latencies_ms`.
 fn report(latencies_ms: [&[f64]; 5]) -> DemoReport {
+    report_with(latencies_ms, &[])
+}
+
+/// And with what the host took: from where to where in ms, all of it.
+fn report_with(latencies_ms: [&[f64]; 5], taken_ms: &[(f64, f64)]) -> DemoReport {
+    let ns = |ms: f64| (ms * 1e6).round() as u64;
+    let pieces = taken_ms.iter().map(|&(from, to)| Taken {
+        from_ns: ns(from),
+        to_ns: ns(to),
+        length_ns: ns(to - from),
+        seen: Seen::Running,
+    });
+    let taken = TakenTimes::new(pieces);
+    let (taken_running_ms, longest_taken_ms) = (ms(taken.total_ns(Seen::Running)), ms(taken.longest_ns()));
+    let costs = Costs { per_message: Duration::from_micros(60), taken, ..Costs::default() };
     let set = [(10, 2), (20, 4), (50, 5), (100, 15), (200, 50)];
-    let ms = Duration::from_millis;
+    let span = Duration::from_millis;
     let run = |(i, ((period, wcet), latencies)): (usize, ((u64, u64), &[f64]))| TopicRun {
-        task: Task::new(format!("topic{}", i + 1), ms(period), ms(wcet), 20 - i as u8),
+        task: Task::new(format!("topic{}", i + 1), span(period), span(wcet), 20 - i as u8),
+        releases_ns: (0..latencies.len() as u64).map(|release| release * period * 1_000_000).collect(),
         latencies_ns: latencies.iter().map(|ms| (ms * 1e6).round() as u64).collect(),
         lost: 0,
         max_queue: 1,
@@ -18,13 +35,16 @@ fn report(latencies_ms: [&[f64]; 5]) -> DemoReport {
         seconds: 20.0,
         steal_ticks: 0,
         kernel: "6.1.0".into(),
-        topics: topic_reports(runs, &Costs { per_message: Duration::from_micros(60), ..Costs::default() }),
+        topics: topic_reports(runs, &costs),
         preemption: "PREEMPT_RT".into(),
         overhead_us: 60.0,
         sampler_priority: 25,
         interruption_us: 40.0,
         interrupted_percent: 0.5,
         longest_interruption_us: 60.0,
+        taken_running_ms,
+        taken_late_ms: 0.0,
+        longest_taken_ms,
     }
 }
 
@@ -50,8 +70,12 @@ fn prediction_is_that_of_the_analysis() {
         vec![Task::new("a", ms(10), ms(2), 20), Task::new("b", ms(20), ms(17), 19)]
     };
     let found = predict(&tasks, &Costs { per_message: Duration::from_millis(1), ..Costs::default() });
-    assert_eq!(found[0], Prediction { rta_ns: Some(2_000_000), rta_overhead_ns: Some(4_000_000) });
-    assert_eq!(found[1], Prediction { rta_ns: None, rta_overhead_ns: None });
+    let bounds = |ns: [u64; 3]| {
+        let [rta_ns, rta_overhead_ns, rta_host_ns] = ns.map(Some);
+        Prediction { rta_ns, rta_overhead_ns, rta_host_ns }
+    };
+    assert_eq!(found[0], bounds([2_000_000, 4_000_000, 4_000_000]));
+    assert_eq!(found[1], Prediction::default());
 }
 
 #[test]
@@ -79,19 +103,22 @@ fn table_lines_up_and_says_that_all_is_well() {
     assert_eq!(
         rows,
         [
-            "topic   period  wcet  prio  n     p50     p99     max     RTA      RTA+  misses  lost    max",
-            "            ms    ms               ms      ms      ms      ms  overhead                queue",
-            "─────────────────────────────────────────────────────────────────────────────────────────────",
-            "topic1      10     2    20  2    2.05    2.10    2.10    2.00      2.30       0     0      1",
-            "topic2      20     4    19  1    6.10    6.10    6.10    6.00      6.30       0     0      1",
-            "topic3      50     5    18  1   13.10   13.10   13.10   13.00     13.36       0     0      1",
-            "topic4     100    15    17  1   36.20   36.20   36.20   36.00     36.54       0     0      1",
-            "topic5     200    50    16  1  173.50  173.50  173.50  170.00    174.04       0     0      1",
+            "topic   period  wcet  prio  n     p50     p99     max     RTA      RTA+    RTA+  late  lost    max",
+            "            ms    ms               ms      ms      ms      ms  overhead    host              queue",
+            "───────────────────────────────────────────────────────────────────────────────────────────────────",
+            "topic1      10     2    20  2    2.05    2.10    2.10    2.00      2.30    2.30     0     0      1",
+            "topic2      20     4    19  1    6.10    6.10    6.10    6.00      6.30    6.30     0     0      1",
+            "topic3      50     5    18  1   13.10   13.10   13.10   13.00     13.36   13.36     0     0      1",
+            "topic4     100    15    17  1   36.20   36.20   36.20   36.00     36.54   36.54     0     0      1",
+            "topic5     200    50    16  1  173.50  173.50  173.50  170.00    174.04  174.04     0     0      1",
         ]
     );
     assert!(out.contains("All deadlines met: 6 messages, none late, none lost.\n"), "{out}");
     assert!(out.contains("the closest was topic5 at 99.7 % of it.\n"), "{out}");
-    assert!(prose(&good()).ends_with("Steal 0 ticks, kernel 6.1.0, preemption PREEMPT_RT. "), "{out}");
+    assert!(
+        prose(&good()).contains("(longest 0.00 ms); steal 0 ticks. Kernel 6.1.0, preemption PREEMPT_RT."),
+        "{out}"
+    );
     assert!(out.lines().all(|line| line.chars().count() <= 100), "{out}");
 }
 
@@ -100,15 +127,15 @@ fn misses_are_named_and_explained() {
     let mut report = report([&[2.1, 12.5], &[6.1], &[13.1], &[36.2], &[201.0]]);
     let out = prose(&report);
     assert!(out.contains("2 deadlines missed: topic1 (1 of 2), topic5 (1 of 1). "), "{out}");
-    assert!(out.contains("Prediction exceeded: topic1 (max 12.50 ms, predicted 2.30 ms), topic5"), "{out}");
-    assert!(out.contains("look for interrupts"), "{out}");
+    assert!(
+        out.contains("Prediction exceeded: topic1 once (max 12.50 ms, predicted 2.30 ms), topic5 once (max"),
+        "{out}"
+    );
+    assert!(out.contains("was not taken by the host"), "{out}");
 
     report.steal_ticks = 3;
     let out = prose(&report);
-    assert!(
-        out.contains("gave 30 ms of processor time to others") && !out.contains("look for interrupts"),
-        "{out}"
-    );
+    assert!(out.contains("gave 30 ms of processor time to others"), "{out}");
 
     report.realtime = false;
     let out = prose(&report);
@@ -116,6 +143,36 @@ fn misses_are_named_and_explained() {
         out.contains("no bound applies") && out.contains("a banner names") && !out.contains("Prediction"),
         "{out}"
     );
+}
+
+#[test]
+fn what_the_host_took_explains_a_response_or_it_does_not() {
+    // Released at 10 ms; 3 ms were taken from it.
+    let latencies =
+        |late: f64| report_with([&[2.1, late], &[6.1], &[13.1], &[36.2], &[173.5]], &[(11.0, 14.0)]);
+    let report = latencies(5.2);
+    let topic = &report.topics[0];
+    assert_eq!((topic.beyond, topic.unexplained, topic.rta_host_ms), (1, 0, Some(5.3)));
+    let out = prose(&report);
+    assert!(
+        out.contains(
+            "Prediction held but for what the host took: topic1 once (max 5.20 ms, 3.00 ms of it taken by the host, predicted \
+             2.30 ms)."
+        ),
+        "{out}"
+    );
+    assert!(out.contains("3.00 ms while threads ran") && out.contains("(longest 3.00 ms)"), "{out}");
+
+    // More than what was taken: a defect.
+    let report = latencies(5.4);
+    assert_eq!((report.topics[0].beyond, report.topics[0].unexplained), (1, 1));
+    let out = prose(&report);
+    assert!(out.contains("Prediction exceeded: topic1 once (max 5.40 ms, 3.00 ms of it taken"), "{out}");
+    assert!(out.contains("look for other real-time threads"), "{out}");
+
+    // Taken after it had ended: a defect, whatever the longest piece of the run would allow.
+    let report = report_with([&[5.2], &[6.1], &[13.1], &[36.2], &[173.5]], &[(30.0, 33.0)]);
+    assert_eq!((report.topics[0].unexplained, report.topics[0].rta_host_ms), (1, Some(5.3)));
 }
 
 #[test]

@@ -1,0 +1,270 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Time that something outside the analysis took from a core while it ran: a hypervisor, interrupts, firmware.
+//!
+//! No bound knows of it beforehand. Afterwards, with what was taken and when, there is one: a [`Task`] that loses T in its busy
+//! window ends as if it had been blocked for T more, once. A response beyond its bound is explained if it is within this one, and
+//! a defect if not.
+
+use crate::{AnalysisError, Overheads, Response, Task, response_time_per_task};
+
+/// What was taken from a core between two instants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Taken {
+    /// It was taken after this instant, in ns of any clock.
+    pub from_ns: u64,
+    /// And before this one.
+    pub to_ns: u64,
+    /// How much.
+    pub length_ns: u64,
+    /// How it was noticed.
+    pub seen: Seen,
+}
+
+/// How it was noticed that a core was taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Seen {
+    /// By the thread that ran: it neither ran nor waited. One thread runs at a time, so no time is seen twice so.
+    Running,
+    /// By a thread that a clock was to wake: it was woken later. Several may see the same time, and one that ran may have, too.
+    WokenLate,
+}
+
+/// All that was taken from a core in a run, each nanosecond once.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TakenTimes {
+    /// By their begin.
+    pieces: Vec<Taken>,
+}
+
+impl TakenTimes {
+    /// From what all threads of the core saw, in any order. Of time that may have been seen by two, the longer sight counts.
+    #[must_use]
+    pub fn new(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
+        let (mut pieces, mut late): (Vec<Taken>, Vec<Taken>) = seen
+            .into_iter()
+            .filter(|piece| piece.length_ns > 0)
+            .partition(|piece| piece.seen == Seen::Running);
+        late.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
+        let overlap = |a: &Taken, b: &Taken| a.from_ns < b.to_ns && b.from_ns < a.to_ns;
+        let mut merged: Vec<Taken> = Vec::new();
+        for piece in late {
+            match merged.last_mut().filter(|last| overlap(last, &piece)) {
+                Some(last) => {
+                    last.to_ns = last.to_ns.max(piece.to_ns);
+                    last.length_ns = last.length_ns.max(piece.length_ns);
+                }
+                None => merged.push(piece),
+            }
+        }
+        let running = pieces.clone();
+        pieces.extend(merged.into_iter().filter_map(|piece| {
+            let seen_ns: u64 =
+                running.iter().filter(|ran| overlap(ran, &piece)).map(|ran| ran.length_ns).sum();
+            let length_ns = piece.length_ns.checked_sub(seen_ns).filter(|rest| *rest > 0)?;
+            Some(Taken { length_ns, ..piece })
+        }));
+        pieces.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
+        TakenTimes { pieces }
+    }
+
+    /// The pieces, by their begin.
+    #[must_use]
+    pub fn pieces(&self) -> &[Taken] {
+        &self.pieces
+    }
+
+    /// All of it that was noticed in this way, in nanoseconds.
+    #[must_use]
+    pub fn total_ns(&self, seen: Seen) -> u64 {
+        self.pieces.iter().filter(|piece| piece.seen == seen).map(|piece| piece.length_ns).sum()
+    }
+
+    /// The longest piece, in nanoseconds.
+    #[must_use]
+    pub fn longest_ns(&self) -> u64 {
+        self.pieces.iter().map(|piece| piece.length_ns).max().unwrap_or(0)
+    }
+
+    /// What may have been taken in the `window_ns` before `end_ns`: of a piece that may lie in it, all.
+    #[must_use]
+    pub fn before(&self, end_ns: u64, window_ns: u64) -> u64 {
+        let begin_ns = end_ns.saturating_sub(window_ns);
+        let within = |piece: &&Taken| piece.from_ns < end_ns && piece.to_ns > begin_ns;
+        // A window loses no more than it is long.
+        self.pieces.iter().filter(within).map(|piece| piece.length_ns).sum::<u64>().min(window_ns)
+    }
+
+    /// The most that may have been taken in any window of this length.
+    #[must_use]
+    pub fn most_within(&self, window_ns: u64) -> u64 {
+        // The window that loses most can be moved back until it is about to leave the piece that ends first.
+        let end = |piece: &Taken| piece.to_ns.saturating_sub(1).saturating_add(window_ns);
+        self.pieces.iter().map(|piece| self.before(end(piece), window_ns)).max().unwrap_or(0)
+    }
+}
+
+/// The response time of `tasks[index]` in a run in which a window lost no more than `taken_within` says, in nanoseconds for its
+/// length in nanoseconds: that of [`response_time_per_task`] with so much more blocking. What was taken before the release counts,
+/// too, as far back as a period and the response: what it delayed may delay this job.
+///
+/// ```
+/// use std::time::Duration;
+/// use tautline_analysis::taken::{Seen, Taken, TakenTimes, response_time_with};
+/// use tautline_analysis::{Overheads, Task};
+///
+/// let ms = Duration::from_millis;
+/// let tasks = [Task::new("fast", ms(10), ms(2), 2), Task::new("slow", ms(50), ms(5), 1)];
+/// let piece = Taken { from_ns: 40_000_000, to_ns: 44_000_000, length_ns: 4_000_000, seen: Seen::Running };
+/// let taken = TakenTimes::new([piece]);
+/// let slow = response_time_with(&tasks, &Overheads::NONE, 1, |window_ns| taken.most_within(window_ns))?;
+/// // 5 ms of its own, 4 ms taken, and the fast one twice.
+/// assert_eq!(slow.response_ns, 13_000_000);
+/// # Ok::<(), tautline_analysis::AnalysisError>(())
+/// ```
+///
+/// # Errors
+/// As [`response_time_per_task`], for this task: what was taken may leave too little of the core.
+///
+/// # Panics
+/// If there is no such task.
+pub fn response_time_with(
+    tasks: &[Task],
+    overheads: &Overheads,
+    index: usize,
+    taken_within: impl Fn(u64) -> u64,
+) -> Result<Response, AnalysisError> {
+    let mut tasks = tasks.to_vec();
+    let own_ns = tasks[index].blocking_ns;
+    let mut lost_ns = 0;
+    loop {
+        tasks[index].blocking_ns = own_ns.saturating_add(lost_ns);
+        let response = response_time_per_task(&tasks, overheads).swap_remove(index)?;
+        let window_ns = response.response_ns.saturating_add(response.period_ns);
+        // It only grows, and no further than all that was taken.
+        let more_ns = taken_within(window_ns);
+        if more_ns <= lost_ns {
+            return Ok(response);
+        }
+        lost_ns = more_ns;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng, rngs::StdRng};
+    use std::time::Duration;
+
+    fn piece(seen: Seen, from_ns: u64, to_ns: u64, length_ns: u64) -> Taken {
+        Taken { from_ns, to_ns, length_ns, seen }
+    }
+
+    fn lengths(taken: &TakenTimes) -> Vec<(u64, u64)> {
+        taken.pieces().iter().map(|piece| (piece.from_ns, piece.length_ns)).collect()
+    }
+
+    #[test]
+    fn no_time_counts_twice() {
+        use Seen::{Running, WokenLate};
+        // One gap of 30 seen by the job that ran and by two timers; another one by a timer alone.
+        let seen = [
+            piece(WokenLate, 115, 130, 15),
+            piece(Running, 90, 200, 30),
+            piece(WokenLate, 110, 130, 20),
+            piece(WokenLate, 400, 407, 7),
+            piece(Running, 500, 500, 0),
+        ];
+        let taken = TakenTimes::new(seen);
+        assert_eq!(lengths(&taken), [(90, 30), (400, 7)]);
+        assert_eq!((taken.total_ns(Running), taken.total_ns(WokenLate), taken.longest_ns()), (30, 7, 30));
+        // The timer saw more than the job lost: the rest was while nobody ran.
+        let taken = TakenTimes::new([piece(Running, 90, 200, 30), piece(WokenLate, 190, 240, 50)]);
+        assert_eq!(lengths(&taken), [(90, 30), (190, 20)]);
+        // Jobs that others preempt: each sees its own.
+        let taken = TakenTimes::new([piece(Running, 90, 200, 30), piece(Running, 100, 150, 5)]);
+        assert_eq!(taken.total_ns(Running), 35);
+        assert_eq!(TakenTimes::new([]).most_within(u64::MAX), 0);
+    }
+
+    #[test]
+    fn windows_lose_what_may_lie_in_them() {
+        let taken = TakenTimes::new([
+            piece(Seen::Running, 100, 110, 10),
+            piece(Seen::Running, 150, 170, 5),
+            piece(Seen::WokenLate, 300, 340, 40),
+        ]);
+        assert_eq!([taken.before(100, 50), taken.before(101, 50), taken.before(160, 60)], [0, 10, 15]);
+        assert_eq!(taken.before(1_000, 30), 0);
+        assert_eq!(
+            [1, 10, 42, 60, 240, u64::MAX].map(|window| taken.most_within(window)),
+            [1, 10, 40, 40, 55, 55]
+        );
+        assert_eq!(taken.most_within(41), 40);
+    }
+
+    /// A schedule played step by step, with pieces taken at random: no response is beyond the bound of what was taken.
+    #[test]
+    fn bounds_hold_whatever_is_taken() {
+        let mut rng = StdRng::seed_from_u64(0x7a6b);
+        for round in 0..300 {
+            let tasks: Vec<Task> = [(10, 1..3), (25, 2..6), (60, 5..15)]
+                .into_iter()
+                .enumerate()
+                .map(|(i, (period, wcet))| {
+                    let ns = Duration::from_nanos;
+                    Task::new(format!("{i}"), ns(period), ns(rng.random_range(wcet)), 9 - i as u8)
+                })
+                .collect();
+            let mut at = 0;
+            let seen: Vec<Taken> = (0..rng.random_range(0..6))
+                .map(|_| {
+                    at += rng.random_range(5..120);
+                    let length = rng.random_range(1..8);
+                    at += length;
+                    piece(Seen::Running, at - length, at, length)
+                })
+                .collect();
+            let taken = TakenTimes::new(seen.clone());
+            for (index, release, end) in simulate(&tasks, &seen, 600) {
+                let bound =
+                    response_time_with(&tasks, &Overheads::NONE, index, |window| taken.before(end, window));
+                let Ok(bound) = bound else { continue };
+                assert!(
+                    end - release <= bound.response_ns,
+                    "round {round}: task {index}, {release} to {end}: {bound:?} {seen:?}"
+                );
+                let most =
+                    response_time_with(&tasks, &Overheads::NONE, index, |window| taken.most_within(window));
+                assert!(most.is_err() || most.unwrap().response_ns >= bound.response_ns);
+            }
+        }
+    }
+
+    /// The jobs of all tasks, each with its task, its release and its end: one step is 1 ns.
+    fn simulate(tasks: &[Task], taken: &[Taken], until_ns: u64) -> Vec<(usize, u64, u64)> {
+        let mut queues: Vec<std::collections::VecDeque<(u64, u64)>> = vec![Default::default(); tasks.len()];
+        let mut ended = Vec::new();
+        for now in 0..until_ns {
+            for (queue, task) in queues.iter_mut().zip(tasks) {
+                if now % task.period_ns == 0 {
+                    queue.push_back((now, task.wcet_ns));
+                }
+            }
+            if taken.iter().any(|piece| (piece.from_ns..piece.to_ns).contains(&now)) {
+                continue;
+            }
+            let Some((index, queue)) = queues.iter_mut().enumerate().find(|(_, queue)| !queue.is_empty())
+            else {
+                continue;
+            };
+            if let Some((release, left)) = queue.front_mut() {
+                *left -= 1;
+                if *left == 0 {
+                    ended.push((index, *release, now + 1));
+                    queue.pop_front();
+                }
+            }
+        }
+        ended
+    }
+}

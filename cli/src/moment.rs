@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What took time on a callback's core, as it is passed on and saved.
+
+use serde::{Deserialize, Serialize};
+use tautline::MomentKind;
+use tautline_analysis::taken::{Seen, Taken};
+
+/// As [`tautline::Moment`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Moment {
+    pub kind: Kind,
+    pub from_ns: u64,
+    pub to_ns: u64,
+    pub length_ns: u64,
+}
+
+/// As [`MomentKind`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    Late,
+    Taken,
+    WokenLate,
+}
+
+impl From<&tautline::Moment> for Moment {
+    fn from(moment: &tautline::Moment) -> Moment {
+        let kind = match moment.kind {
+            MomentKind::Late => Kind::Late,
+            MomentKind::Taken => Kind::Taken,
+            MomentKind::WokenLate => Kind::WokenLate,
+        };
+        let tautline::Moment { from_ns, to_ns, length_ns, .. } = *moment;
+        Moment { kind, from_ns, to_ns, length_ns }
+    }
+}
+
+impl Moment {
+    /// What the analysis has to know of it; nothing of a late job.
+    pub fn taken(&self) -> Option<Taken> {
+        let seen = match self.kind {
+            Kind::Late => return None,
+            Kind::Taken => Seen::Running,
+            Kind::WokenLate => Seen::WokenLate,
+        };
+        let Moment { from_ns, to_ns, length_ns, .. } = *self;
+        Some(Taken { from_ns, to_ns, length_ns, seen })
+    }
+}

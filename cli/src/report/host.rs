@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the host took from the cores, and which responses beyond their bounds that explains.
+use std::collections::BTreeMap;
+
+use tautline_analysis::file::{CheckedCallback, CheckedSystem};
+use tautline_analysis::taken::{Seen, TakenTimes, response_time_with};
+
+use super::run::{Callback, Process, Run};
+use crate::moment::{Kind, Moment};
+
+/// What was taken from each core, of those on which somebody looked.
+pub struct Host<'c> {
+    checked: &'c CheckedSystem,
+    /// By host and number.
+    cores: BTreeMap<(String, usize), TakenTimes>,
+}
+
+/// What it did to a callback.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Share {
+    /// The bound with the most that was taken in any window of it; `None` without a bound.
+    pub bound_ns: Option<u64>,
+    /// Responses above the bound that are known with their instants.
+    pub beyond: u64,
+    /// Those of them that what was taken before their ends does not explain.
+    pub unexplained: u64,
+    /// The longest one, unexplained ones first, and what was taken while it lasted.
+    pub longest: Option<(u64, u64)>,
+    /// Whether the longest response that was seen is among them, and none was overwritten.
+    pub complete: bool,
+}
+
+impl<'c> Host<'c> {
+    pub fn new(checked: &'c CheckedSystem, run: &Run) -> Host<'c> {
+        let mut seen: BTreeMap<(String, usize), Vec<&Moment>> = BTreeMap::new();
+        for process in &run.processes {
+            let is_served = is_served_first(process, run);
+            for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
+                let Some(core) = callback.core else { continue };
+                let counts = |moment: &&Moment| is_served || moment.kind != Kind::WokenLate;
+                let moments = callback.moments.iter().filter(counts);
+                seen.entry((process.host.clone(), core)).or_default().extend(moments);
+            }
+        }
+        let taken = |moments: Vec<&Moment>| TakenTimes::new(moments.into_iter().filter_map(Moment::taken));
+        let cores = seen.into_iter().map(|(core, moments)| (core, taken(moments))).collect();
+        Host { checked, cores }
+    }
+
+    /// Whether somebody looked.
+    pub fn is_known(&self) -> bool {
+        !self.cores.is_empty()
+    }
+
+    /// What became of a callback; `None` if nobody looked at its core.
+    pub fn share(&self, predicted: &CheckedCallback, seen: &Callback) -> Option<Share> {
+        let taken = self.cores.get(&(predicted.host.clone(), predicted.core))?;
+        let bound_ns = self.bound_ns(predicted, |window_ns| taken.most_within(window_ns));
+        let mut share = Share { bound_ns, beyond: 0, unexplained: 0, longest: None, complete: false };
+        let predicted_ns = predicted.response_overhead_ns?;
+        let is_beyond = |moment: &&Moment| moment.kind == Kind::Late && moment.length_ns > predicted_ns;
+        let mut longest = (false, 0);
+        for late in seen.moments.iter().filter(is_beyond) {
+            let allowed_ns = self.bound_ns(predicted, |window_ns| taken.before(late.to_ns, window_ns));
+            let unexplained = allowed_ns.is_none_or(|allowed_ns| late.length_ns > allowed_ns);
+            share.beyond += 1;
+            share.unexplained += u64::from(unexplained);
+            share.complete |= Some(late.length_ns) == seen.response.max_ns();
+            if (unexplained, late.length_ns) > longest {
+                longest = (unexplained, late.length_ns);
+                share.longest = Some((late.length_ns, taken.before(late.to_ns, late.length_ns)));
+            }
+        }
+        share.complete &= seen.older_moments == 0;
+        Some(share)
+    }
+
+    /// The bound if a window of the core loses no more than this.
+    fn bound_ns(&self, predicted: &CheckedCallback, taken_within: impl Fn(u64) -> u64) -> Option<u64> {
+        let of_core = |core: &&tautline_analysis::file::CheckedCore| {
+            core.host == predicted.host && core.number == predicted.core
+        };
+        let core = self.checked.cores.iter().find(of_core)?;
+        let name = &predicted.entry.name;
+        // A callback with several streams is a task for each.
+        let is_of_it = |task: &str| {
+            task.strip_prefix(name.as_str()).is_some_and(|rest| rest.is_empty() || rest.starts_with(" ("))
+        };
+        let mut more_ns = 0;
+        for (index, _) in core.tasks.iter().enumerate().filter(|(_, task)| is_of_it(&task.name)) {
+            let response_ns = |taken_within: &dyn Fn(u64) -> u64| {
+                let response = response_time_with(&core.tasks, &core.overheads, index, taken_within);
+                Some(response.ok()?.response_ns)
+            };
+            more_ns = more_ns.max(response_ns(&taken_within)?.saturating_sub(response_ns(&|_| 0)?));
+        }
+        Some(predicted.response_overhead_ns?.saturating_add(more_ns))
+    }
+
+    /// A line for each core.
+    pub fn notes(&self) -> Vec<String> {
+        let line = |((host, core), taken): (&(String, usize), &TakenTimes)| {
+            let ms = |ns: u64| ns as f64 / 1e6;
+            format!(
+                "the host took {:.2} ms of core {core} of `{host}` while callbacks ran and {:.2} ms before timers were served, at most \
+                 {:.2} ms at once",
+                ms(taken.total_ns(Seen::Running)),
+                ms(taken.total_ns(Seen::WokenLate)),
+                ms(taken.longest_ns())
+            )
+        };
+        self.cores.iter().filter(|(_, taken)| !taken.pieces().is_empty()).map(line).collect()
+    }
+}
+
+/// Whether nothing of the domain can keep a process's timers from being served: else it is not the host that makes them late.
+fn is_served_first(process: &Process, run: &Run) -> bool {
+    let others = run.processes.iter().filter(|other| other.host == process.host);
+    let highest = others.flat_map(|other| &other.callbacks).filter_map(|callback| callback.priority).max();
+    process.realtime && process.sampler_priority > highest
+}
