@@ -12,7 +12,7 @@ use futures::executor::LocalPool;
 use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
-    BudgetTimer, CoreSet, CoreTime, Policy, Realtime, RtError, ThreadBuilder, current_affinity,
+    BudgetTimer, CoreSet, CoreTime, Policy, Realtime, RtError, ThreadBuilder, clock, current_affinity,
     current_policy, host::online_cores,
 };
 
@@ -42,7 +42,7 @@ pub struct Executor {
     registry: Registry,
     statistics: Option<StatisticsFile>,
     parkers: Option<MakeParker>,
-    accounts: bool,
+    accounts: Option<Duration>,
     spawned: AtomicUsize,
     callbacks: Mutex<Vec<Arc<Callback>>>,
 }
@@ -51,7 +51,7 @@ impl Executor {
     /// An executor without threads. With [`Realtime::Off`] policies are not applied, everything else is.
     pub fn new(realtime: Realtime) -> Executor {
         let (registry, spawned, callbacks) = Default::default();
-        let (statistics, parkers, accounts) = (None, None, false);
+        let (statistics, parkers, accounts) = (None, None, None);
         Executor { realtime, registry, statistics, parkers, accounts, spawned, callbacks }
     }
 
@@ -74,11 +74,12 @@ impl Executor {
     }
 
     /// Notes what was taken from the core of each callback, by the hypervisor or by interrupts, among its
-    /// [moments](crate::CallbackSnapshot::moments): pieces of 100 µs and more, at three system calls before each job and three after
-    /// it. For callbacks that are spawned from now on; not for those that poll busily.
+    /// [moments](crate::CallbackSnapshot::moments): what was taken from one job if it is as long as `least`, and timers that were served
+    /// 100 µs late. It costs three system calls before each job and three after it. For callbacks that are spawned from now on; not for
+    /// those that poll busily.
     #[must_use]
-    pub fn account_core_time(mut self, accounts: bool) -> Executor {
-        self.accounts = accounts;
+    pub fn account_core_time(mut self, least: Option<Duration>) -> Executor {
+        self.accounts = least;
         self
     }
 
@@ -212,7 +213,7 @@ impl Executor {
         let (control, end) = (Arc::<Control>::default(), Arc::<End>::default());
         let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();
         let presence = Presence { end: Arc::clone(&end), stats: all_stats, _registration: registration };
-        let accounts = self.accounts && !options.busy_poll;
+        let accounts = self.accounts.filter(|_| !options.busy_poll).map(clock::nanoseconds);
         let (busy, spin, execution_time, thread_control) =
             (options.busy_poll, options.spin.min(MAX_SPIN), options.execution_time, Arc::clone(&control));
         let (thread_stats, watch) = (Arc::clone(&stats), options.watch.clone());
@@ -234,7 +235,8 @@ impl Executor {
                 *thread_trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
             };
             let timer = holds.then(|| BudgetTimer::new().map_err(failed).ok()).flatten();
-            let account = accounts.then(|| CoreTime::new().map_err(failed).ok()).flatten().map(Account::new);
+            let account = accounts
+                .and_then(|least_ns| Some(Account::new(CoreTime::new().map_err(failed).ok()?, least_ns)));
             let (running, overran_until_ns) = (Cell::new(0), Cell::new(0));
             let ends = ends.then(|| Arc::clone(&thread_control));
             let holder = timer.map(|timer| Holder { timer, policy, ends, running, overran_until_ns });
@@ -273,7 +275,7 @@ impl Executor {
         let info = thread.info().clone();
         stats.describe(&info, options.period, execution_time);
         members.iter().for_each(|member| member.stats.describe(&info, member.options.period, execution_time));
-        if accounts {
+        if accounts.is_some() {
             members
                 .iter()
                 .map(|member| &member.stats)

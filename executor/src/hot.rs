@@ -96,6 +96,8 @@ impl Holder {
 /// Accounts for the time of a callback's core: see [`Executor::account_core_time`](crate::Executor::account_core_time).
 pub(crate) struct Account {
     clock: CoreTime,
+    /// Shorter pieces are not noted.
+    least_ns: u64,
     /// At the begin of the job that runs; of jobs that overlap, the first.
     begun: Cell<Option<CoreMark>>,
     /// At the end of the last one.
@@ -105,11 +107,11 @@ pub(crate) struct Account {
 }
 
 impl Account {
-    /// Shorter pieces are not noted: they are what context switches and a middleware cost.
-    const LEAST_NS: u64 = 100_000;
+    /// To wake a thread takes some time: less is not late.
+    const WAKE_NS: u64 = 100_000;
 
-    pub const fn new(clock: CoreTime) -> Account {
-        Account { clock, begun: Cell::new(None), ended: Cell::new(None), running: Cell::new(0) }
+    pub const fn new(clock: CoreTime, least_ns: u64) -> Account {
+        Account { clock, least_ns, begun: Cell::new(None), ended: Cell::new(None), running: Cell::new(0) }
     }
 
     /// A job begins that a clock released at `due_ns`, if one did.
@@ -119,7 +121,8 @@ impl Account {
         }
         let now = self.clock.mark();
         if let (Some(due_ns), Some(asleep)) = (due_ns, self.ended.get())
-            && let Some(length_ns) = asleep.woken_late_by(due_ns, &now).filter(|ns| *ns >= Self::LEAST_NS)
+            && let Some(length_ns) =
+                asleep.woken_late_by(due_ns, &now).filter(|ns| *ns >= self.least_ns.max(Self::WAKE_NS))
         {
             let to_ns = now.from_ns;
             stats.note(&Moment { kind: MomentKind::WokenLate, from_ns: due_ns, to_ns, length_ns });
@@ -135,7 +138,7 @@ impl Account {
         }
         let now = self.clock.mark();
         if let Some(begun) = self.begun.take()
-            && let Some(length_ns) = begun.taken_until(&now).filter(|ns| *ns >= Self::LEAST_NS)
+            && let Some(length_ns) = begun.taken_until(&now).filter(|ns| *ns >= self.least_ns)
         {
             let (from_ns, to_ns) = (begun.to_ns, now.from_ns);
             stats.note(&Moment { kind: MomentKind::Taken, from_ns, to_ns, length_ns });

@@ -174,7 +174,7 @@ fn waking_and_polling_a_callback() {
                 callback_bell.answer();
             }
         });
-        let executor = Executor::new(Realtime::Off).account_core_time(accounts);
+        let executor = Executor::new(Realtime::Off).account_core_time(accounts.then_some(Duration::ZERO));
         let callback = executor.spawn_callback(options, future).unwrap();
         assert_eq!(cycle(&[&bell]), [0, 0]);
         assert!(callback.stats().completions() >= CYCLES);

@@ -85,7 +85,7 @@ pub struct ContextBuilder {
     host: Option<String>,
     admission: Option<Admission>,
     share_statistics: bool,
-    core_time: Option<bool>,
+    core_time: Option<Option<Duration>>,
     trace: Option<TraceSettings>,
     remap: RemapRules,
     args: Vec<String>,
@@ -177,9 +177,10 @@ impl ContextBuilder {
 
     /// Whether what the host takes from the cores of callbacks is accounted for, so that `taut report` can say of a late job whose
     /// doing it was: steal on a virtual machine, interrupts, timers that nobody served. It costs each job six short system calls
-    /// (some 3 µs). Otherwise `TAUT_CORE_TIME=on` or `off`, else off.
-    pub fn account_core_time(mut self, account: bool) -> Self {
-        self.core_time = Some(account);
+    /// (some 3 µs). What was taken from one job counts if it is as long as `least`. Otherwise `TAUT_CORE_TIME=on`, which is 100 µs, or
+    /// `off`, else off.
+    pub fn account_core_time(mut self, least: Option<Duration>) -> Self {
+        self.core_time = Some(least);
         self
     }
 
@@ -334,11 +335,11 @@ fn admission_of_environment(has_system: bool) -> Result<Admission> {
     }
 }
 
-fn core_time_of_environment() -> Result<bool> {
+fn core_time_of_environment() -> Result<Option<Duration>> {
     let (variable, expected) = ("TAUT_CORE_TIME", "it may be 'on' or 'off'");
     match environment(variable).as_deref() {
-        None | Some("off") => Ok(false),
-        Some("on") => Ok(true),
+        None | Some("off") => Ok(None),
+        Some("on") => Ok(Some(Duration::from_micros(100))),
         Some(value) => Err(Error::Environment { variable, value: value.to_owned(), expected }),
     }
 }

@@ -134,7 +134,7 @@ fn late_jobs_are_kept_with_their_instants() {
     let path = std::env::temp_dir().join(format!("tautline-{}-accounted.toml", std::process::id()));
     std::fs::write(&path, SYSTEM).unwrap();
     let builder = Context::builder().domain(ACCOUNTED).realtime(Realtime::Off).system(&path);
-    let context = builder.account_core_time(true).build().unwrap();
+    let context = builder.account_core_time(Some(std::time::Duration::from_millis(1))).build().unwrap();
     std::fs::remove_file(&path).unwrap();
     let mut node = Node::create(context.clone(), "driver", "").unwrap();
     let numbers = node.subscribe_loaned::<Number>("/n", QosProfile::default().keep_last(2)).unwrap();

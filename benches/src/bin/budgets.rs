@@ -97,7 +97,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
 }
 
 fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row, Box<dyn std::error::Error>> {
-    let stage = Stage::with(Context::builder().account_core_time(true))?;
+    let stage = Stage::with(Context::builder().account_core_time(Some(Duration::from_micros(100))))?;
     let disturbance = Disturbance::start();
     let mut node = Node::create(stage.context.clone(), "budgets_bench", "")?;
     let more: [Arc<AtomicU64>; PERIODS_MS.len()] = Default::default();

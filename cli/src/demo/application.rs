@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The application: topics, message, priorities (ECRTS 2025, section 5), from examples/systems/paper.toml.
 
+use std::sync::Arc;
 use std::time::Duration;
-use tautline::{CallbackHandle, Context, ContextBuilder, Message, QosProfile, Realtime};
+use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, Message, QosProfile, Realtime};
 use tautline_analysis::Task;
 use tautline_analysis::file::{CheckedCallback, SystemFile};
 
@@ -15,6 +16,9 @@ pub const PUBLISHER_WORKER_PRIORITY: u8 = 24;
 
 /// Topics, execution times and priorities, as `taut check` reads them.
 const SYSTEM: &str = include_str!("../../../examples/systems/paper.toml");
+
+/// What is taken from one job is noted if it is as long.
+const PIECE: Duration = Duration::from_micros(10);
 
 /// The message of every topic.
 #[derive(Message, Clone, Copy, Default)]
@@ -69,16 +73,34 @@ pub fn qos() -> QosProfile {
 /// What both processes' contexts have in common.
 pub fn context(args: &DemoArgs, sampler_priority: u8) -> ContextBuilder {
     let builder = Context::builder().realtime(realtime(args)).sampler_priority(sampler_priority);
-    builder.account_core_time(true)
+    builder.account_core_time(Some(PIECE))
 }
 
 pub fn realtime(args: &DemoArgs) -> Realtime {
     if args.no_rt { Realtime::Off } else { Realtime::Required }
 }
 
-/// What the thread of a callback saw being taken from its core.
-pub fn moments(callback: &CallbackHandle) -> Vec<Moment> {
-    callback.stats().snapshot().map_or_else(Vec::new, |seen| seen.moments.iter().map(Moment::from).collect())
+/// What the thread of a callback sees being taken from its core.
+pub struct Watched {
+    stats: Arc<CallbackStats>,
+    /// How many moments have been collected, or were overwritten before.
+    known: u64,
+    pub moments: Vec<Moment>,
+}
+
+impl Watched {
+    pub fn new(callback: &CallbackHandle) -> Self {
+        Watched { stats: callback.stats().clone(), known: 0, moments: Vec::new() }
+    }
+
+    /// Collects what was seen since the last time: often enough, for only the latest are kept.
+    pub fn collect(&mut self) {
+        let Some(seen) = self.stats.snapshot() else { return };
+        let (older, latest) = (seen.older_moments, seen.moments);
+        let known = usize::try_from(self.known.saturating_sub(older)).unwrap_or(usize::MAX);
+        self.known = older + latest.len() as u64;
+        self.moments.extend(latest.iter().skip(known).map(Moment::from));
+    }
 }
 
 /// Binds the whole process to the demo's core: threads inherit it.

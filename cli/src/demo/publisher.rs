@@ -52,8 +52,9 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
     worker.stop();
     let (messages, missed) = (counts.messages.load(Ordering::Relaxed), counts.missed.load(Ordering::Relaxed));
-    let moments = application::moments(&worker);
-    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, moments }));
+    let mut watched = application::Watched::new(&worker);
+    watched.collect();
+    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, moments: watched.moments }));
     Ok(())
 }
 

@@ -84,11 +84,22 @@ pub struct TopicReport {
     pub beyond: u64,
     /// Those of them that what the host took before their ends does not explain: defects.
     pub unexplained: u64,
-    /// What the host took before the end of the longest response, or of the longest unexplained one.
-    pub host_took_ms: f64,
+    /// The longest of these, unexplained ones first; `None` (null) if there is none.
+    pub worst: Option<Worst>,
     /// Every response time, ascending, in nanoseconds.
     #[serde(skip)]
     pub latencies_ns: Vec<u64>,
+}
+
+/// A response above the prediction.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Worst {
+    /// How long it was.
+    pub response_ms: f64,
+    /// What the host took while it lasted.
+    pub host_took_ms: f64,
+    /// What the prediction allows with what the host took before its end; `None` (null) if that is too much for any.
+    pub allowed_ms: Option<f64>,
 }
 
 /// What was measured on one topic.
@@ -128,25 +139,34 @@ pub struct Costs {
     pub taken: TakenTimes,
 }
 
-/// The tasks and what each costs besides.
+/// The tasks, and what each costs besides.
 struct Loaded {
-    tasks: Vec<Task>,
+    /// With what is to be expected of interruptions: the regular ones as a task above all others.
+    expected: Vec<Task>,
+    /// Without: what was taken from callbacks in the run is known, and only what they could not see is expected, the longest regular one.
+    seen: Vec<Task>,
     overheads: Overheads,
 }
 
 impl Loaded {
     fn new(tasks: &[Task], costs: &Costs) -> Loaded {
         let blocking = Duration::from_nanos(costs.interruptions.regular_ns);
-        let mut tasks: Vec<_> = tasks.iter().map(|task| task.clone().blocking(blocking)).collect();
-        tasks.extend(interrupt_task(&costs.interruptions));
+        let seen: Vec<_> = tasks.iter().map(|task| task.clone().blocking(blocking)).collect();
+        let expected = seen.iter().cloned().chain(interrupt_task(&costs.interruptions)).collect();
         let per_message_ns = u64::try_from(costs.per_message.as_nanos()).unwrap_or(u64::MAX);
-        Loaded { tasks, overheads: Overheads { per_message_ns, ..Overheads::NONE } }
+        Loaded { expected, seen, overheads: Overheads { per_message_ns, ..Overheads::NONE } }
     }
 
-    /// The bound of a task if a window loses no more than this.
-    fn bound_ns(&self, index: usize, taken_within: impl Fn(u64) -> u64) -> Option<u64> {
-        let response = response_time_with(&self.tasks, &self.overheads, index, taken_within);
+    /// The bound of a task.
+    fn bound_ns(&self, index: usize) -> Option<u64> {
+        let response = response_time_with(&self.expected, &self.overheads, index, |_| 0);
         Some(response.ok()?.response_ns)
+    }
+
+    /// The bound of a task if a window loses no more than this; no less than what was to be expected.
+    fn host_bound_ns(&self, index: usize, taken_within: impl Fn(u64) -> u64) -> Option<u64> {
+        let response = response_time_with(&self.seen, &self.overheads, index, taken_within);
+        Some(response.ok()?.response_ns.max(self.bound_ns(index)?))
     }
 }
 
@@ -154,9 +174,9 @@ impl Loaded {
 pub fn predict(tasks: &[Task], costs: &Costs) -> Vec<Prediction> {
     let (ideal, real) = (Loaded::new(tasks, &Costs::default()), Loaded::new(tasks, costs));
     let prediction = |index| Prediction {
-        rta_ns: ideal.bound_ns(index, |_| 0),
-        rta_overhead_ns: real.bound_ns(index, |_| 0),
-        rta_host_ns: real.bound_ns(index, |window_ns| costs.taken.most_within(window_ns)),
+        rta_ns: ideal.bound_ns(index),
+        rta_overhead_ns: real.bound_ns(index),
+        rta_host_ns: real.host_bound_ns(index, |window_ns| costs.taken.most_within(window_ns)),
     };
     (0..tasks.len()).map(prediction).collect()
 }
@@ -172,8 +192,9 @@ pub fn topic_reports(runs: Vec<TopicRun>, costs: &Costs) -> Vec<TopicReport> {
     let predictions = predict(&tasks, costs);
     let loaded = Loaded::new(&tasks, costs);
     let report = |(index, (run, prediction)): (usize, (TopicRun, Prediction))| {
-        let excess =
-            Excess::of(&run, prediction, &costs.taken, |taken_within| loaded.bound_ns(index, taken_within));
+        let excess = Excess::of(&run, prediction, &costs.taken, |taken_within| {
+            loaded.host_bound_ns(index, taken_within)
+        });
         topic_report(run, prediction, excess)
     };
     runs.into_iter().zip(predictions).enumerate().map(report).collect()
@@ -193,13 +214,16 @@ impl TopicReport {
         self.n == 0 || self.deadline_misses > 0 || self.lost > 0
     }
 
-    /// In words: the responses above the prediction, if there are, and what the host took of the longest.
+    /// In words: the responses above the prediction, if there are, and of the worst what the host took.
     fn beyond_prediction(&self) -> Option<String> {
-        let (max, bound, took) = (self.max_ms?, self.rta_overhead_ms?, self.host_took_ms);
-        let times = if self.beyond == 1 { "once".to_owned() } else { format!("{} times", self.beyond) };
-        let took = if took > 0.0 { format!(", {took:.2} ms of it taken by the host") } else { String::new() };
-        let text = format!("{} {times} (max {max:.2} ms{took}, predicted {bound:.2} ms)", self.topic);
-        (self.beyond > 0).then_some(text)
+        let (worst, predicted) = (self.worst?, self.rta_overhead_ms?);
+        let count = if self.unexplained > 0 { self.unexplained } else { self.beyond };
+        let times = if count == 1 { "once".to_owned() } else { format!("{count} times") };
+        let Worst { response_ms, host_took_ms, allowed_ms } = worst;
+        let allowed = allowed_ms.map_or(String::new(), |ms| format!(", with that {ms:.2} ms"));
+        let host =
+            format!(", of which the host took {host_took_ms:.2} ms; predicted {predicted:.2} ms{allowed}");
+        Some(format!("{} {times} ({response_ms:.2} ms{host})", self.topic))
     }
 }
 
@@ -208,8 +232,7 @@ impl TopicReport {
 struct Excess {
     beyond: u64,
     unexplained: u64,
-    /// What the host took before the end of the longest one, unexplained ones first.
-    host_took_ns: u64,
+    worst: Option<Worst>,
 }
 
 impl Excess {
@@ -232,7 +255,9 @@ impl Excess {
             excess.unexplained += u64::from(unexplained);
             if (unexplained, latency_ns) > longest {
                 longest = (unexplained, latency_ns);
-                excess.host_took_ns = taken.before(end_ns, latency_ns);
+                let host_took_ms = ms(taken.before(end_ns, latency_ns));
+                let allowed_ms = allowed_ns.map(ms);
+                excess.worst = Some(Worst { response_ms: ms(latency_ns), host_took_ms, allowed_ms });
             }
         }
         excess
@@ -261,7 +286,7 @@ fn topic_report(run: TopicRun, prediction: Prediction, excess: Excess) -> TopicR
         rta_host_ms: prediction.rta_host_ns.map(ms),
         beyond: excess.beyond,
         unexplained: excess.unexplained,
-        host_took_ms: ms(excess.host_took_ns),
+        worst: excess.worst,
         topic: task.name,
         latencies_ns,
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The subscriber process: the sampler on the main thread, one callback thread per topic.
 
-use super::application::{self, Stamped, Topic};
+use super::application::{self, Stamped, Topic, Watched};
 use super::protocol::{self, Line, Measured, TopicMeasured};
 use super::{DemoArgs, DemoError};
 use futures::StreamExt;
@@ -48,13 +48,15 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             context.shutdown();
         });
     }
-    let reporter = report_progress(callbacks.iter().map(|callback| callback.log.clone()).collect(), over);
+    let watched = callbacks.iter().map(|callback| Watched::new(&callback.handle)).collect();
+    let logs = callbacks.iter().map(|callback| callback.log.clone()).collect();
+    let reporter = report_progress(logs, watched, over);
     let cpu_before_ns = clock::process_cpu_ns();
     protocol::say(&Line::Ready);
     node.spin()?;
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
-    let _ = reporter.join();
-    protocol::say(&Line::Measured(measured(callbacks, cpu_ns)?));
+    let watched = reporter.join().unwrap_or_default();
+    protocol::say(&Line::Measured(measured(callbacks, watched, cpu_ns)?));
     Ok(())
 }
 
@@ -65,17 +67,18 @@ struct Callback {
     handle: tautline::CallbackHandle,
 }
 
-fn measured(callbacks: Vec<Callback>, cpu_ns: u64) -> Result<Measured, DemoError> {
-    let (mut topics, mut moments, mut busy_ns) = (Vec::new(), Vec::new(), 0);
+fn measured(callbacks: Vec<Callback>, mut watched: Vec<Watched>, cpu_ns: u64) -> Result<Measured, DemoError> {
+    let (mut topics, mut busy_ns) = (Vec::new(), 0);
     for callback in callbacks {
         callback.handle.stop();
-        callback.handle.clone().join().map_err(tautline::Error::from)?;
-        moments.extend(application::moments(&callback.handle));
+        callback.handle.join().map_err(tautline::Error::from)?;
         let (releases_ns, latencies_ns): (Vec<_>, Vec<_>) = callback.log.jobs().unzip();
         busy_ns += latencies_ns.len() as u64 * callback.topic.wcet.as_nanos() as u64;
         let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
         topics.push(TopicMeasured { releases_ns, latencies_ns, lost, max_queue });
     }
+    watched.iter_mut().for_each(Watched::collect);
+    let moments = watched.into_iter().flat_map(|watched| watched.moments).collect();
     Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, moments })
 }
 
@@ -110,12 +113,18 @@ impl Log {
     }
 }
 
-fn report_progress(logs: Vec<Arc<Log>>, over: Arc<AtomicBool>) -> std::thread::JoinHandle<()> {
+fn report_progress(
+    logs: Vec<Arc<Log>>,
+    mut watched: Vec<Watched>,
+    over: Arc<AtomicBool>,
+) -> std::thread::JoinHandle<Vec<Watched>> {
     std::thread::spawn(move || {
         while !over.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(200));
             let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
             protocol::say(&Line::Progress(handled as u64));
+            watched.iter_mut().for_each(Watched::collect);
         }
+        watched
     })
 }

@@ -128,7 +128,7 @@ fn misses_are_named_and_explained() {
     let out = prose(&report);
     assert!(out.contains("2 deadlines missed: topic1 (1 of 2), topic5 (1 of 1). "), "{out}");
     assert!(
-        out.contains("Prediction exceeded: topic1 once (max 12.50 ms, predicted 2.30 ms), topic5 once (max"),
+        out.contains("Prediction exceeded: topic1 once (12.50 ms, of which the host took 0.00 ms; predicted 2.30 ms, with that 2.30 ms), topic5"),
         "{out}"
     );
     assert!(out.contains("was not taken by the host"), "{out}");
@@ -156,8 +156,8 @@ fn what_the_host_took_explains_a_response_or_it_does_not() {
     let out = prose(&report);
     assert!(
         out.contains(
-            "Prediction held but for what the host took: topic1 once (max 5.20 ms, 3.00 ms of it taken by the host, predicted \
-             2.30 ms)."
+            "Prediction held but for what the host took: topic1 once (5.20 ms, of which the host took 3.00 ms; predicted 2.30 ms, \
+             with that 5.30 ms)."
         ),
         "{out}"
     );
@@ -167,7 +167,10 @@ fn what_the_host_took_explains_a_response_or_it_does_not() {
     let report = latencies(5.4);
     assert_eq!((report.topics[0].beyond, report.topics[0].unexplained), (1, 1));
     let out = prose(&report);
-    assert!(out.contains("Prediction exceeded: topic1 once (max 5.40 ms, 3.00 ms of it taken"), "{out}");
+    assert!(
+        out.contains("Prediction exceeded: topic1 once (5.40 ms, of which the host took 3.00 ms;"),
+        "{out}"
+    );
     assert!(out.contains("look for other real-time threads"), "{out}");
 
     // Taken after it had ended: a defect, whatever the longest piece of the run would allow.
