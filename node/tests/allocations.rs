@@ -6,12 +6,16 @@ mod common;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::future::pending;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::channel;
 use std::thread::{Thread, current, park};
+use std::time::Duration;
 
 use common::Number;
 use futures::StreamExt;
+use tautline::rt::clock::monotonic_ns;
 use tautline::{CallbackOptions, Context, Node, Publisher, QosProfile, Realtime, Sample, TraceMode};
 use tautline_trace::{Record, Recorder};
 
@@ -115,6 +119,16 @@ fn allocate_nothing(options: CallbackOptions) {
     let publisher = node.create_publisher::<Number>("/frugal", QosProfile::default()).unwrap();
     let numbers = node.subscribe_loaned::<Number>("/frugal", QosProfile::default()).unwrap();
     let callback = node.spawn_callback(options, numbers.for_each(answer)).unwrap();
+    // Two threads that are always ready need no sampler, and keep it from starting: only it serves a timer.
+    let hour = Duration::from_secs(3_600);
+    let mut timer = node.create_wall_timer_at(monotonic_ns(), hour).unwrap();
+    let (sampler_serves, served) = channel();
+    let waits = async move {
+        timer.next_tick().await;
+        sampler_serves.send(()).unwrap();
+        pending::<()>().await;
+    };
+    node.spawn_callback(CallbackOptions::other(), waits).unwrap();
     let sampler = std::thread::spawn({
         let context = context.clone();
         move || {
@@ -123,6 +137,7 @@ fn allocate_nothing(options: CallbackOptions) {
             MINE.set(None);
         }
     });
+    served.recv().unwrap();
     WAITING.get_or_init(current);
     MINE.set(Some(&PUBLISHER));
     let mut values = 1..;
