@@ -40,6 +40,31 @@ pub enum AnalysisError {
         limit: &'static str,
     },
 
+    /// A reservation that cannot be analysed.
+    #[error("the reservation of task `{task}` has no meaning: {problem}")]
+    BadReservation {
+        /// The task at fault.
+        task: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+
+    /// The jobs of a task need more than what is reserved for them.
+    #[error(
+        "task `{task}` has no bounded response time: its jobs take up to {charged_ns} ns each, overheads included, which is more in \
+         the long run than its reservation of {runtime_ns} ns in {period_ns} ns: raise its runtime, or lower a rate or a wcet"
+    )]
+    SmallReservation {
+        /// The task without a bound.
+        task: String,
+        /// What a job takes, in nanoseconds.
+        charged_ns: u64,
+        /// What is reserved, in nanoseconds.
+        runtime_ns: u64,
+        /// In each of these, in nanoseconds.
+        period_ns: u64,
+    },
+
     /// Tasks of one thread that disagree about it.
     #[error("tasks `{task}` and `{other}` share a thread but not its priority or order: give both the same")]
     MixedGroup {

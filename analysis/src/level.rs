@@ -2,7 +2,7 @@
 //! The one fixed-point search behind all bounds: a task, the thread it runs in, and everything that delays it.
 use crate::release::Release;
 use crate::validate::validate;
-use crate::{AnalysisError, Order, Overheads, Task};
+use crate::{AnalysisError, Order, Overheads, Reservation, Task};
 
 /// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
 const MAX_ITERATIONS: u32 = 1_000_000;
@@ -36,7 +36,10 @@ impl Demand {
 /// The tasks of one core, checked, with their costs.
 pub(crate) struct Core<'a> {
     tasks: &'a [Task],
+    /// What each task has to do.
     callbacks: Vec<Demand>,
+    /// What each task takes from the others: the same, but for those with a reservation.
+    delays: Vec<Demand>,
     /// What delays every level: messages, ticks, throttling.
     common: Vec<Demand>,
     throttled: bool,
@@ -48,6 +51,8 @@ pub(crate) struct Bound {
     pub nominal_ns: u64,
     pub arrival_ns: u64,
     pub utilisation: f64,
+    /// For the next period of its reservation.
+    pub waits: bool,
 }
 
 impl<'a> Core<'a> {
@@ -59,6 +64,11 @@ impl<'a> Core<'a> {
             cost => Ok(demand(task, cost)),
         };
         let callbacks: Vec<_> = tasks.iter().map(charged).collect::<Result<_, AnalysisError>>()?;
+        let delays: Vec<_> = tasks
+            .iter()
+            .zip(&callbacks)
+            .map(|(task, own)| delay(task, own, overheads))
+            .collect::<Result<_, _>>()?;
         let message =
             |task: &Task| demand(task, task.message_overhead_ns.unwrap_or(overheads.per_message_ns));
         let mut common: Vec<_> = tasks.iter().map(message).collect();
@@ -68,7 +78,7 @@ impl<'a> Core<'a> {
         }
         let mut throttled = false;
         if let Some(limit) = overheads.throttling.filter(|limit| limit.runtime_ns < limit.period_ns) {
-            let mut all = callbacks.iter().chain(&common);
+            let mut all = delays.iter().chain(&common);
             let work = all.try_fold(0, |sum: u64, demand| sum.checked_add(demand.within(limit.period_ns)?));
             throttled = work.is_none_or(|work| work > limit.runtime_ns);
             if throttled {
@@ -76,7 +86,7 @@ impl<'a> Core<'a> {
                 common.push(Demand { release, cost_ns: limit.period_ns - limit.runtime_ns });
             }
         }
-        Ok(Self { tasks, callbacks, common: merge(common), throttled })
+        Ok(Self { tasks, callbacks, delays, common: merge(common), throttled })
     }
 
     /// Whether the kernel may pause this core's real-time threads; their bounds then contain the pauses.
@@ -119,22 +129,72 @@ impl<'a> Level<'a> {
                 own.push(core.callbacks[i].clone());
                 blocking = other.blocking_ns.max(blocking);
             } else if other.priority >= task.priority {
-                interference.push(core.callbacks[i].clone());
+                interference.push(core.delays[i].clone());
             } else {
                 // A section delays only if it began before: at least 1 ns of it is over.
                 sections = other.non_preemptive_ns.saturating_sub(1).max(sections);
             }
         }
-        let tail = if task.non_preemptive_ns >= task.wcet_ns { task.wcet_ns - 1 } else { 0 };
+        // The end of a reservation preempts everything.
+        let is_whole = task.non_preemptive_ns >= task.wcet_ns && task.reservation.is_none();
+        let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
         let interference = merge(interference);
-        let utilisation = (own.iter().chain(&interference))
-            .try_fold(0, |sum: u128, demand| sum.checked_add(demand.utilisation()?))
-            .ok_or_else(|| overflow(task))?;
         let blocking = u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?;
-        Ok(Self { task, release: task.release(), own, interference, blocking, tail, utilisation })
+        let level = Self { task, release: task.release(), own, interference, blocking, tail, utilisation: 0 };
+        level.with_utilisation()
     }
 
-    fn bound(&self) -> Result<Bound, AnalysisError> {
+    fn with_utilisation(mut self) -> Result<Self, AnalysisError> {
+        self.utilisation = (self.own.iter().chain(&self.interference))
+            .try_fold(0, |sum: u128, demand| sum.checked_add(demand.utilisation()?))
+            .ok_or_else(|| overflow(self.task))?;
+        Ok(self)
+    }
+
+    fn bound(self) -> Result<Bound, AnalysisError> {
+        if let Some(reservation) = self.task.reservation {
+            return self.reserved(reservation);
+        }
+        self.bound_without_gaps()
+    }
+
+    /// A task with a reservation: nothing holds it up while it has runtime, so all that matters is when it may have none.
+    ///
+    /// A job that is woken finds the whole runtime, in a period of its own, if the one before has ended and left more of the runtime
+    /// than is left of its period (the rule of the server for a thread that is woken). What is left of the period is at most
+    /// what the wake-up before may have been late, for releases that are a period apart. Otherwise the runtime may be used up, from the begin
+    /// on, until the period ends, and again after each runtime: it is as if something above took the rest of each period.
+    fn reserved(mut self, reservation: Reservation) -> Result<Bound, AnalysisError> {
+        let Reservation { runtime_ns, period_ns } = reservation;
+        let charged_ns = self.own[0].cost_ns;
+        let apart_ns = self.release.shortest_span(1);
+        let spare_ns = runtime_ns.checked_sub(charged_ns).filter(|_| apart_ns >= period_ns);
+        if let (Some(spare_ns), Ok(())) = (spare_ns, self.check_load()) {
+            // Until when all that comes first is done: the wake-up may be as late.
+            let late_ns = self.finish(self.add(self.blocking, 1)?, 0, &mut 0)? - 1;
+            let left_ns = late_ns.saturating_sub(apart_ns - period_ns);
+            let rule = |ns: u64, of: u64| u128::from(ns) * u128::from(of);
+            let is_left = left_ns == 0
+                || rule(spare_ns, period_ns)
+                    > rule(left_ns.saturating_add(Reservation::GRANULARITY_NS), runtime_ns);
+            let bound = self.bound_without_gaps()?;
+            if is_left && bound.arrival_ns <= apart_ns {
+                return Ok(bound);
+            }
+        }
+        let name = self.task.name.clone();
+        self.interference
+            .push(Demand { release: Release::periodic(period_ns), cost_ns: period_ns - runtime_ns });
+        let bound = self.with_utilisation()?.bound_without_gaps().map_err(|error| match error {
+            AnalysisError::Overload { .. } | AnalysisError::NoSlack { .. } => {
+                AnalysisError::SmallReservation { task: name, charged_ns, runtime_ns, period_ns }
+            }
+            error => error,
+        })?;
+        Ok(Bound { waits: runtime_ns < period_ns, ..bound })
+    }
+
+    fn bound_without_gaps(&self) -> Result<Bound, AnalysisError> {
         self.check_load()?;
         let (nominal_ns, arrival_ns) = match self.task.group {
             Some(group) if self.own.len() > 1 => {
@@ -146,7 +206,7 @@ impl<'a> Level<'a> {
             }
             _ => self.alone()?,
         };
-        Ok(Bound { nominal_ns, arrival_ns, utilisation: self.utilisation_f64() })
+        Ok(Bound { nominal_ns, arrival_ns, utilisation: self.utilisation_f64(), waits: false })
     }
 
     /// Rounding down hides less than one unit for each demand, which is refused along with exactly 1.
@@ -271,6 +331,15 @@ fn merge(mut demands: Vec<Demand>) -> Vec<Demand> {
         joint.is_some()
     });
     demands
+}
+
+/// What a task takes from others. A reservation: its runtime, switching to it and from it, once for the period and once for each job.
+fn delay(task: &Task, own: &Demand, overheads: &Overheads) -> Result<Demand, AnalysisError> {
+    let Some(Reservation { runtime_ns, period_ns }) = task.reservation else { return Ok(own.clone()) };
+    let switches = own.release.most_within(period_ns).saturating_add(1).saturating_mul(2);
+    let cost_ns = switches.checked_mul(overheads.context_switch_ns).and_then(|ns| ns.checked_add(runtime_ns));
+    let release = Release::periodic(period_ns).jitter(period_ns);
+    Ok(Demand { release, cost_ns: cost_ns.ok_or_else(|| overflow(task))? })
 }
 
 fn overflow(task: &Task) -> AnalysisError {

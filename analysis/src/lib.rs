@@ -10,6 +10,7 @@
 //! | describe a core | [`Task`], [`Release`], [`Overheads`], [`Throttling`] |
 //! | bound its response times | [`response_times`], [`response_times_with_overheads`], [`response_time_per_task`] |
 //! | size queues | [`Response::queue_capacity`], [`queue_capacity`] |
+//! | describe a thread under SCHED_DEADLINE | [`Reservation`], [`Task::reserved`] |
 //! | account for locks | [`CriticalSection`], [`blocking`](blocking()) |
 //! | choose priorities | [`assign`]: rate-monotonic, deadline-monotonic, Audsley's search |
 //! | decide at a glance | [`utilisation`], [`liu_layland_bound`], [`hyperbolic_test`] |
@@ -50,6 +51,10 @@
 //! With overheads, C of every callback grows by two context switches, and each message of *every* topic costs its
 //! overhead at the highest priority, since the sampler serves the topics of lower priority too; so do timer ticks, and
 //! the pauses of real-time throttling where they can happen.
+//!
+//! A task under SCHED_DEADLINE is above all priorities; for the others it is a task of its runtime and period that is released
+//! with a jitter of one period, whatever it does ([`Reservation`]). Its own jobs find their runtime, or wait for the gap that its runtime
+//! leaves of each period, as if that were work above it.
 //!
 //! What has no bound says why: which level, which utilisation, which cause.
 //!
@@ -104,5 +109,5 @@ pub use error::AnalysisError;
 pub use queue::queue_capacity;
 pub use release::{Distances, Release};
 pub use response::{Response, response_time_per_task, response_times, response_times_with_overheads};
-pub use task::{Group, Order, Overheads, Task, Throttling};
+pub use task::{Group, Order, Overheads, Reservation, Task, Throttling};
 pub use utilisation::{hyperbolic_test, liu_layland_bound, utilisation};

@@ -26,6 +26,8 @@ pub struct Response {
     pub jitter_ns: u64,
     /// Share of the core needed by all work at this priority and above, overheads included; 1.0 is the whole core.
     pub level_utilisation: f64,
+    /// Whether a job may find its [`Reservation`](crate::Reservation) used up and wait for the next period.
+    pub waits_for_reservation: bool,
     release: Release,
 }
 
@@ -61,6 +63,7 @@ impl Response {
             period_ns: task.period_ns,
             jitter_ns: task.jitter_ns,
             level_utilisation: bound.utilisation,
+            waits_for_reservation: bound.waits,
             release: task.release(),
         })
     }

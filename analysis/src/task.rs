@@ -32,6 +32,9 @@ pub struct Task {
     /// As in SCHED_FIFO, a larger number is a higher priority. Tasks of one priority delay each other: a job is taken
     /// to wait for every job of its level, a safe bound for first-in, first-out order.
     pub priority: u8,
+    /// What the kernel reserves for the task, and holds it to, if it runs under SCHED_DEADLINE. Its priority is then above all
+    /// others, [`Reservation::PRIORITY`]; it delays them by its reservation, whatever its wcet.
+    pub reservation: Option<Reservation>,
     /// The thread that this task shares with all others of the same group; `None` for a thread of its own.
     pub group: Option<Group>,
     /// Middleware work for each message, in place of [`Overheads::per_message_ns`]: `Some(0)` for a task that no
@@ -40,6 +43,28 @@ pub struct Task {
     /// What an executor of another library than Tautline's uses for each job, in the task's thread: rclcpp's to wait, to find what is
     /// ready, to take. Used only by the analyses that take [`Overheads`].
     pub executor_overhead_ns: u64,
+}
+
+/// A reservation of processor time: SCHED_DEADLINE's, which is a constant-bandwidth server (Abeni & Buttazzo 1998) whose deadline is its
+/// period, and which waits for its next period when its runtime is used up.
+///
+/// It runs as soon as it has work and runtime: nothing of its core is above it. In any window it uses no more than its runtime and,
+/// for each part of the period that passes, that part of it: for others a task of this period and cost, released with a jitter of
+/// one period. That needs reservations which do not wait for one another: one on a core, or no more of them than cores among which they move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Reservation {
+    /// Processor time in each period, in nanoseconds.
+    pub runtime_ns: u64,
+    /// The period, in nanoseconds.
+    pub period_ns: u64,
+}
+
+impl Reservation {
+    /// Above all priorities of SCHED_FIFO.
+    pub const PRIORITY: u8 = 100;
+
+    /// How exactly the kernel compares what is left of a runtime with what is left of its period: in units of 1,024 ns.
+    pub(crate) const GRANULARITY_NS: u64 = 2_048;
 }
 
 /// A thread that runs several tasks, one job after the other. They must have one priority.
@@ -75,10 +100,20 @@ impl Task {
             blocking_ns: 0,
             non_preemptive_ns: 0,
             priority,
+            reservation: None,
             group: None,
             message_overhead_ns: None,
             executor_overhead_ns: 0,
         }
+    }
+
+    /// Gives the task a reservation, and the priority of such.
+    #[must_use]
+    pub fn reserved(mut self, runtime: Duration, period: Duration) -> Self {
+        let (runtime_ns, period_ns) = (nanos(runtime), nanos(period));
+        self.reservation = Some(Reservation { runtime_ns, period_ns });
+        self.priority = Reservation::PRIORITY;
+        self
     }
 
     /// Sets the deadline, relative to the nominal release.

@@ -123,6 +123,7 @@ fn thread(core: Option<usize>, priority: u8) -> LooseThread {
         label: "player (process 7)".into(),
         core,
         priority,
+        reservation: None,
         period_ns: Some(10_000_000),
         jitter_ns: 0,
         budget_ns: Some(1_000_000),

@@ -4,7 +4,8 @@ use std::fmt::Write;
 use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
-use tautline_analysis::file::{CheckedCallback, CheckedSystem, LinkPriority, SystemFile};
+use tautline_analysis::Reservation;
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, LinkPriority, OverrunPolicy, SystemFile};
 
 /// A system without problems, to which the tests add some.
 const GOOD: &str = r#"
@@ -91,6 +92,8 @@ fn the_other_examples_are_schedulable() {
         assert!(checked.schedulable, "{name}: {checked:#?}");
         assert!(!checked.chains.is_empty());
     }
+    let reserved = example("reserved");
+    assert!(reserved.schedulable && reserved.warnings.is_empty(), "{reserved:#?}");
     let rclcpp = example("../rclcpp/system");
     assert!(rclcpp.schedulable, "{rclcpp:#?}");
     // From the lidar's 4 ms on one host over the network, planning on the other, and back.
@@ -134,6 +137,7 @@ fn the_schema_knows_what_the_reader_knows() {
         ("/definitions/group", "[groups.x]"),
         ("/definitions/callback", "[callbacks.x]"),
         ("/definitions/callback/properties/locks/items", "[[callbacks.x.locks]]"),
+        ("/definitions/callback/properties/reservation", "[callbacks.x.reservation]"),
         ("/definitions/chain", "[[chains]]"),
     ] {
         // The message about a key that nobody knows lists those that are known.
@@ -149,6 +153,8 @@ fn the_schema_knows_what_the_reader_knows() {
         known.dedup();
         assert_eq!(known, described, "{section}");
     }
+    let overruns = schema.pointer("/definitions/callback/properties/overrun/enum").unwrap();
+    assert_eq!(*overruns, serde_json::json!(OverrunPolicy::ALL.map(OverrunPolicy::as_str)));
 }
 
 #[test]
@@ -515,23 +521,95 @@ fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_o
     let checked = SystemFile::parse(&file).unwrap().check();
     let of =
         |name: &str| checked.callbacks.iter().find(|callback| callback.entry.name == name).unwrap().clone();
-    assert!(of("plan").entry.demotes && !of("plan").entry.ends && !of("scan").entry.demotes);
+    assert_eq!(of("plan").entry.overrun, OverrunPolicy::Demote);
+    assert_eq!(of("scan").entry.overrun, OverrunPolicy::Tell);
     assert_eq!((of("plan").charged_ns, of("scan").charged_ns), (3_021_000, 2_001_000));
     assert!(!checked.warnings.iter().any(|warning| warning.contains("demotion")), "{:?}", checked.warnings);
-    let ends = SystemFile::parse(&overrun("overrun = \"end\"")).unwrap().check();
-    let plan = ends.callbacks.iter().find(|callback| callback.entry.name == "plan").unwrap();
-    assert!(plan.entry.demotes && plan.entry.ends);
-    let told = SystemFile::parse(&overrun("overrun = \"tell\"")).unwrap().check();
-    assert!(told.callbacks.iter().all(|callback| !callback.entry.demotes));
+    for policy in OverrunPolicy::ALL {
+        let stated = overrun(&format!("overrun = \"{}\"", policy.as_str()));
+        let checked = SystemFile::parse(&stated).unwrap().check();
+        let plan = checked.callbacks.iter().find(|callback| callback.entry.name == "plan").unwrap();
+        assert_eq!(plan.entry.overrun, policy);
+    }
     let free = SystemFile::parse(&overrun("overrun = \"demote\"")).unwrap().check();
     assert!(free.warnings.iter().any(|warning| warning.contains("add `demotion = ")), "{:?}", free.warnings);
 
     expect(
         &overrun("overrun = \"stop\""),
-        &[(19, "unknown `overrun` \"stop\" in callback `plan` (known: tell, demote, end)")],
+        &[(19, "unknown `overrun` \"stop\" in callback `plan` (known: tell, demote, suspend, end)")],
     );
     let grouped = overrun("overrun = \"demote\"\ngroup = \"g\"") + "[groups.g]\n";
-    expect(&grouped, &[(19, "callback `plan` is to be demoted when it overruns, but shares its thread")]);
+    expect(&grouped, &[(19, "callback `plan` has `overrun = \"demote\"`, but shares its thread")]);
     let foreign = overrun("overrun = \"demote\"").replace("core = 1", "core = 1\nclient = \"rclcpp\"");
     expect(&foreign, &[(20, "is run by an executor of ROS 2's")]);
+    let locked = overrun("overrun = \"suspend\"\nlocks = [{ resource = \"map\", length = \"1ms\" }]");
+    expect(&locked, &[(19, "callback `plan` has `overrun = \"suspend\"`, but takes locks")]);
+}
+
+#[test]
+fn a_reservation_is_read_and_delays_all_cores_that_it_may_run_on() {
+    let text = |core: &str| {
+        format!(
+            "[hosts.robot]\ncores = 2\n[nodes.n]\ncore = 0\n\
+             [callbacks.points]\nperiod = \"20ms\"\nwcet = \"4ms\"\ncore = {core}\n\
+             reservation = {{ runtime = \"5ms\", period = \"20ms\" }}\n\
+             [callbacks.near]\nperiod = \"50ms\"\nwcet = \"10ms\"\n\
+             [callbacks.far]\nperiod = \"50ms\"\nwcet = \"10ms\"\ncore = 1\n"
+        )
+    };
+    let check = |core| {
+        let checked = SystemFile::parse(&text(core)).unwrap().check();
+        let responses: Vec<_> =
+            checked.callbacks.iter().map(|of| of.response_ns.unwrap() / 1_000_000).collect();
+        (checked.callbacks[0].clone(), responses)
+    };
+    let (points, responses) = check("0");
+    let reservation = Reservation { runtime_ns: 5_000_000, period_ns: 20_000_000 };
+    let entry = &points.entry;
+    assert_eq!((entry.reservation, entry.priority, entry.floats), (Some(reservation), 100, false));
+    assert_eq!(responses, [4, 20, 10]);
+    let (points, responses) = check("\"any\"");
+    assert!(points.entry.floats && points.entry.tasks.len() == 1);
+    assert_eq!(responses, [4, 20, 20]);
+}
+
+#[test]
+fn reservations_that_cannot_be_are_refused() {
+    let reserved = |more: &str| {
+        let reservation = "reservation = { runtime = \"4ms\", period = \"20ms\" }";
+        with("wcet = \"3ms\"", &format!("wcet = \"3ms\"\n{reservation}\n{more}"))
+    };
+    for (more, what) in [
+        ("priority = 4", "which is above every priority"),
+        ("overrun = \"demote\"", "to which the kernel holds it"),
+        ("locks = [{ resource = \"map\", length = \"1ms\" }]", "but takes locks"),
+        ("non_preemptive = \"1ms\"", "whose end preempts everything"),
+    ] {
+        expect(&reserved(more), &[(19, what)]);
+    }
+    let with = |text: &str| with("wcet = \"3ms\"", &format!("wcet = \"3ms\"\n{text}"));
+    expect(&with("core = \"any\""), &[(19, "which only one with a `reservation` may be")]);
+    for (wrong, what) in [
+        ("{ runtime = \"4ms\" }", "lacks `period`"),
+        ("{ runtime = \"30ms\", period = \"20ms\" }", "exceeds its `period`"),
+        ("{ runtime = \"1us\", period = \"20ms\" }", "out of range"),
+        ("{ runtime = \"1ms\", period = \"5s\" }", "out of range"),
+        ("\"4ms\"", "must be a table"),
+    ] {
+        let problems = SystemFile::parse(&with(&format!("reservation = {wrong}"))).unwrap_err().to_string();
+        assert!(problems.contains(what), "{problems}");
+    }
+    let two = |cores: [&str; 2]| {
+        let callback = |name: &str, core: &str| {
+            format!(
+                "[callbacks.{name}]\nperiod = \"20ms\"\nwcet = \"1ms\"\ncore = {core}\n\
+                 reservation = {{ runtime = \"2ms\", period = \"20ms\" }}\n"
+            )
+        };
+        let hosts = "[hosts.robot]\ncores = 2\n[nodes.n]\n";
+        SystemFile::parse(&format!("{hosts}{}{}", callback("a", cores[0]), callback("b", cores[1])))
+    };
+    assert!(two(["0", "1"]).is_ok() && two(["\"any\"", "\"any\""]).is_ok());
+    assert!(two(["0", "0"]).unwrap_err().to_string().contains("there may be one on a core"));
+    assert!(two(["0", "\"any\""]).unwrap_err().to_string().contains("only one of both is on any core"));
 }

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod action;
+mod apply;
 mod asking;
 mod bag;
 mod bridge_ros;
@@ -69,6 +70,7 @@ struct Cli {
 enum Verb {
     Demo(demo::DemoArgs),
     Check(check::CheckArgs),
+    Apply(apply::ApplyArgs),
     Doctor(doctor::DoctorArgs),
     Init(init::InitArgs),
     Report(report::ReportArgs),
@@ -109,6 +111,7 @@ fn main() -> ExitCode {
         Verb::Check(args) => return check::run(&args),
         Verb::Init(args) => return init::run(&args),
         Verb::Report(args) => return report::run(&args),
+        Verb::Apply(args) => apply::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Demo(args) => demo::run(args).or_else(|error| said(&error)),
         Verb::Trace(args) => trace::run(args).or_else(|error| said(&error)),

@@ -6,6 +6,7 @@ use std::io::{self, Write};
 
 use anstyle::{AnsiColor, Style};
 use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
+use tautline::Policy;
 use tautline_transport::Origin;
 
 pub const GOOD: Style = AnsiColor::Green.on_default();
@@ -45,6 +46,11 @@ pub fn write_table(
         }
     }
     Ok(())
+}
+
+/// A real-time priority, or that the kernel reserves time instead.
+pub fn priority(priority: u8) -> String {
+    if priority < Policy::RESERVATION { priority.to_string() } else { "reserved".into() }
 }
 
 /// Names, one in a line or as one JSON array.

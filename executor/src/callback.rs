@@ -5,7 +5,7 @@ use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tautline_rt::{JoinHandle, RtError, ThreadInfo, current_tid};
+use tautline_rt::{JoinHandle, OwnPriority, RtError, ThreadInfo, current_tid};
 
 use crate::hot::Control;
 use crate::registry::ThreadRegistration;
@@ -64,6 +64,9 @@ impl CallbackHandle {
 /// What the executor and the handles share.
 pub(crate) struct Callback {
     pub stats: Arc<CallbackStats>,
+    /// Of a group.
+    pub members: Vec<Arc<CallbackStats>>,
+    pub priority: Arc<OwnPriority>,
     pub control: Arc<Control>,
     pub end: Arc<End>,
     pub info: ThreadInfo,

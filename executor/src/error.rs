@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use tautline_rt::RtError;
+use tautline_rt::{Policy, RtError};
 
 /// Why a callback could not be started, or how it ended.
 #[derive(Debug, thiserror::Error)]
@@ -43,12 +43,24 @@ pub enum ExecutorError {
         name: String,
     },
     /// Jobs that cannot be held to their budget.
-    #[error("callback `{name}` is to be demoted when a job overruns its budget, but {problem}")]
-    CannotDemote {
+    #[error("callback `{name}` is to be held to its budget, but {problem}")]
+    CannotHold {
         /// The callback.
         name: String,
         /// Why not, and what to do.
         problem: &'static str,
+    },
+    /// A callback that runs under another kind of policy than it is to have.
+    #[error(
+        "callback `{name}` runs under {from}, which cannot become {to} while it runs: restart its program"
+    )]
+    CannotChange {
+        /// The callback.
+        name: String,
+        /// What it has.
+        from: Policy,
+        /// What it was to have.
+        to: Policy,
     },
     /// Busy polling without a core of its own.
     #[error(

@@ -12,8 +12,8 @@ use futures::executor::LocalPool;
 use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
-    BudgetTimer, CoreSet, CoreTime, Policy, Realtime, RtError, ThreadBuilder, clock, current_affinity,
-    current_policy, host::online_cores,
+    BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, clock,
+    current_affinity, current_policy, host::online_cores,
 };
 
 use crate::callback::{Callback, End, Presence, Thread};
@@ -23,8 +23,10 @@ use crate::hot::{
     Waiting,
 };
 use crate::registry::{Registry, Seat};
+use crate::settings::{CallbackSettings, Callbacks};
 use crate::{
-    CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, StatisticsFile, ThreadRegistration,
+    CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, OverrunPolicy, StatisticsFile,
+    ThreadRegistration,
 };
 
 /// The longest spin before a thread sleeps: the registry, which keeps threads from starving, knows only of busy pollers.
@@ -44,7 +46,7 @@ pub struct Executor {
     parkers: Option<MakeParker>,
     accounts: Option<Duration>,
     spawned: AtomicUsize,
-    callbacks: Mutex<Vec<Arc<Callback>>>,
+    callbacks: Callbacks,
 }
 
 impl Executor {
@@ -81,6 +83,11 @@ impl Executor {
     pub fn account_core_time(mut self, least: Option<Duration>) -> Executor {
         self.accounts = least;
         self
+    }
+
+    /// Its callbacks, to change how they run.
+    pub fn settings(&self) -> CallbackSettings {
+        CallbackSettings::new(Arc::clone(&self.callbacks))
     }
 
     /// The file of [`with_statistics`](Self::with_statistics).
@@ -193,9 +200,9 @@ impl Executor {
             options.name = format!("#{number}");
         }
         check_handlers(&options, &members)?;
-        check_demotion(&options, &members)?;
-        let holds = options.demotes && self.realtime == Realtime::Required;
-        let ends = options.ends;
+        check_overruns(&options, &members)?;
+        let (overrun_policy, period) = (options.overrun_policy, options.period);
+        let holds = overrun_policy != OverrunPolicy::Tell && self.realtime == Realtime::Required;
         let parker = self.parker(&options)?;
         let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
         let (seat, online) = self.seat(&options).map_err(refused)?;
@@ -213,11 +220,15 @@ impl Executor {
         let (control, end) = (Arc::<Control>::default(), Arc::<End>::default());
         let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();
         let presence = Presence { end: Arc::clone(&end), stats: all_stats, _registration: registration };
-        let accounts = self.accounts.filter(|_| !options.busy_poll).map(clock::nanoseconds);
+        // A thread that waits for the next period of its reservation looks like one that something took the core from.
+        let reserved = matches!(options.policy, Policy::Deadline { .. });
+        let accounts = self.accounts.filter(|_| !options.busy_poll && !reserved).map(clock::nanoseconds);
         let (busy, spin, execution_time, thread_control) =
             (options.busy_poll, options.spin.min(MAX_SPIN), options.execution_time, Arc::clone(&control));
         let (thread_stats, watch) = (Arc::clone(&stats), options.watch.clone());
-        let (trouble, policy) = (Arc::<Mutex<Option<RtError>>>::default(), options.policy);
+        let trouble = Arc::<Mutex<Option<RtError>>>::default();
+        let priority = Arc::new(OwnPriority::new(options.policy));
+        let thread_priority = Arc::clone(&priority);
         let thread_trouble = Arc::clone(&trouble);
         let mut builder =
             ThreadBuilder::new(format!("cb:{}", options.thread_name.as_ref().unwrap_or(&options.name)))
@@ -234,12 +245,14 @@ impl Executor {
                 thread_control.stop();
                 *thread_trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
             };
-            let timer = holds.then(|| BudgetTimer::new().map_err(failed).ok()).flatten();
+            let timer = holds.then(|| BudgetTimer::new(thread_priority).map_err(failed).ok()).flatten();
             let account = accounts
                 .and_then(|least_ns| Some(Account::new(CoreTime::new().map_err(failed).ok()?, least_ns)));
-            let (running, overran_until_ns) = (Cell::new(0), Cell::new(0));
-            let ends = ends.then(|| Arc::clone(&thread_control));
-            let holder = timer.map(|timer| Holder { timer, policy, ends, running, overran_until_ns });
+            let ends = (overrun_policy == OverrunPolicy::End).then(|| Arc::clone(&thread_control));
+            let holder = timer.map(|timer| match (overrun_policy, period) {
+                (OverrunPolicy::Suspend, Some(period)) => Holder::suspending(timer, period),
+                _ => Holder::demoting(timer, ends),
+            });
             let (measured, future) =
                 make(Measured { stats: thread_stats, watch, stopwatch, holder, account });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
@@ -283,7 +296,8 @@ impl Executor {
                 .for_each(|stats| stats.describe_account());
         }
         let thread = Mutex::new(Thread { running: Some(thread), panic: None });
-        let callback = Arc::new(Callback { stats, control, end, info, thread });
+        let members = members.into_iter().map(|member| member.stats).collect();
+        let callback = Arc::new(Callback { stats, members, priority, control, end, info, thread });
         self.keep(Arc::clone(&callback));
         Ok(CallbackHandle::new(callback))
     }
@@ -309,6 +323,7 @@ impl Executor {
                 cores.check()?;
                 cores
             }
+            None if matches!(policy, Policy::Deadline { .. }) => CoreSet::allowed()?,
             None => current_affinity()?,
         };
         let (priority, busy) = (policy.realtime_priority(), options.busy_poll);
@@ -342,18 +357,29 @@ fn check_handlers(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(
 }
 
 /// Refuses to hold jobs to budgets where that cannot be done.
-fn check_demotion(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(), ExecutorError> {
+fn check_overruns(options: &CallbackOptions, members: &[MemberInfo]) -> Result<(), ExecutorError> {
     let problem = match options {
-        _ if !options.demotes => return Ok(()),
+        _ if options.overrun_policy == OverrunPolicy::Tell => return Ok(()),
         _ if !options.execution_time => "its execution times are not measured: drop `.execution_time(false)`",
         _ if options.busy_poll => "it polls busily, and uses its core all the time: drop `.busy_poll()`",
+        _ if matches!(options.policy, Policy::Deadline { .. }) => {
+            "the kernel holds its thread to the reservation already: drop `.demote_on_overrun()` and the like"
+        }
+        _ if options.overrun_policy == OverrunPolicy::Suspend && !members.is_empty() => {
+            "it is a group, whose members have periods of their own: demote it instead"
+        }
+        _ if options.overrun_policy == OverrunPolicy::Suspend
+            && options.period.is_none_or(|period| period.is_zero()) =>
+        {
+            "it has no period to wait for: state it with `.period(..)`"
+        }
         _ if options.policy.realtime_priority().is_none() => {
             "it has no real-time priority to lose: use `CallbackOptions::fifo`"
         }
         _ if options.budget.is_none() && members.is_empty() => "it has none: state it with `.budget(..)`",
         _ => return Ok(()),
     };
-    Err(ExecutorError::CannotDemote { name: options.name.clone(), problem })
+    Err(ExecutorError::CannotHold { name: options.name.clone(), problem })
 }
 
 impl std::fmt::Debug for Executor {

@@ -14,8 +14,8 @@ use std::time::Duration;
 
 use futures::Stream;
 use futures::task::AtomicWaker;
-use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
-use tautline_rt::{BudgetTimer, CoreMark, CoreTime, Policy};
+use tautline_rt::clock::{monotonic_ns, nanoseconds, thread_cpu_ns};
+use tautline_rt::{BudgetTimer, CoreMark, CoreTime, Left, Refill};
 use tautline_trace::{Object, ObjectId};
 
 use crate::group::Kept;
@@ -51,45 +51,103 @@ pub(crate) struct Measured {
     pub account: Option<Account>,
 }
 
-/// Holds jobs to their budgets: see [`CallbackOptions::demote_on_overrun`](crate::CallbackOptions::demote_on_overrun).
+/// Holds jobs to their budgets: see [`OverrunPolicy`](crate::OverrunPolicy).
 pub(crate) struct Holder {
-    pub timer: BudgetTimer,
-    /// What a demoted thread gets back.
-    pub policy: Policy,
-    /// What ends the callback instead, if that is wanted.
-    pub ends: Option<Arc<Control>>,
+    timer: BudgetTimer,
+    how: Hold,
     /// Jobs that have begun and not ended: streams of one callback may overlap.
-    pub running: Cell<u32>,
-    /// When the last demoted job ended: what was released before has waited for it.
-    pub overran_until_ns: Cell<u64>,
+    running: Cell<u32>,
+}
+
+enum Hold {
+    Demote {
+        /// What ends the callback with a demoted job, if that is wanted.
+        ends: Option<Arc<Control>>,
+        /// When the last demoted job ended: what was released before has waited for it.
+        overran_until_ns: Cell<u64>,
+    },
+    Suspend {
+        period: Duration,
+        /// After an overrun, until a job is released that has not waited for it: what is left of the last refill.
+        behind: Cell<Option<Left>>,
+    },
 }
 
 impl Holder {
+    pub const fn demoting(timer: BudgetTimer, ends: Option<Arc<Control>>) -> Holder {
+        let how = Hold::Demote { ends, overran_until_ns: Cell::new(0) };
+        Holder { timer, how, running: Cell::new(0) }
+    }
+
+    pub const fn suspending(timer: BudgetTimer, period: Duration) -> Holder {
+        let how = Hold::Suspend { period, behind: Cell::new(None) };
+        Holder { timer, how, running: Cell::new(0) }
+    }
+
     /// A job begins that has a budget, in a thread that had used `since_ns`. One that has waited for an overrun is done below all
     /// others: its release is past, and at the thread's priority it would be an interference that nobody has counted.
     fn begin(&self, release_ns: u64, since_ns: u64, budget: Option<Duration>) {
-        let running = self.running.replace(self.running.get().saturating_add(1));
-        if running == 0 && release_ns < self.overran_until_ns.get() {
-            self.timer.demote();
-        } else if let Some(budget) = budget {
-            self.timer.arm(since_ns, budget);
+        let is_first = self.running.replace(self.running.get().saturating_add(1)) == 0;
+        match &self.how {
+            Hold::Demote { overran_until_ns, .. } if is_first && release_ns < overran_until_ns.get() => {
+                self.timer.demote();
+            }
+            Hold::Demote { .. } => {
+                if let Some(budget) = budget {
+                    self.timer.arm(since_ns, budget);
+                }
+            }
+            Hold::Suspend { period, behind } => {
+                if let Some(budget) = budget.filter(|_| is_first) {
+                    behind.set(behind.get().filter(|left| release_ns < left.refill_at_ns));
+                    self.refill(release_ns, since_ns, budget, *period, behind.get());
+                }
+            }
         }
     }
 
-    /// A job ends. Says whether it was demoted.
+    /// One that is late by more than a period, by what it says, is taken to be late by one: it would get all refills since at once.
+    fn refill(&self, release_ns: u64, since_ns: u64, budget: Duration, period: Duration, left: Option<Left>) {
+        let (period_ns, now_ns) = (nanoseconds(period), monotonic_ns());
+        let release_ns = release_ns.clamp(now_ns.saturating_sub(period_ns), now_ns);
+        let own = Left { budget_ns: nanoseconds(budget), refill_at_ns: release_ns.saturating_add(period_ns) };
+        let Left { budget_ns, refill_at_ns } = left.unwrap_or(own);
+        self.timer.arm_refilled(since_ns, budget_ns, Refill { at_ns: refill_at_ns, period, budget });
+    }
+
+    /// A job ends. Says whether it was demoted or suspended. Jobs that overlap share what comes of it, until the last of them ends.
     fn end(&self) -> bool {
         self.running.set(self.running.get().saturating_sub(1));
-        // Jobs that overlap share what comes of it, until the last of them ends.
-        // One that ends has nothing more to do at its priority.
-        let after = if self.ends.is_some() { Policy::Other { nice: 0 } } else { self.policy };
-        let demoted = self.running.get() == 0 && self.timer.disarm(after);
-        if demoted {
-            self.overran_until_ns.set(monotonic_ns());
-            if let Some(control) = &self.ends {
-                control.stop();
+        if self.running.get() > 0 {
+            return false;
+        }
+        match &self.how {
+            Hold::Demote { ends, overran_until_ns } => {
+                // One that ends has nothing more to do at its priority.
+                let demoted = match ends {
+                    Some(_) => self.timer.disarm_for_good(),
+                    None => self.timer.disarm(),
+                };
+                if demoted {
+                    overran_until_ns.set(monotonic_ns());
+                    if let Some(control) = ends {
+                        control.stop();
+                    }
+                }
+                demoted
+            }
+            Hold::Suspend { behind, .. } => {
+                let suspended = self.timer.was_suspended();
+                let left = self.timer.disarm_refilled();
+                behind.set((suspended || behind.get().is_some()).then_some(left));
+                suspended
             }
         }
-        demoted
+    }
+
+    /// Whether the job that runs has slept for want of a budget.
+    fn has_slept(&self) -> bool {
+        self.timer.was_suspended()
     }
 }
 
@@ -130,15 +188,15 @@ impl Account {
         self.begun.set(Some(now));
     }
 
-    /// A job has ended; of jobs that overlap, the last.
-    fn end(&self, stats: &CallbackStats) {
+    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it.
+    fn end(&self, stats: &CallbackStats, slept: bool) {
         self.running.set(self.running.get().saturating_sub(1));
         if self.running.get() > 0 {
             return;
         }
         let now = self.clock.mark();
         if let Some(begun) = self.begun.take()
-            && let Some(length_ns) = begun.taken_until(&now).filter(|ns| *ns >= self.least_ns)
+            && let Some(length_ns) = begun.taken_until(&now).filter(|ns| *ns >= self.least_ns && !slept)
         {
             let (from_ns, to_ns) = (begun.to_ns, now.from_ns);
             stats.note(&Moment { kind: MomentKind::Taken, from_ns, to_ns, length_ns });
@@ -201,7 +259,7 @@ impl Measured {
         let Begun { release_ns } = begun;
         let response_ns = monotonic_ns().saturating_sub(release_ns);
         if let Some(account) = &self.account {
-            account.end(of);
+            account.end(of, self.holder.as_ref().is_some_and(Holder::has_slept));
         }
         if self.holder.as_ref().is_some_and(Holder::end) {
             self.stats.demoted();

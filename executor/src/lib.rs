@@ -39,6 +39,7 @@ mod group;
 mod hot;
 mod options;
 mod registry;
+mod settings;
 mod stats;
 
 pub mod assign;
@@ -50,10 +51,11 @@ pub use executor::Executor;
 pub use foreign::ForeignCallback;
 pub use group::{CallbackGroup, MemberOptions};
 pub use hot::{Parker, busy_polling, parker, parks_on, stop_requested};
-pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, Watch};
+pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, OverrunPolicy, Watch};
 pub use registry::ThreadRegistration;
+pub use settings::CallbackSettings;
 pub use stats::{
     Admitted, Bucket, CallbackSnapshot, CallbackStats, ForeignStatistics, Histogram, HistogramSnapshot,
-    Moment, MomentKind, ProcessInfo, ProcessSnapshot, StatisticsFile,
+    Moment, MomentKind, Order, Orders, ProcessInfo, ProcessSnapshot, StatisticsFile,
 };
 pub use tautline_rt::{CoreSet, Policy, Realtime};

@@ -5,6 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
+use tautline_rt::clock::nanoseconds;
 use tautline_rt::{CoreSet, Policy, ThreadBuilder};
 
 /// The settings of a callback thread: plain data, checked when the callback is spawned.
@@ -25,7 +26,7 @@ pub struct CallbackOptions {
     pub thread_name: Option<String>,
     /// How the thread is scheduled.
     pub policy: Policy,
-    /// Where it may run; `None`: where the thread that spawns it may.
+    /// Where it may run; `None`: where the thread that spawns it may, or on any core if it has a reservation.
     pub cores: Option<CoreSet>,
     /// The size of its stack, which is touched before the thread turns real-time.
     pub stack_bytes: usize,
@@ -37,10 +38,8 @@ pub struct CallbackOptions {
     pub budget: Option<Duration>,
     /// Jobs whose responses take longer are kept with their instants: see [`CallbackOptions::bound`].
     pub bound: Option<Duration>,
-    /// Whether a job that uses more goes on below all others: see [`CallbackOptions::demote_on_overrun`].
-    pub demotes: bool,
-    /// Whether the callback ends with that job: see [`CallbackOptions::end_on_overrun`].
-    pub ends: bool,
+    /// What becomes of a job that uses more.
+    pub overrun_policy: OverrunPolicy,
     /// What happens after a job that used more than its budget, and after one that missed its deadline.
     pub watch: Watch,
     /// Poll all the time instead of parking: see [`CallbackOptions::busy_poll`].
@@ -57,6 +56,27 @@ impl CallbackOptions {
     /// `SCHED_FIFO` at a priority of 1 (lowest) to 99.
     pub const fn fifo(priority: u8) -> CallbackOptions {
         CallbackOptions::new(Policy::Fifo(priority))
+    }
+
+    /// `SCHED_DEADLINE`: `runtime` of processor time in each `period`, which the kernel reserves for the thread and holds it to. It
+    /// preempts every `SCHED_FIFO` thread, the sampler too; a job that takes longer than `runtime` waits for the next period, and delays nobody.
+    ///
+    /// The callback's own `period` and `budget` are stated as any other's. A job that is to find its time at once wants a `runtime` a
+    /// little above its budget: else the kernel may find one that is woken early beyond what it has reserved, and keep it waiting.
+    ///
+    /// It needs `CAP_SYS_NICE`, and the kernel binds such a thread to one core only where it does not balance between cores, or has no
+    /// limit on real-time work; without [`core`](Self::core) it runs on any.
+    ///
+    /// ```
+    /// use tautline_executor::{CallbackOptions, Policy};
+    /// use std::time::Duration;
+    ///
+    /// let options = CallbackOptions::reserved(Duration::from_millis(4), Duration::from_millis(20)).name("/points");
+    /// assert_eq!(options.policy, Policy::Deadline { runtime_ns: 4_000_000, period_ns: 20_000_000 });
+    /// ```
+    pub fn reserved(runtime: Duration, period: Duration) -> CallbackOptions {
+        let (runtime_ns, period_ns) = (nanoseconds(runtime), nanoseconds(period));
+        CallbackOptions::new(Policy::Deadline { runtime_ns, period_ns })
     }
 
     /// `SCHED_OTHER`: for work without a deadline.
@@ -76,8 +96,7 @@ impl CallbackOptions {
             deadline: None,
             budget: None,
             bound: None,
-            demotes: false,
-            ends: false,
+            overrun_policy: OverrunPolicy::Tell,
             watch: Watch { on_overrun: None, on_deadline_miss: None },
             busy_poll: false,
             direct_wake: false,
@@ -162,7 +181,22 @@ impl CallbackOptions {
     /// Locks that the job holds then are held by a thread of low priority: use [`PiMutex`](tautline_rt::PiMutex), whose waiters
     /// lend it theirs.
     pub const fn demote_on_overrun(mut self) -> CallbackOptions {
-        self.demotes = true;
+        self.overrun_policy = OverrunPolicy::Demote;
+        self
+    }
+
+    /// Holds each job to its budget: one that has used it up is suspended, in the midst of what it does, until a period after its release,
+    /// where it gets another budget, and so on. The jobs that were released meanwhile are done with what it leaves of these. What is released
+    /// a period after the last refill or later has a budget of its own again. So the bounds of other callbacks do not rest on the budget being
+    /// enough, and unlike a [demoted](Self::demote_on_overrun) job a suspended one still gets its share where others leave nothing.
+    ///
+    /// For callbacks with a `period`, and one stream whose jitter is shorter than that; else as `demote_on_overrun`, at the same cost.
+    ///
+    /// # Real-time
+    /// It sleeps with all that it holds, locks too: whoever waits for one waits for up to a period. Not for callbacks that share locks, the
+    /// allocator's among them; demote those.
+    pub const fn suspend_on_overrun(mut self) -> CallbackOptions {
+        self.overrun_policy = OverrunPolicy::Suspend;
         self
     }
 
@@ -170,7 +204,7 @@ impl CallbackOptions {
     /// others: for one that nobody trusts any more once it has broken its word. Its handlers are called, its statistics say that it has ended.
     /// In a group it ends the group.
     pub const fn end_on_overrun(mut self) -> CallbackOptions {
-        (self.demotes, self.ends) = (true, true);
+        self.overrun_policy = OverrunPolicy::End;
         self
     }
 
@@ -245,6 +279,20 @@ impl CallbackOptions {
             None => self.period,
         }
     }
+}
+
+/// What becomes of a job that uses more processor time than its budget.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OverrunPolicy {
+    /// It is counted, and told to [`CallbackOptions::on_overrun`].
+    #[default]
+    Tell,
+    /// See [`CallbackOptions::demote_on_overrun`].
+    Demote,
+    /// See [`CallbackOptions::suspend_on_overrun`].
+    Suspend,
+    /// See [`CallbackOptions::end_on_overrun`].
+    End,
 }
 
 /// A job used more CPU time than its budget.

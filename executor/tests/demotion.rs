@@ -205,7 +205,7 @@ fn what_cannot_be_demoted_says_why() {
     let executor = Executor::new(Realtime::Off);
     let refused = |options: CallbackOptions| {
         let error = executor.spawn_callback(options.name("x").demote_on_overrun(), async {}).unwrap_err();
-        assert!(matches!(error, ExecutorError::CannotDemote { .. }), "{error}");
+        assert!(matches!(error, ExecutorError::CannotHold { .. }), "{error}");
         error.to_string()
     };
     let fifo = CallbackOptions::fifo(20).budget(BUDGET);

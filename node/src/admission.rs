@@ -14,11 +14,13 @@ use crate::error::{Error, Result};
 use crate::statistics::shared_statistics;
 use crate::system::LoadedSystem;
 use std::fs::{File, TryLockError};
+use std::path::Path;
 use std::time::{Duration, Instant};
+use tautline_analysis::Reservation;
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Machine, Share};
 use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo, ProcessSnapshot};
-use tautline_rt::domain::shared_path;
+use tautline_rt::{Policy, domain::shared_path};
 
 /// Whether what comes is checked against what runs in the domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +62,11 @@ impl Running {
     /// # Errors
     /// [`Error::Statistics`] if the statistics cannot be read.
     pub fn of_domain(domain: u32) -> Result<Running> {
+        Running::beside(domain, None)
+    }
+
+    /// As [`of_domain`](Self::of_domain), but of processes that have the file at this path only what another text of it does not count.
+    pub(crate) fn beside(domain: u32, without: Option<(&Path, &SystemFile)>) -> Result<Running> {
         let mut running = Running::default();
         let mut found = Vec::new();
         for statistics in shared_statistics(domain)?.0 {
@@ -71,7 +78,13 @@ impl Running {
                 Err(error) => running.notes.push(format!("a process is not looked at: {error}")),
             }
         }
-        for snapshot in &found {
+        for snapshot in &mut found {
+            if let Some((_, file)) = without.filter(|(path, _)| snapshot.process.system_path == *path) {
+                let counts =
+                    |of: &CallbackSnapshot| file.callbacks().iter().any(|entry| entry.name == of.name);
+                snapshot.callbacks.retain(|callback| !counts(callback));
+                continue;
+            }
             running.processes.push(label_of(&snapshot.process));
             running.add_file(&snapshot.process);
         }
@@ -131,11 +144,14 @@ impl Running {
     ) {
         let Some(priority) = callback.priority else { return };
         let process = &snapshot.process;
+        let reservation = tautline_rt::policy_of(callback.tid).ok().and_then(reservation_of);
         if self.file_of(process).is_some_and(|used| {
             used.file.callbacks().iter().any(|entry| {
                 let core = &used.file.cores()[entry.core];
-                (entry.name.as_str(), entry.priority, core.host.as_str(), Some(core.number))
-                    == (callback.name.as_str(), priority, process.host.as_str(), callback.core)
+                (entry.name.as_str(), entry.priority, core.host.as_str())
+                    == (callback.name.as_str(), priority, process.host.as_str())
+                    && (entry.floats || callback.core == Some(core.number))
+                    && entry.reservation == reservation
             })
         }) {
             let key = (process.system_hash, process.host.clone(), callback.name.clone());
@@ -148,6 +164,7 @@ impl Running {
             label: label_of(process),
             core: callback.core,
             priority,
+            reservation,
             period_ns: callback.period_ns,
             jitter_ns: 0,
             budget_ns: callback.budget_ns,
@@ -170,7 +187,7 @@ fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
     Ok(false)
 }
 
-fn label_of(process: &ProcessInfo) -> String {
+pub(crate) fn label_of(process: &ProcessInfo) -> String {
     format!("{} (process {})", process.program, process.pid)
 }
 
@@ -180,7 +197,7 @@ pub(crate) struct Gate(Option<File>);
 
 impl Gate {
     /// Of a domain that this process has joined: its folder is what is locked.
-    fn enter(domain: u32, mode: Admission) -> Result<Gate> {
+    pub(crate) fn enter(domain: u32, mode: Admission) -> Result<Gate> {
         let path = shared_path(domain);
         let folder = File::open(&path).map_err(Error::Statistics)?;
         let since = Instant::now();
@@ -261,13 +278,17 @@ fn loose(
     of_file: Option<&LoadedSystem>,
 ) -> LooseThread {
     let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-    let cores = thread.cores.or_else(|| tautline_rt::current_affinity().ok());
+    // With a reservation any, unless it is bound.
+    let reservation = reservation_of(thread.policy);
+    let cores =
+        thread.cores.or_else(|| tautline_rt::current_affinity().ok().filter(|_| reservation.is_none()));
     let mut cores = cores.iter().flat_map(|cores| cores.iter());
     LooseThread {
         name: callback.name.clone(),
         label: label_of(&ProcessInfo::of_this()),
         core: cores.next().filter(|_| cores.next().is_none()),
         priority: thread.policy.realtime_priority().unwrap_or(1),
+        reservation,
         // Of several topics any may send at once: as if one sent as often as all together.
         period_ns: callback
             .period
@@ -278,7 +299,15 @@ fn loose(
     }
 }
 
-fn decide(
+/// What the kernel reserves for a thread.
+fn reservation_of(policy: Policy) -> Option<Reservation> {
+    match policy {
+        Policy::Deadline { runtime_ns, period_ns } => Some(Reservation { runtime_ns, period_ns }),
+        _ => None,
+    }
+}
+
+pub(crate) fn decide(
     domain: u32,
     mode: Admission,
     running: &Running,
@@ -305,6 +334,7 @@ fn decide(
         Some(file) => format!("`taut check {file} --admit` shows all response times"),
         None => "`taut report` shows what runs".to_owned(),
     };
+    let table = format!("{table}; TAUT_ADMISSION=force runs it all the same, and `taut report` says so");
     Err(Error::NotAdmitted { what: what.to_owned(), domain, late, beside, table })
 }
 

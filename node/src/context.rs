@@ -7,6 +7,7 @@ use crate::error::{Error, Result};
 use crate::logging::{self, FlushOnDrop, Rosout};
 use crate::parameters::EventTopic;
 use crate::qos::QosProfile;
+use crate::reload::{CurrentSystem, Reload};
 use crate::remap::RemapRules;
 use crate::subscription::thread_parkers;
 use crate::system::{CallbackJoin, LoadedSystem};
@@ -57,7 +58,8 @@ pub(crate) struct Shared {
     realtime: Realtime,
     admission: Admission,
     sampler_priority: u8,
-    system: Option<LoadedSystem>,
+    /// Another one when its file is taken up again.
+    system: Option<Arc<CurrentSystem>>,
     pub(crate) arguments: Arguments,
     pub(crate) parameter_events: Arc<EventTopic>,
     pub(crate) rosout: Arc<Rosout>,
@@ -273,6 +275,11 @@ impl ContextBuilder {
             executor = executor.with_statistics(file);
         }
         logging::configure(&arguments);
+        let system = system.map(|system| Arc::new(CurrentSystem::new(system)));
+        if let (Some(system), Some(statistics)) = (&system, executor.statistics()) {
+            let reload = Reload::new(statistics.orders(), executor.settings(), Arc::clone(system));
+            participant.attend(move || reload.look());
+        }
         let shared = Shared {
             executor,
             _flush: FlushOnDrop,
@@ -454,8 +461,9 @@ impl Context {
         &self.shared.settings.remap
     }
 
-    fn system_for(&self, name: &str) -> Result<&LoadedSystem> {
-        self.shared.system.as_ref().ok_or_else(|| Error::NoSystem { name: name.into() })
+    fn system_for(&self, name: &str) -> Result<Arc<LoadedSystem>> {
+        let system = self.shared.system.as_ref().map(|system| system.get());
+        system.ok_or_else(|| Error::NoSystem { name: name.into() })
     }
 
     /// False once [`shutdown`](Self::shutdown) was called.
@@ -519,7 +527,9 @@ impl Context {
 
     pub(crate) fn warn_if_above_sampler(&self, options: &CallbackOptions) {
         let sampler = self.shared.sampler_priority;
-        if self.realtime() == Realtime::Required && options.policy.realtime_priority() >= Some(sampler) {
+        // A reservation is above it, too, but never for longer than it says.
+        let priority = options.policy.realtime_priority().filter(|priority| *priority < Policy::RESERVATION);
+        if self.realtime() == Realtime::Required && priority >= Some(sampler) {
             let (name, policy) = (&options.name, options.policy);
             tracing::warn!(
                 "callback '{name}' at {policy} is not below the sampler at {sampler}: while it runs, nothing is woken"
@@ -533,11 +543,12 @@ impl Context {
         thread: &CallbackOptions,
         callbacks: impl Iterator<Item = &'o CallbackOptions>,
     ) -> Result<Option<Gate>> {
-        let (mode, system) = (self.shared.admission, self.shared.system.as_ref());
+        let (mode, system) = (self.shared.admission, self.shared.system.as_ref().map(|system| system.get()));
         if mode == Admission::Off || thread.policy.realtime_priority().is_none() {
             return Ok(None);
         }
-        let (gate, admitted) = admission::admit_callbacks(self.domain(), mode, system, thread, callbacks)?;
+        let (gate, admitted) =
+            admission::admit_callbacks(self.domain(), mode, system.as_deref(), thread, callbacks)?;
         if let (Admitted::Forced(_), Some(file)) = (&admitted, self.shared.executor.statistics()) {
             file.set_admitted(&admitted);
         }

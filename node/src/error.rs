@@ -128,7 +128,7 @@ pub enum Error {
     /// It does not fit beside what runs in the domain.
     #[error(
         "{what} is not admitted to domain {domain}: {late}; beside it run: {beside}. Lower the load or its priority, move it to another \
-         core, or end what runs; {table}; TAUT_ADMISSION=force runs it all the same, and `taut report` says so"
+         core, or end what runs; {table}"
     )]
     NotAdmitted {
         /// A system file, or a callback.
@@ -139,8 +139,28 @@ pub enum Error {
         late: String,
         /// The processes that run.
         beside: String,
-        /// What shows all.
+        /// What shows all, and what else can be done.
         table: String,
+    },
+    /// No process runs with this system file.
+    #[error("no process of domain {domain} runs with {}: start one with it, or name the domain and the path that it was given (`taut report` lists them)", path.display())]
+    NobodyHas {
+        /// The file.
+        path: PathBuf,
+        /// The domain.
+        domain: u32,
+    },
+    /// A process does not take up the new text of its system file.
+    #[error("{process} does not take up the new text of {}: {why}{}", path.display(), if *changed { "; processes before it have done so: mend that, and run it again" } else { "; nothing was changed" })]
+    NotTakenUp {
+        /// The process.
+        process: String,
+        /// The file.
+        path: PathBuf,
+        /// What it says.
+        why: String,
+        /// Whether others have changed already.
+        changed: bool,
     },
     /// Another process is being admitted, and does not come to an end.
     #[error(

@@ -43,6 +43,7 @@ mod node;
 mod parameters;
 mod qos_events;
 mod r2r;
+mod reload;
 mod remap;
 mod service;
 mod statistics;
@@ -87,6 +88,7 @@ pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
 };
 pub use r2r::{NativeMsg, ROS_DISTRO, WrappedTypesupport};
+pub use reload::apply_system;
 pub use remap::RemapRules;
 pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
 #[cfg(feature = "untyped")]
@@ -112,7 +114,8 @@ pub use uuid;
 pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
     CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions,
-    Moment, MomentKind, Overrun, Policy, ProcessInfo, ProcessSnapshot, Realtime, StatisticsFile, assign,
+    Moment, MomentKind, Overrun, OverrunPolicy, Policy, ProcessInfo, ProcessSnapshot, Realtime,
+    StatisticsFile, assign,
 };
 /// Callbacks that wait for several topics.
 pub use tautline_join as join;

@@ -5,8 +5,9 @@ use crate::error::{Error, Result};
 use crate::qos::QosProfile;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use tautline_analysis::file::{CallbackEntry, CheckedCallback, CheckedSystem, SystemFile};
-use tautline_executor::{CallbackOptions, ProcessInfo};
+use tautline_analysis::Reservation;
+use tautline_analysis::file::{self, CheckedCallback, CheckedSystem, SystemFile};
+use tautline_executor::{CallbackOptions, OverrunPolicy, Policy, ProcessInfo};
 use tautline_join::{ApproximateTime, ExactTime};
 use tautline_transport::Limits;
 
@@ -64,9 +65,14 @@ impl LoadedSystem {
     pub(crate) fn options(&self, name: &str) -> Result<CallbackOptions> {
         let callback = self.find(name)?;
         let thread = thread_of(callback);
-        let CallbackEntry { demotes, ends, .. } = callback.entry;
+        let overrun_policy = match callback.entry.overrun {
+            file::OverrunPolicy::Tell => OverrunPolicy::Tell,
+            file::OverrunPolicy::Demote => OverrunPolicy::Demote,
+            file::OverrunPolicy::Suspend => OverrunPolicy::Suspend,
+            file::OverrunPolicy::End => OverrunPolicy::End,
+        };
         let bound = callback.response_overhead_ns.map(Duration::from_nanos);
-        Ok(CallbackOptions { bound, demotes, ends, ..thread }
+        Ok(CallbackOptions { bound, overrun_policy, ..thread }
             .name(name)
             .period(Duration::from_nanos(callback.period_ns))
             .deadline(Duration::from_nanos(callback.entry.deadline_ns))
@@ -117,6 +123,64 @@ impl LoadedSystem {
     /// Whether a process has this file, as this host.
     pub(crate) fn is_of(&self, process: &ProcessInfo) -> bool {
         process.system_hash == self.file.fingerprint() && process.host == self.host
+    }
+
+    /// The text that the file has now.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub(crate) fn again(&self) -> Result<LoadedSystem> {
+        LoadedSystem::read(&self.path, Some(&self.host))
+    }
+
+    /// The callbacks of this host, with the threads that they get.
+    pub(crate) fn threads(&self) -> impl Iterator<Item = Result<CallbackOptions>> {
+        let here = self.checked.callbacks.iter().filter(|callback| callback.host == self.host);
+        here.map(|callback| self.options(&callback.entry.name))
+    }
+
+    /// What of another text of the file cannot be taken up by what runs already: all but priorities, reservations, wcets and deadlines.
+    pub(crate) fn obstacle(&self, other: &LoadedSystem) -> Option<String> {
+        if self.sampler_priority != other.sampler_priority {
+            return Some(format!(
+                "its sampler has priority {}, not {}",
+                self.sampler_priority, other.sampler_priority
+            ));
+        }
+        let of = |system: &LoadedSystem| {
+            let here = |callback: &&CheckedCallback| callback.host == system.host;
+            system.checked.callbacks.iter().filter(here).cloned().collect::<Vec<_>>()
+        };
+        let (old, new) = (of(self), of(other));
+        let lacks = |one: &[CheckedCallback], other: &[CheckedCallback]| {
+            let missing = one.iter().find(|of| other.iter().all(|it| it.entry.name != of.entry.name));
+            missing.map(|callback| callback.entry.name.clone())
+        };
+        if let Some(name) = lacks(&old, &new).or_else(|| lacks(&new, &old)) {
+            return Some(format!("callback `{name}` is in only one of both texts"));
+        }
+        old.iter().find_map(|old| {
+            let new = new.iter().find(|new| new.entry.name == old.entry.name)?;
+            let (was, is) = (&old.entry, &new.entry);
+            let queue = |of: &CheckedCallback| (of.capacity, of.join.as_ref().map(|join| join.queue_size));
+            let what = match () {
+                () if (&was.node, was.client) != (&is.node, is.client) => "node",
+                () if (old.core, was.floats) != (new.core, is.floats) => "core",
+                () if (&was.group, &was.thread) != (&is.group, &is.thread) => "thread",
+                () if was.reservation.is_some() != is.reservation.is_some() => "kind of scheduling",
+                () if was.overrun != is.overrun => "`overrun`",
+                () if (&was.topics, was.joins, was.window_ns) != (&is.topics, is.joins, is.window_ns) => {
+                    "topics"
+                }
+                () if old.period_ns != new.period_ns => "period",
+                // Its queue is as deep as it was computed.
+                () if was.depth != is.depth || is.depth.is_none() && queue(old) < queue(new) => {
+                    "queue, which has to be deeper"
+                }
+                () => return None,
+            };
+            Some(format!("callback `{}` has another {what}", was.name))
+        })
     }
 
     /// What people call it.
@@ -194,5 +258,12 @@ impl CallbackJoin {
 fn thread_of(callback: &CheckedCallback) -> CallbackOptions {
     // The executor puts its own `cb:` before the name.
     let thread = callback.entry.thread.strip_prefix("cb:").unwrap_or(&callback.entry.thread);
-    CallbackOptions::fifo(callback.entry.priority).thread_name(thread).core(callback.core)
+    let options = match callback.entry.reservation {
+        Some(Reservation { runtime_ns, period_ns }) => {
+            CallbackOptions::new(Policy::Deadline { runtime_ns, period_ns })
+        }
+        None => CallbackOptions::fifo(callback.entry.priority),
+    };
+    let options = options.thread_name(thread);
+    if callback.entry.floats { options } else { options.core(callback.core) }
 }

@@ -191,6 +191,30 @@ fn a_callback_moved_from_where_the_file_has_it_counts_besides() {
     assert!(text.contains("callback `a`"), "{text}");
 }
 
+#[test]
+fn a_reservation_delays_every_core_that_it_may_run_on() {
+    if !realtime() {
+        return;
+    }
+    scope();
+    let a = File::new("a", 4, 40);
+    let context = a.context(1).unwrap();
+    let reserved = |runtime| {
+        CallbackOptions::reserved(Duration::from_millis(runtime), Duration::from_millis(10)).name("points")
+    };
+    let text = refusal(spawn(&context, reserved(6)));
+    assert!(text.contains("callback `a`"), "{text}");
+    let points = spawn(&context, reserved(1)).expect("4 and 2 of 10 ms");
+    assert_eq!(
+        points.thread().policy,
+        tautline::Policy::Deadline { runtime_ns: 1_000_000, period_ns: 10_000_000 }
+    );
+    // What runs is known from what the kernel says of it.
+    let b = CallbackOptions::fifo(50).core(0).name("b").period(Duration::from_millis(10));
+    let text = refusal(spawn(&context, b.budget(Duration::from_millis(5))));
+    assert!(text.contains("callback `a`"), "{text}");
+}
+
 const PART: &str = "TAUT_TEST_PART";
 
 /// The child's part; without its variable it is no test: it wants to be admitted with the file, says how that went, and stays.

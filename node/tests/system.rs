@@ -73,6 +73,24 @@ fn a_callback_gets_what_the_file_says() {
 }
 
 #[test]
+fn a_reservation_is_bound_where_the_file_says() {
+    let reserved = |core: &str| {
+        let text = SYSTEM.replace(
+            "priority = 20\n",
+            &format!("core = {core}\nreservation = {{ runtime = \"6ms\", period = \"10ms\" }}\n"),
+        );
+        let file = File::new(&format!("reserved-{}", core.trim_matches('"')), &text);
+        context(&file).unwrap().callback("slow").unwrap()
+    };
+    let policy = Policy::Deadline { runtime_ns: 6_000_000, period_ns: 10_000_000 };
+    let bound = reserved("0");
+    assert_eq!((bound.policy, bound.cores), (policy, Some(CoreSet::one(0))));
+    let floating = reserved("\"any\"");
+    assert_eq!((floating.policy, floating.cores), (policy, None));
+    assert_eq!(floating.budget, Some(Duration::from_millis(5)));
+}
+
+#[test]
 fn queues_are_as_deep_as_computed_or_stated() {
     let file = File::new("queues", SYSTEM);
     let ctx = context(&file).unwrap();

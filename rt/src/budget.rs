@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Processor time that a thread may use at its priority, held by a timer: who uses more is demoted in the midst of its work.
+//! Processor time that a thread may use at its priority, held by a timer: who uses more is demoted in the midst of its work, or
+//! suspended until it gets more.
 //!
 //! ```text
 //!  arm(budget)     timer for `budget` of wall time, which is the least that the processor time can take
-//!   signal         has the thread used it? no: timer for what is left; yes: SCHED_OTHER, below every real-time thread
+//!   signal         has the thread used it? no: timer for what is left; yes: SCHED_OTHER, below every real-time thread,
+//!                  or asleep until the next refill, and timer for another budget
 //!  disarm()        no timer; if the thread was demoted, its policy again
 //! ```
 //!
@@ -13,53 +15,172 @@
 use std::cell::Cell;
 use std::io;
 use std::marker::PhantomData;
-use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, compiler_fence};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering, compiler_fence};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use std::{mem, ptr};
 
 use crate::clock::{nanoseconds, thread_cpu_ns};
-use crate::{Policy, RtError, current_tid};
+use crate::{Policy, RtError, current_tid, set_policy_of};
 
 /// What the signal finds, in the thread that it comes to. Nobody else touches it.
 struct State {
     timer: Cell<libc::timer_t>,
+    /// Who else may want to know that the thread is demoted; null: nobody. Kept by the `BudgetTimer`.
+    own: Cell<*const OwnPriority>,
     /// Processor time at which the budget is used up; 0: none is held.
     end_ns: AtomicU64,
     demoted: AtomicBool,
+    /// What the thread gets at each refill; 0: it is demoted instead.
+    refill_ns: AtomicU64,
+    /// When the next one is.
+    refill_at_ns: AtomicU64,
+    period_ns: AtomicU64,
+    suspended: AtomicBool,
 }
 
 thread_local! {
     // Without a destructor, and made before the first signal can come: a handler may use it.
     static STATE: State = const {
-        State { timer: Cell::new(ptr::null_mut()), end_ns: AtomicU64::new(0), demoted: AtomicBool::new(false) }
+        State {
+            timer: Cell::new(ptr::null_mut()),
+            own: Cell::new(ptr::null()),
+            end_ns: AtomicU64::new(0),
+            demoted: AtomicBool::new(false),
+            refill_ns: AtomicU64::new(0),
+            refill_at_ns: AtomicU64::new(0),
+            period_ns: AtomicU64::new(0),
+            suspended: AtomicBool::new(false),
+        }
     };
+}
+
+/// What becomes of a thread that has used its budget up: it sleeps until it gets another one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Refill {
+    /// When that is, in ns of `CLOCK_MONOTONIC`.
+    pub at_ns: u64,
+    /// How long after that the next one follows, and so on.
+    pub period: Duration,
+    /// What the thread gets each time.
+    pub budget: Duration,
+}
+
+/// What was left of a budget when it was disarmed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Left {
+    /// Processor time, in nanoseconds.
+    pub budget_ns: u64,
+    /// When the next refill would have been, in ns of `CLOCK_MONOTONIC`.
+    pub refill_at_ns: u64,
+}
+
+/// The `SCHED_FIFO` or `SCHED_RR` priority of a thread, for others to change. A thread that is demoted just then gets the new one when its budget
+/// no longer demotes it.
+#[derive(Debug)]
+pub struct OwnPriority {
+    is_round_robin: bool,
+    priority: AtomicU8,
+    /// Set before the thread lowers itself, and cleared before it has its priority again.
+    lowered: AtomicBool,
+}
+
+impl OwnPriority {
+    /// How often the thread may change its policy itself while it is being changed.
+    const TRIES: u32 = 1_000;
+
+    /// Of a thread with this policy. One without a priority is given `SCHED_FIFO` if it is changed.
+    pub fn new(policy: Policy) -> OwnPriority {
+        OwnPriority {
+            is_round_robin: matches!(policy, Policy::RoundRobin(_)),
+            priority: AtomicU8::new(policy.realtime_priority().unwrap_or(1)),
+            lowered: AtomicBool::new(false),
+        }
+    }
+
+    /// What the thread has, or gets back.
+    pub fn policy(&self) -> Policy {
+        self.with(self.priority.load(Ordering::SeqCst))
+    }
+
+    const fn with(&self, priority: u8) -> Policy {
+        if self.is_round_robin { Policy::RoundRobin(priority) } else { Policy::Fifo(priority) }
+    }
+
+    /// The thread's own way back to its priority, which may change meanwhile.
+    fn resume(&self) {
+        self.lowered.store(false, Ordering::SeqCst);
+        // Whoever changes it later sets it, too.
+        for _ in 0..8 {
+            let policy = self.policy();
+            if !schedule(policy) || self.policy() == policy {
+                return;
+            }
+        }
+    }
+
+    /// Gives thread `tid` another priority.
+    ///
+    /// # Real-time
+    /// For other threads than the one that is changed. That one waits for nobody.
+    ///
+    /// # Errors
+    /// As [`set_policy_of`]; the thread then has its former priority.
+    pub fn change(&self, tid: u32, priority: u8) -> Result<(), RtError> {
+        self.with(priority).check()?;
+        let former = self.priority.swap(priority, Ordering::SeqCst);
+        let changed = self.settle(tid);
+        if changed.is_err() {
+            self.priority.store(former, Ordering::SeqCst);
+            // What it has now may be the former one already.
+            let _ = self.settle(tid);
+        }
+        changed
+    }
+
+    /// Sets what the thread is to have, until it has not changed that itself meanwhile. If it does so later, then by what is stored here.
+    fn settle(&self, tid: u32) -> Result<(), RtError> {
+        let mut outcome = Ok(());
+        for _ in 0..Self::TRIES {
+            let lowered = self.lowered.load(Ordering::SeqCst);
+            let policy = if lowered { Policy::Other { nice: 0 } } else { self.policy() };
+            outcome = match set_policy_of(tid, policy) {
+                Err(error @ RtError::PolicyNotKept { .. }) => Err(error),
+                Err(error) => return Err(error),
+                Ok(()) if self.lowered.load(Ordering::SeqCst) == lowered => return Ok(()),
+                Ok(()) => continue,
+            };
+        }
+        outcome
+    }
 }
 
 /// Holds the current thread to budgets of processor time. One for a thread, made by itself.
 ///
 /// ```
+/// use std::sync::Arc;
 /// use std::time::Duration;
-/// use tautline_rt::{BudgetTimer, Policy};
+/// use tautline_rt::{BudgetTimer, OwnPriority, Policy};
 ///
-/// let timer = BudgetTimer::new()?;
+/// let timer = BudgetTimer::new(Arc::new(OwnPriority::new(Policy::Fifo(20))))?;
 /// timer.arm(tautline_rt::clock::thread_cpu_ns(), Duration::from_millis(1));
 /// // ... work at this thread's priority, for a millisecond of processor time; what follows is done below all others ...
-/// assert!(!timer.disarm(Policy::Other { nice: 0 }), "it took less");
+/// assert!(!timer.disarm(), "it took less");
 /// # Ok::<(), tautline_rt::RtError>(())
 /// ```
 #[derive(Debug)]
 pub struct BudgetTimer {
+    own: Arc<OwnPriority>,
     /// Of the thread that made it.
     _thread: PhantomData<*const ()>,
 }
 
 impl BudgetTimer {
-    /// Makes the thread's timer. Takes one real-time signal of the process that nobody else uses, for all timers.
+    /// Makes the timer of the thread that has this priority, or will have. Takes one real-time signal of the process that nobody else uses, for all timers.
     ///
     /// # Errors
     /// [`RtError::Kernel`]: no signal is free, no timer can be made, or the thread has one.
-    pub fn new() -> Result<BudgetTimer, RtError> {
+    pub fn new(own: Arc<OwnPriority>) -> Result<BudgetTimer, RtError> {
         let signal = signal()?;
         let failed = |what| RtError::Kernel { what, source: io::Error::last_os_error() };
         STATE.with(|state| {
@@ -90,8 +211,9 @@ impl BudgetTimer {
                 return Err(failed("pthread_sigmask"));
             }
             // The kernel numbers timers from 0, which glibc hands out as it is.
+            state.own.set(Arc::as_ptr(&own));
             state.timer.set(mark(timer));
-            Ok(BudgetTimer { _thread: PhantomData })
+            Ok(BudgetTimer { own, _thread: PhantomData })
         })
     }
 
@@ -100,7 +222,27 @@ impl BudgetTimer {
     /// # Real-time
     /// No allocation; no wait; one syscall.
     pub fn arm(&self, since_ns: u64, budget: Duration) {
-        let budget_ns = nanoseconds(budget).max(1);
+        STATE.with(|state| state.refill_ns.store(0, Ordering::Relaxed));
+        self.start(since_ns, nanoseconds(budget));
+    }
+
+    /// As [`arm`](Self::arm), but when the budget is used up the thread is not demoted: it sleeps, in the midst of what it does, until the
+    /// refill. What it holds then it keeps, the allocator's locks too.
+    ///
+    /// # Real-time
+    /// As [`arm`](Self::arm).
+    pub fn arm_refilled(&self, since_ns: u64, budget_ns: u64, refill: Refill) {
+        STATE.with(|state| {
+            state.refill_at_ns.store(refill.at_ns, Ordering::Relaxed);
+            // Never zero: time has to pass from refill to refill.
+            state.period_ns.store(nanoseconds(refill.period).max(1), Ordering::Relaxed);
+            state.refill_ns.store(nanoseconds(refill.budget).max(1), Ordering::Relaxed);
+        });
+        self.start(since_ns, budget_ns);
+    }
+
+    fn start(&self, since_ns: u64, budget_ns: u64) {
+        let budget_ns = budget_ns.max(1);
         STATE.with(|state| {
             state.end_ns.store(since_ns.saturating_add(budget_ns).max(1), Ordering::Relaxed);
             compiler_fence(Ordering::SeqCst);
@@ -108,20 +250,52 @@ impl BudgetTimer {
         });
     }
 
-    /// Has no budget to hold any more. Says whether the thread was demoted, and if so gives it `policy` again.
+    /// Has no budget to hold any more. Says whether the thread was demoted, and if so gives it its priority again.
     ///
     /// # Real-time
     /// No allocation; no wait; one syscall, one more if it was demoted.
-    pub fn disarm(&self, policy: Policy) -> bool {
+    pub fn disarm(&self) -> bool {
+        let demoted = self.disarm_for_good();
+        if demoted {
+            self.own.resume();
+            STATE.with(|state| state.demoted.store(false, Ordering::Relaxed));
+        }
+        demoted
+    }
+
+    /// As [`disarm`](Self::disarm), but a thread that was demoted stays so.
+    ///
+    /// # Real-time
+    /// No allocation; no wait; one syscall.
+    pub fn disarm_for_good(&self) -> bool {
         STATE.with(|state| {
             state.end_ns.store(0, Ordering::Relaxed);
             compiler_fence(Ordering::SeqCst);
             set(state, 0);
-            let demoted = state.demoted.load(Ordering::Relaxed);
-            if demoted && schedule(policy) {
-                state.demoted.store(false, Ordering::Relaxed);
-            }
-            demoted
+            state.demoted.load(Ordering::Relaxed)
+        })
+    }
+
+    /// Whether the thread has been suspended since it was armed.
+    ///
+    /// # Real-time
+    /// No allocation; no wait; no syscall.
+    pub fn was_suspended(&self) -> bool {
+        STATE.with(|state| state.suspended.load(Ordering::Relaxed))
+    }
+
+    /// As [`disarm`](Self::disarm), of a thread that is suspended, not demoted: what is left to it until the next refill.
+    ///
+    /// # Real-time
+    /// No allocation; no wait; two syscalls.
+    pub fn disarm_refilled(&self) -> Left {
+        STATE.with(|state| {
+            let end_ns = state.end_ns.swap(0, Ordering::Relaxed);
+            compiler_fence(Ordering::SeqCst);
+            set(state, 0);
+            state.suspended.store(false, Ordering::Relaxed);
+            let budget_ns = end_ns.saturating_sub(thread_cpu_ns());
+            Left { budget_ns, refill_at_ns: state.refill_at_ns.load(Ordering::Relaxed) }
         })
     }
 
@@ -138,6 +312,8 @@ impl Drop for BudgetTimer {
     fn drop(&mut self) {
         STATE.with(|state| {
             state.end_ns.store(0, Ordering::Relaxed);
+            compiler_fence(Ordering::SeqCst);
+            state.own.set(ptr::null());
             compiler_fence(Ordering::SeqCst);
             // SAFETY: made by `new` in this thread, and deleted once: the mark is taken away. A signal that is pending finds no budget.
             unsafe { libc::timer_delete(unmark(state.timer.replace(ptr::null_mut()))) };
@@ -170,9 +346,45 @@ fn set(state: &State, after_ns: u64) {
 }
 
 fn demote(state: &State) {
+    // SAFETY: set by `BudgetTimer::new` to what that keeps, and to null before it lets go of it, in this thread.
+    let Some(own) = (unsafe { state.own.get().as_ref() }) else { return };
+    own.lowered.store(true, Ordering::SeqCst);
     if schedule(Policy::Other { nice: 0 }) {
         state.demoted.store(true, Ordering::Relaxed);
+    } else {
+        own.lowered.store(false, Ordering::SeqCst);
     }
+}
+
+/// Sleeps until the next refill, in the signal handler. No longer than until then: who sets the time bounds it.
+fn suspend(state: &State, budget_ns: u64) {
+    state.suspended.store(true, Ordering::Relaxed);
+    let at_ns = state.refill_at_ns.load(Ordering::Relaxed);
+    let at = libc::timespec {
+        tv_sec: (at_ns / 1_000_000_000).cast_signed(),
+        tv_nsec: (at_ns % 1_000_000_000).cast_signed(),
+    };
+    loop {
+        // SAFETY: `at` outlives the call, which only reads it; a bare system call may be made in a handler.
+        let answer = unsafe {
+            let nothing = ptr::null_mut::<libc::timespec>();
+            libc::syscall(
+                libc::SYS_clock_nanosleep,
+                libc::CLOCK_MONOTONIC,
+                libc::TIMER_ABSTIME,
+                &raw const at,
+                nothing,
+            )
+        };
+        // SAFETY: this thread's own errno.
+        if answer == 0 || unsafe { *libc::__errno_location() } != libc::EINTR {
+            break;
+        }
+    }
+    let next_ns = at_ns.saturating_add(state.period_ns.load(Ordering::Relaxed));
+    state.refill_at_ns.store(next_ns, Ordering::Relaxed);
+    state.end_ns.store(thread_cpu_ns().saturating_add(budget_ns), Ordering::Relaxed);
+    set(state, budget_ns);
 }
 
 /// Sets the policy of this thread, by the bare system call: for a signal handler.
@@ -226,10 +438,13 @@ extern "C" fn fired(_: libc::c_int) {
             return;
         }
         match end_ns.saturating_sub(thread_cpu_ns()) {
-            0 => {
-                state.end_ns.store(0, Ordering::Relaxed);
-                demote(state);
-            }
+            0 => match state.refill_ns.load(Ordering::Relaxed) {
+                0 => {
+                    state.end_ns.store(0, Ordering::Relaxed);
+                    demote(state);
+                }
+                budget_ns => suspend(state, budget_ns),
+            },
             left_ns => set(state, left_ns),
         }
     });
@@ -249,6 +464,10 @@ mod tests {
         thread.spawn(move || run).unwrap().join().unwrap();
     }
 
+    fn own() -> Arc<OwnPriority> {
+        Arc::new(OwnPriority::new(Policy::Fifo(10)))
+    }
+
     fn permitted() -> bool {
         match realtime_permitted(10) {
             Ok(()) => true,
@@ -266,42 +485,111 @@ mod tests {
             return;
         }
         on_a_thread(Policy::Fifo(10), Realtime::Required, || {
-            let (timer, policy) = (BudgetTimer::new().unwrap(), Policy::Fifo(10));
-            assert!(BudgetTimer::new().is_err(), "one for a thread");
+            let (timer, policy) = (BudgetTimer::new(own()).unwrap(), Policy::Fifo(10));
+            assert!(BudgetTimer::new(own()).is_err(), "one for a thread");
             for round in 0..20 {
                 timer.arm(thread_cpu_ns(), Duration::from_millis(2));
                 burn_cpu(Duration::from_millis(1));
                 assert_eq!(current_policy().unwrap(), policy, "{round}");
                 burn_cpu(Duration::from_millis(2));
                 assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 }, "{round}");
-                assert!(timer.disarm(policy));
+                assert!(timer.disarm());
                 assert_eq!(current_policy().unwrap(), policy, "{round}");
             }
             timer.arm(thread_cpu_ns(), Duration::from_millis(2));
-            assert!(!timer.disarm(policy));
+            assert!(!timer.disarm());
             burn_cpu(Duration::from_millis(3));
             assert_eq!(current_policy().unwrap(), policy, "nothing is held to");
             timer.demote();
             assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 });
-            assert!(timer.disarm(policy) && current_policy().unwrap() == policy);
+            assert!(timer.disarm() && current_policy().unwrap() == policy);
             drop(timer);
-            assert!(BudgetTimer::new().is_ok());
+            assert!(BudgetTimer::new(own()).is_ok());
+        });
+    }
+
+    #[test]
+    fn a_priority_that_others_change_is_what_a_demoted_thread_gets_back() {
+        if !permitted() {
+            return;
+        }
+        on_a_thread(Policy::Fifo(10), Realtime::Required, || {
+            let own = own();
+            let timer = BudgetTimer::new(Arc::clone(&own)).unwrap();
+            let tid = current_tid();
+            own.change(tid, 12).unwrap();
+            assert_eq!(current_policy().unwrap(), Policy::Fifo(12));
+            timer.demote();
+            own.change(tid, 14).unwrap();
+            assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 }, "it stays demoted");
+            assert!(timer.disarm());
+            assert_eq!((current_policy().unwrap(), own.policy()), (Policy::Fifo(14), Policy::Fifo(14)));
+            assert!(own.change(tid, 0).is_err() && own.policy() == Policy::Fifo(14));
+        });
+    }
+
+    /// Whoever changes it does not lift a demotion, and what is demoted does not keep the old priority.
+    #[test]
+    fn changes_and_demotions_at_once_end_with_the_last_priority() {
+        if !permitted() {
+            return;
+        }
+        on_a_thread(Policy::Fifo(10), Realtime::Required, || {
+            let own = own();
+            let timer = BudgetTimer::new(Arc::clone(&own)).unwrap();
+            let tid = current_tid();
+            std::thread::scope(|scope| {
+                let changes =
+                    scope.spawn(|| (0..2_000).for_each(|n| own.change(tid, 10 + (n % 3) as u8).unwrap()));
+                while !changes.is_finished() {
+                    timer.demote();
+                    // The other one may be about to lift it, but not for long: it looks again.
+                    burn_cpu(Duration::from_micros(20));
+                    assert!(timer.disarm());
+                }
+            });
+            assert_eq!(current_policy().unwrap(), own.policy());
+        });
+    }
+
+    #[test]
+    fn who_is_suspended_gets_no_more_than_its_refills() {
+        on_a_thread(Policy::Other { nice: 0 }, Realtime::Off, || {
+            let timer = BudgetTimer::new(own()).unwrap();
+            let (period, budget) = (Duration::from_millis(20), Duration::from_millis(2));
+            let begin_ns = monotonic_ns();
+            let refill = Refill { at_ns: begin_ns + 20_000_000, period, budget };
+            timer.arm_refilled(thread_cpu_ns(), 2_000_000, refill);
+            assert!(!timer.was_suspended());
+            burn_cpu(Duration::from_millis(7));
+            // Three refills were needed: 2 ms at once, and after 20, 40 and 60 ms.
+            let taken_ns = monotonic_ns() - begin_ns;
+            assert!(taken_ns >= 60_000_000, "{taken_ns}");
+            assert!(timer.was_suspended());
+            let Left { budget_ns, refill_at_ns } = timer.disarm_refilled();
+            // A thread that got the processor late may have missed the time of one.
+            assert!(
+                (refill_at_ns - begin_ns).is_multiple_of(20_000_000) && refill_at_ns >= begin_ns + 80_000_000
+            );
+            assert!(budget_ns < 2_000_000 && !timer.was_suspended());
+            burn_cpu(Duration::from_millis(3));
+            assert!(!timer.was_suspended(), "nothing is held to");
         });
     }
 
     #[test]
     fn time_that_others_use_is_not_counted() {
         on_a_thread(Policy::Other { nice: 0 }, Realtime::Off, || {
-            let timer = BudgetTimer::new().unwrap();
+            let timer = BudgetTimer::new(own()).unwrap();
             timer.arm(thread_cpu_ns(), Duration::from_millis(5));
             // Five times the budget on the clock, and none of it on the processor.
             sleep_until_monotonic(monotonic_ns() + 25_000_000);
-            assert!(!timer.disarm(Policy::Other { nice: 0 }));
+            assert!(!timer.disarm());
             // A signal comes all the same, and the rest of the budget is still held.
             timer.arm(thread_cpu_ns(), Duration::from_millis(5));
             sleep_until_monotonic(monotonic_ns() + 10_000_000);
             burn_cpu(Duration::from_millis(6));
-            assert!(timer.disarm(Policy::Other { nice: 0 }));
+            assert!(timer.disarm());
         });
     }
 }

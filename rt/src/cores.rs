@@ -162,6 +162,8 @@ pub fn set_affinity_of(tid: u32, cores: CoreSet) -> Result<(), RtError> {
     if let Err(source) = bind(Some(thread), cores) {
         return Err(match source.raw_os_error() {
             Some(libc::EINVAL) => not_allowed(cores)?,
+            // A SCHED_DEADLINE thread.
+            Some(libc::EBUSY) => RtError::ReservationBound { cores: cores.to_string() },
             _ => RtError::of_thread("sched_setaffinity", tid, source),
         });
     }

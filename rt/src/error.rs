@@ -3,6 +3,7 @@
 
 use std::io;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use crate::Policy;
 
@@ -22,8 +23,54 @@ pub enum RtError {
         /// The nice value asked for.
         nice: i8,
     },
+    /// A reservation outside what the kernel takes.
+    #[error(
+        "a reservation of {:?} in {:?} is out of range: SCHED_DEADLINE takes a runtime of 1.024µs to its period, 100µs to 4.194304s",
+        Duration::from_nanos(*runtime_ns),
+        Duration::from_nanos(*period_ns)
+    )]
+    BadReservation {
+        /// The processor time asked for, in nanoseconds.
+        runtime_ns: u64,
+        /// In each of these, in nanoseconds.
+        period_ns: u64,
+    },
+    /// Other `SCHED_DEADLINE` threads leave no room for a reservation.
+    #[error(
+        "a reservation of {:?} in {:?} does not fit beside those of other SCHED_DEADLINE threads: lower one of them, or raise what \
+         the kernel gives to all, `sudo sysctl kernel.sched_rt_runtime_us` of each kernel.sched_rt_period_us (-1: no limit)",
+        Duration::from_nanos(*runtime_ns),
+        Duration::from_nanos(*period_ns)
+    )]
+    NoBandwidth {
+        /// The processor time asked for, in nanoseconds.
+        runtime_ns: u64,
+        /// In each of these, in nanoseconds.
+        period_ns: u64,
+    },
+    /// No privilege for `SCHED_DEADLINE`: no limit of a user's grants it.
+    #[error(
+        "SCHED_DEADLINE needs CAP_SYS_NICE: run `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}` (RLIMIT_RTPRIO is not enough)",
+        exe.display()
+    )]
+    ReservationRefused {
+        /// This executable.
+        exe: PathBuf,
+    },
+    /// A `SCHED_DEADLINE` thread that is bound to some of the cores between which the kernel balances.
+    #[error(
+        "the kernel refuses SCHED_DEADLINE to a thread that is bound to cores {cores}, some of those between which it balances: \
+         let the thread run on any core (`core = \"any\"` in the system file), take the limit off real-time work, \
+         `sudo sysctl -w kernel.sched_rt_runtime_us=-1`, or give it a cpuset of its own (`cpuset.cpus.partition` = root)"
+    )]
+    ReservationBound {
+        /// The cores asked for.
+        cores: String,
+    },
     /// [`Policy::Unmanaged`] can be read, not set.
-    #[error("kernel policy {number} can be read but not set: use Policy::Fifo, RoundRobin or Other")]
+    #[error(
+        "kernel policy {number} can be read but not set: use Policy::Fifo, RoundRobin, Deadline or Other"
+    )]
     UnmanagedPolicy {
         /// The kernel's number of the policy.
         number: u32,

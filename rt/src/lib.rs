@@ -4,7 +4,7 @@
 //! - [`ThreadBuilder`] starts a thread with a [`Policy`] and a [`CoreSet`], and reports success only after the
 //!   kernel has confirmed both. [`Realtime::Off`] is the explicit opt-out for machines without the privilege.
 //! - [`set_policy`], [`set_affinity`] do the same for a thread that exists; [`threads`] reads every thread back.
-//! - [`BudgetTimer`] demotes a thread that uses more processor time than it was given.
+//! - [`BudgetTimer`] demotes or suspends a thread that uses more processor time than it was given.
 //! - [`CoreTime`] tells what a thread used, what it waited for, and what was taken from it.
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
@@ -55,7 +55,7 @@ pub mod host;
 pub mod permission;
 pub mod shm;
 
-pub use budget::BudgetTimer;
+pub use budget::{BudgetTimer, Left, OwnPriority, Refill};
 pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use rustix::process::{Resource, getrlimit};
 use rustix::thread::{CapabilitySet, capabilities};
 
-use crate::{Policy, RtError, ThreadBuilder};
+use crate::{Policy, RtError, ThreadBuilder, affinity_of};
 
 /// Says whether this process may use `SCHED_FIFO` at `priority`, by doing so on a short-lived thread.
 ///
@@ -20,7 +20,7 @@ pub fn realtime_permitted(priority: u8) -> Result<(), RtError> {
 /// The reason why the kernel would answer EPERM to `SCHED_FIFO` or `SCHED_RR` at `priority`: privilege first, then
 /// the user's limit, then the cpu cgroup. Meaningful only after such an answer.
 pub fn diagnose(priority: u8) -> RtError {
-    let privileged = capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::SYS_NICE));
+    let privileged = privileged();
     let limit = getrlimit(Resource::Rtprio).current.unwrap_or(u64::MAX);
     if !privileged && limit == 0 {
         return RtError::MissingCapability { priority, exe: current_exe() };
@@ -32,6 +32,19 @@ pub fn diagnose(priority: u8) -> RtError {
         Some(path) => RtError::NoGroupRuntime { priority, path },
         None => RtError::RealtimeRefused { priority },
     }
+}
+
+/// As [`diagnose`], of EPERM to `SCHED_DEADLINE` for thread `tid`: privilege first, then the cores that it is bound to.
+pub(crate) fn diagnose_reservation(tid: u32) -> RtError {
+    match (privileged(), affinity_of(tid)) {
+        (true, Ok(cores)) => RtError::ReservationBound { cores: cores.to_string() },
+        (_, Err(error)) => error,
+        (false, _) => RtError::ReservationRefused { exe: current_exe() },
+    }
+}
+
+fn privileged() -> bool {
+    capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::SYS_NICE))
 }
 
 /// The path of this executable, as a fix would name it.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Scheduling policies: set, and read back from the kernel.
 
+use std::time::Duration;
 use std::{fmt, io, mem};
 
 use thread_priority::{
@@ -10,6 +11,9 @@ use thread_priority::{
 
 use crate::cores::pid;
 use crate::{RtError, current_tid, permission};
+
+/// As in the kernel's `include/uapi/linux/sched.h`.
+const SCHED_DEADLINE: libc::c_int = 6;
 
 /// How the kernel schedules a thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -23,15 +27,29 @@ pub enum Policy {
         /// -20 (most time) to 19 (least).
         nice: i8,
     },
-    /// Another policy, by the kernel's number (3 batch, 5 idle, 6 deadline): read back from a thread, never set.
+    /// `SCHED_DEADLINE`, with a deadline that is the period: a reservation, which the kernel holds the thread to (the constant-bandwidth
+    /// server, `Documentation/scheduler/sched-deadline.rst`). It preempts every `SCHED_FIFO` thread, and no job of it that takes longer
+    /// than reserved delays anybody. Threads that it starts are `SCHED_OTHER`.
+    Deadline {
+        /// Processor time in each period, in nanoseconds: 1,024 to the period.
+        runtime_ns: u64,
+        /// In nanoseconds: 100 us to 4,194,304 us, what the kernel takes unless told otherwise (`kernel.sched_deadline_period_*`).
+        period_ns: u64,
+    },
+    /// Another policy, by the kernel's number (3 batch, 5 idle, 6 deadline with one that is not the period): read back from a thread,
+    /// never set.
     Unmanaged(u32),
 }
 
 impl Policy {
-    /// The real-time priority, 1..=99; `None` for a policy that has none.
+    /// What [`realtime_priority`](Self::realtime_priority) says of a reservation: above all priorities.
+    pub const RESERVATION: u8 = 100;
+
+    /// The real-time priority, 1..=99, or [`RESERVATION`](Self::RESERVATION); `None` for a policy that has none.
     pub const fn realtime_priority(self) -> Option<u8> {
         match self {
             Policy::Fifo(priority) | Policy::RoundRobin(priority) => Some(priority),
+            Policy::Deadline { .. } => Some(Self::RESERVATION),
             Policy::Other { .. } | Policy::Unmanaged(_) => None,
         }
     }
@@ -39,14 +57,26 @@ impl Policy {
     /// Says whether this is a policy that [`set_policy`] could set, privilege aside.
     ///
     /// # Errors
-    /// [`RtError::BadPriority`], [`RtError::BadNice`], [`RtError::UnmanagedPolicy`].
+    /// [`RtError::BadPriority`], [`RtError::BadNice`], [`RtError::BadReservation`], [`RtError::UnmanagedPolicy`].
     pub const fn check(self) -> Result<(), RtError> {
         match self {
             Policy::Fifo(1..=99) | Policy::RoundRobin(1..=99) | Policy::Other { nice: -20..=19 } => Ok(()),
             Policy::Fifo(priority) | Policy::RoundRobin(priority) => Err(RtError::BadPriority { priority }),
             Policy::Other { nice } => Err(RtError::BadNice { nice }),
+            Policy::Deadline { runtime_ns: 1_024.., period_ns: 100_000..=4_194_304_000 }
+                if self.fits_its_period() =>
+            {
+                Ok(())
+            }
+            Policy::Deadline { runtime_ns, period_ns } => {
+                Err(RtError::BadReservation { runtime_ns, period_ns })
+            }
             Policy::Unmanaged(number) => Err(RtError::UnmanagedPolicy { number }),
         }
+    }
+
+    const fn fits_its_period(self) -> bool {
+        matches!(self, Policy::Deadline { runtime_ns, period_ns } if runtime_ns <= period_ns)
     }
 }
 
@@ -56,6 +86,10 @@ impl fmt::Display for Policy {
             Policy::Fifo(priority) => write!(f, "SCHED_FIFO {priority}"),
             Policy::RoundRobin(priority) => write!(f, "SCHED_RR {priority}"),
             Policy::Other { nice } => write!(f, "SCHED_OTHER nice {nice}"),
+            Policy::Deadline { runtime_ns, period_ns } => {
+                let [runtime, period] = [*runtime_ns, *period_ns].map(Duration::from_nanos);
+                write!(f, "SCHED_DEADLINE {runtime:?} in {period:?}")
+            }
             Policy::Unmanaged(number) => write!(f, "kernel policy {number}"),
         }
     }
@@ -88,19 +122,30 @@ pub fn set_policy(policy: Policy) -> Result<(), RtError> {
 /// As [`set_policy`]; [`RtError::NoSuchThread`] when the thread has ended.
 pub fn set_policy_of(tid: u32, policy: Policy) -> Result<(), RtError> {
     policy.check()?;
-    let (class, nice, priority) = match policy {
-        Policy::Fifo(priority) => (libc::SCHED_FIFO, 0, priority),
-        Policy::RoundRobin(priority) => (libc::SCHED_RR, 0, priority),
-        Policy::Other { nice } => (libc::SCHED_OTHER, nice, 0),
+    let mut attr = empty_attr();
+    let class = match policy {
+        Policy::Fifo(priority) => {
+            attr.sched_priority = priority.into();
+            libc::SCHED_FIFO
+        }
+        Policy::RoundRobin(priority) => {
+            attr.sched_priority = priority.into();
+            libc::SCHED_RR
+        }
+        Policy::Other { nice } => {
+            attr.sched_nice = nice.into();
+            libc::SCHED_OTHER
+        }
+        Policy::Deadline { runtime_ns, period_ns } => {
+            (attr.sched_runtime, attr.sched_deadline, attr.sched_period) = (runtime_ns, period_ns, period_ns);
+            // Or it could start no threads at all.
+            attr.sched_flags = u64::from(libc::SCHED_FLAG_RESET_ON_FORK.cast_unsigned());
+            SCHED_DEADLINE
+        }
         Policy::Unmanaged(number) => return Err(RtError::UnmanagedPolicy { number }),
     };
+    attr.sched_policy = class.cast_unsigned();
     let thread = pid(tid)?.as_raw_nonzero().get();
-    let attr = libc::sched_attr {
-        sched_policy: class.cast_unsigned(),
-        sched_nice: nice.into(),
-        sched_priority: priority.into(),
-        ..empty_attr()
-    };
     // SAFETY: `attr` is a valid sched_attr of the size it states and outlives the call, which only reads it.
     let answer = unsafe { libc::syscall(libc::SYS_sched_setattr, thread, &raw const attr, 0) };
     if answer != 0 {
@@ -135,6 +180,9 @@ pub fn policy_of(tid: u32) -> Result<Policy, RtError> {
         libc::SCHED_FIFO => Policy::Fifo(priority),
         libc::SCHED_RR => Policy::RoundRobin(priority),
         libc::SCHED_OTHER => Policy::Other { nice: i8::try_from(attr.sched_nice).unwrap_or(i8::MAX) },
+        SCHED_DEADLINE if attr.sched_deadline == attr.sched_period => {
+            Policy::Deadline { runtime_ns: attr.sched_runtime, period_ns: attr.sched_period }
+        }
         _ => Policy::Unmanaged(attr.sched_policy),
     })
 }
@@ -147,6 +195,10 @@ fn confirm(tid: u32, asked: Policy) -> Result<(), RtError> {
 fn refused(tid: u32, policy: Policy, source: io::Error) -> RtError {
     match (source.raw_os_error(), policy) {
         (Some(libc::EPERM), Policy::Fifo(n) | Policy::RoundRobin(n)) => permission::diagnose(n),
+        (Some(libc::EPERM), Policy::Deadline { .. }) => permission::diagnose_reservation(tid),
+        (Some(libc::EBUSY), Policy::Deadline { runtime_ns, period_ns }) => {
+            RtError::NoBandwidth { runtime_ns, period_ns }
+        }
         (Some(libc::EPERM | libc::EACCES), Policy::Other { nice }) => {
             RtError::NiceRefused { nice, exe: permission::current_exe() }
         }
@@ -179,6 +231,12 @@ mod tests {
         }
         assert!(matches!(set_policy(Policy::Other { nice: 20 }), Err(RtError::BadNice { nice: 20 })));
         assert!(matches!(set_policy(Policy::Unmanaged(5)), Err(RtError::UnmanagedPolicy { number: 5 })));
+        for (runtime_ns, period_ns) in
+            [(1_023, 100_000), (2_000, 99_999), (200_001, 200_000), (1 << 20, 1 << 33)]
+        {
+            let message = set_policy(Policy::Deadline { runtime_ns, period_ns }).unwrap_err().to_string();
+            assert!(message.contains("1.024µs to its period, 100µs to 4.194304s"), "{message}");
+        }
     }
 
     #[test]
@@ -187,5 +245,7 @@ mod tests {
             [Policy::Fifo(20), Policy::RoundRobin(3), Policy::Other { nice: -5 }, Policy::Unmanaged(6)]
                 .map(|policy| policy.to_string());
         assert_eq!(printed, ["SCHED_FIFO 20", "SCHED_RR 3", "SCHED_OTHER nice -5", "kernel policy 6"]);
+        let reserved = Policy::Deadline { runtime_ns: 2_500_000, period_ns: 20_000_000 };
+        assert_eq!(reserved.to_string(), "SCHED_DEADLINE 2.5ms in 20ms");
     }
 }

@@ -41,7 +41,7 @@ pub struct ThreadBuilder {
     pub name: String,
     /// Defaults to `SCHED_OTHER`.
     pub policy: Policy,
-    /// `None`: the cores of the thread that starts it.
+    /// `None`: the cores of the thread that starts it; all, for [`Policy::Deadline`].
     pub cores: Option<CoreSet>,
     /// All of it is touched before the thread is real-time. At least 64 KiB, at most 1 GiB.
     pub stack_bytes: usize,
@@ -149,6 +149,10 @@ impl ThreadBuilder {
         prefault_stack(self.stack_bytes);
         let body = setup();
         if self.realtime == Realtime::Required {
+            if matches!(self.policy, Policy::Deadline { .. }) {
+                // The kernel takes none that is bound; where the thread starts is what its starter was bound to.
+                set_affinity(CoreSet::allowed()?)?;
+            }
             set_policy(self.policy)?;
         }
         if let Some(cores) = self.cores {

@@ -4,7 +4,7 @@
 use std::sync::mpsc;
 
 use tautline_rt::{
-    CoreSet, Policy, Realtime, RtError, ThreadBuilder, current_affinity, current_policy, current_tid,
+    CoreSet, Policy, Realtime, RtError, ThreadBuilder, clock, current_affinity, current_policy, current_tid,
     page_faults, permission::realtime_permitted, policy_of, set_affinity, set_affinity_of, set_policy,
     set_policy_of, threads,
 };
@@ -36,6 +36,57 @@ fn policies_read_back() {
             set_policy(policy).unwrap();
             assert_eq!(current_policy().unwrap(), policy);
         }
+    });
+}
+
+#[test]
+fn a_reservation_reads_back_and_holds() {
+    if !realtime() {
+        return;
+    }
+    let policy = Policy::Deadline { runtime_ns: 2_000_000, period_ns: 20_000_000 };
+    let thread = ThreadBuilder::new("reserved").policy(policy);
+    let used = || {
+        // It may start threads, which are not like it.
+        let child = std::thread::spawn(|| current_policy().unwrap()).join().unwrap();
+        let begin_ns = clock::monotonic_ns();
+        clock::burn_cpu(std::time::Duration::from_millis(9));
+        (child, clock::monotonic_ns() - begin_ns)
+    };
+    let thread = thread.spawn(move || used).unwrap();
+    let info = thread.info().clone();
+    assert_eq!((info.policy, info.cores), (policy, CoreSet::allowed().unwrap()));
+    assert_eq!(info.policy.realtime_priority(), Some(Policy::RESERVATION));
+    let (child, taken_ns) = thread.join().unwrap();
+    assert_eq!(child, Policy::Other { nice: 0 });
+    // At most 2 ms at once and 2 ms in the period that begins with the thread's next wake-up: three periods to wait for.
+    assert!(taken_ns > 40_000_000, "9 ms of work in {taken_ns} ns");
+}
+
+#[test]
+fn a_reservation_that_is_bound_is_granted_or_refused_with_words() {
+    let cores = CoreSet::allowed().unwrap();
+    if !realtime() || cores.len() < 2 {
+        return;
+    }
+    let policy = Policy::Deadline { runtime_ns: 1_000_000, period_ns: 20_000_000 };
+    let one = CoreSet::one(cores.iter().next().unwrap());
+    match ThreadBuilder::new("bound").policy(policy).cores(one).spawn(|| || ()) {
+        Ok(thread) => {
+            assert_eq!((thread.info().policy, thread.info().cores), (policy, one));
+            thread.join().unwrap();
+        }
+        Err(error @ RtError::ReservationBound { .. }) => {
+            let message = error.to_string();
+            assert!(message.contains("kernel.sched_rt_runtime_us=-1") && message.contains("core = \"any\""));
+        }
+        Err(error) => panic!("{error}"),
+    }
+    // A thread that is bound already gets none either, unless the kernel lets it.
+    on_a_thread(move || {
+        set_affinity(one).unwrap();
+        let refused = set_policy(policy).err();
+        assert!(matches!(refused, None | Some(RtError::ReservationBound { .. })), "{refused:?}");
     });
 }
 

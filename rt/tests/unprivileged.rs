@@ -28,6 +28,8 @@ fn child() {
         "off",
         ThreadBuilder::new("t").policy(Policy::Fifo(20)).realtime(Realtime::Off).spawn(|| || ()).map(drop),
     );
+    let reserved = Policy::Deadline { runtime_ns: 1_000_000, period_ns: 20_000_000 };
+    say("reserved", ThreadBuilder::new("t").policy(reserved).spawn(|| || ()).map(drop));
     say("nice", set_policy(Policy::Other { nice: -5 }));
     say("nicer", set_policy(Policy::Other { nice: 5 }));
     say("idle", IdleHold::new().map(drop));
@@ -93,6 +95,11 @@ fn without_any_privilege_each_error_names_its_fix() {
 fn a_limit_that_is_too_low_is_named() {
     let Some(text) = lines_of_child(10) else { return };
     assert_eq!(line(&text, "fifo 5"), "ok");
+    let reserved = line(&text, "reserved");
+    assert!(
+        reserved.contains("SCHED_DEADLINE needs CAP_SYS_NICE") && reserved.contains("is not enough"),
+        "{text}"
+    );
     let refusal = line(&text, "fifo 20");
     assert!(refusal.contains("limit of 10") && refusal.contains("`@realtime - rtprio 20`"), "{text}");
 }

@@ -48,7 +48,7 @@ mod sync;
 mod tests;
 mod topic;
 
-pub use cleanup::start_recorder;
+pub use cleanup::{call_all, start_recorder};
 pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
 pub use graph::{
     Death, EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, Origin, Rank,

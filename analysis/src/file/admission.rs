@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
-use super::{CallbackEntry, ChainEntry, CheckedSystem, Client, CoreEntry, SystemFile};
+use super::{CallbackEntry, ChainEntry, CheckedSystem, Client, CoreEntry, OverrunPolicy, SystemFile};
 use crate::system::{Callback, Core};
-use crate::{Overheads, Task};
+use crate::{Overheads, Reservation, Task};
 
 /// A system file in use, as the machine sees it that is one of its hosts.
 #[derive(Debug, Clone, Copy)]
@@ -28,8 +28,10 @@ pub struct LooseThread {
     pub label: String,
     /// Its one core; `None`: it may run on any, and counts on each.
     pub core: Option<usize>,
-    /// `SCHED_FIFO` priority, 1 to 99.
+    /// `SCHED_FIFO` priority, 1 to 99; of no meaning with a reservation.
     pub priority: u8,
+    /// What the kernel reserves for it, under SCHED_DEADLINE.
+    pub reservation: Option<Reservation>,
     /// Least time between two releases. Without it, or without a budget, nothing at its priority or below has a bound.
     pub period_ns: Option<u64>,
     /// How much later than nominal a release may be.
@@ -298,6 +300,8 @@ impl Union {
             let task = Task::new(&thread.name, period, wcet, thread.priority)
                 .deadline(Duration::from_nanos(deadline_ns))
                 .jitter(Duration::from_nanos(thread.jitter_ns));
+            let priority = thread.reservation.map_or(thread.priority, |_| Reservation::PRIORITY);
+            let task = Task { reservation: thread.reservation, priority, ..task };
             let index = self.file.system.callbacks.len();
             self.file.system.callbacks.push(Callback::new(task, core));
             self.file.callbacks.push(CallbackEntry {
@@ -307,11 +311,12 @@ impl Union {
                 thread: format!("cb:{}", thread.name),
                 group: None,
                 core,
-                priority: thread.priority,
+                priority,
+                reservation: thread.reservation,
+                floats: thread.reservation.is_some() && thread.core.is_none(),
                 topics: Vec::new(),
                 joins: false,
-                demotes: false,
-                ends: false,
+                overrun: OverrunPolicy::Tell,
                 window_ns: None,
                 publishes: Vec::new(),
                 depth: None,

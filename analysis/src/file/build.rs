@@ -10,9 +10,10 @@ use super::places::{self, Place};
 use super::priorities::{self, Thread};
 use super::problem::{Collector, Problems};
 use super::reader::Section;
+use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
-use super::{CallbackEntry, ChainEntry, Client, CoreEntry, SystemFile, TopicEntry};
+use super::{CallbackEntry, ChainEntry, Client, CoreEntry, OverrunPolicy, SystemFile, TopicEntry};
 use crate::system::{Callback, Chain, Core, Matching, System, Transfer};
 use crate::{Overheads, Release, Task, Throttling};
 
@@ -40,7 +41,8 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     if !problems.is_empty() {
         return Err(problems.into_problems());
     }
-    demote(&file, &places, &mut problems);
+    hold(&file, &places, &streams, &mut problems);
+    reservations::check(&file, &places, &streams, &mut problems);
     meet(&file, &streams, &mut problems);
     if !problems.is_empty() {
         return Err(problems.into_problems());
@@ -83,6 +85,8 @@ impl Builder<'_> {
                 callbacks.push(callback);
             }
         }
+        let own = callbacks.len();
+        reservations::spread(self.file, &self.places, &self.cores, &self.streams, &mut callbacks);
         let owner = self.owners();
         let overheads: Vec<_> = self.cores.iter().map(|(host, _)| self.overheads(*host)).collect();
         // Inherited periods, for policies and default deadlines: triggers may come after what they trigger.
@@ -100,9 +104,12 @@ impl Builder<'_> {
         let task_owner: Vec<usize> = (0..owner.len())
             .flat_map(|i| std::iter::repeat_n(owner[i], self.streams.tasks(i).len()))
             .collect();
+        // Of a reservation on cores that are not its own nothing is chosen.
+        let is_own = |i: &usize| *i < own;
         let mut warnings = Vec::new();
         for (core, overheads) in overheads.iter().enumerate() {
-            let members: Vec<usize> = (0..callbacks.len()).filter(|i| callbacks[*i].core == core).collect();
+            let members: Vec<usize> =
+                (0..callbacks.len()).filter(is_own).filter(|i| callbacks[*i].core == core).collect();
             let tasks: Vec<Task> = members.iter().map(|i| callbacks[*i].task.clone()).collect();
             let owners: Vec<usize> = members.iter().map(|i| task_owner[*i]).collect();
             let chosen = priorities::choose(self.file, &mut self.threads, &tasks, &owners, overheads);
@@ -173,9 +180,10 @@ impl Builder<'_> {
             Client::Rclpy => costs.rclpy,
         };
         // What holds its jobs to their budget is done in its thread, too.
-        let held = costs.demotion.filter(|_| declared.demotes.is_some());
+        let held = costs.demotion.filter(|_| declared.holds().is_some());
         task.executor_overhead_ns = executor.unwrap_or(0).saturating_add(held.unwrap_or(0));
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
+        task.reservation = declared.reservation.as_ref().map(|reservation| reservation.value);
         let thread = self.threads.iter().position(|thread| thread.callbacks.contains(&index)).unwrap_or(0);
         // A callback of several streams takes their messages in any order.
         if self.threads[thread].group.is_some() || self.streams.tasks(index).len() > 1 {
@@ -304,30 +312,42 @@ impl Builder<'_> {
             deadline_ns: callbacks[tasks.start].task.deadline_ns,
             window_ns: declared.all.and_then(|_| Some(declared.window.as_ref()?.value)),
             joins: declared.all.is_some(),
-            demotes: declared.demotes.is_some(),
-            ends: declared.ends,
+            overrun: declared.overrun.as_ref().map_or(OverrunPolicy::Tell, |overrun| overrun.value),
+            reservation: declared.reservation.as_ref().map(|reservation| reservation.value),
+            floats: declared.floats.is_some(),
             tasks,
         }
     }
 }
 
-/// Checks that jobs which are to be demoted have a thread of their own, of Tautline's.
-fn demote(file: &Declared, places: &[Option<Place>], problems: &mut Collector) {
-    for (callback, place) in file.callbacks.iter().zip(places) {
-        let Some(at) = callback.demotes else { continue };
-        let name = &callback.name;
+/// Checks that jobs which are to be held to their budgets can be.
+fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: &mut Collector) {
+    for (i, (callback, place)) in file.callbacks.iter().zip(places).enumerate() {
+        let Some(overrun) = callback.overrun.as_ref().filter(|_| callback.holds().is_some()) else {
+            continue;
+        };
+        let mut problem = |what: &str| {
+            let (name, policy) = (&callback.name, overrun.value.as_str());
+            problems.add(overrun.at, format!("callback `{name}` has `overrun = \"{policy}\"`, but {what}"));
+        };
         if callback.group.is_some() {
-            let message = format!(
-                "callback `{name}` is to be demoted when it overruns, but shares its thread, whose other callbacks would go \
-                 down with it: give it a thread of its own, or leave out `overrun`"
+            problem(
+                "shares its thread, whose other callbacks it would take with it: give it a thread of its own, or leave out `overrun`",
             );
-            problems.add(at, message);
         }
         if place.is_some_and(|place| file.nodes[place.node].client != Client::Tautline) {
-            let message = format!(
-                "callback `{name}` is to be demoted when it overruns, but is run by an executor of ROS 2's: leave out `overrun`"
+            problem("is run by an executor of ROS 2's: leave out `overrun`");
+        }
+        if overrun.value != OverrunPolicy::Suspend {
+            continue;
+        }
+        if !callback.locks.is_empty() {
+            problem(
+                "takes locks, for which others would wait while it sleeps: say \"demote\", or leave out `locks`",
             );
-            problems.add(at, message);
+        }
+        if streams.tasks(i).len() > 1 {
+            problem("is released in several ways, which have no common period: say \"demote\"");
         }
     }
 }

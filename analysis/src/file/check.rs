@@ -2,9 +2,9 @@
 //! The verdict on a system file.
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{CallbackEntry, Client, SystemFile};
+use super::{CallbackEntry, Client, OverrunPolicy, SystemFile};
 use crate::system::{Core, SystemReport};
-use crate::{AnalysisError, Overheads, Release, Task, Throttling, utilisation};
+use crate::{AnalysisError, Overheads, Release, Reservation, Task, Throttling, utilisation};
 
 /// What the analysis of a [`SystemFile`] found.
 #[derive(Debug, Clone, PartialEq)]
@@ -132,6 +132,12 @@ fn refused(file: &SystemFile, error: &AnalysisError) -> CheckedSystem {
     CheckedSystem { schedulable: false, callbacks, chains, cores, warnings }
 }
 
+/// Whether its jobs may have to wait for the next period of their reservation.
+fn waits(report: &SystemReport, entry: &CallbackEntry) -> bool {
+    let waits = |i: usize| report.callbacks[i].as_ref().is_ok_and(|response| response.waits_for_reservation);
+    entry.tasks.clone().any(waits)
+}
+
 /// From the arrival of a message of the file, else from the nominal release; the longest of its streams.
 fn response(file: &SystemFile, entry: &CallbackEntry, report: &SystemReport) -> Option<u64> {
     let of_stream = |i: usize| {
@@ -223,6 +229,9 @@ fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
             .collect();
         let overheads = file.system.cores[index].overheads;
         let costs = |task: &Task| {
+            if let Some(Reservation { runtime_ns, period_ns }) = task.reservation {
+                return Task { wcet_ns: runtime_ns, period_ns, ..task.clone() };
+            }
             let wcet_ns = task.charged_ns(&overheads).saturating_add(task.message_overhead_ns.unwrap_or(0));
             Task { wcet_ns, ..task.clone() }
         };
@@ -255,7 +264,7 @@ fn unbounded(report: &SystemReport) -> Vec<String> {
 /// A warning for each priority that several threads of a core have.
 fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
     let mut levels: BTreeMap<(usize, u8), BTreeMap<&str, &CheckedCallback>> = BTreeMap::new();
-    for callback in callbacks {
+    for callback in callbacks.iter().filter(|callback| callback.entry.reservation.is_none()) {
         let entry = &callback.entry;
         levels.entry((entry.core, entry.priority)).or_default().entry(&entry.thread).or_insert(callback);
     }
@@ -318,13 +327,35 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
             ));
         }
         let sampler = file.cores[entry.core].sampler_priority;
-        if entry.priority >= sampler {
+        if entry.reservation.is_none() && entry.priority >= sampler {
             warnings.push(format!(
                 "callback `{name}` has priority {}, not below the sampler's {sampler}: messages of other callbacks \
                  wait for it, and no bound holds; lower it",
                 entry.priority
             ));
         }
+    }
+    let bunched = |callback: &&CheckedCallback| {
+        let bunches = |release: &Release| release.jitter_ns >= release.period_ns;
+        callback.entry.overrun == OverrunPolicy::Suspend && callback.releases.iter().any(bunches)
+    };
+    for callback in callbacks.iter().filter(bunched) {
+        warnings.push(format!(
+            "callback `{}` is suspended when it overruns, but may be released later than a period: then it may take more from others \
+             than was given to it; say `overrun = \"demote\"`",
+            callback.entry.name
+        ));
+    }
+    for callback in callbacks.iter().filter(|callback| waits(report, &callback.entry)) {
+        let Some(Reservation { runtime_ns, period_ns }) = callback.entry.reservation else { continue };
+        let us = |ns: u64| ns as f64 / 1e3;
+        warnings.push(format!(
+            "callback `{}` may find its reservation used up, and its bound contains the {} us until the next one: raise `runtime` \
+             further above the {} us that a job takes, or shorten the reservation's `period`",
+            callback.entry.name,
+            us(period_ns - runtime_ns),
+            us(callback.charged_ns)
+        ));
     }
     warnings.extend(starved(file, report));
     warnings.extend(shared_priorities(callbacks));
@@ -345,11 +376,11 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
     }
     let held = |callback: &&CheckedCallback| {
         let mut tasks = file.system.callbacks[callback.entry.tasks.clone()].iter();
-        callback.entry.demotes && tasks.all(|of| of.task.executor_overhead_ns == 0)
+        callback.entry.overrun != OverrunPolicy::Tell && tasks.all(|of| of.task.executor_overhead_ns == 0)
     };
     if let Some(callback) = callbacks.iter().find(held) {
         warnings.push(format!(
-            "callback `{}` is demoted when it overruns, by a timer whose cost the file does not state: add `demotion = \"...\"` \
+            "callback `{}` is held to its budget, by a timer whose cost the file does not state: add `demotion = \"...\"` \
              to [overheads], what it takes for each job and how late it may be",
             callback.entry.name
         ));

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file as it is written: every section with its places in the text, nothing resolved yet.
 use super::reader::At;
-use super::{Client, LinkPriority};
-use crate::{LockProtocol, Order};
+use super::{Client, LinkPriority, OverrunPolicy};
+use crate::{LockProtocol, Order, Reservation};
 
 /// How priorities are chosen for callbacks that name none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,15 +81,23 @@ pub(super) struct Callback {
     pub non_preemptive: Option<At<u64>>,
     pub priority: Option<At<u8>>,
     pub shares_priority: bool,
+    /// Under SCHED_DEADLINE.
+    pub reservation: Option<At<Reservation>>,
     pub core: Option<At<i64>>,
+    /// Where `core` is, if it is any.
+    pub floats: Option<usize>,
     pub group: Option<At<String>>,
-    /// Where `overrun` is, if a job that overruns is to be demoted.
-    pub demotes: Option<usize>,
-    /// Whether its callback ends with that job.
-    pub ends: bool,
+    pub overrun: Option<At<OverrunPolicy>>,
     pub publishes: Vec<At<String>>,
     pub reads: Vec<At<String>>,
     pub locks: Vec<(String, u64)>,
+}
+
+impl Callback {
+    /// Where it says that its jobs are held to their budget, if it does.
+    pub fn holds(&self) -> Option<usize> {
+        self.overrun.as_ref().filter(|overrun| overrun.value != OverrunPolicy::Tell).map(|overrun| overrun.at)
+    }
 }
 
 pub(super) struct Chain {

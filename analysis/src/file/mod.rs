@@ -6,6 +6,7 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use crate::Reservation;
 use crate::system::System;
 
 pub mod admission;
@@ -19,6 +20,7 @@ mod places;
 mod priorities;
 mod problem;
 mod reader;
+mod reservations;
 mod sections;
 mod streams;
 
@@ -72,16 +74,18 @@ pub struct CallbackEntry {
     pub group: Option<String>,
     /// Index of its core in [`SystemFile::cores`].
     pub core: usize,
-    /// SCHED_FIFO priority of the thread, 1 to 99.
+    /// SCHED_FIFO priority of the thread, 1 to 99, or [`Reservation::PRIORITY`].
     pub priority: u8,
+    /// What the kernel reserves for the thread, if it runs under SCHED_DEADLINE.
+    pub reservation: Option<Reservation>,
+    /// Whether that may run on any core of its host; `core` is then where its messages are charged.
+    pub floats: bool,
     /// The topics that trigger it, or that it waits for; none if it has a period.
     pub topics: Vec<String>,
     /// Whether it waits for messages of all its topics.
     pub joins: bool,
-    /// Whether a job that overruns its budget is demoted, so that the bounds of others do not rest on its wcet.
-    pub demotes: bool,
-    /// Whether the callback ends with such a job.
-    pub ends: bool,
+    /// What becomes of a job that uses more than is charged to it.
+    pub overrun: OverrunPolicy,
     /// How far apart the stamps of these may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each, whatever its stamp.
     pub window_ns: Option<u64>,
     /// The topics that it publishes.
@@ -111,6 +115,37 @@ pub struct TopicEntry {
     pub priority: Option<LinkPriority>,
     /// Whether its messages are sent at once instead of together with what follows shortly.
     pub express: bool,
+}
+
+/// What becomes of a job that uses more than is charged to it. But for the first, the bounds of others do not rest on its wcet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OverrunPolicy {
+    /// It is counted.
+    #[default]
+    Tell,
+    /// It goes on below all real-time threads.
+    Demote,
+    /// It sleeps until a period after its release.
+    Suspend,
+    /// As demoted, and the callback ends with it.
+    End,
+}
+
+impl OverrunPolicy {
+    /// All of them.
+    pub const ALL: [OverrunPolicy; 4] =
+        [OverrunPolicy::Tell, OverrunPolicy::Demote, OverrunPolicy::Suspend, OverrunPolicy::End];
+
+    /// Its name in the file.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            OverrunPolicy::Tell => "tell",
+            OverrunPolicy::Demote => "demote",
+            OverrunPolicy::Suspend => "suspend",
+            OverrunPolicy::End => "end",
+        }
+    }
 }
 
 /// Whose executors run a node's callbacks.

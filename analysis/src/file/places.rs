@@ -48,6 +48,8 @@ pub(super) fn resolve(
                 let mut only = (0..cores.len()).filter(|i| cores[*i].0 == host);
                 match (only.next(), only.next()) {
                     (Some(core), None) => core,
+                    // Where its messages are charged; it may run on any.
+                    (Some(core), _) if callback.floats.is_some() => core,
                     (None, _) => return None,
                     _ => {
                         let message =

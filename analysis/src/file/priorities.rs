@@ -3,7 +3,7 @@
 use super::declared::{Declared, Policy};
 use super::places::Place;
 use super::problem::{Collector, suggestion};
-use crate::{AnalysisError, Overheads, Task, assign};
+use crate::{AnalysisError, Overheads, Reservation, Task, assign};
 
 /// One thread: a callback, or a group of them.
 pub(super) struct Thread {
@@ -35,7 +35,8 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
             found
         });
         let Some(place) = places[i] else { continue };
-        let stated = callback.priority.as_ref().map(|priority| priority.value);
+        let reserved = callback.reservation.as_ref().map(|_| Reservation::PRIORITY);
+        let stated = reserved.or(callback.priority.as_ref().map(|priority| priority.value));
         let of_group = group.and_then(|g| file.groups[g].priority.as_ref().map(|p| p.value));
         let known = group.and_then(|g| threads.iter_mut().find(|thread| thread.group == Some(g)));
         let Some(thread) = known else {
@@ -92,7 +93,9 @@ fn duplicates(file: &Declared, threads: &[Thread], problems: &mut Collector) {
     let agrees = |thread: &Thread| thread.callbacks.iter().any(|i| file.callbacks[*i].shares_priority);
     for (i, thread) in threads.iter().enumerate() {
         let same = |other: &&Thread| other.core == thread.core && other.priority == thread.priority;
-        let earlier = threads[..i].iter().filter(|_| thread.priority.is_some()).find(same);
+        // Reservations have rules of their own.
+        let shares = |priority| priority < Reservation::PRIORITY;
+        let earlier = threads[..i].iter().filter(|_| thread.priority.is_some_and(shares)).find(same);
         let Some(other) = earlier.filter(|other| !(agrees(other) && agrees(thread))) else { continue };
         let callback = &file.callbacks[thread.callbacks[0]];
         let (at, priority) =

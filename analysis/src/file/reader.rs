@@ -40,7 +40,9 @@ impl<'t> Section<'t> {
 
     /// Where a key and its value stand.
     fn get(&mut self, key: &'static str) -> Option<(usize, &'t Value<'t>)> {
-        self.asked.push(key);
+        if !self.asked.contains(&key) {
+            self.asked.push(key);
+        }
         self.table.get_key_value(key).map(|(key, value)| (key.span().start, value))
     }
 

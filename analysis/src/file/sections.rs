@@ -3,8 +3,9 @@
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::problem::{Collector, suggestion};
 use super::reader::{At, Section, integer, time};
-use super::{Client, LinkPriority};
-use crate::{LockProtocol, Order};
+use super::{Client, LinkPriority, OverrunPolicy};
+use crate::{LockProtocol, Order, Reservation};
+use toml::de::DeValue;
 
 pub(super) fn read(mut root: Section<'_>, problems: &mut Collector) -> Declared {
     let (mut policy, mut highest, mut protocol) =
@@ -57,6 +58,23 @@ fn costs(section: &mut Section<'_>, problems: &mut Collector) -> Costs {
     let throttling = pair(&mut table, "throttling", ["period", "runtime"], problems);
     table.finish(problems);
     Costs { context_switch, per_message, gateway, rclcpp, rclpy, demotion, tick, throttling }
+}
+
+/// What the kernel takes: see sched_deadline_period_* in its documentation.
+fn reservation(section: &mut Section<'_>, problems: &mut Collector) -> Option<At<Reservation>> {
+    const RUNTIME_NS: u64 = 1_024;
+    const PERIOD_NS: std::ops::RangeInclusive<u64> = 100_000..=4_194_304_000;
+    let at = section.raw("reservation")?.span().start;
+    let (period_ns, runtime_ns) = pair(section, "reservation", ["period", "runtime"], problems)?;
+    if !PERIOD_NS.contains(&period_ns) || runtime_ns < RUNTIME_NS {
+        let message = format!(
+            "`reservation` of {} is out of range: the kernel takes a `period` of 100us to 4.194304s and a `runtime` of 1.024us at least",
+            section.title
+        );
+        problems.add(at, message);
+        return None;
+    }
+    Some(At { value: Reservation { runtime_ns, period_ns }, at })
 }
 
 /// A table of a period and a part of it.
@@ -202,12 +220,15 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
     let all = section.has("all").then(|| together.first().map_or(section.at, |topic| topic.at));
     topics.extend(together);
     let overrun_at = section.raw("overrun").map(|value| value.span().start);
-    // Whether the job is demoted, and whether it is the last one.
-    let overruns = [("tell", (false, false)), ("demote", (true, false)), ("end", (true, true))];
-    let (demotes, ends) = choice(&mut section, "overrun", &overruns, problems).unwrap_or_default();
+    let overruns = OverrunPolicy::ALL.map(|policy| (policy.as_str(), policy));
+    let overrun = choice(&mut section, "overrun", &overruns, problems);
+    let overrun = overrun.zip(overrun_at).map(|(value, at)| At { value, at });
+    let any =
+        section.raw("core").filter(|value| matches!(value.get_ref(), DeValue::String(text) if text == "any"));
+    let floats = any.map(|value| value.span().start);
     let callback = Callback {
-        demotes: overrun_at.filter(|_| demotes),
-        ends,
+        reservation: reservation(&mut section, problems),
+        overrun,
         node: section.text("node", problems),
         topics,
         all,
@@ -224,7 +245,8 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
         non_preemptive: section.time("non_preemptive", problems),
         priority: priority(&mut section, "priority", problems),
         shares_priority: section.flag("shares_priority", problems),
-        core: section.integer("core", problems),
+        core: if floats.is_none() { section.integer("core", problems) } else { None },
+        floats,
         group: section.text("group", problems),
         publishes: section.texts("publishes", problems),
         reads: section.texts("reads", problems),

@@ -2,9 +2,9 @@
 //! Does a callback that overruns its budget make others miss their deadlines?
 //!
 //! Four callbacks of one core, with rate-monotonic priorities, each a timer and work that takes a part of its budget. One after the
-//! other, jobs chosen at random do 2 to 100 times their work; in parts of one run those are only counted, demoted when their budget
-//! is used up, or do not
-//! happen while something else computes below the callbacks, which is what this machine does to deadlines by itself. What is printed is in how many runs any other
+//! other, jobs chosen at random do 2 to 100 times their work; in parts of one run those are only counted, demoted or suspended when
+//! their budget is used up, or do not happen while something else computes below the callbacks, which is what this machine does to
+//! deadlines by itself. What is printed is in how many runs any other
 //! callback missed a deadline, how often, and in how many of these runs a job was late that would have been in time with what was taken from
 //! the core while it waited and ran: not the overrun's doing.
 
@@ -45,6 +45,7 @@ enum Part {
     None,
     Counted,
     Demoted,
+    Suspended,
 }
 
 impl Part {
@@ -53,6 +54,7 @@ impl Part {
             Part::None => "nobody, others compute",
             Part::Counted => "overruns are counted",
             Part::Demoted => "overruns are demoted",
+            Part::Suspended => "overruns are suspended",
         }
     }
 }
@@ -90,7 +92,9 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     println!("seed {seed}");
     let (machine, mut rows) = (machine(), Vec::new());
     // A fifth of the runs shows what happens if nothing is held.
-    for (part, runs) in [(Part::None, runs), (Part::Counted, runs / 5), (Part::Demoted, runs)] {
+    let parts =
+        [(Part::None, runs), (Part::Counted, runs / 5), (Part::Demoted, runs), (Part::Suspended, runs)];
+    for (part, runs) in parts {
         rows.push(measure_part(part, runs, seed)?);
     }
     report(&rows, options, &machine)
@@ -111,8 +115,11 @@ fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row, Box<dyn std::er
         });
         let thread = CallbackOptions::fifo(40 - i as u8).core(stage.core).name(format!("{period_ms} ms"));
         let thread = thread.period(period).budget(work.mul_f64(1.5)).bound(period);
-        let thread =
-            if part == Part::Demoted && stage.realtime { thread.demote_on_overrun() } else { thread };
+        let thread = match part {
+            Part::Demoted if stage.realtime => thread.demote_on_overrun(),
+            Part::Suspended if stage.realtime => thread.suspend_on_overrun(),
+            _ => thread,
+        };
         callbacks.push(node.spawn_callback(thread, timer)?);
     }
     let watched: Vec<CallbackHandle> = callbacks.clone();
@@ -239,7 +246,7 @@ fn report(rows: &[Row], options: &Options, machine: &str) -> Result<(), Box<dyn 
     println!("\nmissed deadlines of the others, while a callback does 2 to 100 times its work\n");
     println!(
         "{:<22}  {:>5}  {:>9}  {:>9}  {:>7}  {:>9}  {:>9}",
-        "", "runs", "with some", "explained", "misses", "overruns", "demotions"
+        "", "runs", "with some", "explained", "misses", "overruns", "held"
     );
     for row in rows {
         println!(
@@ -264,20 +271,23 @@ fn report(rows: &[Row], options: &Options, machine: &str) -> Result<(), Box<dyn 
     if let Some(path) = &options.json {
         std::fs::write(path, serde_json::to_string_pretty(rows)?)?;
     }
-    let [none, _, demoted] = rows else { return Err("a part is missing".into()) };
-    if !demoted.realtime {
+    let [none, _, demoted, suspended] = rows else { return Err("a part is missing".into()) };
+    if !(demoted.realtime && suspended.realtime) {
         print_no_verdict();
         return Ok(());
     }
     // What the machine does by itself may happen a little more often or less.
     let unexplained = |row: &Row| row.runs_with_misses - row.runs_explained;
+    let most = 2 * unexplained(none) + 1;
     print_verdict(
-        unexplained(demoted) <= 2 * unexplained(none) + 1,
+        unexplained(demoted) <= most && unexplained(suspended) <= most,
         &format!(
-            "an overrun costs no other callback its deadline: in {} of {} runs some was missed that what the host took does not explain, \
-             in {} of {} while nobody overran",
+            "an overrun costs no other callback its deadline: in {} of {} runs with demotion and {} of {} with suspension some was missed \
+             that what the host took does not explain, in {} of {} while nobody overran",
             unexplained(demoted),
             demoted.runs,
+            unexplained(suspended),
+            suspended.runs,
             unexplained(none),
             none.runs
         ),

@@ -117,7 +117,8 @@ fn draw_core(svg: &mut String, checked: &CheckedSystem, core: &CheckedCore, top:
     }
     for (row, (callback, tasks)) in members.iter().enumerate() {
         let y = first + ROW * (row + usize::from(overhead)) as f64;
-        let label = format!("{} ({})", shorten(&callback.entry.name), callback.entry.priority);
+        let priority = crate::table::priority(callback.entry.priority);
+        let label = format!("{} ({priority})", shorten(&callback.entry.name));
         text(svg, LEFT - 10.0, y + 19.0, "n", &label);
         for job in timeline.jobs.iter().filter(|job| tasks.contains(&job.task)) {
             let end = job.end_ns.unwrap_or(until);

@@ -26,6 +26,8 @@ struct Callback<'a> {
     name: &'a str,
     core: usize,
     priority: u8,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reservation: Option<Reservation>,
     period_ms: f64,
     wcet_ms: f64,
     response_ms: Option<f64>,
@@ -34,6 +36,14 @@ struct Callback<'a> {
     capacity: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     join: Option<Join<'a>>,
+}
+
+#[derive(Serialize)]
+struct Reservation {
+    runtime_ms: f64,
+    period_ms: f64,
+    /// Whether it may run on any core of its host.
+    floats: bool,
 }
 
 /// Without a window: the newest of each.
@@ -69,6 +79,11 @@ pub fn write(
         name: &callback.entry.name,
         core: callback.core,
         priority: callback.entry.priority,
+        reservation: callback.entry.reservation.map(|of| Reservation {
+            runtime_ms: ms(of.runtime_ns),
+            period_ms: ms(of.period_ns),
+            floats: callback.entry.floats,
+        }),
         period_ms: ms(callback.period_ns),
         wcet_ms: ms(callback.wcet_ns),
         response_ms: callback.response_ns.map(ms),

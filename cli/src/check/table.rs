@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
 
-use crate::table::{BAD, GOOD, WARNING, ms, write_table};
+use crate::table::{BAD, GOOD, WARNING, ms, priority, write_table};
 
 /// What callbacks that wait for several topics keep, and how long a message waits for the others.
 fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
@@ -33,16 +33,16 @@ fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> 
 /// Writes all there is to know; lines that fail are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let several = checked.cores.iter().any(|core| core.host != checked.cores[0].host);
-    let core = |callback: &CheckedCallback| match several {
-        true => format!("{}:{}", callback.host, callback.core),
-        false => callback.core.to_string(),
+    let core = |callback: &CheckedCallback| {
+        let number = if callback.entry.floats { "any".into() } else { callback.core.to_string() };
+        if several { format!("{}:{number}", callback.host) } else { number }
     };
     let row = |callback: &CheckedCallback| {
         vec![
             callback.entry.name.clone(),
             callback.entry.thread.clone(),
             core(callback),
-            callback.entry.priority.to_string(),
+            priority(callback.entry.priority),
             ms(Some(callback.period_ns)),
             ms(Some(callback.wcet_ns)),
             ms(callback.response_ns),

@@ -7,7 +7,9 @@ use super::host::Host;
 use super::kernel::allowance;
 use crate::manners::{Failure, Outcome};
 use std::path::Path;
-use tautline::{CoreSet, Limits, find_schema, topic_memory};
+use tautline::rt::ThreadBuilder;
+use tautline::{CoreSet, Limits, Policy, find_schema, topic_memory};
+use tautline_analysis::Reservation;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, CoreEntry, SystemFile};
 use tautline_schema::{Layout, Size};
 use tautline_transport::Qos;
@@ -51,15 +53,45 @@ impl System {
     /// The highest one that a thread of this host has.
     pub fn priority(&self) -> u8 {
         let samplers = self.own().map(|(_, core)| core.sampler_priority);
-        samplers.chain(self.callbacks().map(|callback| callback.entry.priority)).max().unwrap_or(1)
+        let callbacks = self.callbacks().filter(|callback| callback.entry.reservation.is_none());
+        samplers.chain(callbacks.map(|callback| callback.entry.priority)).max().unwrap_or(1)
     }
 
     pub fn findings(&self, host: &Host) -> Vec<Finding> {
-        vec![
+        [
             Finding::of("kernel threads", self.kernel_threads(host)),
             Finding::of("stated throttling", self.throttling(host)),
             Finding::of("memory of the file", self.memory(host)),
         ]
+        .into_iter()
+        .chain(self.reservations(host).map(|checked| Finding::of("reservations", checked)))
+        .collect()
+    }
+
+    /// Whether the kernel grants what the file reserves, if it reserves something.
+    fn reservations(&self, host: &Host) -> Option<Checked> {
+        let reserved: Vec<_> =
+            self.callbacks().filter(|callback| callback.entry.reservation.is_some()).collect();
+        if reserved.is_empty() {
+            return None;
+        }
+        if !host.tree.is_here() {
+            return Some(Err("SCHED_DEADLINE is tried on the host itself".into()));
+        }
+        for callback in &reserved {
+            let Some(Reservation { runtime_ns, period_ns }) = callback.entry.reservation else { continue };
+            let probe = ThreadBuilder::new("rt-probe").policy(Policy::Deadline { runtime_ns, period_ns });
+            let probe = if callback.entry.floats { probe } else { probe.cores(CoreSet::one(callback.core)) };
+            if let Err(error) = probe.spawn(|| || ()).and_then(|thread| thread.join()) {
+                let value = format!("SCHED_DEADLINE for `{}` is refused (tried)", callback.entry.name);
+                let cost = Cost::Unknown("programs do not start in real time");
+                return Some(Ok(Finding::new(Verdict::Bad, value).costs(cost).fix(error.to_string())));
+            }
+        }
+        Some(Ok(Finding::good(format!(
+            "SCHED_DEADLINE is granted to all {} of the file (tried)",
+            reserved.len()
+        ))))
     }
 
     /// Threads of the kernel that serve interrupts, timers and RCU and would wait for those of the file.

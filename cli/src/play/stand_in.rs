@@ -71,8 +71,10 @@ impl StandIn {
             .max_by_key(|callback| callback.priority)
     }
 
+    /// One with a reservation is above all others: so is what is played in its place.
     pub fn priority(&self) -> u8 {
-        self.first().map_or(super::PRIORITY, |callback| callback.priority)
+        const HIGHEST: u8 = 98;
+        self.first().map_or(super::PRIORITY, |callback| callback.priority.min(HIGHEST))
     }
 
     /// Its core.

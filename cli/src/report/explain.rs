@@ -2,7 +2,8 @@
 //! Each violated assumption: its name, what was seen, what to change.
 use std::fmt;
 
-use tautline_analysis::file::{CheckedCallback, Client};
+use tautline::Policy;
+use tautline_analysis::file::{CheckedCallback, Client, OverrunPolicy};
 
 use super::host::Share;
 use super::run::{Callback, Process, Run};
@@ -56,7 +57,7 @@ pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
 pub fn ended(predicted: &CheckedCallback, process: &Process, seen: &Callback) -> Mark {
     let (name, process) = (&predicted.entry.name, process.label());
     let text = match predicted.entry.client {
-        Client::Tautline if predicted.entry.ends && seen.demotions > 0 => format!(
+        Client::Tautline if predicted.entry.overrun == OverrunPolicy::End && seen.demotions > 0 => format!(
             "a job used more than its budget and ended it, as `overrun = \"end\"` says, in {process}, which goes on without \
              `{name}`: raise its `wcet` and run `taut check`, or make it shorter, and start it again"
         ),
@@ -84,18 +85,32 @@ pub fn of_another(process: &Process, of: Mark) -> Mark {
     mark(of.name, format!("in {}: {}", process.label(), of.explanation))
 }
 
+/// What a thread's real-time priority is called.
+pub fn level(priority: u8) -> String {
+    if priority < Policy::RESERVATION {
+        format!("priority {priority}")
+    } else {
+        "a reservation (SCHED_DEADLINE)".into()
+    }
+}
+
 pub fn wrong_priority(predicted: &CheckedCallback, seen: &Callback) -> Mark {
-    let has = seen.priority.map_or("time sharing".into(), |priority| format!("priority {priority}"));
+    let has = match seen.reservation {
+        Some(policy) => policy.to_string(),
+        None => seen.priority.map_or("time sharing".into(), level),
+    };
     let priority = predicted.entry.priority;
+    let wanted = match predicted.entry.reservation {
+        Some(of) => Policy::Deadline { runtime_ns: of.runtime_ns, period_ns: of.period_ns }.to_string(),
+        None => level(priority),
+    };
     let how = match predicted.entry.client {
         Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
         Client::Rclcpp | Client::Rclpy => {
             format!("give SCHED_FIFO {priority} to the thread that spins its executor, before it does")
         }
     };
-    let text = format!(
-        "its thread has {has}, the file gives it priority {priority}: {how}, or change `priority` in the file"
-    );
+    let text = format!("its thread has {has}, the file gives it {wanted}: {how}, or change it in the file");
     mark("wrong priority", text)
 }
 
@@ -121,6 +136,12 @@ pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64,
     };
     let demoted = match seen.demotions {
         0 => String::new(),
+        _ if predicted.entry.overrun == OverrunPolicy::Suspend => {
+            format!(
+                "; {} suspended until its next period, so no other bound rests on it",
+                times(seen.demotions)
+            )
+        }
         _ => format!(
             "; {} below all others, with what waited for it, so no other bound rests on it",
             times(seen.demotions)
@@ -183,10 +204,10 @@ pub fn bound_exceeded(
     } else {
         format!(
             "if no callback of core {} has another mark, something ran there that the file lacks: interrupts, other \
-             threads of priority {} or more, a lock, throttling, {}or [overheads] that are too small; \
+             threads of {} or more, a lock, throttling, {}or [overheads] that are too small; \
              `taut demo` measures them",
             predicted.core,
-            predicted.entry.priority,
+            level(predicted.entry.priority),
             if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on tells), " }
         )
     };
@@ -284,9 +305,10 @@ pub fn sampler_too_low(sampler: u8, callback: &str, priority: u8) -> Mark {
 pub fn not_in_the_file(process: &Process, callback: &Callback, priority: u8) -> Mark {
     let core = callback.core.map_or("several cores".into(), |core| format!("core {core}"));
     let text = format!(
-        "{} runs it on {core} at priority {priority}, where the analysis does not count its load: add it to the file, or \
+        "{} runs it on {core} at {}, where the analysis does not count its load: add it to the file, or \
          run it without real-time priority",
-        process.label()
+        process.label(),
+        level(priority)
     );
     mark("not in the file", text)
 }

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
-use tautline::{Admitted, Bucket, CallbackSnapshot, ForeignStatistics, HistogramSnapshot, ProcessSnapshot};
+use tautline::{
+    Admitted, Bucket, CallbackSnapshot, ForeignStatistics, HistogramSnapshot, Policy, ProcessSnapshot,
+};
 
 use super::ReportError;
 use crate::moment::Moment;
@@ -55,6 +57,9 @@ pub struct Callback {
     pub ended: bool,
     pub tid: u32,
     pub priority: Option<u8>,
+    /// Under SCHED_DEADLINE, while its thread lived: what the kernel reserved.
+    #[serde(skip)]
+    pub reservation: Option<Policy>,
     pub core: Option<usize>,
     pub measures_execution: bool,
     pub period_ns: Option<u64>,
@@ -186,6 +191,9 @@ impl Callback {
             ended,
             tid: of.tid,
             priority: of.priority,
+            reservation: (of.priority == Some(Policy::RESERVATION) && !ended)
+                .then(|| tautline::rt::policy_of(of.tid).ok())
+                .flatten(),
             core: of.core,
             measures_execution: of.measures_execution,
             period_ns: of.period_ns,

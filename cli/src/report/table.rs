@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use tautline::HistogramSnapshot;
 
+use super::explain;
 use super::host::Share;
 use super::run::Run;
 use super::verdict::{Comparison, Row};
@@ -39,8 +40,8 @@ pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Re
     writeln!(out)?;
     for unknown in &comparison.unknown {
         let where_it_runs = match (unknown.callback.priority, unknown.callback.core) {
-            (Some(priority), Some(core)) => format!("core {core}, priority {priority}"),
-            (Some(priority), None) => format!("priority {priority}"),
+            (Some(priority), Some(core)) => format!("core {core}, {}", explain::level(priority)),
+            (Some(priority), None) => explain::level(priority),
             _ => "time sharing".into(),
         };
         let (name, process) = (&unknown.name, &unknown.process);

@@ -2,7 +2,7 @@
 //! Prediction against measurement: which assumptions of the analysis were kept.
 use std::collections::BTreeSet;
 
-use tautline::HistogramSnapshot;
+use tautline::{HistogramSnapshot, Policy};
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, Client, SystemFile};
 
 use super::explain;
@@ -132,7 +132,9 @@ impl Comparison {
 }
 
 fn sampler_too_low(process: &Process) -> Option<Mark> {
-    let highest = process.callbacks.iter().max_by_key(|callback| callback.priority)?;
+    // A reservation is above it for as long as it says.
+    let below = |callback: &&Callback| callback.priority < Some(Policy::RESERVATION);
+    let highest = process.callbacks.iter().filter(below).max_by_key(|callback| callback.priority)?;
     let (sampler, callback) = (process.sampler_priority?, highest.priority?);
     (process.realtime && sampler <= callback)
         .then(|| explain::sampler_too_low(sampler, &highest.name, callback))
@@ -216,10 +218,14 @@ fn violations(
     let mut marks = Vec::new();
     // A thread without a number is just starting: nobody knows yet what the kernel gave it.
     if process.realtime && seen.tid != 0 {
-        if seen.priority != Some(predicted.entry.priority) {
+        let wanted = predicted.entry.reservation;
+        let wanted = wanted.map(|of| Policy::Deadline { runtime_ns: of.runtime_ns, period_ns: of.period_ns });
+        // What is reserved is known of threads that live.
+        let other = seen.reservation.is_some_and(|policy| Some(policy) != wanted);
+        if seen.priority != Some(predicted.entry.priority) || other {
             marks.push(explain::wrong_priority(predicted, seen));
         }
-        if seen.core != Some(predicted.core) {
+        if !predicted.entry.floats && seen.core != Some(predicted.core) {
             marks.push(explain::wrong_core(predicted, seen));
         }
     }

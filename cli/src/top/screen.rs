@@ -2,7 +2,7 @@
 //! The picture as tables: on a terminal, or printed once.
 
 use super::picture::{CallbackRow, Order, Picture};
-use crate::table::write_table;
+use crate::table::{self, write_table};
 use ratatui::Frame;
 use ratatui::layout::{Alignment, Constraint, Layout};
 use ratatui::style::{Color, Modifier, Style};
@@ -48,8 +48,8 @@ fn ms(value: Option<f64>) -> String {
 
 fn callback(row: &CallbackRow) -> Vec<String> {
     let place = match (row.priority, row.core) {
-        (Some(priority), Some(core)) => format!("{priority}@{core}"),
-        (Some(priority), None) => priority.to_string(),
+        (Some(priority), Some(core)) => format!("{}@{core}", table::priority(priority)),
+        (Some(priority), None) => table::priority(priority),
         (None, _) => "-".into(),
     };
     let room = row.capacity.map_or(row.depth.to_string(), |capacity| capacity.to_string());

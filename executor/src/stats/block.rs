@@ -162,7 +162,7 @@ pub struct CallbackSnapshot {
     pub completions: u64,
     /// Jobs that used more processor time than the budget.
     pub overruns: u64,
-    /// Jobs that were demoted: those that used more than the budget where it is held, and those that waited for them.
+    /// Jobs that were demoted or suspended: those that used more than the budget where it is held, and those that waited for them.
     pub demotions: u64,
     /// Jobs that ended later than the deadline.
     pub deadline_misses: u64,

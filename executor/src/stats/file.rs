@@ -12,8 +12,8 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, sta
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 4;
-const HEADER_WORDS: usize = 736;
+const VERSION: u64 = 5;
+const HEADER_WORDS: usize = 864;
 
 /// What each word of the header is.
 mod header {
@@ -30,11 +30,25 @@ mod header {
     pub const STEAL_TICKS: usize = 8;
     /// 0: nobody looked; 1: admitted; 2: by force, with why.
     pub const ADMITTED: usize = 9;
+    // What others ask of the process: written by them.
+    /// Another one for each order; 0: none yet.
+    pub const ORDER: usize = 10;
+    /// The hash of the text that the system file has then.
+    pub const ORDER_HASH: usize = 11;
+    /// 1: say whether it can be done; 2: do it.
+    pub const ORDER_KIND: usize = 12;
+    // What the process answers.
+    /// The order.
+    pub const ANSWER: usize = 13;
+    /// 0: done; 1: refused.
+    pub const ANSWER_KIND: usize = 14;
+    pub const TAKES_ORDERS: usize = 15;
     pub const PROGRAM: Range<usize> = 16..48;
     pub const HOST: Range<usize> = 48..80;
     pub const SYSTEM_PATH: Range<usize> = 80..640;
     pub const STANDS_IN: Range<usize> = 640..672;
     pub const FORCED: Range<usize> = 672..736;
+    pub const ANSWER_TEXT: Range<usize> = 736..864;
 }
 
 /// What a process tells of itself.
@@ -60,6 +74,8 @@ pub struct ProcessInfo {
     pub stands_in: String,
     /// Whether it was checked against what ran already.
     pub admitted: Admitted,
+    /// Whether it takes up another text of its system file while it runs; said by [`StatisticsFile::orders`].
+    pub takes_orders: bool,
 }
 
 /// Whether a process's load was checked against that of others when it came.
@@ -161,6 +177,12 @@ impl StatisticsFile {
         put_admitted(&self.places.header, admitted);
     }
 
+    /// What others ask of this process; they may from now on.
+    pub fn orders(&self) -> Orders {
+        self.places.header[header::TAKES_ORDERS].store(1, Ordering::Relaxed);
+        Orders { places: Arc::clone(&self.places) }
+    }
+
     /// A place for the statistics of one more callback: all zeros.
     pub(super) fn claim(&self) -> io::Result<Block> {
         let places = &self.places;
@@ -176,6 +198,48 @@ impl StatisticsFile {
             None => count.store(next + 1, Ordering::Release),
         }
         Ok(Block::new(words, Some(Place { index, places: Arc::clone(places) })))
+    }
+}
+
+/// What others ask of a process through its statistics: to take up the text that its system file has now.
+#[derive(Debug)]
+pub struct Orders {
+    places: Arc<Places>,
+}
+
+/// One of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Order {
+    number: u64,
+    /// The hash of the text that is meant.
+    pub system_hash: u64,
+    /// Whether it is to be done, not only tried.
+    pub is_final: bool,
+}
+
+impl Orders {
+    /// The one that has not been answered, if there is one. What it says is a claim.
+    pub fn next(&self) -> Option<Order> {
+        let header = &self.places.header;
+        // Acquire: pairs with the order in which `ForeignStatistics::order` writes, the number last.
+        let number = header[header::ORDER].load(Ordering::Acquire);
+        let system_hash = header[header::ORDER_HASH].load(Ordering::Relaxed);
+        let is_final = header[header::ORDER_KIND].load(Ordering::Relaxed) == 2;
+        let is_new = number != 0 && number != header[header::ANSWER].load(Ordering::Relaxed);
+        is_new.then_some(Order { number, system_hash, is_final })
+    }
+
+    /// Answers it: why it cannot be done, or that it was, or can be.
+    pub fn answer(&self, order: &Order, answer: Result<(), String>) {
+        let header = &self.places.header;
+        let set = |index: usize, value: u64| header[index].store(value, Ordering::Relaxed);
+        set(header::ANSWER_KIND, u64::from(answer.is_err()));
+        put_text(&header[header::ANSWER_TEXT], answer.as_ref().err().map_or("", String::as_str));
+        if answer.is_ok() && order.is_final {
+            set(header::SYSTEM_HASH, order.system_hash);
+        }
+        // Release: pairs with the Acquire in `ForeignWords::read`.
+        header[header::ANSWER].store(order.number, Ordering::Release);
     }
 }
 
@@ -246,6 +310,41 @@ impl ForeignStatistics {
         self.file.is_owned()
     }
 
+    /// Asks the process to take up the text with this hash that its system file has now, or only whether it could. It looks when its
+    /// participant is called (`tautline_transport::call_all`). `number` tells the order from others, such as the time; never 0.
+    ///
+    /// # Errors
+    /// What the system said, with the path.
+    pub fn order(&self, number: u64, system_hash: u64, is_final: bool) -> io::Result<()> {
+        use std::os::unix::fs::FileExt;
+        let failed =
+            |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", self.path().display()));
+        let file = std::fs::OpenOptions::new().write(true).open(self.path()).map_err(failed)?;
+        let kind = if is_final { 2 } else { 1 };
+        let words = [(header::ORDER_HASH, system_hash), (header::ORDER_KIND, kind), (header::ORDER, number)];
+        words
+            .into_iter()
+            .try_for_each(|(index, word)| file.write_all_at(&word.to_ne_bytes(), index as u64 * 8))
+            .map_err(failed)
+    }
+
+    /// What the process has answered to the order with this number; `None`: nothing yet.
+    ///
+    /// # Errors
+    /// What the system said, with the path.
+    pub fn answer(&self, number: u64) -> io::Result<Option<Result<(), String>>> {
+        let words = self.file.read(0, HEADER_WORDS)?;
+        if words[header::ANSWER] != number {
+            return Ok(None);
+        }
+        // Read after the number was: the text is there when the number is.
+        let words = self.file.read(0, HEADER_WORDS)?;
+        Ok(Some(match words[header::ANSWER_KIND] {
+            0 => Ok(()),
+            _ => Err(get_text(&words[header::ANSWER_TEXT])),
+        }))
+    }
+
     /// Removes the file of a process that was killed; says whether it did.
     pub fn remove_if_orphaned(&self) -> bool {
         self.file.remove_if_orphaned()
@@ -277,6 +376,7 @@ impl ForeignStatistics {
             system_hash: words[header::SYSTEM_HASH],
             steal_ticks: words[header::STEAL_TICKS],
             stands_in: get_text(&words[header::STANDS_IN]),
+            takes_orders: words[header::TAKES_ORDERS] != 0,
             admitted: match words[header::ADMITTED] {
                 0 => Admitted::Unchecked,
                 1 => Admitted::Checked,
@@ -321,6 +421,7 @@ mod tests {
             steal_ticks: 3,
             stands_in: "camera".into(),
             admitted: Admitted::Forced("callback `scan` would be late".into()),
+            takes_orders: false,
         }
     }
 
@@ -358,6 +459,29 @@ mod tests {
         b.release(1);
         assert!(!found[0].is_running() && ForeignStatistics::list(&prefix).unwrap().is_empty());
         assert_eq!(found[0].read().unwrap().unwrap().callbacks[1].releases, 1);
+    }
+
+    #[test]
+    fn an_order_is_answered_once() {
+        let prefix = prefix("orders");
+        let file = StatisticsFile::create(&prefix, &about()).unwrap();
+        let found = &ForeignStatistics::list(&prefix).unwrap()[0];
+        assert!(!found.read().unwrap().unwrap().process.takes_orders);
+        let orders = file.orders();
+        assert!(found.read().unwrap().unwrap().process.takes_orders && orders.next().is_none());
+        let hash = || found.read().unwrap().unwrap().process.system_hash;
+        for (number, is_final, answer) in
+            [(5, false, Ok(())), (6, true, Err("a core".to_owned())), (9, true, Ok(()))]
+        {
+            found.order(number, 77, is_final).unwrap();
+            let order = orders.next().unwrap();
+            assert_eq!(order, Order { number, system_hash: 77, is_final });
+            assert_eq!(found.answer(number).unwrap(), None);
+            assert_eq!(hash(), 42, "what it has until it has done it");
+            orders.answer(&order, answer.clone());
+            assert_eq!((found.answer(number).unwrap(), orders.next()), (Some(answer), None));
+        }
+        assert_eq!(hash(), 77);
     }
 
     #[test]

@@ -11,10 +11,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{LazyLock, OnceLock};
 use std::time::Duration;
 
-use tautline_rt::ThreadInfo;
+use tautline_rt::{Policy, ThreadInfo};
 
 pub use block::CallbackSnapshot;
-pub use file::{Admitted, ForeignStatistics, ProcessInfo, ProcessSnapshot, StatisticsFile};
+pub use file::{Admitted, ForeignStatistics, Order, Orders, ProcessInfo, ProcessSnapshot, StatisticsFile};
 pub use histogram::{Bucket, Histogram, HistogramSnapshot};
 pub use moments::{Moment, MomentKind};
 
@@ -95,6 +95,13 @@ impl CallbackStats {
         if let Some(block) = self.block.get() {
             block.set(word::PERIOD, nanoseconds(period));
             block.set(word::MEASURES_EXECUTION, u64::from(measures_execution));
+        }
+    }
+
+    /// Another priority than its thread had at first.
+    pub(crate) fn describe_priority(&self, policy: Policy) {
+        if let Some(block) = self.block.get() {
+            block.set(word::PRIORITY, policy.realtime_priority().map_or(0, u64::from));
         }
     }
 

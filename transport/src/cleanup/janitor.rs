@@ -10,8 +10,8 @@ use crate::graph::domain::Domain;
 use crate::participant::file::OwnMemory;
 use crate::topic::matching::Matcher;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tautline_doorbell::Doorbell;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
@@ -31,8 +31,12 @@ struct Shared {
     doorbell: Arc<Doorbell>,
     matcher: Arc<Matcher>,
     memory: Arc<OwnMemory>,
+    attendant: OnceLock<Attendant>,
     stop: AtomicBool,
 }
+
+/// What is done besides, each time that the janitor looks.
+type Attendant = Box<dyn Fn() + Send + Sync>;
 
 /// Handle of the janitor thread; dropping it ends the thread and waits for it.
 pub(crate) struct Janitor {
@@ -54,6 +58,7 @@ impl Janitor {
             doorbell: doorbell.clone(),
             matcher: matcher.clone(),
             memory: memory.clone(),
+            attendant: OnceLock::new(),
             stop: AtomicBool::new(false),
         });
         let thread = {
@@ -62,6 +67,11 @@ impl Janitor {
             builder.spawn(move || move || run(&shared)).map_err(TransportError::Thread)?
         };
         Ok(Janitor { shared, thread: Some(thread) })
+    }
+
+    /// Has it do this, too, each time that it looks: the first one that is given.
+    pub(crate) fn attend(&self, attendant: Attendant) {
+        let _ = self.shared.attendant.set(attendant);
     }
 }
 
@@ -90,6 +100,9 @@ fn run(shared: &Shared) {
             shared.doorbell.arena().rescue();
         }
         let is_traced = tautline_trace::attend();
+        if let Some(attend) = shared.attendant.get() {
+            attend();
+        }
         // Not by the end of this process.
         let is_removed = !has_stand_in && shared.memory.is_removed() && !shared.domain.has_left();
         if is_removed {

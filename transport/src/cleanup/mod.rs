@@ -29,6 +29,18 @@ pub fn start_recorder(domain: u32) -> Result<tautline_trace::Recorder, Transport
     Ok(recorder)
 }
 
+/// Has every participant of a domain look whether there is something to do: see [`Participant::attend`](crate::Participant::attend).
+///
+/// # Errors
+/// [`TransportError`]: no such domain.
+pub fn call_all(domain: u32) -> Result<(), TransportError> {
+    crate::participant::check_domain(domain)?;
+    if let Some(domain) = Domain::visit(domain)? {
+        domain.call_all();
+    }
+    Ok(())
+}
+
 /// For what no real-time thread may wait for.
 pub(crate) fn low_priority_thread(name: &str) -> Result<ThreadBuilder, RtError> {
     let builder = ThreadBuilder::new(name);

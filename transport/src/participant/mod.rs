@@ -35,7 +35,7 @@ pub struct Participant {
 
 pub(crate) struct Shared {
     // Dropped in this order: the threads first, the membership last.
-    _janitor: Janitor,
+    janitor: Janitor,
     _warden: Warden,
     pub(crate) watchers: Watchers,
     pub(crate) matcher: Arc<Matcher>,
@@ -154,7 +154,7 @@ impl Participant {
         let janitor = Janitor::start(&domain, place, &doorbell, &matcher, &memory)?;
         let warden = Warden::start(&domain)?;
         let shared = Shared {
-            _janitor: janitor,
+            janitor,
             _warden: warden,
             watchers: Watchers::new(domain.clone()),
             matcher,
@@ -169,6 +169,12 @@ impl Participant {
             _at_exit: at_exit,
         };
         Ok(Participant { shared: Arc::new(shared), node: None })
+    }
+
+    /// Has the participant's janitor call this each time that it looks around, because somebody asked for it: an ordinary thread of low
+    /// priority, which must not be kept waiting. Only the first one that is given counts. It must not keep the participant.
+    pub fn attend(&self, attendant: impl Fn() + Send + Sync + 'static) {
+        self.shared.janitor.attend(Box::new(attendant));
     }
 
     /// The domain.

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Callbacks with a reservation: what the file may say of them, and what they take from every core that they may run on.
+use super::Client;
+use super::declared::{Callback as Declaration, Declared};
+use super::places::Place;
+use super::problem::Collector;
+use super::streams::Streams;
+use crate::Reservation;
+use crate::system::Callback;
+
+pub(super) fn check(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: &mut Collector) {
+    for (i, callback) in file.callbacks.iter().enumerate() {
+        let name = &callback.name;
+        let Some(reservation) = &callback.reservation else {
+            if let Some(at) = callback.floats {
+                let message = format!(
+                    "callback `{name}` is on any core, which only one with a `reservation` may be: name its core"
+                );
+                problems.add(at, message);
+            }
+            continue;
+        };
+        let mut problem = |what: &str| {
+            problems.add(reservation.at, format!("callback `{name}` has a `reservation`, {what}"));
+        };
+        if callback.priority.is_some() || callback.shares_priority {
+            problem("which is above every priority: leave out `priority` and `shares_priority`");
+        }
+        if callback.group.is_some() {
+            problem("but shares its thread: give it one of its own, without `group`");
+        }
+        if callback.holds().is_some() {
+            problem("to which the kernel holds it: leave out `overrun`");
+        }
+        if !callback.locks.is_empty() {
+            problem(
+                "but takes locks: who waits for one while the reservation is used up has no bound; leave them out",
+            );
+        }
+        if callback.non_preemptive.is_some() {
+            problem("whose end preempts everything: leave out `non_preemptive`");
+        }
+        if callback.all.is_some() || streams.tasks(i).len() > 1 {
+            problem(
+                "but is reached in several ways, which has no bound: let one publisher trigger it, by one topic",
+            );
+        }
+        if places[i].is_some_and(|place| file.nodes[place.node].client != Client::Tautline) {
+            problem("but is run by an executor of ROS 2's: leave it out");
+        }
+        let same_host = |(other, place): &(&Declaration, &Option<Place>)| {
+            other.reservation.is_some() && place.zip(places[i]).is_some_and(|(one, two)| one.host == two.host)
+        };
+        let before: Vec<_> = file.callbacks[..i].iter().zip(&places[..i]).filter(same_host).collect();
+        let floats = |callback: &Declaration| callback.floats.is_some();
+        if let Some((other, _)) = before.iter().find(|(other, _)| floats(other) != floats(callback)) {
+            problem(&format!(
+                "as `{}` on its host, but only one of both is on any core, where they may wait for each other: say `core = \"any\"` in \
+                 both, or in none",
+                other.name
+            ));
+        }
+        let on_core = |(other, place): &&(&Declaration, &Option<Place>)| {
+            !floats(other) && place.map(|of| of.core) == places[i].map(|of| of.core)
+        };
+        if let Some((other, _)) = before.iter().find(on_core).filter(|_| !floats(callback)) {
+            problem(&format!(
+                "as `{}` on its core: there may be one on a core, for they wait for each other",
+                other.name
+            ));
+        }
+        let cores = places[i].map_or(0, |place| file.hosts[place.host].cores.len());
+        if floats(callback) && before.iter().filter(|(other, _)| floats(other)).count() >= cores {
+            problem(
+                "as many more on its host, which has fewer cores: they would wait for each other; leave out one",
+            );
+        }
+    }
+}
+
+/// A reservation that may run on any core of its host takes from all of them, at the most all that it has: there it is another
+/// callback, after those of the file, without messages of its own.
+pub(super) fn spread(
+    file: &Declared,
+    places: &[Place],
+    cores: &[(usize, usize)],
+    streams: &Streams,
+    callbacks: &mut Vec<Callback>,
+) {
+    for (i, declared) in file.callbacks.iter().enumerate().filter(|(_, callback)| callback.floats.is_some()) {
+        let own = callbacks[streams.tasks(i).start].clone();
+        let others =
+            (0..cores.len()).filter(|core| cores[*core].0 == places[i].host && *core != places[i].core);
+        callbacks.extend(others.map(|core| {
+            let mut copy = Callback { core, ..own.clone() };
+            copy.task.message_overhead_ns = Some(0);
+            copy.task.priority = Reservation::PRIORITY;
+            // Nobody waits for it there.
+            copy.task.deadline_ns = u64::MAX - 1;
+            copy.task.name = format!("{} (core {})", declared.name, cores[core].1);
+            copy
+        }));
+    }
+}

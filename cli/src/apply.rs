@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut apply`: the text that a system file has now, for the processes that run with it.
+
+use crate::check::print_file_error;
+use crate::manners::{Failure, Manners, Outcome};
+use crate::table::{GOOD, wrap};
+use clap::Args;
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use tautline::{Error, apply_system};
+use tautline_analysis::file::SystemFile;
+
+/// Has running processes take up what their system file says now: priorities, reservations, budgets and deadlines
+///
+/// The new text is checked first, beside what else runs in the domain, and by each process, which knows what it cannot change without a
+/// restart (callbacks, nodes, cores, threads, topics, periods, deeper queues). If one refuses, nothing is changed. Exits with 0 if all have
+/// taken it up, 1 if it was refused, 2 if the file cannot be used.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut apply system.toml                      the file that a robot was started with, after an edit
+  taut check system.toml --sensitivity        before: how much may be changed
+  taut report system.toml                     after: what it does
+
+docs/system-toml.md#changes-at-run-time says what can be changed.")]
+pub struct ApplyArgs {
+    /// The system file
+    #[arg(default_value = "system.toml", value_name = "FILE")]
+    file: PathBuf,
+    #[command(flatten)]
+    manners: Manners,
+}
+
+/// Runs the verb.
+pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
+    args.manners.bound();
+    if let Err(error) = SystemFile::read(&args.file) {
+        print_file_error(&error);
+        return Ok(ExitCode::from(2));
+    }
+    let domain = args.manners.domain()?;
+    let processes = match apply_system(domain, &args.file) {
+        Err(error @ (Error::NotAdmitted { .. } | Error::NobodyHas { .. } | Error::NotTakenUp { .. })) => {
+            return Err(Failure::no(error.to_string()));
+        }
+        outcome => outcome?,
+    };
+    let labels: Vec<_> =
+        processes.iter().map(|process| format!("{} (process {})", process.program, process.pid)).collect();
+    let mut out = anstream::stdout().lock();
+    if args.manners.json {
+        writeln!(out, "{}", serde_json::json!({ "domain": domain, "processes": labels }))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let text = format!("Taken up in domain {domain} by {}.", labels.join(", "));
+    writeln!(out, "{GOOD}{}{GOOD:#}", wrap(&text))?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Changing how callbacks run while they run: priorities, reservations, budgets, deadlines.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tautline_rt::{Policy, RtError, policy_of, set_policy_of};
+
+use crate::callback::Callback;
+use crate::{CallbackOptions, ExecutorError};
+
+/// All callbacks of an executor, some of those that have ended among them.
+pub(crate) type Callbacks = Arc<Mutex<Vec<Arc<Callback>>>>;
+
+/// The callbacks of an [`Executor`](crate::Executor), without keeping it: see [`Executor::settings`](crate::Executor::settings).
+#[derive(Clone)]
+pub struct CallbackSettings {
+    callbacks: Callbacks,
+}
+
+impl CallbackSettings {
+    pub(crate) fn new(callbacks: Callbacks) -> CallbackSettings {
+        CallbackSettings { callbacks }
+    }
+
+    /// Gives every running callback with the name of `options` the priority, or the reservation, of their policy, and their budget,
+    /// deadline and bound; says how many there are. All else stays as it is. Of a group's member it is the group's thread that gets the
+    /// priority. The budget of a job that runs is the former one.
+    ///
+    /// # Real-time
+    /// For other threads than callbacks': some system calls for each, and a lock.
+    ///
+    /// # Errors
+    /// [`ExecutorError::CannotChange`]: the callback runs under another kind of policy. [`ExecutorError::Thread`]: the kernel refuses. Those that
+    /// were changed before have their former policies again.
+    pub fn change(&self, options: &CallbackOptions) -> Result<usize, ExecutorError> {
+        let callbacks = self.callbacks.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let running = callbacks.iter().filter(|callback| !callback.end.has_come());
+        let found: Vec<_> = running
+            .filter_map(|callback| {
+                let mut all = std::iter::once(&callback.stats).chain(&callback.members);
+                Some((callback, all.find(|stats| stats.name() == options.name)?))
+            })
+            .collect();
+        let mut changed: Vec<(&Callback, Policy)> = Vec::new();
+        for (callback, _) in &found {
+            match set(callback, &options.name, options.policy) {
+                Ok(former) => changed.push((callback, former)),
+                Err(error) => {
+                    for (callback, former) in changed {
+                        let _ = set(callback, &options.name, former);
+                    }
+                    return Err(error);
+                }
+            }
+        }
+        for (_, stats) in &found {
+            stats.set_deadline(options.effective_deadline());
+            stats.set_budget(options.budget);
+            stats.set_bound(options.bound);
+        }
+        Ok(found.len())
+    }
+}
+
+/// Sets the thread's policy, and says which it had.
+fn set(callback: &Callback, name: &str, policy: Policy) -> Result<Policy, ExecutorError> {
+    let failed = |source: RtError| ExecutorError::Thread { name: name.to_owned(), source };
+    let tid = callback.info.tid;
+    let former = match callback.info.policy {
+        Policy::Fifo(_) | Policy::RoundRobin(_) => callback.priority.policy(),
+        _ => policy_of(tid).map_err(failed)?,
+    };
+    match (former, policy) {
+        // Without real-time priorities there is none to change.
+        (Policy::Other { .. } | Policy::Unmanaged(_), _) => return Ok(former),
+        (Policy::Fifo(_), Policy::Fifo(priority)) | (Policy::RoundRobin(_), Policy::RoundRobin(priority)) => {
+            callback.priority.change(tid, priority).map_err(failed)?;
+        }
+        (Policy::Deadline { .. }, Policy::Deadline { .. }) => set_policy_of(tid, policy).map_err(failed)?,
+        (from, to) => return Err(ExecutorError::CannotChange { name: name.to_owned(), from, to }),
+    }
+    for stats in std::iter::once(&callback.stats).chain(&callback.members) {
+        stats.describe_priority(policy);
+    }
+    Ok(former)
+}
+
+impl std::fmt::Debug for CallbackSettings {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("CallbackSettings").finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Taking up another text of the system file while callbacks run: their priorities, reservations, budgets, deadlines.
+//!
+//! ```text
+//!  who asks                          each process that has the file
+//!   checks the new text against what runs; holds the domain's gate
+//!   order: could you?        ->       reads the file again, compares      (janitor's thread, low priority)
+//!                            <-       yes, or why not: then nothing is changed anywhere
+//!   order: do it             ->       sets policies and limits, or all back
+//!                            <-       done
+//! ```
+
+use crate::admission::{Admission, Gate, Running, decide, label_of};
+use crate::error::{Error, Result};
+use crate::statistics::shared_statistics;
+use crate::system::LoadedSystem;
+use std::path::Path;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::{Duration, Instant};
+use tautline_analysis::file::SystemFile;
+use tautline_analysis::file::admission::{Candidate, Share};
+use tautline_executor::{CallbackOptions, CallbackSettings, ForeignStatistics, Order, Orders, ProcessInfo};
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::domain::shared_path;
+
+/// How long a process may take to answer.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// The system file as it is in force.
+#[derive(Debug)]
+pub(crate) struct CurrentSystem(RwLock<Arc<LoadedSystem>>);
+
+impl CurrentSystem {
+    pub(crate) fn new(system: LoadedSystem) -> CurrentSystem {
+        CurrentSystem(RwLock::new(Arc::new(system)))
+    }
+
+    pub(crate) fn get(&self) -> Arc<LoadedSystem> {
+        Arc::clone(&self.0.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn set(&self, system: LoadedSystem) {
+        *self.0.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(system);
+    }
+}
+
+/// What a process does when it is asked.
+#[derive(Debug)]
+pub(crate) struct Reload {
+    orders: Orders,
+    settings: CallbackSettings,
+    system: Arc<CurrentSystem>,
+}
+
+impl Reload {
+    pub(crate) fn new(orders: Orders, settings: CallbackSettings, system: Arc<CurrentSystem>) -> Reload {
+        Reload { orders, settings, system }
+    }
+
+    /// Looks whether it is asked something.
+    pub(crate) fn look(&self) {
+        if let Some(order) = self.orders.next() {
+            self.orders.answer(&order, self.follow(&order));
+        }
+    }
+
+    fn follow(&self, order: &Order) -> std::result::Result<(), String> {
+        let current = self.system.get();
+        if current.file.fingerprint() == order.system_hash {
+            return Ok(());
+        }
+        let new = current.again().map_err(|error| error.to_string())?;
+        if new.file.fingerprint() != order.system_hash {
+            return Err("its text has changed since it was checked".into());
+        }
+        if let Some(obstacle) = current.obstacle(&new) {
+            return Err(format!("{obstacle}, which needs a restart"));
+        }
+        if !order.is_final {
+            return Ok(());
+        }
+        let threads = |system: &LoadedSystem| system.threads().collect::<Result<Vec<CallbackOptions>>>();
+        let (former, wanted) =
+            threads(&current).and_then(|old| Ok((old, threads(&new)?))).map_err(|e| e.to_string())?;
+        for (done, options) in wanted.iter().enumerate() {
+            if let Err(error) = self.settings.change(options) {
+                let undone =
+                    former.iter().filter(|old| wanted[..done].iter().any(|new| new.name == old.name));
+                for old in undone {
+                    if let Err(error) = self.settings.change(old) {
+                        tracing::error!("callback `{}` keeps its new settings: {error}", old.name);
+                    }
+                }
+                return Err(error.to_string());
+            }
+        }
+        self.system.set(new);
+        Ok(())
+    }
+}
+
+/// Has every process of `domain` that runs with the system file at `path` take up the text that it has now: priorities, reservations,
+/// budgets and deadlines of callbacks that run, and of those that are spawned later. Returns the processes.
+///
+/// The new text is checked first against what runs in the domain besides, as if it were just started. While the processes change, which
+/// takes milliseconds, neither text's bounds hold.
+///
+/// # Errors
+/// [`Error::System`] with everything that is wrong with the file, [`Error::NobodyHas`], [`Error::NotAdmitted`] with the response times that
+/// would be too long; [`Error::NotTakenUp`] for what cannot change while it runs: callbacks, nodes, cores, threads, topics, periods,
+/// deeper queues.
+pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessInfo>> {
+    let path = std::path::absolute(&path).unwrap_or_else(|_| path.as_ref().to_path_buf());
+    let file = SystemFile::read(&path)?;
+    if !shared_path(domain).exists() {
+        return Err(Error::NobodyHas { path, domain });
+    }
+    let _gate = Gate::enter(domain, Admission::Check)?;
+    let mut members = Vec::new();
+    for statistics in shared_statistics(domain)?.0 {
+        // One of another version cannot have been asked; one that ends right now need not.
+        let Ok(Some(snapshot)) = statistics.read() else { continue };
+        let process = snapshot.process;
+        // What is played from a bag has no callbacks.
+        if process.system_path != path || !statistics.is_running() || !process.stands_in.is_empty() {
+            continue;
+        }
+        if !process.takes_orders {
+            let why = "its threads are its own, as rclcpp's and rclpy's: restart it".to_owned();
+            return Err(Error::NotTakenUp { process: label_of(&process), path, why, changed: false });
+        }
+        members.push((statistics, process));
+    }
+    if members.is_empty() {
+        return Err(Error::NobodyHas { path, domain });
+    }
+    let label = path.display().to_string();
+    let mut hosts: Vec<&str> = members.iter().map(|(_, process)| process.host.as_str()).collect();
+    hosts.sort_unstable();
+    hosts.dedup();
+    for host in hosts {
+        let running = Running::beside(domain, Some((&path, &file)))?;
+        let candidate = Candidate::File(Share { file: &file, host, label: &label });
+        decide(domain, Admission::Check, &running, &candidate, &label, Some(&label)).map_err(|error| {
+            match error {
+                Error::NotAdmitted { what, domain, late, beside, .. } => {
+                    let table = "nothing was changed".to_owned();
+                    Error::NotAdmitted { what, domain, late, beside, table }
+                }
+                error => error,
+            }
+        })?;
+    }
+    for is_final in [false, true] {
+        let mut changed = false;
+        for (statistics, process) in &members {
+            let refused = |why: String| Error::NotTakenUp {
+                process: label_of(process),
+                path: path.clone(),
+                why,
+                changed,
+            };
+            ask(domain, statistics, file.fingerprint(), is_final).map_err(refused)?;
+            changed = is_final;
+        }
+    }
+    Ok(members.into_iter().map(|(_, process)| process).collect())
+}
+
+/// One order and its answer. A process that ends meanwhile needs no settings any more.
+fn ask(
+    domain: u32,
+    process: &ForeignStatistics,
+    system_hash: u64,
+    is_final: bool,
+) -> std::result::Result<(), String> {
+    let number = monotonic_ns().max(1);
+    process.order(number, system_hash, is_final).map_err(|error| error.to_string())?;
+    let since = Instant::now();
+    tautline_transport::call_all(domain).map_err(|error| error.to_string())?;
+    while process.is_running() {
+        if let Some(answer) = process.answer(number).map_err(|error| error.to_string())? {
+            return answer;
+        }
+        if since.elapsed() > PATIENCE {
+            return Err(format!("it has not answered for {PATIENCE:?}; is it stopped?"));
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    Ok(())
+}
