@@ -13,6 +13,7 @@ mod parameters;
 mod services;
 mod wake;
 
+use crate::machine::target_dir;
 use crate::{bench, steps};
 use serde_json::Value;
 use std::fs;
@@ -140,7 +141,7 @@ impl Part {
 /// that failed.
 pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> ExitCode {
     let parts = if parts.is_empty() { &Part::ALL[..] } else { parts };
-    let json = |part: &Part| format!("target/readme-{}.json", part.mark());
+    let json = |part: &Part| target_dir().join(format!("readme-{}.json", part.mark()));
     for part in parts {
         let run = part.command(quick, minutes, json(part).as_ref()).and_then(|mut command| {
             match command.status() {

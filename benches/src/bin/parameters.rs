@@ -347,7 +347,9 @@ fn disturbance_of_callback(
 ) -> Result<Vec<Callback>, Box<dyn std::error::Error>> {
     static RECORDED: AtomicBool = AtomicBool::new(false);
     let recording = Arc::new(Mutex::new(Recording::default()));
-    let timer = Node::create(stage.context.clone(), "timer", "")?.create_wall_timer(PERIOD)?;
+    // What a node has made ends with it.
+    let mut timers = Node::create(stage.context.clone(), "timer", "")?;
+    let timer = timers.create_wall_timer(PERIOD)?;
     let mut readers = Readers::of(node)?;
     let recorded = recording.clone();
     let work = timer.for_each(move |tick| {
