@@ -6,6 +6,7 @@
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `alks` | the automated lane keeping system: builds r2r's side, if it can, and runs both |
+//! | `book` | the documentation as a book, and its links |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
@@ -28,6 +29,7 @@
 //! | `machine` | where things are built, and what this user may do |
 
 mod alks;
+mod book;
 mod bridge;
 mod colcon;
 mod compare;
@@ -78,6 +80,8 @@ enum Verb {
         #[arg(long)]
         bless: bool,
     },
+    /// Builds the documentation as a book, into <target>/book, and checks the links of all documents
+    Book,
     /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it, and the bridge is built with it
     Ros,
     /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
@@ -272,6 +276,7 @@ fn main() -> ExitCode {
             examples::run(&mut steps, built, bless);
             steps.finish()
         }
+        Verb::Book => book::run(),
         Verb::Ros => ros::run(),
         Verb::Bridge => bridge::run(),
         Verb::Rmw { test: false } => rmw::run(),
