@@ -155,4 +155,6 @@ struct Readme;
 #[cfg(all(doctest, feature = "std_srvs"))]
 #[doc = include_str!("../../docs/from-r2r.md")]
 #[doc = include_str!("../../docs/from-rclcpp.md")]
+#[doc = include_str!("../../docs/messages.md")]
+#[doc = include_str!("../../docs/system-toml.md")]
 struct Guides;

@@ -170,7 +170,9 @@ fn redirected(text: &str, file: &Path, page: &Path, is_page: &dyn Fn(&Path) -> b
         let target = if is_page(&path) || is_picture {
             // The book's folders are one deep.
             let up = if page.starts_with("docs/adr") { "../" } else { "" };
-            format!("{up}{}", path.strip_prefix("docs").unwrap_or(&path).display())
+            // mdBook makes a folder's index.html of its README.md.
+            let path = path.to_string_lossy().replace("README.md", "index.md");
+            format!("{up}{}", path.trim_start_matches("docs/"))
         } else {
             format!("{REPOSITORY}/{}", path.display())
         };
@@ -227,7 +229,7 @@ mod tests {
                 "README.md",
                 "docs/introduction.md"
             ),
-            format!("[a](qos.md#b) [c](adr/README.md) ![d](e.svg) [f]({REPOSITORY}/rt)")
+            format!("[a](qos.md#b) [c](adr/index.md) ![d](e.svg) [f]({REPOSITORY}/rt)")
         );
         assert_eq!(
             case(
