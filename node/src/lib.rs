@@ -152,9 +152,10 @@ pub mod __private {
 struct Readme;
 
 /// The programs of the guides compile.
-#[cfg(all(doctest, feature = "std_srvs"))]
+#[cfg(all(doctest, feature = "std_srvs", feature = "tf2_msgs", feature = "untyped"))]
 #[doc = include_str!("../../docs/from-r2r.md")]
 #[doc = include_str!("../../docs/from-rclcpp.md")]
 #[doc = include_str!("../../docs/messages.md")]
+#[doc = include_str!("../../docs/report.md")]
 #[doc = include_str!("../../docs/system-toml.md")]
 struct Guides;
