@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Setting the system's clock does not disturb timers. Runs alone, since all programs see the step: `cargo xtask test`
+//! Setting the system's clock does not disturb timers. Runs alone, since all programs see the step: `cargo xtask ci`
 //! does so where it may set the clock, with `TAUT_STEP_CLOCK=1`.
 
 use futures::task::noop_waker_ref;

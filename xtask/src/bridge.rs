@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge to ROS 2: its lints and its tests, against the ROS 2 that is sourced or the one under the target directory.
 
+use crate::build::WHOLE as WORKSPACE;
 use crate::reports::check_bridge;
 use crate::steps::{self, Outcome, Steps, cargo, execute};
 use crate::{machine, r2r};
@@ -90,7 +91,7 @@ pub fn test(steps: &mut Steps) {
     steps.command("bridge-ros: build", &mut building(&format!("test {WHOLE} --no-run")));
     // The program that starts it, which says what is wrong when ROS or the loader ends it; and what carries a domain's topics to
     // another host.
-    steps.command("bridge-ros: taut and the gateway", &mut cargo(PROGRAMS));
+    steps.command("bridge-ros: taut and the gateway", &mut cargo(&programs()));
     let tests = nextest(WHOLE);
     steps.command("bridge-ros: tests", &mut bridge_cargo(&environment, &tests));
     steps.command("bridge-ros: doc tests", &mut bridge_cargo(&environment, &format!("test {WHOLE} --doc")));
@@ -109,8 +110,9 @@ pub fn nextest(whole: &str) -> String {
 
 /// The workspace's programs that tests elsewhere run. With a test and the features of the workspace's tests, by which cargo takes
 /// the features that these have of everything, and builds nothing twice.
-pub const PROGRAMS: &str =
-    "build --locked --workspace --features tautline/ros_all --bin taut --bin taut-gateway --test component";
+pub fn programs() -> String {
+    format!("build --locked {WORKSPACE} --bin taut --bin taut-gateway --test component")
+}
 
 /// All of it, the bench included.
 const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";

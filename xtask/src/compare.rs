@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The comparison with other middleware: builds the rivals, those that it can, and runs all.
 
+use crate::build::Build;
 use crate::steps::{self, Outcome, execute};
 use crate::{machine, network, r2r};
 use std::os::unix::fs::PermissionsExt;
@@ -28,6 +29,8 @@ pub struct Options {
     /// Write the report with its pictures to FILE
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
+    #[arg(skip)]
+    pub build: Build,
     /// Passed on: see `cargo xtask bench compare -- --help`
     #[arg(last = true)]
     pub arguments: Vec<String>,
@@ -54,15 +57,12 @@ pub fn run(options: &Options) -> ExitCode {
 
 /// Builds the rivals, and makes the command that measures.
 pub fn command(options: &Options) -> Command {
-    let mut command = steps::cargo("run --release -p tautline-compare --bin compare --");
+    let mut command = options.build.program("tautline-compare", "compare");
     let is_wanted =
         |name: &str| options.systems.is_empty() || options.systems.iter().any(|system| system == name);
-    // Whose figures count for nothing: a release build of Zenoh takes minutes.
-    let tested_gateway = machine::target_dir().join("debug/taut-gateway");
-    let is_smoke = options.arguments.iter().any(|argument| argument == "--smoke");
     for (_, name, build) in RIVALS.iter().filter(|(system, ..)| is_wanted(system)) {
         let built = match *name {
-            "gateway" if is_smoke && tested_gateway.exists() => Ok(tested_gateway.clone()),
+            "gateway" if options.build == Build::Tests => Ok(Build::Tests.folder().join("taut-gateway")),
             _ => build(),
         };
         match built {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Runs each example and compares what it prints on standard output with `examples/expected/<name>.txt`.
 
+use crate::build::Build;
 use crate::machine;
 use crate::steps::{Outcome, Steps, announce};
 use std::fs;
@@ -43,7 +44,7 @@ const SKIPPED: i32 = 77;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Runs each example, if they were `built`, as a step; with `bless` writes down what it prints.
-pub fn run(steps: &mut Steps, built: bool, bless: bool) {
+pub fn run(steps: &mut Steps, built: bool, build: Build, bless: bool) {
     for programs in RUNS {
         let name = programs.iter().map(|program| name_of(program)).collect::<Vec<_>>().join(" + ");
         let name = format!("example {name}");
@@ -54,7 +55,7 @@ pub fn run(steps: &mut Steps, built: bool, bless: bool) {
         {
             steps.skip(&name, "TAUT_REALTIME=off");
         } else {
-            steps.step(&name, || run_together(programs, bless));
+            steps.step(&name, || run_together(programs, build, bless));
         }
     }
 }
@@ -63,11 +64,11 @@ fn name_of(program: &str) -> &str {
     program.split(' ').next().unwrap_or(program)
 }
 
-fn run_together(programs: &[&str], bless: bool) -> Outcome {
+fn run_together(programs: &[&str], build: Build, bless: bool) -> Outcome {
     let deadline = Instant::now() + PATIENCE;
     let mut running = Vec::new();
     for program in programs {
-        match Running::start(program) {
+        match Running::start(program, build) {
             Ok(mut started) => {
                 started.await_first_line();
                 running.push(started);
@@ -94,11 +95,10 @@ struct Running {
 }
 
 impl Running {
-    fn start(program: &str) -> std::io::Result<Running> {
+    fn start(program: &str, build: Build) -> std::io::Result<Running> {
         let name = name_of(program);
-        let release = machine::target_dir().join("release");
         // An example, or the program of an example that is a crate.
-        let folders = [release.join("examples"), release];
+        let folders = [build.folder().join("examples"), build.folder()];
         let [example, program_path] = folders.map(|folder| folder.join(name));
         let mut command = Command::new(if example.exists() { example } else { program_path });
         command.args(program.split(' ').skip(1));

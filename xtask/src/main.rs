@@ -3,8 +3,12 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | `api` | the public surface of the crate `tautline`, and that all it names can be named |
+//! | `build` | which build of a program is run, and of which packages |
 //! | `steps` | commands that are printed, timed and counted; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
+//! | `ci` | the verb `ci`: the rest of what CI runs |
+//! | `shared` | checks that both build what they share once |
 //! | `alks` | the automated lane keeping system: builds r2r's side, if it can, and runs both |
 //! | `book` | the documentation as a book, and its links |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
@@ -29,8 +33,11 @@
 //! | `machine` | where things are built, and what this user may do |
 
 mod alks;
+mod api;
 mod book;
 mod bridge;
+mod build;
+mod ci;
 mod colcon;
 mod compare;
 mod examples;
@@ -50,9 +57,11 @@ mod reports;
 mod rmw;
 mod ros;
 mod services;
+mod shared;
 mod steps;
 mod test;
 
+use build::Build;
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
@@ -68,11 +77,23 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Verb {
-    /// Everything CI runs: format, lints, docs, tests, examples, stress, models, smoke tests
+    /// What is run before each commit: format, lints, tests, doc tests, demo, examples, models
     Test {
-        /// Leave out what takes minutes: stress, loom, miri, fuzz, bench
+        /// Keep cargo's reports of where the time of builds goes, under target/cargo-timings
         #[arg(long)]
-        quick: bool,
+        timings: bool,
+    },
+    /// The rest of what CI runs: ROS 2, bridge, RMW, Zenoh and its peers, network namespaces, stress, smoke tests of benches, miri, fuzz
+    Ci {
+        /// As for `test`
+        #[arg(long)]
+        timings: bool,
+    },
+    /// Documents the workspace, and compares the public surface of `tautline` with node/api.txt
+    Api {
+        /// Write the surface to node/api.txt
+        #[arg(long)]
+        bless: bool,
     },
     /// Runs each example and compares what it prints with examples/expected
     Examples {
@@ -80,7 +101,7 @@ enum Verb {
         #[arg(long)]
         bless: bool,
     },
-    /// Builds the documentation as a book, into <target>/book, and checks the links of all documents
+    /// Builds the documentation as a book, into the target directory's `book`, and checks the links of all documents
     Book,
     /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it, and the bridge is built with it
     Ros,
@@ -267,13 +288,26 @@ fn main() -> ExitCode {
     // SAFETY: the first thing that happens.
     let scope = unsafe { machine::Scope::enter() };
     match Cli::parse().verb {
-        Verb::Test { quick } => test::run(&scope, quick),
+        Verb::Test { timings } => {
+            build_with(timings);
+            test::run(&scope)
+        }
+        Verb::Ci { timings } => {
+            build_with(timings);
+            ci::run(&scope)
+        }
+        Verb::Api { bless } => {
+            build_with(false);
+            let mut steps = Steps::new();
+            steps.step("api", || api::check(bless));
+            steps.finish()
+        }
         Verb::Examples { bless } => {
             let mut steps = Steps::new();
             let mut build =
                 steps::cargo("build --release -p tautline-examples -p own-messages --examples --bins");
             let built = steps.command("examples: build", &mut build);
-            examples::run(&mut steps, built, bless);
+            examples::run(&mut steps, built, Build::Release, bless);
             steps.finish()
         }
         Verb::Book => book::run(),
@@ -289,30 +323,32 @@ fn main() -> ExitCode {
         Verb::R2r => programs::run(),
         Verb::R2rTests => r2r_tests::run(),
         Verb::Bench(Bench::Wake { quick, json, arguments }) => {
-            steps::run(bench("wake", quick, json.as_deref()).args(arguments))
+            steps::run(bench(Build::Release, "wake", quick, json.as_deref()).args(arguments))
         }
         Verb::Bench(Bench::Messages { quick, json, arguments }) => {
-            steps::run(bench("messages", quick, json.as_deref()).args(arguments))
+            steps::run(bench(Build::Release, "messages", quick, json.as_deref()).args(arguments))
         }
         Verb::Bench(Bench::Services(options)) => services::run(&options),
         Verb::Bench(Bench::Budgets { quick, json }) => {
-            steps::run(&mut bench("budgets", quick, json.as_deref()))
+            steps::run(&mut bench(Build::Release, "budgets", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Deadlines { quick, json }) => {
-            steps::run(&mut bench("deadlines", quick, json.as_deref()))
+            steps::run(&mut bench(Build::Release, "deadlines", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Domain { quick, json, arguments }) => {
-            steps::run(&mut bench_domain(quick, json.as_deref(), &arguments))
+            steps::run(&mut bench_domain(Build::Release, quick, json.as_deref(), &arguments))
         }
         Verb::Bench(Bench::Parameters { quick, json }) => {
-            steps::run(&mut bench("parameters", quick, json.as_deref()))
+            steps::run(&mut bench(Build::Release, "parameters", quick, json.as_deref()))
         }
         Verb::Bench(Bench::Tools { quick, json }) => {
             let mut steps = Steps::new();
             bench_tools(&mut steps, quick, json.as_deref());
             steps.finish()
         }
-        Verb::Bench(Bench::Trace { quick, json }) => steps::run(&mut bench("trace", quick, json.as_deref())),
+        Verb::Bench(Bench::Trace { quick, json }) => {
+            steps::run(&mut bench(Build::Release, "trace", quick, json.as_deref()))
+        }
         Verb::Bench(Bench::Compare(options)) => compare::run(&options),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
         Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
@@ -323,16 +359,26 @@ fn main() -> ExitCode {
         Verb::Readme { quick, only, minutes } => readme::run(quick, minutes, &only),
         Verb::Miri => {
             let mut steps = Steps::new();
-            test::miri(&mut steps);
+            ci::miri(&mut steps);
             steps.finish()
         }
         Verb::Fuzz { runs, targets } => fuzz::run(runs, &targets),
         Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
         Verb::Stress(Stress::Kills { kills, seed, exhaustive }) => {
             let mut steps = Steps::new();
-            stress_kills(&mut steps, kills, seed, exhaustive);
+            stress_kills(&mut steps, Build::Release, kills, seed, exhaustive);
             steps.finish()
         }
+    }
+}
+
+/// With what all builds have in common: a libclang for the binding generators of other packages, if the system has none.
+fn build_with(timings: bool) {
+    if timings {
+        steps::keep_timings();
+    }
+    if let Ok(variables) = r2r::libclang() {
+        steps::build_with(variables);
     }
 }
 
@@ -343,18 +389,18 @@ fn stress_doorbell(rings: u64) -> Command {
 }
 
 /// At random instants, then at system calls. Containers are among the processes: in one go, so that all have the same features.
-fn stress_kills(steps: &mut Steps, kills: u64, seed: Option<u64>, exhaustive: bool) {
-    let build = "build --release -p tautline-kills -p tautline-container -p tautline-demo-components";
-    if !steps.command("stress: kills: build", &mut steps::cargo(build)) {
+fn stress_kills(steps: &mut Steps, build: Build, kills: u64, seed: Option<u64>, exhaustive: bool) {
+    let programs = "build --release -p tautline-kills -p tautline-container -p tautline-demo-components";
+    if build == Build::Release && !steps.command("stress: kills: build", &mut steps::cargo(programs)) {
         return steps.skip("stress: kills", "not built");
     }
-    let release = machine::target_dir().join("release");
+    let folder = build.folder();
     // Before what cargo has put there for this program, which has another build of the same library.
     let before = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
     let libraries =
-        std::env::join_paths(std::iter::once(release.clone()).chain(std::env::split_paths(&before)));
+        std::env::join_paths(std::iter::once(folder.clone()).chain(std::env::split_paths(&before)));
     let command = |arguments: &str| {
-        let mut command = Command::new(release.join("kills"));
+        let mut command = Command::new(folder.join("kills"));
         command.envs(libraries.as_ref().ok().map(|libraries| ("LD_LIBRARY_PATH", libraries)));
         command.args(arguments.split(' ')).args(seed.map(|seed| format!("--seed={seed}")));
         command
@@ -365,8 +411,8 @@ fn stress_kills(steps: &mut Steps, kills: u64, seed: Option<u64>, exhaustive: bo
 }
 
 /// In a package of its own: it needs many processes of nodes, and iceoryx2.
-fn bench_domain(quick: bool, json: Option<&std::path::Path>, arguments: &[String]) -> Command {
-    let mut command = steps::cargo("run --release -p tautline-bench-domain --");
+fn bench_domain(build: Build, quick: bool, json: Option<&std::path::Path>, arguments: &[String]) -> Command {
+    let mut command = build.program("tautline-bench-domain", "domain");
     command.args(quick.then_some("--quick"));
     if let Some(path) = json {
         command.arg("--json").arg(path);
@@ -378,12 +424,12 @@ fn bench_domain(quick: bool, json: Option<&std::path::Path>, arguments: &[String
 /// With the `taut` of this build.
 fn bench_tools(steps: &mut Steps, quick: bool, json: Option<&std::path::Path>) {
     if steps.command("bench: tools: build", &mut steps::cargo("build --release -p taut")) {
-        steps.command("bench: tools", &mut bench("tools", quick, json));
+        steps.command("bench: tools", &mut bench(Build::Release, "tools", quick, json));
     }
 }
 
-fn bench(name: &str, quick: bool, json: Option<&std::path::Path>) -> Command {
-    let mut command = steps::cargo(&format!("run --release -p tautline-benches --bin {name} --"));
+fn bench(build: Build, name: &str, quick: bool, json: Option<&std::path::Path>) -> Command {
+    let mut command = build.program("tautline-benches", name);
     if quick {
         command.arg("--quick");
     }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The evaluation: builds r2r's side, if it can, and runs both.
 
+use crate::build::Build;
 use crate::{r2r, steps};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
@@ -38,6 +39,8 @@ pub struct Options {
     /// Leave r2r out
     #[arg(long)]
     pub no_r2r: bool,
+    #[arg(skip)]
+    pub build: Build,
     /// Passed on: see `cargo xtask bench paper -- --help`
     #[arg(last = true)]
     pub arguments: Vec<String>,
@@ -49,7 +52,7 @@ pub fn run(options: &Options) -> ExitCode {
 
 /// The command that measures. r2r's program is built before.
 pub fn command(options: &Options) -> Command {
-    let mut command = steps::cargo("run --release -p tautline-benches --bin paper --");
+    let mut command = options.build.program("tautline-benches", "paper");
     r2r::join(&mut command, "paper-r2r", options.no_r2r);
     if options.quick {
         command.arg("--quick");

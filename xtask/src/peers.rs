@@ -14,7 +14,7 @@ const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 /// `cargo xtask peers`.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
-    let examples = steps.command("examples", &mut cargo("build --release -p tautline-examples --examples"));
+    let examples = steps.command("examples", &mut cargo("build -p tautline-examples --examples"));
     let gateway = steps.command("gateway", &mut cargo("build -p tautline-gateway"));
     test(&mut steps, examples && gateway);
     steps.finish()
@@ -51,7 +51,7 @@ fn ros2_talker() -> io::Result<Outcome> {
     let mut gateway = Command::new(target.join("debug/taut-gateway"));
     gateway.args(["--domain", DOMAIN, "--listen", &format!("tcp/127.0.0.1:{PORT}"), "--no-rt", "--json"]);
     let _gateway = Ended(gateway.env("TAUT_SCOPE", scope.name()).stdout(Stdio::null()).spawn()?);
-    let mut talker = Command::new(target.join("release/examples/ros2_talker"));
+    let mut talker = Command::new(target.join("debug/examples/ros2_talker"));
     talker.env("TAUT_SCOPE", scope.name()).env("TAUT_DOMAIN", DOMAIN).env("TAUT_REALTIME", "off");
     let _talker = Ended(talker.stdout(Stdio::null()).spawn()?);
     // It ends by itself if it hears nothing.

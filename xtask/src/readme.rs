@@ -13,6 +13,7 @@ mod parameters;
 mod services;
 mod wake;
 
+use crate::build::Build;
 use crate::machine::target_dir;
 use crate::{bench, steps};
 use serde_json::Value;
@@ -84,15 +85,15 @@ impl Part {
                 demo.arg(PICTURE).arg("--json").arg(json);
                 demo
             }
-            Part::Wake => bench("wake", quick, Some(json)),
-            Part::Messages => bench("messages", quick, Some(json)),
+            Part::Wake => bench(Build::Release, "wake", quick, Some(json)),
+            Part::Messages => bench(Build::Release, "messages", quick, Some(json)),
             Part::Services => crate::services::command(&crate::services::Options {
                 quick,
                 json: Some(json.to_owned()),
                 ..Default::default()
             }),
-            Part::Parameters => bench("parameters", quick, Some(json)),
-            Part::Domain => crate::bench_domain(quick, Some(json), &[]),
+            Part::Parameters => bench(Build::Release, "parameters", quick, Some(json)),
+            Part::Domain => crate::bench_domain(Build::Release, quick, Some(json), &[]),
             Part::Network => crate::network::command(&crate::network::Options {
                 quick,
                 json: Some(json.to_owned()),

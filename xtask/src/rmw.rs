@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! rmw_tautline: built for use, its lints and tests, and its bench.
 
-use crate::bridge::{Environment, PROGRAMS, nextest, with_libraries};
+use crate::bridge::{Environment, nextest, programs, with_libraries};
 use crate::steps::{self, Outcome, Steps, cargo, execute};
 use crate::{colcon, machine, r2r, ros};
 use std::ffi::OsString;
@@ -128,6 +128,6 @@ pub fn test(steps: &mut Steps) {
     // Cargo builds no library of this kind for its tests.
     steps.command("rmw: build", &mut building(&format!("build {WHOLE}")));
     colcon::test(steps, &environment);
-    steps.command("rmw: the gateway", &mut cargo(PROGRAMS));
+    steps.command("rmw: the gateway", &mut cargo(&programs()));
     steps.command("rmw: tests", &mut building(&nextest(WHOLE)));
 }

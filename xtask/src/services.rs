@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The services bench: builds r2r's side, if it can, and runs all.
 
+use crate::build::Build;
 use crate::{bench, r2r, steps};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
@@ -22,6 +23,8 @@ pub struct Options {
     /// Leave r2r out
     #[arg(long)]
     pub no_r2r: bool,
+    #[arg(skip)]
+    pub build: Build,
     /// Passed on: see `cargo xtask bench services -- --help`
     #[arg(last = true)]
     pub arguments: Vec<String>,
@@ -33,7 +36,7 @@ pub fn run(options: &Options) -> ExitCode {
 
 /// The command that measures. r2r's program is built before.
 pub fn command(options: &Options) -> Command {
-    let mut command = bench("services", options.quick, options.json.as_deref());
+    let mut command = bench(options.build, "services", options.quick, options.json.as_deref());
     r2r::join(&mut command, "services-r2r", options.no_r2r);
     command.args(&options.arguments);
     command

@@ -80,10 +80,26 @@ pub fn build_with(variables: Vec<(&'static str, String)>) {
     let _ = VARIABLES.set(variables);
 }
 
+/// Whether cargo writes down where the time of a build goes.
+static TIMINGS: OnceLock<()> = OnceLock::new();
+
+/// From now on builds leave a report each under `cargo-timings` in the target directory.
+pub fn keep_timings() {
+    let _ = TIMINGS.set(());
+}
+
 /// `cargo` with these arguments, which contain no spaces.
 pub fn cargo(arguments: &str) -> Command {
     let mut command = Command::new("cargo");
-    command.args(arguments.split(' ')).envs(VARIABLES.get().into_iter().flatten().cloned());
+    let mut words = arguments.split(' ');
+    command.args(words.by_ref().take_while(|word| *word != "--"));
+    let is_build =
+        ["build ", "clippy ", "test ", "nextest run "].iter().any(|verb| arguments.starts_with(verb));
+    command.args((is_build && TIMINGS.get().is_some()).then_some("--timings"));
+    if arguments.split(' ').any(|word| word == "--") {
+        command.arg("--").args(words);
+    }
+    command.envs(VARIABLES.get().into_iter().flatten().cloned());
     command
 }
 

@@ -1,167 +1,57 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `cargo xtask test`: what CI runs. The order is that of the build: what shares artefacts is adjacent.
+//! `cargo xtask test`: what is run before each commit. Everything is of one build, that of the tests; what needs another one, a ROS 2,
+//! Zenoh or several hosts is in [`ci`](crate::ci).
 
-use crate::machine::{self, Scope};
-use crate::reports::{
-    check_ablation, check_compare, check_demo, check_domain, check_lane, check_messages, check_network,
-    check_paper, check_reference, check_reference_beside, check_wake,
-};
-use crate::steps::{Outcome, Steps, build_with, cargo, execute};
-use crate::{
-    alks, bench, bench_domain, bench_tools, bridge, compare as comparison, examples, fuzz, lttng, packages,
-    paper as evaluation, peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips,
-    stress_doorbell, stress_kills,
-};
+use crate::build::{Build, WITH_GATEWAY, most};
+use crate::reports::{check_ablation, check_demo};
+use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::{examples, machine, machine::Scope};
 use std::process::{Command, ExitCode};
 
-/// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
-const RINGS: u64 = 1_000_000;
-
-/// Within two minutes; `cargo xtask stress kills` kills as many as it is told to.
-const KILLS: u64 = 1000;
-
-/// Runs every step, whatever fails. `quick` leaves out what takes minutes.
-pub fn run(scope: &Scope, quick: bool) -> ExitCode {
+/// Runs every step, whatever fails.
+pub fn run(scope: &Scope) -> ExitCode {
     let mut steps = Steps::new();
-    ros(&mut steps);
-    if let Ok(variables) = r2r::libclang() {
-        build_with(variables);
-    }
-    lints(&mut steps);
-    tests(&mut steps);
-    bridge::test(&mut steps);
-    rmw::test(&mut steps);
-    lttng::test(&mut steps);
-    clock_step(&mut steps);
-    // In one go: cargo then builds what they share once, with the features that all of them need.
-    let binaries = "build --release -p taut -p tautline-examples -p own-messages -p alks -p reference-system -p tautline-benches -p tautline-compare --bins --examples";
-    let built = steps.command("build", &mut cargo(binaries));
-    demo(&mut steps);
-    examples::run(&mut steps, built, false);
-    reference_system(&mut steps, built);
-    lane_keeping(&mut steps, built);
-    two_hosts(&mut steps, built);
-    systemd(&mut steps);
-    if quick {
-        steps.skip("peers", "--quick");
-        steps.skip("r2r: programs", "--quick");
-    } else {
-        peers::test(&mut steps, built);
-        programs::test(&mut steps);
-    }
-    type Step = fn(&mut Steps);
-    let slow: [(&str, Step); 17] = [
-        ("bench: bridge", bridge::bench_of_tests),
-        ("bench: rmw", rmw::bench_of_tests),
-        ("stress: doorbell", stress),
-        ("stress: kills", |steps| stress_kills(steps, KILLS, None, false)),
-        ("bench: domain", domain),
-        ("r2r: its own tests", r2r_tests::all),
-        ("bench: trace", trace),
-        ("bench: parameters", parameters),
-        ("bench: wake", wake),
-        ("bench: messages", messages),
-        ("bench: services", services),
-        ("bench: network", network),
-        ("bench: compare", compare),
-        ("bench: paper", paper),
-        ("loom", loom),
-        ("miri", miri),
-        ("fuzz", |steps| fuzz::all(steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS)),
-    ];
-    for (name, run) in slow {
-        if quick {
-            steps.skip(name, "--quick");
-        } else {
-            run(&mut steps);
-        }
-    }
-    steps.step("nothing is left", || leftovers(scope));
+    steps.command("fmt", &mut cargo("fmt --all --check"));
+    steps.command("clippy", &mut cargo(&format!("clippy {} --all-targets -- -D warnings", most())));
+    nextest(&mut steps, "tests", &most(), &format!("not({WITH_GATEWAY})"));
+    steps.command("doc tests", &mut cargo(&format!("test {} --no-fail-fast --doc", most())));
+    let built = build(&mut steps, &most());
+    demo(&mut steps, built);
+    examples::run(&mut steps, built, Build::Tests, false);
+    loom(&mut steps);
+    leftovers(&mut steps, scope);
     steps.finish()
 }
 
-/// All processes have ended: their domains have gone from shared memory with them. Where a traced process was killed, what it had
-/// recorded stays for a recorder.
-fn leftovers(scope: &Scope) -> Outcome {
-    let is_trace = |path: &std::path::Path| {
-        path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("trace_p"))
-    };
-    let (traces, left): (Vec<_>, Vec<_>) = scope.left().into_iter().partition(|path| is_trace(path));
-    let of_traces = |path: &&std::path::PathBuf| traces.iter().any(|trace| trace.parent() == Some(path));
-    match left.iter().find(|path| !of_traces(path)) {
-        Some(path) => Outcome::Failed(format!("{} and others, {} in all", path.display(), left.len())),
-        None => Outcome::Ok,
-    }
+/// Programs and examples of these packages, as their tests have them.
+pub fn build(steps: &mut Steps, packages: &str) -> bool {
+    steps.command("build", &mut cargo(&format!("build {packages} --all-targets")))
 }
 
-fn lints(steps: &mut Steps) {
-    steps.command("fmt", &mut cargo("fmt --all --check"));
-    // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
-    let sources =
-        ["src/main.rs", "src/bin/alks-r2r.rs", "src/bin/reference-r2r.rs", "src/bin/services-r2r.rs"];
-    for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
-        let r2r = machine::root().join(folder);
-        let mut format = Command::new("rustfmt");
-        format.args(["--check", "--edition", "2024"]);
-        format.args(sources.map(|source| r2r.join(source)).iter().filter(|source| source.exists()));
-        steps.command(&format!("fmt: {name}"), &mut format);
-        let mut lock = cargo("fetch --quiet --locked --manifest-path");
-        steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
-    }
-    for (name, folder) in [
-        ("network-hiroz", "benches/network-hiroz"),
-        ("compare-taktora", "benches/compare/taktora"),
-        ("compare-zenoh", "benches/compare/zenoh"),
-        ("r2r-programs", "node/r2r"),
-    ] {
-        let manifest = format!("--manifest-path {folder}/Cargo.toml");
-        steps.command(&format!("fmt: {name}"), &mut cargo(&format!("fmt {manifest} --check")));
-        steps.command(&format!("lock: {name}"), &mut cargo(&format!("fetch --quiet --locked {manifest}")));
-    }
-    steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
-    steps.command("fmt: rmw", &mut cargo("fmt --manifest-path rmw/Cargo.toml --check"));
-    steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
-    steps.command("clippy", &mut cargo("clippy --workspace --all-targets -- -D warnings"));
-    steps.command("doc", cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-Dwarnings"));
-}
-
-/// The ROS 2 that tests compare with. Without a network they are skipped, but not in CI.
-fn ros(steps: &mut Steps) {
-    steps.step("ros", || match ros::prepare() {
-        Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
-        other => other,
-    });
-}
-
-fn tests(steps: &mut Steps) {
-    steps.step("gateway: packages", packages::firewall);
-    // Every bundled message, not only those of the default packages.
-    let build = "--workspace --features tautline/ros_all --no-fail-fast";
-    let leak_cycles = machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"));
-    if machine::cargo_has("nextest --version").is_ok() {
+/// The tests of these packages that a filter of nextest's selects.
+pub fn nextest(steps: &mut Steps, name: &str, packages: &str, filter: &str) {
+    let mut tests = if machine::cargo_has("nextest --version").is_ok() {
         let profile = if machine::is_ci() { "ci" } else { "default" };
-        // The gateway's after the others, of one build: it mirrors what other tests of its domains do.
-        for (name, which) in
-            [("tests", "not package(tautline-gateway)"), ("tests: gateway", "package(tautline-gateway)")]
-        {
-            let mut tests = cargo(&format!("nextest run --profile {profile} {build} -E"));
-            steps.command(name, tests.arg(which).envs(leak_cycles));
-        }
+        cargo(&format!("nextest run {packages} --no-fail-fast --profile {profile} -E {filter}"))
     } else {
-        steps.command("tests", cargo(&format!("test {build} --all-targets")).envs(leak_cycles));
-    }
-    steps.command("doc tests", &mut cargo(&format!("test {build} --doc")));
+        // Which cannot choose.
+        cargo(&format!("test {packages} --no-fail-fast --all-targets"))
+    };
+    steps.command(name, tests.envs(machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"))));
 }
 
 /// Three seconds of the demo: it runs and its report keeps its promises; and with the sampler below the callbacks it
 /// shows what goes wrong.
-fn demo(steps: &mut Steps) {
+fn demo(steps: &mut Steps, built: bool) {
+    if !built {
+        return steps.skip("demo", "not built");
+    }
     let target = machine::target_dir();
     let (json, svg) = (target.join("demo.json"), target.join("demo.svg"));
     let mut run = |name, priority, check: &dyn Fn() -> Outcome| {
         let _ = std::fs::remove_file(&json);
         steps.step(name, || {
-            let mut command = Command::new(target.join("release/taut"));
+            let mut command = Command::new(Build::Tests.folder().join("taut"));
             command.args(["demo", "--seconds", "3", "--sampler-priority", priority]);
             command.arg("--json").arg(&json).arg("--svg").arg(&svg);
             match execute(&mut command) {
@@ -179,283 +69,32 @@ fn demo(steps: &mut Steps) {
     }
 }
 
-/// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
-/// r2r where that has been built before, which otherwise takes a minute.
-fn reference_system(steps: &mut Steps, built: bool) {
-    let name = "reference system";
-    if !built {
-        return steps.skip(name, "not built");
-    }
-    let target = machine::target_dir();
-    let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
-    let realtime = machine::is_ci() || machine::realtime_permitted();
-    let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
-        let _ = std::fs::remove_file(&json);
-        let mut command = Command::new(target.join("release/reference_system"));
-        command.args(arguments).arg("--json").arg(&json);
-        if !realtime {
-            command.arg("--no-rt");
-        }
-        match execute(&mut command) {
-            Outcome::Ok => check(),
-            other => other,
-        }
-    };
-    let svg = svg.display().to_string();
-    steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &|| check_reference(&json, realtime)));
-    let name = "reference system: beside r2r";
-    if !r2r::is_built(reference::PROGRAM) {
-        return steps.skip(name, "not built before: `cargo xtask bench reference-system` does it");
-    }
-    steps.step(name, || {
-        let program = match r2r::program(reference::PROGRAM) {
-            Ok(program) => program.display().to_string(),
-            Err(reason) => return Outcome::Failed(reason),
-        };
-        let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
-        run(&arguments, &|| check_reference_beside(&json))
-    });
-}
-
-/// Three seconds of the automated lane keeping system in each way to share, and a second beside r2r where that has been built before: the
-/// lane is kept and no message lost. Its bounds are for a machine that does nothing else.
-fn lane_keeping(steps: &mut Steps, built: bool) {
-    let name = "lane keeping";
-    if !built {
-        return steps.skip(name, "not built");
-    }
-    let target = machine::target_dir();
-    let (json, page) = (target.join("alks.json"), target.join("alks.html"));
-    let run = |arguments: &[&str]| {
-        let _ = std::fs::remove_file(&json);
-        let mut command = Command::new(target.join("release/alks"));
-        command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.arg("--no-rt");
-        }
-        // What it says of bounds is not judged here.
-        let _ = execute(&mut command);
-        check_lane(&json)
-    };
-    steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
-    let name = "lane keeping: beside r2r";
-    if !r2r::is_built(alks::PROGRAM) {
-        return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
-    }
-    steps.step(name, || match r2r::program(alks::PROGRAM) {
-        Ok(program) => run(&["--seconds", "2", "--r2r", &program.display().to_string()]),
-        Err(reason) => Outcome::Failed(reason),
-    });
-}
-
-/// Nodes with a gateway on each side, as `tests` built it: a release build of Zenoh takes minutes.
-fn two_hosts(steps: &mut Steps, built: bool) {
-    let target = machine::target_dir();
-    let gateway = target.join("debug/taut-gateway");
-    for (name, program) in [("example two_hosts", "talker"), ("example remote_image", "remote_image")] {
-        if !built || !gateway.exists() {
-            steps.skip(name, "not built");
-            continue;
-        }
-        let mut command = Command::new("timeout");
-        command.arg("60").arg(machine::root().join("examples/two_hosts.sh")).args(["5", program]);
-        command.env("TAUT_GATEWAY", &gateway).env("TAUT_BUILT", target.join("release"));
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.env("TAUT_REALTIME", "off");
-        }
-        steps.command(name, &mut command);
-    }
-}
-
-/// What systemd says of the gateway's unit, with this build's program in it.
-fn systemd(steps: &mut Steps) {
-    let name = "systemd unit";
-    if Command::new("systemd-analyze").arg("--version").output().is_err() {
-        return steps.skip(name, "no systemd-analyze here");
-    }
-    let target = machine::target_dir();
-    let write = || -> std::io::Result<std::path::PathBuf> {
-        let unit = std::fs::read_to_string(machine::root().join("docs/systemd/taut-gateway@.service"))?;
-        let program = target.join("debug/taut-gateway").display().to_string();
-        let path = target.join("taut-gateway@0.service");
-        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))?;
-        Ok(path)
-    };
-    match write() {
-        Ok(path) => drop(steps.command(name, Command::new("systemd-analyze").arg("verify").arg(path))),
-        Err(error) => drop(steps.step(name, || Outcome::Failed(error.to_string()))),
-    }
-}
-
-/// Sets the system's clock by an hour for some milliseconds, which is nothing to do on somebody's own machine.
-fn clock_step(steps: &mut Steps) {
-    if !machine::is_ci() {
-        return steps.skip("clock step", "sets the system's clock: only where CI is set");
-    }
-    let mut command = cargo("test -p tautline-sampler --test clock_step");
-    steps.command("clock step", command.env("TAUT_STEP_CLOCK", "1"));
-}
-
-/// A quick run of the wake bench: it runs and its report keeps its promises.
-fn wake(steps: &mut Steps) {
-    let json = machine::target_dir().join("wake.json");
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: wake", || {
-        let mut command = bench("wake", true, Some(&json));
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.arg("--no-rt");
-        }
-        match execute(&mut command) {
-            Outcome::Ok => check_wake(&json),
-            other => other,
-        }
-    });
-}
-
-/// A quick run of the messages bench: every encoder writes the same bytes, and the rows keep their promises.
-fn messages(steps: &mut Steps) {
-    let json = machine::target_dir().join("messages.json");
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: messages", || match execute(&mut bench("messages", true, Some(&json))) {
-        Outcome::Ok => check_messages(&json),
-        other => other,
-    });
-}
-
-/// A round of each measurement without hiroz, and of a debug build, for a release build of Zenoh takes minutes: it runs and
-/// its report keeps its promises; the numbers mean nothing.
-fn network(steps: &mut Steps) {
-    let target = machine::target_dir();
-    let json = target.join("network.json");
-    let _ = std::fs::remove_file(&json);
-    // All that `tests` built, with its features: only the bench itself is not there yet.
-    let build = "build --workspace --features tautline/ros_all --tests --bin network --bin taut-gateway";
-    if !steps.command("bench: network: build", &mut cargo(build)) {
-        return steps.skip("bench: network", "not built");
-    }
-    steps.step("bench: network", || {
-        let mut command = Command::new(target.join("debug/network"));
-        command.args(["--quick", "--rounds", "1", "--without-hiroz=a debug build", "--taut"]);
-        command.arg(target.join("release/taut")).arg("--json").arg(&json);
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.arg("--no-rt");
-        }
-        match execute(&mut command) {
-            Outcome::Ok => check_network(&json),
-            other => other,
-        }
-    });
-}
-
-/// A minute of the comparison with what is built in seconds: it runs, its page is drawn and its report keeps its promises.
-fn compare(steps: &mut Steps) {
-    const SYSTEMS: [&str; 4] = ["floor", "tautline", "iceoryx2", "fastdds"];
-    let target = machine::target_dir();
-    let (json, html) = (target.join("compare.json"), target.join("compare.html"));
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: compare", || {
-        let mut arguments = vec!["--smoke".to_owned()];
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            arguments.push("--no-rt".to_owned());
-        }
-        let mut command = comparison::command(&comparison::Options {
-            systems: SYSTEMS.map(str::to_owned).into(),
-            json: Some(json.clone()),
-            html: Some(html),
-            arguments,
-            ..Default::default()
-        });
-        match execute(&mut command) {
-            Outcome::Ok => check_compare(&json, &SYSTEMS),
-            other => other,
-        }
-    });
-}
-
-/// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
-fn services(steps: &mut Steps) {
-    let no_rt = !machine::is_ci() && !machine::realtime_permitted();
-    let arguments = no_rt.then(|| "--no-rt".to_owned()).into_iter().collect();
-    let options = round_trips::Options { quick: true, no_r2r: true, arguments, ..Default::default() };
-    steps.command("bench: services", &mut round_trips::command(&options));
-}
-
-/// It runs; what it says belongs to the machine.
-fn trace(steps: &mut Steps) {
-    steps.command("bench: trace", &mut bench("trace", true, None));
-    bench_tools(steps, true, None);
-}
-
-/// A quick run: no process hangs or leaves anything, and the report keeps its promises; what it says belongs to the machine.
-fn domain(steps: &mut Steps) {
-    let json = machine::target_dir().join("domain.json");
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: domain", || match execute(&mut bench_domain(true, Some(&json), &[])) {
-        Outcome::Ok => check_domain(&json),
-        other => other,
-    });
-}
-
-/// As [`trace`].
-fn parameters(steps: &mut Steps) {
-    let mut command = bench("parameters", true, None);
-    steps.command("bench: parameters", &mut command);
-}
-
-/// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
-/// minute to build.
-fn paper(steps: &mut Steps) {
-    let target = machine::target_dir();
-    let (json, html) = (target.join("paper.json"), target.join("paper.html"));
-    let _ = std::fs::remove_file(&json);
-    let realtime = machine::is_ci() || machine::realtime_permitted();
-    steps.step("bench: paper", || {
-        let mut arguments = vec!["--repeats".to_owned(), "0".to_owned()];
-        if !realtime {
-            arguments.push("--no-rt".to_owned());
-        }
-        let mut command = evaluation::command(&evaluation::Options {
-            no_r2r: true,
-            runs: Some(1),
-            seconds: Some(1.0),
-            json: Some(json.clone()),
-            html: Some(html),
-            arguments,
-            ..Default::default()
-        });
-        match execute(&mut command) {
-            Outcome::Ok => check_paper(&json, realtime),
-            other => other,
-        }
-    });
-}
-
-fn stress(steps: &mut Steps) {
-    steps.command("stress: doorbell", &mut stress_doorbell(RINGS));
-}
-
-/// All interleavings, in a target directory of its own: the flag would rebuild everything in the other one.
+/// Models of what has no lock, in every order within their bounds. In a target directory of its own: the flag would rebuild everything in
+/// the other one.
 fn loom(steps: &mut Steps) {
-    let mut command = cargo(
-        "test --release -p tautline-rt -p tautline-doorbell -p tautline-transport -p tautline-trace -p tautline-tf --lib loom",
-    );
+    const PACKAGES: [&str; 5] =
+        ["tautline-doorbell", "tautline-rt", "tautline-tf", "tautline-trace", "tautline-transport"];
+    let packages = PACKAGES.map(|package| format!(" -p {package}")).concat();
+    let mut command = cargo(&format!("test{packages} --lib loom"));
     command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
     steps.command("loom", &mut command);
 }
 
-/// The unsafe code that needs no kernel, under an interpreter that sees undefined behaviour.
-pub fn miri(steps: &mut Steps) {
-    if let Err(reason) = machine::cargo_has("+nightly miri --version") {
-        return steps.skip("miri", &reason);
+/// All processes have ended: nothing is left of them.
+pub fn leftovers(steps: &mut Steps, scope: &Scope) {
+    steps.step("nothing is left", || left(scope));
+}
+
+/// All processes have ended: their domains have gone from shared memory with them. Where a traced process was killed, what it had
+/// recorded stays for a recorder.
+fn left(scope: &Scope) -> Outcome {
+    let is_trace = |path: &std::path::Path| {
+        path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("trace_p"))
+    };
+    let (traces, left): (Vec<_>, Vec<_>) = scope.left().into_iter().partition(|path| is_trace(path));
+    let of_traces = |path: &&std::path::PathBuf| traces.iter().any(|trace| trace.parent() == Some(path));
+    match left.iter().find(|path| !of_traces(path)) {
+        Some(path) => Outcome::Failed(format!("{} and others, {} in all", path.display(), left.len())),
+        None => Outcome::Ok,
     }
-    // Of `owned`, what allocates and encodes very often shows nothing more here, and takes minutes.
-    let messages = "+nightly miri test -p tautline-msgs --test cdr --test validate --test owned -- \
-                    --skip lengths_are_not_believed --skip encoding_does_not_allocate";
-    steps.command("miri: messages", &mut cargo(messages));
-    let samples = "+nightly miri test -p tautline-transport --lib -- lending pending";
-    steps.command("miri: samples", &mut cargo(samples));
-    let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
-    steps.command("miri: rings", &mut cargo(rings));
-    let latest = "+nightly miri test -p tautline-rt --lib -- latest";
-    steps.command("miri: latest", &mut cargo(latest));
 }

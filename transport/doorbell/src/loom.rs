@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Every interleaving of ringers and a sampler: no ring is lost, whatever else the memory model allows.
-//! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-doorbell --release loom`).
+//! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-doorbell --lib loom`).
 
 use crate::hot::{Bell, Flags, Route, Spot, drain_bits, mark_in};
 use crate::places::FreePlaces;

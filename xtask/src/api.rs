@@ -1,0 +1,328 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What users of the crate `tautline` see, from rustdoc's JSON: each item by its path, with its declaration. A change of it is seen in
+//! `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
+
+use crate::build::WHOLE;
+use crate::machine;
+use crate::steps::{Outcome, cargo, execute};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+/// The crate whose surface this is.
+const CRATE: &str = "tautline";
+
+/// Others' names for it begin so, too: their items are told of, and followed, if this one exports them.
+const OURS: &str = "tautline";
+
+/// Where messages are generated: their names are those of ROS.
+const GENERATED: &str = "tautline_ros_msgs";
+
+/// Traits that nobody else is to implement: they have no path on purpose.
+const SEALED: [&str; 2] = ["Sealed", "Tuple"];
+
+/// Documents the workspace, which says what is wrong with the documentation, and compares the surface with the one that was written down;
+/// with `bless` writes it down.
+pub fn check(bless: bool) -> Outcome {
+    let surface = match document().and_then(|()| Surface::read()) {
+        Ok(surface) => surface,
+        Err(reason) => return Outcome::Failed(reason),
+    };
+    let listed = machine::root().join("node/api.txt");
+    let text = surface.lines.iter().map(|line| format!("{line}\n")).collect::<String>();
+    let before = fs::read_to_string(&listed).unwrap_or_default();
+    if bless {
+        if let Err(error) = fs::write(&listed, &text) {
+            return Outcome::Failed(format!("{}: {error}", listed.display()));
+        }
+    } else if before != text {
+        let (before, now) = (lines_of(&before), lines_of(&text));
+        before.difference(&now).for_each(|line| println!("- {line}"));
+        now.difference(&before).for_each(|line| println!("+ {line}"));
+        return Outcome::Failed(
+            "the public surface has changed: look at it, and write it down with `cargo xtask api --bless`"
+                .to_owned(),
+        );
+    }
+    match surface.unnameable.is_empty() {
+        true => Outcome::Ok,
+        false => {
+            let named = surface.unnameable.iter().map(|(name, user)| format!("{name} (in {user})"));
+            Outcome::Failed(format!("no path to {}", named.collect::<Vec<_>>().join(", ")))
+        }
+    }
+}
+
+fn lines_of(text: &str) -> BTreeSet<&str> {
+    text.lines().collect()
+}
+
+/// Writes the JSON of every crate. It is an option that stable versions keep for nightly ones.
+fn document() -> Result<(), String> {
+    let rustdoc = machine::target_dir().join("rustdoc-json");
+    let written = fs::write(&rustdoc, "#!/bin/sh\nRUSTC_BOOTSTRAP=1 exec rustdoc \"$@\"\n")
+        .and_then(|()| fs::set_permissions(&rustdoc, fs::Permissions::from_mode(0o755)));
+    written.map_err(|error| format!("{}: {error}", rustdoc.display()))?;
+    let mut command = cargo(&format!("doc {WHOLE} --no-deps"));
+    // Not for cargo itself: what looks at that variable would be built anew.
+    command.env("RUSTDOC", rustdoc).env("RUSTDOCFLAGS", "-Dwarnings -Zunstable-options --output-format json");
+    match execute(&mut command) {
+        Outcome::Ok => Ok(()),
+        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+    }
+}
+
+/// What rustdoc tells of a crate.
+struct Crate {
+    index: HashMap<String, Value>,
+    paths: HashMap<String, Value>,
+    root: String,
+}
+
+impl Crate {
+    fn read(path: &Path) -> Result<Crate, String> {
+        let unreadable = |reason: &str| format!("{}: {reason}", path.display());
+        let text = fs::read(path).map_err(|error| unreadable(&error.to_string()))?;
+        let mut json: Value =
+            serde_json::from_slice(&text).map_err(|error| unreadable(&error.to_string()))?;
+        let root = json["root"].to_string();
+        let mut map = |field: &str| match json[field].take() {
+            Value::Object(map) => Ok(map.into_iter().collect()),
+            _ => Err(unreadable(&format!("no {field}: this rustdoc writes another format"))),
+        };
+        Ok(Crate { index: map("index")?, paths: map("paths")?, root })
+    }
+
+    fn item(&self, id: &Value) -> Option<&Value> {
+        self.index.get(&id.to_string())
+    }
+
+    /// The crate and the name of what an identifier stands for.
+    fn definition(&self, id: &Value) -> Option<Definition> {
+        let path = self.paths.get(&id.to_string())?["path"].as_array()?;
+        let text = |segment: Option<&Value>| Some(segment?.as_str()?.to_owned());
+        Some((text(path.first())?, text(path.last())?))
+    }
+}
+
+/// Crate and name. Within a crate of ours no two public types have one name.
+type Definition = (String, String);
+
+struct Surface {
+    crates: HashMap<String, Crate>,
+    lines: BTreeSet<String>,
+    /// What has a path, and which.
+    exported: HashMap<Definition, String>,
+    /// Which declarations name it.
+    named: BTreeMap<Definition, String>,
+    unnameable: BTreeMap<String, String>,
+    seen: HashSet<(String, String)>,
+}
+
+impl Surface {
+    fn read() -> Result<Surface, String> {
+        let folder = machine::target_dir().join("doc");
+        let files = fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        let mut crates = HashMap::new();
+        for path in files.flatten().map(|file| file.path()) {
+            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            if name.starts_with(OURS) && path.extension().is_some_and(|extension| extension == "json") {
+                crates.insert(name, Crate::read(&path)?);
+            }
+        }
+        let mut surface = Surface {
+            crates,
+            lines: BTreeSet::new(),
+            exported: HashMap::new(),
+            named: BTreeMap::new(),
+            unnameable: BTreeMap::new(),
+            seen: HashSet::new(),
+        };
+        let root = surface.crates.get(CRATE).ok_or(format!("there is no {CRATE}.json"))?.root.clone();
+        surface.module(CRATE, &root, CRATE);
+        for (definition, user) in &surface.named {
+            if !surface.exported.contains_key(definition) && !SEALED.contains(&definition.1.as_str()) {
+                surface.unnameable.insert(definition.1.clone(), user.clone());
+            }
+        }
+        Ok(surface)
+    }
+
+    /// All that a module of a crate holds, by its path here.
+    fn module(&mut self, owner: &str, id: &str, path: &str) {
+        let items = self.crates[owner].index.get(id).map(|module| module["inner"]["module"]["items"].clone());
+        for item in items.iter().flat_map(|items| items.as_array().into_iter().flatten()) {
+            self.item(owner, item, path);
+        }
+    }
+
+    fn item(&mut self, owner: &str, id: &Value, path: &str) {
+        let Some(item) = self.crates[owner].item(id).cloned() else { return };
+        if item["visibility"] != "public" && item["visibility"] != "default" {
+            return;
+        }
+        let Some((kind, inner)) = item["inner"].as_object().and_then(|inner| inner.iter().next()) else {
+            return;
+        };
+        if kind == "use" {
+            return self.reexport(owner, inner, path);
+        }
+        let Some(name) = item["name"].as_str() else { return };
+        let path = format!("{path}::{name}");
+        if !self.seen.insert((owner.to_owned(), path.clone())) {
+            return;
+        }
+        self.exported.entry((owner.to_owned(), name.to_owned())).or_insert_with(|| path.clone());
+        if kind == "module" {
+            self.lines.insert(format!("mod {path}"));
+            return self.module(owner, &id.to_string(), &path);
+        }
+        self.declare(owner, &item, &path);
+        let ids = |value: &Value| value.as_array().into_iter().flatten().cloned().collect::<Vec<_>>();
+        for member in ids(&inner["items"]).iter().chain(&ids(&inner["variants"])) {
+            self.member(owner, member, &path);
+        }
+        let kind = &inner["kind"];
+        for field in ids(&kind["plain"]["fields"]).iter().chain(&ids(&kind["tuple"])) {
+            self.member(owner, field, &path);
+        }
+        for implementation in ids(&inner["impls"]) {
+            let found = self.crates[owner].item(&implementation).map(|found| found["inner"]["impl"].clone());
+            let Some(found) = found.filter(|found| found["trait"].is_null()) else { continue };
+            for member in ids(&found["items"]) {
+                self.member(owner, &member, &path);
+            }
+        }
+    }
+
+    /// A method, a field, a variant.
+    fn member(&mut self, owner: &str, id: &Value, path: &str) {
+        let Some(item) = self.crates[owner].item(id).cloned() else { return };
+        let is_public = item["visibility"] == "public" || item["visibility"] == "default";
+        let is_hidden = item["attrs"].to_string().contains("doc(hidden)");
+        let Some(name) = item["name"].as_str().filter(|_| is_public && !is_hidden) else { return };
+        let path = format!("{path}::{name}");
+        self.declare(owner, &item, &path);
+        let kind = &item["inner"]["variant"]["kind"];
+        for field in
+            [&kind["tuple"], &kind["struct"]["fields"]].iter().flat_map(|fields| fields.as_array()).flatten()
+        {
+            self.member(owner, field, &path);
+        }
+    }
+
+    fn reexport(&mut self, owner: &str, inner: &Value, path: &str) {
+        let id = &inner["id"];
+        let name = inner["name"].as_str().unwrap_or_default();
+        if self.crates[owner].item(id).is_some() {
+            if inner["is_glob"] == true {
+                return self.module(owner, &id.to_string(), path);
+            }
+            return self.item(owner, id, path);
+        }
+        let Some((other, original)) = self.crates[owner].definition(id) else { return };
+        if !self.crates.contains_key(&other) || other == GENERATED {
+            self.lines
+                .insert(format!("use {path}::{name} = {}", inner["source"].as_str().unwrap_or_default()));
+            return;
+        }
+        if other == original {
+            // All of a crate.
+            let root = self.crates[&other].root.clone();
+            if inner["is_glob"] == true {
+                return self.module(&other, &root, path);
+            }
+            self.lines.insert(format!("mod {path}::{name} = {other}"));
+            return self.module(&other, &root, &format!("{path}::{name}"));
+        }
+        let of_name = |(id, item): (&String, &Value)| {
+            let is_it = item["name"] == original.as_str() && item["visibility"] == "public";
+            let kinds = [
+                "struct",
+                "enum",
+                "trait",
+                "function",
+                "type_alias",
+                "constant",
+                "union",
+                "macro",
+                "proc_macro",
+            ];
+            let kind = item["inner"].as_object()?.keys().next()?;
+            (is_it && kinds.contains(&kind.as_str())).then(|| id.clone())
+        };
+        let found: Vec<String> = self.crates[&other].index.iter().filter_map(of_name).collect();
+        for id in found {
+            let id = serde_json::from_str(&id).unwrap_or(Value::Null);
+            self.item(&other, &id, path);
+        }
+    }
+
+    /// Writes an item down as its source declares it, and notes what that names.
+    fn declare(&mut self, owner: &str, item: &Value, path: &str) {
+        let kind =
+            item["inner"].as_object().and_then(|inner| inner.keys().next().cloned()).unwrap_or_default();
+        self.lines.insert(format!("{} {path}{}", kind.replace('_', " "), declaration(item)));
+        let mut named = Vec::new();
+        names(&item["inner"], &mut named);
+        for id in named {
+            let Some(definition) = self.crates[owner].definition(&id) else { continue };
+            let is_ours = self.crates.contains_key(&definition.0) && definition.0 != GENERATED;
+            if is_ours {
+                self.named.entry(definition).or_insert_with(|| path.to_owned());
+            }
+        }
+    }
+}
+
+/// The identifiers of the types and traits of a declaration.
+fn names(value: &Value, found: &mut Vec<Value>) {
+    match value {
+        Value::Object(map) => {
+            for (key, value) in map {
+                match key.as_str() {
+                    "resolved_path" | "trait" if value["id"].is_number() => found.push(value["id"].clone()),
+                    // Items of their own.
+                    "impls" | "items" | "implementations" => continue,
+                    _ => {}
+                }
+                names(value, found);
+            }
+        }
+        Value::Array(values) => values.iter().for_each(|value| names(value, found)),
+        _ => {}
+    }
+}
+
+/// What follows an item's name in its source: of a function up to its body, of a type its parameters, of a field its type.
+fn declaration(item: &Value) -> String {
+    let name = item["name"].as_str().unwrap_or_default();
+    let kind = item["inner"].as_object().and_then(|inner| inner.keys().next()).map_or("", String::as_str);
+    let (keyword, ends): (&str, &[char]) = match kind {
+        "function" => ("fn", &['{', ';']),
+        "struct" | "enum" | "trait" | "union" => (kind, &['{', ';', '(']),
+        "struct_field" => ("", &[]),
+        _ => return String::new(),
+    };
+    let text = source(&item["span"]).unwrap_or_default();
+    if kind == "struct_field" {
+        let text = text.trim().trim_end_matches(',').trim_start_matches("pub ");
+        return format!(": {}", text.strip_prefix(&format!("{name}: ")).unwrap_or(text));
+    }
+    let after = text.split_once(&format!("{keyword} {name}")).map_or("", |(_, after)| after);
+    let end = after.find(ends).unwrap_or(after.len());
+    let words = after.get(..end).unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
+    words.replace("( ", "(").replace(", )", ")").replace(",)", ")").trim_end().to_owned()
+}
+
+/// The lines of a span.
+fn source(span: &Value) -> Option<String> {
+    let path = PathBuf::from(span["filename"].as_str()?);
+    let text = fs::read_to_string(machine::root().join(path)).ok()?;
+    let line = |end: &str| usize::try_from(span[end][0].as_u64()?).ok();
+    let (begin, end) = (line("begin")?, line("end")?);
+    let lines = text.lines().skip(begin.saturating_sub(1)).take(end.saturating_sub(begin) + 1);
+    Some(lines.collect::<Vec<_>>().join("\n"))
+}

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which build of a program is run: the release build, whose figures count, or that of the tests, which is there already.
+
+use crate::machine;
+use crate::steps::cargo;
+use std::path::PathBuf;
+use std::process::Command;
+
+/// A build of the workspace's programs.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+pub enum Build {
+    /// Made when it is needed.
+    #[default]
+    Release,
+    /// Made by [`crate::test::build`] before.
+    Tests,
+}
+
+/// Every package with every bundled message: what has other features is built anew, with all that needs it.
+pub const WHOLE: &str = "--workspace --features tautline/ros_all,tautline/type_description_interfaces";
+
+/// What `cargo xtask test` leaves to `cargo xtask ci`: Zenoh and iceoryx2 take minutes to build, and benches are for a quiet machine.
+pub const LATER: [&str; 6] = [
+    "tautline-bench-domain",
+    "tautline-bench-network",
+    "tautline-benches",
+    "tautline-compare",
+    "tautline-gateway",
+    "tautline-kills",
+];
+
+/// What is tested with the gateway, in nextest's words.
+pub const WITH_GATEWAY: &str = "package(tautline-gateway)|(package(taut)&binary(hops))";
+
+/// [`WHOLE`] without [`LATER`]. What both build is the same, for xtask's manifest asks for the same features of other packages as what is
+/// left out; [`crate::shared`] checks it.
+pub fn most() -> String {
+    LATER.iter().fold(WHOLE.to_owned(), |most, package| most + " --exclude " + package)
+}
+
+impl Build {
+    /// Where its programs are.
+    pub fn folder(self) -> PathBuf {
+        machine::target_dir().join(match self {
+            Build::Release => "release",
+            Build::Tests => "debug",
+        })
+    }
+
+    /// Runs a program of a package.
+    pub fn program(self, package: &str, name: &str) -> Command {
+        match self {
+            Build::Release => cargo(&format!("run --release -p {package} --bin {name} --")),
+            Build::Tests => Command::new(self.folder().join(name)),
+        }
+    }
+}

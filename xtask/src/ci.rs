@@ -1,0 +1,388 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `cargo xtask ci`: what [`mod@test`] leaves out. The order is that of the build: what shares artefacts is adjacent. Benches run in
+//! the tests' build: that they run and keep their promises is checked, what they measure belongs to a quiet machine and a release build.
+
+use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY};
+use crate::machine::{self, Scope};
+use crate::reports::{
+    check_compare, check_domain, check_lane, check_messages, check_network, check_paper, check_reference,
+    check_reference_beside, check_wake,
+};
+use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::test::{self, nextest};
+use crate::{
+    alks, api, bench, bench_domain, book, bridge, compare as comparison, fuzz, lttng, packages,
+    paper as evaluation, peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips,
+    shared, stress_doorbell, stress_kills,
+};
+use std::process::{Command, ExitCode};
+
+/// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
+const RINGS: u64 = 1_000_000;
+
+/// Within two minutes; `cargo xtask stress kills` kills as many as it is told to.
+const KILLS: u64 = 1000;
+
+/// Runs every step, whatever fails.
+pub fn run(scope: &Scope) -> ExitCode {
+    let mut steps = Steps::new();
+    ros(&mut steps);
+    lints(&mut steps);
+    steps.step("builds are shared", shared::check);
+    rest_of_tests(&mut steps);
+    let built = test::build(&mut steps, WHOLE);
+    bridge::test(&mut steps);
+    rmw::test(&mut steps);
+    lttng::test(&mut steps);
+    clock_step(&mut steps);
+    release(&mut steps);
+    reference_system(&mut steps, built);
+    lane_keeping(&mut steps, built);
+    two_hosts(&mut steps, built);
+    systemd(&mut steps);
+    peers::test(&mut steps, built);
+    programs::test(&mut steps);
+    bridge::bench_of_tests(&mut steps);
+    rmw::bench_of_tests(&mut steps);
+    steps.command("stress: doorbell", &mut stress_doorbell(RINGS));
+    stress_kills(&mut steps, Build::Tests, KILLS, None, false);
+    domain(&mut steps);
+    r2r_tests::all(&mut steps);
+    plain_benches(&mut steps);
+    wake(&mut steps);
+    messages(&mut steps);
+    services(&mut steps);
+    network(&mut steps);
+    compare(&mut steps);
+    paper(&mut steps);
+    miri(&mut steps);
+    fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
+    test::leftovers(&mut steps, scope);
+    steps.finish()
+}
+
+/// The ROS 2 that tests compare with. Without a network they are skipped, but not in CI.
+fn ros(steps: &mut Steps) {
+    steps.step("ros", || match ros::prepare() {
+        Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
+        other => other,
+    });
+}
+
+/// All that is no part of [`mod@test`]: other workspaces, and packages that take long to build.
+fn lints(steps: &mut Steps) {
+    // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
+    let sources =
+        ["src/main.rs", "src/bin/alks-r2r.rs", "src/bin/reference-r2r.rs", "src/bin/services-r2r.rs"];
+    for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
+        let r2r = machine::root().join(folder);
+        let mut format = Command::new("rustfmt");
+        format.args(["--check", "--edition", "2024"]);
+        format.args(sources.map(|source| r2r.join(source)).iter().filter(|source| source.exists()));
+        steps.command(&format!("fmt: {name}"), &mut format);
+        let mut lock = cargo("fetch --quiet --locked --manifest-path");
+        steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
+    }
+    for (name, folder) in [
+        ("network-hiroz", "benches/network-hiroz"),
+        ("compare-taktora", "benches/compare/taktora"),
+        ("compare-zenoh", "benches/compare/zenoh"),
+        ("r2r-programs", "node/r2r"),
+    ] {
+        let manifest = format!("--manifest-path {folder}/Cargo.toml");
+        steps.command(&format!("fmt: {name}"), &mut cargo(&format!("fmt {manifest} --check")));
+        steps.command(&format!("lock: {name}"), &mut cargo(&format!("fetch --quiet --locked {manifest}")));
+    }
+    steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
+    steps.command("fmt: rmw", &mut cargo("fmt --manifest-path rmw/Cargo.toml --check"));
+    steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
+    steps.command("clippy", &mut cargo(&format!("clippy {WHOLE} --all-targets -- -D warnings")));
+    book::test(steps);
+    steps.step("documentation and public surface", || api::check(false));
+}
+
+/// The gateway's after the others: it mirrors what other tests of its domains do.
+fn rest_of_tests(steps: &mut Steps) {
+    steps.step("gateway: packages", packages::firewall);
+    let others = LATER.map(|package| format!("package({package})")).join("|");
+    nextest(steps, "tests: benches", WHOLE, &format!("({others})-package(tautline-gateway)"));
+    nextest(steps, "tests: gateway", WHOLE, WITH_GATEWAY);
+    let packages = LATER.map(|package| format!(" -p {package}")).concat();
+    steps.command(
+        "doc tests: gateway and benches",
+        &mut cargo(&format!("test{packages} --no-fail-fast --doc")),
+    );
+}
+
+/// The README's first command, for three seconds.
+fn release(steps: &mut Steps) {
+    steps.command("release: demo", &mut cargo("run --release -- demo --seconds 3"));
+}
+
+/// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
+/// r2r where that has been built before, which otherwise takes a minute.
+fn reference_system(steps: &mut Steps, built: bool) {
+    let name = "reference system";
+    if !built {
+        return steps.skip(name, "not built");
+    }
+    let target = machine::target_dir();
+    let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
+    let realtime = machine::is_ci() || machine::realtime_permitted();
+    let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
+        let _ = std::fs::remove_file(&json);
+        let mut command = Command::new(Build::Tests.folder().join("reference_system"));
+        command.args(arguments).arg("--json").arg(&json);
+        if !realtime {
+            command.arg("--no-rt");
+        }
+        match execute(&mut command) {
+            Outcome::Ok => check(),
+            other => other,
+        }
+    };
+    let svg = svg.display().to_string();
+    steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &|| check_reference(&json, realtime)));
+    let name = "reference system: beside r2r";
+    if !r2r::is_built(reference::PROGRAM) {
+        return steps.skip(name, "not built before: `cargo xtask bench reference-system` does it");
+    }
+    steps.step(name, || {
+        let program = match r2r::program(reference::PROGRAM) {
+            Ok(program) => program.display().to_string(),
+            Err(reason) => return Outcome::Failed(reason),
+        };
+        let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
+        run(&arguments, &|| check_reference_beside(&json))
+    });
+}
+
+/// Three seconds of the automated lane keeping system in each way to share, and a second beside r2r where that has been built before: the
+/// lane is kept and no message lost. Its bounds are for a machine that does nothing else.
+fn lane_keeping(steps: &mut Steps, built: bool) {
+    let name = "lane keeping";
+    if !built {
+        return steps.skip(name, "not built");
+    }
+    let target = machine::target_dir();
+    let (json, page) = (target.join("alks.json"), target.join("alks.html"));
+    let run = |arguments: &[&str]| {
+        let _ = std::fs::remove_file(&json);
+        let mut command = Command::new(Build::Tests.folder().join("alks"));
+        command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.arg("--no-rt");
+        }
+        // What it says of bounds is not judged here.
+        let _ = execute(&mut command);
+        check_lane(&json)
+    };
+    steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
+    let name = "lane keeping: beside r2r";
+    if !r2r::is_built(alks::PROGRAM) {
+        return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
+    }
+    steps.step(name, || match r2r::program(alks::PROGRAM) {
+        Ok(program) => run(&["--seconds", "2", "--r2r", &program.display().to_string()]),
+        Err(reason) => Outcome::Failed(reason),
+    });
+}
+
+/// Nodes with a gateway on each side, of the tests' build.
+fn two_hosts(steps: &mut Steps, built: bool) {
+    let target = machine::target_dir();
+    let gateway = target.join("debug/taut-gateway");
+    for (name, program) in [("example two_hosts", "talker"), ("example remote_image", "remote_image")] {
+        if !built || !gateway.exists() {
+            steps.skip(name, "not built");
+            continue;
+        }
+        let mut command = Command::new("timeout");
+        command.arg("60").arg(machine::root().join("examples/two_hosts.sh")).args(["5", program]);
+        command.env("TAUT_GATEWAY", &gateway).env("TAUT_BUILT", Build::Tests.folder());
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.env("TAUT_REALTIME", "off");
+        }
+        steps.command(name, &mut command);
+    }
+}
+
+/// What systemd says of the gateway's unit, with this build's program in it.
+fn systemd(steps: &mut Steps) {
+    let name = "systemd unit";
+    if Command::new("systemd-analyze").arg("--version").output().is_err() {
+        return steps.skip(name, "no systemd-analyze here");
+    }
+    let target = machine::target_dir();
+    let write = || -> std::io::Result<std::path::PathBuf> {
+        let unit = std::fs::read_to_string(machine::root().join("docs/systemd/taut-gateway@.service"))?;
+        let program = target.join("debug/taut-gateway").display().to_string();
+        let path = target.join("taut-gateway@0.service");
+        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))?;
+        Ok(path)
+    };
+    match write() {
+        Ok(path) => drop(steps.command(name, Command::new("systemd-analyze").arg("verify").arg(path))),
+        Err(error) => drop(steps.step(name, || Outcome::Failed(error.to_string()))),
+    }
+}
+
+/// Sets the system's clock by an hour for some milliseconds, which is nothing to do on somebody's own machine.
+fn clock_step(steps: &mut Steps) {
+    if !machine::is_ci() {
+        return steps.skip("clock step", "sets the system's clock: only where CI is set");
+    }
+    let mut command = cargo("test -p tautline-sampler --test clock_step");
+    steps.command("clock step", command.env("TAUT_STEP_CLOCK", "1"));
+}
+
+/// A quick run of the wake bench: it runs and its report keeps its promises.
+fn wake(steps: &mut Steps) {
+    let json = machine::target_dir().join("wake.json");
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: wake", || {
+        let mut command = bench(Build::Tests, "wake", true, Some(&json));
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.arg("--no-rt");
+        }
+        match execute(&mut command) {
+            Outcome::Ok => check_wake(&json),
+            other => other,
+        }
+    });
+}
+
+/// A quick run of the messages bench: every encoder writes the same bytes, and the rows keep their promises.
+fn messages(steps: &mut Steps) {
+    let json = machine::target_dir().join("messages.json");
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: messages", || {
+        match execute(&mut bench(Build::Tests, "messages", true, Some(&json))) {
+            Outcome::Ok => check_messages(&json),
+            other => other,
+        }
+    });
+}
+
+/// A round of each measurement without hiroz, and of a debug build, for a release build of Zenoh takes minutes: it runs and
+/// its report keeps its promises; the numbers mean nothing.
+fn network(steps: &mut Steps) {
+    let target = machine::target_dir();
+    let json = target.join("network.json");
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: network", || {
+        let mut command = Command::new(Build::Tests.folder().join("network"));
+        command.args(["--quick", "--rounds", "1", "--without-hiroz=a debug build", "--taut"]);
+        command.arg(Build::Tests.folder().join("taut")).arg("--json").arg(&json);
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            command.arg("--no-rt");
+        }
+        match execute(&mut command) {
+            Outcome::Ok => check_network(&json),
+            other => other,
+        }
+    });
+}
+
+/// A minute of the comparison with what is built in seconds: it runs, its page is drawn and its report keeps its promises.
+fn compare(steps: &mut Steps) {
+    const SYSTEMS: [&str; 4] = ["floor", "tautline", "iceoryx2", "fastdds"];
+    let target = machine::target_dir();
+    let (json, html) = (target.join("compare.json"), target.join("compare.html"));
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: compare", || {
+        let mut arguments = vec!["--smoke".to_owned()];
+        if !machine::is_ci() && !machine::realtime_permitted() {
+            arguments.push("--no-rt".to_owned());
+        }
+        let mut command = comparison::command(&comparison::Options {
+            systems: SYSTEMS.map(str::to_owned).into(),
+            json: Some(json.clone()),
+            html: Some(html),
+            arguments,
+            build: Build::Tests,
+            ..Default::default()
+        });
+        match execute(&mut command) {
+            Outcome::Ok => check_compare(&json, &SYSTEMS),
+            other => other,
+        }
+    });
+}
+
+/// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
+fn services(steps: &mut Steps) {
+    let no_rt = !machine::is_ci() && !machine::realtime_permitted();
+    let arguments = no_rt.then(|| "--no-rt".to_owned()).into_iter().collect();
+    let options = round_trips::Options {
+        quick: true,
+        no_r2r: true,
+        arguments,
+        build: Build::Tests,
+        ..Default::default()
+    };
+    steps.command("bench: services", &mut round_trips::command(&options));
+}
+
+/// They run; what they say belongs to the machine.
+fn plain_benches(steps: &mut Steps) {
+    for name in ["trace", "tools", "parameters"] {
+        steps.command(&format!("bench: {name}"), &mut bench(Build::Tests, name, true, None));
+    }
+}
+
+/// A quick run: no process hangs or leaves anything, and the report keeps its promises; what it says belongs to the machine.
+fn domain(steps: &mut Steps) {
+    let json = machine::target_dir().join("domain.json");
+    let _ = std::fs::remove_file(&json);
+    steps.step("bench: domain", || match execute(&mut bench_domain(Build::Tests, true, Some(&json), &[])) {
+        Outcome::Ok => check_domain(&json),
+        other => other,
+    });
+}
+
+/// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
+/// minute to build.
+fn paper(steps: &mut Steps) {
+    let target = machine::target_dir();
+    let (json, html) = (target.join("paper.json"), target.join("paper.html"));
+    let _ = std::fs::remove_file(&json);
+    let realtime = machine::is_ci() || machine::realtime_permitted();
+    steps.step("bench: paper", || {
+        let mut arguments = vec!["--repeats".to_owned(), "0".to_owned()];
+        if !realtime {
+            arguments.push("--no-rt".to_owned());
+        }
+        let mut command = evaluation::command(&evaluation::Options {
+            no_r2r: true,
+            runs: Some(1),
+            seconds: Some(1.0),
+            json: Some(json.clone()),
+            html: Some(html),
+            arguments,
+            build: Build::Tests,
+            ..Default::default()
+        });
+        match execute(&mut command) {
+            Outcome::Ok => check_paper(&json, realtime),
+            other => other,
+        }
+    });
+}
+
+/// The unsafe code that needs no kernel, under an interpreter that sees undefined behaviour.
+pub fn miri(steps: &mut Steps) {
+    if let Err(reason) = machine::cargo_has("+nightly miri --version") {
+        return steps.skip("miri", &reason);
+    }
+    // Of `owned`, what allocates and encodes very often shows nothing more here, and takes minutes.
+    let messages = "+nightly miri test -p tautline-msgs --test cdr --test validate --test owned -- \
+                    --skip lengths_are_not_believed --skip encoding_does_not_allocate";
+    steps.command("miri: messages", &mut cargo(messages));
+    let samples = "+nightly miri test -p tautline-transport --lib -- lending pending";
+    steps.command("miri: samples", &mut cargo(samples));
+    let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
+    steps.command("miri: rings", &mut cargo(rings));
+    let latest = "+nightly miri test -p tautline-rt --lib -- latest";
+    steps.command("miri: latest", &mut cargo(latest));
+}
