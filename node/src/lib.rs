@@ -107,15 +107,17 @@ pub use untyped::{
 
 pub use indexmap;
 pub use tautline_derive::RosParams;
-pub use tautline_trace::{TraceMode, TraceSettings};
+pub use tautline_trace::{TraceError, TraceMode, TraceSettings};
 #[cfg(feature = "action_msgs")]
 pub use uuid;
 
+/// Response times, and the system file: what `taut check` computes.
+pub use tautline_analysis as analysis;
 pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
-    CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Histogram, HistogramSnapshot, MemberOptions,
-    Moment, MomentKind, Overrun, OverrunPolicy, Policy, ProcessInfo, ProcessSnapshot, Realtime,
-    StatisticsFile, assign,
+    CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Handler, Histogram, HistogramSnapshot,
+    MemberOptions, Moment, MomentKind, Order, Orders, Overrun, OverrunPolicy, Panic, Policy, ProcessInfo,
+    ProcessSnapshot, Realtime, StatisticsFile, Watch, assign,
 };
 /// Callbacks that wait for several topics.
 pub use tautline_join as join;
@@ -138,6 +140,20 @@ pub use tautline_transport::{
     ServiceEndpoint, ServiceError, ServiceKind, TakeError, TopicEndpoint, TopicMemory, TransportError,
     Unpublished, Unsent, Unwritten, UnwrittenResponse, topic_memory,
 };
+
+/// Below messages: ends of topics and services that carry bytes, what the sampler serves, what the domain knows of its members. For tools,
+/// recorders and other languages.
+pub mod raw {
+    pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
+    pub use tautline_trace::ObjectId;
+    pub use tautline_transport::{
+        Arena, ArenaId, Availability, Doorbell, DoorbellError, Durability, Flags, GrowArena, History, Joined,
+        Liveliness, MatchedCount, Origin, PublisherChanges, PublisherMonitor, Pulse, PulseOf, Qos, Rank,
+        RawClient, RawLoan, RawPending, RawPublisher, RawResponse, RawSample, RawSubscription, Reliability,
+        SamplerSeat, Signal, Sleeper, Slot, SubscriptionChanges, SubscriptionMonitor, ThreadBell, TopicType,
+        TracedPort, Wakeable,
+    };
+}
 
 /// What the macros' code calls.
 #[doc(hidden)]

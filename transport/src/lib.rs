@@ -63,7 +63,8 @@ pub use service::{
     UnwrittenResponse,
 };
 pub use tautline_doorbell::{
-    Doorbell, DoorbellError, Pulse, PulseOf, SamplerSeat, Signal, Slot, ThreadBell, Wakeable,
+    Arena, ArenaId, Doorbell, DoorbellError, Flags, GrowArena, Joined, Pulse, PulseOf, SamplerSeat, Signal,
+    Sleeper, Slot, ThreadBell, Wakeable,
 };
 pub use topic::compatibility::QosPolicyKind;
 pub use topic::control::Sent;

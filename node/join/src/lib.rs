@@ -40,7 +40,7 @@ pub use all_of::{AllOf, AllOfInputs, all_of};
 pub use counters::{Counters, InputCounters};
 pub use latest::{Kept, Latest, LatestInputs, latest};
 pub use policy::{ApproximateTime, Arrival, ExactTime, Policy};
-pub use source::{Room, Source, Stamped, StampedStream, stamped};
+pub use source::{Plain, Room, Source, Stamped, StampedStream, stamped};
 pub use synchronizer::{Synchronizer, SynchronizerInputs};
 
 /// Most inputs that a join has, as in message_filters.
