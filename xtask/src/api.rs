@@ -9,7 +9,7 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The crate whose surface this is.
 const CRATE: &str = "tautline";
@@ -317,12 +317,17 @@ fn declaration(item: &Value) -> String {
     words.replace("( ", "(").replace(", )", ")").replace(",)", ")").trim_end().to_owned()
 }
 
-/// The lines of a span.
+/// The text of a span.
 fn source(span: &Value) -> Option<String> {
-    let path = PathBuf::from(span["filename"].as_str()?);
-    let text = fs::read_to_string(machine::root().join(path)).ok()?;
-    let line = |end: &str| usize::try_from(span[end][0].as_u64()?).ok();
-    let (begin, end) = (line("begin")?, line("end")?);
-    let lines = text.lines().skip(begin.saturating_sub(1)).take(end.saturating_sub(begin) + 1);
+    let text = fs::read_to_string(machine::root().join(span["filename"].as_str()?)).ok()?;
+    let number = |end: &str, of: usize| usize::try_from(span[end][of].as_u64()?).ok();
+    let (first, last) = (number("begin", 0)?, number("end", 0)?);
+    let (from, to) = (number("begin", 1)?.saturating_sub(1), number("end", 1)?.saturating_sub(1));
+    let lines = text.lines().enumerate().skip(first.saturating_sub(1)).take(last.saturating_sub(first) + 1);
+    let lines = lines.map(|(index, line)| {
+        let end = if index + 1 == last { to } else { usize::MAX };
+        let start = if index + 1 == first { from } else { 0 };
+        line.chars().take(end).skip(start).collect::<String>()
+    });
     Some(lines.collect::<Vec<_>>().join("\n"))
 }
