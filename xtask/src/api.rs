@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What users of the crate `tautline` see, from rustdoc's JSON: each item by its path, with its declaration. A change of it is seen in
-//! `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
+//! What users of the crate `tautline` see, from rustdoc's JSON: each item by its path, with its declaration; not which traits it
+//! implements. A change of it is seen in `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
 
 use crate::build::WHOLE;
 use crate::machine;
@@ -20,8 +20,11 @@ const OURS: &str = "tautline";
 /// Where messages are generated: their names are those of ROS.
 const GENERATED: &str = "tautline_ros_msgs";
 
-/// Traits that nobody else is to implement: they have no path on purpose.
-const SEALED: [&str; 2] = ["Sealed", "Tuple"];
+/// Traits that nobody else is to implement, with their crates: they have no path on purpose.
+const SEALED: [(&str, &str); 2] = [("tautline_tf", "Sealed"), ("tautline_join", "Tuple")];
+
+/// Of rustdoc's JSON, which changes with the compiler.
+const FORMAT: u64 = 57;
 
 /// Documents the workspace, which says what is wrong with the documentation, and compares the surface with the one that was written down;
 /// with `bless` writes it down.
@@ -33,25 +36,27 @@ pub fn check(bless: bool) -> Outcome {
     let listed = machine::root().join("node/api.txt");
     let text = surface.lines.iter().map(|line| format!("{line}\n")).collect::<String>();
     let before = fs::read_to_string(&listed).unwrap_or_default();
+    let mut faults = Vec::new();
     if bless {
         if let Err(error) = fs::write(&listed, &text) {
-            return Outcome::Failed(format!("{}: {error}", listed.display()));
+            faults.push(format!("{}: {error}", listed.display()));
         }
     } else if before != text {
         let (before, now) = (lines_of(&before), lines_of(&text));
         before.difference(&now).for_each(|line| println!("- {line}"));
         now.difference(&before).for_each(|line| println!("+ {line}"));
-        return Outcome::Failed(
-            "the public surface has changed: look at it, and write it down with `cargo xtask api --bless`"
+        faults.push(
+            "the surface has changed: look at it, and write it down with `cargo xtask api --bless`"
                 .to_owned(),
         );
     }
-    match surface.unnameable.is_empty() {
+    if !surface.unnameable.is_empty() {
+        let named = surface.unnameable.iter().map(|(name, user)| format!("{name} (in {user})"));
+        faults.push(format!("no path to {}", named.collect::<Vec<_>>().join(", ")));
+    }
+    match faults.is_empty() {
         true => Outcome::Ok,
-        false => {
-            let named = surface.unnameable.iter().map(|(name, user)| format!("{name} (in {user})"));
-            Outcome::Failed(format!("no path to {}", named.collect::<Vec<_>>().join(", ")))
-        }
+        false => Outcome::Failed(faults.join("; ")),
     }
 }
 
@@ -87,6 +92,12 @@ impl Crate {
         let text = fs::read(path).map_err(|error| unreadable(&error.to_string()))?;
         let mut json: Value =
             serde_json::from_slice(&text).map_err(|error| unreadable(&error.to_string()))?;
+        if json["format_version"] != FORMAT {
+            let version = &json["format_version"];
+            return Err(unreadable(&format!(
+                "this compiler's rustdoc writes format {version}, and {FORMAT} is read"
+            )));
+        }
         let root = json["root"].to_string();
         let mut map = |field: &str| match json[field].take() {
             Value::Object(map) => Ok(map.into_iter().collect()),
@@ -107,7 +118,7 @@ impl Crate {
     }
 }
 
-/// Crate and name. Within a crate of ours no two public types have one name.
+/// Crate and name. Two types of one name in a crate would be taken for one: there are none but what is in [`SEALED`].
 type Definition = (String, String);
 
 struct Surface {
@@ -143,7 +154,9 @@ impl Surface {
         let root = surface.crates.get(CRATE).ok_or(format!("there is no {CRATE}.json"))?.root.clone();
         surface.module(CRATE, &root, CRATE);
         for (definition, user) in &surface.named {
-            if !surface.exported.contains_key(definition) && !SEALED.contains(&definition.1.as_str()) {
+            if !surface.exported.contains_key(definition)
+                && !SEALED.contains(&(definition.0.as_str(), definition.1.as_str()))
+            {
                 surface.unnameable.insert(definition.1.clone(), user.clone());
             }
         }
@@ -154,11 +167,12 @@ impl Surface {
     fn module(&mut self, owner: &str, id: &str, path: &str) {
         let items = self.crates[owner].index.get(id).map(|module| module["inner"]["module"]["items"].clone());
         for item in items.iter().flat_map(|items| items.as_array().into_iter().flatten()) {
-            self.item(owner, item, path);
+            self.item(owner, item, path, None);
         }
     }
 
-    fn item(&mut self, owner: &str, id: &Value, path: &str) {
+    /// An item, by the name that it is exported under.
+    fn item(&mut self, owner: &str, id: &Value, path: &str, exported: Option<&str>) {
         let Some(item) = self.crates[owner].item(id).cloned() else { return };
         if item["visibility"] != "public" && item["visibility"] != "default" {
             return;
@@ -170,7 +184,7 @@ impl Surface {
             return self.reexport(owner, inner, path);
         }
         let Some(name) = item["name"].as_str() else { return };
-        let path = format!("{path}::{name}");
+        let path = format!("{path}::{}", exported.unwrap_or(name));
         if !self.seen.insert((owner.to_owned(), path.clone())) {
             return;
         }
@@ -220,7 +234,7 @@ impl Surface {
             if inner["is_glob"] == true {
                 return self.module(owner, &id.to_string(), path);
             }
-            return self.item(owner, id, path);
+            return self.item(owner, id, path, Some(name));
         }
         let Some((other, original)) = self.crates[owner].definition(id) else { return };
         if !self.crates.contains_key(&other) || other == GENERATED {
@@ -256,7 +270,7 @@ impl Surface {
         let found: Vec<String> = self.crates[&other].index.iter().filter_map(of_name).collect();
         for id in found {
             let id = serde_json::from_str(&id).unwrap_or(Value::Null);
-            self.item(&other, &id, path);
+            self.item(&other, &id, path, Some(name));
         }
     }
 
@@ -296,25 +310,56 @@ fn names(value: &Value, found: &mut Vec<Value>) {
     }
 }
 
-/// What follows an item's name in its source: of a function up to its body, of a type its parameters, of a field its type.
+/// What follows an item's name: of a function its qualifiers and all up to its body, of a type its parameters, of a field or a constant
+/// its type. As the source has it; what macros made is told by its name alone.
 fn declaration(item: &Value) -> String {
     let name = item["name"].as_str().unwrap_or_default();
     let kind = item["inner"].as_object().and_then(|inner| inner.keys().next()).map_or("", String::as_str);
     let (keyword, ends): (&str, &[char]) = match kind {
         "function" => ("fn", &['{', ';']),
         "struct" | "enum" | "trait" | "union" => (kind, &['{', ';', '(']),
+        "constant" | "assoc_const" => ("const", &['=', ';']),
+        "type_alias" | "assoc_type" => ("type", &[';']),
         "struct_field" => ("", &[]),
         _ => return String::new(),
     };
     let text = source(&item["span"]).unwrap_or_default();
     if kind == "struct_field" {
-        let text = text.trim().trim_end_matches(',').trim_start_matches("pub ");
-        return format!(": {}", text.strip_prefix(&format!("{name}: ")).unwrap_or(text));
+        let text = text.trim().trim_start_matches("pub ");
+        // A field by its name, or one of a tuple, which is its type.
+        let is_named = name.parse::<usize>().is_err();
+        return match text.strip_prefix(&format!("{name}: ")).or((!is_named).then_some(text)) {
+            Some(field) => {
+                format!(": {}", field.trim_end_matches(',').split_whitespace().collect::<Vec<_>>().join(" "))
+            }
+            None => String::new(),
+        };
     }
-    let after = text.split_once(&format!("{keyword} {name}")).map_or("", |(_, after)| after);
-    let end = after.find(ends).unwrap_or(after.len());
-    let words = after.get(..end).unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
-    words.replace("( ", "(").replace(", )", ")").replace(",)", ")").trim_end().to_owned()
+    let Some((_, after)) = text.split_once(&format!("{keyword} {name}")) else { return String::new() };
+    let words = after[..end(after, ends)].split_whitespace().collect::<Vec<_>>().join(" ");
+    let words = words.replace("( ", "(").replace(", )", ")").replace(",)", ")");
+    let header = &item["inner"]["function"]["header"];
+    let qualifiers =
+        ["async", "const", "unsafe"].map(|one| if header[format!("is_{one}")] == true { one } else { "" });
+    let qualifiers =
+        qualifiers.iter().filter(|one| !one.is_empty()).map(|one| format!(" [{one}]")).collect::<String>();
+    format!("{}{qualifiers}", words.trim_end())
+}
+
+/// Where one of these stands outside of all brackets, or the end.
+fn end(text: &str, ends: &[char]) -> usize {
+    let mut depth = 0_usize;
+    for (at, letter) in text.char_indices() {
+        if depth == 0 && ends.contains(&letter) {
+            return at;
+        }
+        match letter {
+            '(' | '[' => depth += 1,
+            ')' | ']' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+    }
+    text.len()
 }
 
 /// The text of a span.

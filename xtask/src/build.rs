@@ -32,6 +32,9 @@ pub const LATER: [&str; 6] = [
 /// What is tested with the gateway, in nextest's words.
 pub const WITH_GATEWAY: &str = "package(tautline-gateway)|(package(taut)&binary(hops))";
 
+/// What is compared with a ROS 2.
+pub const WITH_ROS: &str = "binary(ros_hashes)|binary(ros_values)|test(ros::)|test(others_read)";
+
 /// [`WHOLE`] without [`LATER`]. What both build is the same, for xtask's manifest asks for the same features of other packages as what is
 /// left out; [`crate::shared`] checks it.
 pub fn most() -> String {

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `cargo xtask ci`: what [`mod@test`] leaves out. The order is that of the build: what shares artefacts is adjacent. Benches run in
-//! the tests' build: that they run and keep their promises is checked, what they measure belongs to a quiet machine and a release build.
+//! the tests' build, unoptimised: that they run and keep their promises is checked, what they measure belongs to a quiet machine and a release
+//! build.
 
-use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY};
+use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::machine::{self, Scope};
 use crate::reports::{
     check_compare, check_domain, check_lane, check_messages, check_network, check_paper, check_reference,
@@ -27,46 +28,53 @@ const KILLS: u64 = 1000;
 pub fn run(scope: &Scope) -> ExitCode {
     let mut steps = Steps::new();
     ros(&mut steps);
+    r2r::prepare_libclang(&mut steps, true);
     lints(&mut steps);
     steps.step("builds are shared", shared::check);
     rest_of_tests(&mut steps);
-    let built = test::build(&mut steps, WHOLE);
     bridge::test(&mut steps);
     rmw::test(&mut steps);
     lttng::test(&mut steps);
     clock_step(&mut steps);
     release(&mut steps);
-    reference_system(&mut steps, built);
-    lane_keeping(&mut steps, built);
-    two_hosts(&mut steps, built);
-    systemd(&mut steps);
-    peers::test(&mut steps, built);
     programs::test(&mut steps);
     bridge::bench_of_tests(&mut steps);
     rmw::bench_of_tests(&mut steps);
     steps.command("stress: doorbell", &mut stress_doorbell(RINGS));
-    stress_kills(&mut steps, Build::Tests, KILLS, None, false);
-    domain(&mut steps);
     r2r_tests::all(&mut steps);
-    plain_benches(&mut steps);
-    wake(&mut steps);
-    messages(&mut steps);
-    services(&mut steps);
-    network(&mut steps);
-    compare(&mut steps);
-    paper(&mut steps);
+    let built = test::build(&mut steps, WHOLE);
+    peers::test(&mut steps, built);
+    if built {
+        of_the_build(&mut steps);
+    } else {
+        steps.skip("what runs in the tests' build", "not built");
+    }
     miri(&mut steps);
     fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
     test::leftovers(&mut steps, scope);
     steps.finish()
 }
 
+/// Systems, benches and what may be killed.
+fn of_the_build(steps: &mut Steps) {
+    reference_system(steps);
+    lane_keeping(steps);
+    two_hosts(steps);
+    systemd(steps);
+    stress_kills(steps, Build::Tests, KILLS, None, false);
+    domain(steps);
+    plain_benches(steps);
+    wake(steps);
+    messages(steps);
+    services(steps);
+    network(steps);
+    compare(steps);
+    paper(steps);
+}
+
 /// The ROS 2 that tests compare with. Without a network they are skipped, but not in CI.
 fn ros(steps: &mut Steps) {
-    steps.step("ros", || match ros::prepare() {
-        Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
-        other => other,
-    });
+    steps.step("ros", || ros::prepare().unless_ci());
 }
 
 /// All that is no part of [`mod@test`]: other workspaces, and packages that take long to build.
@@ -110,23 +118,24 @@ fn rest_of_tests(steps: &mut Steps) {
     } else {
         steps.skip("tests: benches", "without nextest they are among those of the gateway");
     }
+    nextest(steps, "tests: beside ROS 2", WHOLE, WITH_ROS);
     nextest(steps, "tests: gateway", WHOLE, WITH_GATEWAY);
     // Of all: for some packages alone, cargo would build what they need with other features.
     steps.command("doc tests: all", &mut cargo(&format!("test {WHOLE} --no-fail-fast --doc")));
 }
 
-/// The README's first command, for three seconds.
+/// The README's first command, for three seconds, and its examples as a user builds them.
 fn release(steps: &mut Steps) {
     steps.command("release: demo", &mut cargo("run --release -- demo --seconds 3"));
+    // With no more messages than each names.
+    let examples = "check -p tautline-examples -p own-messages --examples --bins";
+    steps.command("examples by themselves", &mut cargo(examples));
 }
 
 /// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
 /// r2r where that has been built before, which otherwise takes a minute.
-fn reference_system(steps: &mut Steps, built: bool) {
+fn reference_system(steps: &mut Steps) {
     let name = "reference system";
-    if !built {
-        return steps.skip(name, "not built");
-    }
     let target = machine::target_dir();
     let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
     let realtime = machine::is_ci() || machine::realtime_permitted();
@@ -160,11 +169,8 @@ fn reference_system(steps: &mut Steps, built: bool) {
 
 /// Three seconds of the automated lane keeping system in each way to share, and a second beside r2r where that has been built before: the
 /// lane is kept and no message lost. Its bounds are for a machine that does nothing else.
-fn lane_keeping(steps: &mut Steps, built: bool) {
+fn lane_keeping(steps: &mut Steps) {
     let name = "lane keeping";
-    if !built {
-        return steps.skip(name, "not built");
-    }
     let target = machine::target_dir();
     let (json, page) = (target.join("alks.json"), target.join("alks.html"));
     let run = |arguments: &[&str]| {
@@ -190,14 +196,9 @@ fn lane_keeping(steps: &mut Steps, built: bool) {
 }
 
 /// Nodes with a gateway on each side, of the tests' build.
-fn two_hosts(steps: &mut Steps, built: bool) {
-    let target = machine::target_dir();
-    let gateway = target.join("debug/taut-gateway");
+fn two_hosts(steps: &mut Steps) {
+    let gateway = Build::Tests.folder().join("taut-gateway");
     for (name, program) in [("example two_hosts", "talker"), ("example remote_image", "remote_image")] {
-        if !built || !gateway.exists() {
-            steps.skip(name, "not built");
-            continue;
-        }
         let mut command = Command::new("timeout");
         command.arg("60").arg(machine::root().join("examples/two_hosts.sh")).args(["5", program]);
         command.env("TAUT_GATEWAY", &gateway).env("TAUT_BUILT", Build::Tests.folder());
@@ -217,7 +218,7 @@ fn systemd(steps: &mut Steps) {
     let target = machine::target_dir();
     let write = || -> std::io::Result<std::path::PathBuf> {
         let unit = std::fs::read_to_string(machine::root().join("docs/systemd/taut-gateway@.service"))?;
-        let program = target.join("debug/taut-gateway").display().to_string();
+        let program = Build::Tests.folder().join("taut-gateway").display().to_string();
         let path = target.join("taut-gateway@0.service");
         std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))?;
         Ok(path)

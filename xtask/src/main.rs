@@ -289,16 +289,16 @@ fn main() -> ExitCode {
     let scope = unsafe { machine::Scope::enter() };
     match Cli::parse().verb {
         Verb::Test { timings } => {
-            build_with(timings);
+            steps::keep_timings(timings);
             test::run(&scope)
         }
         Verb::Ci { timings } => {
-            build_with(timings);
+            steps::keep_timings(timings);
             ci::run(&scope)
         }
         Verb::Api { bless } => {
-            build_with(false);
             let mut steps = Steps::new();
+            r2r::prepare_libclang(&mut steps, false);
             steps.step("api", || api::check(bless));
             steps.finish()
         }
@@ -369,16 +369,6 @@ fn main() -> ExitCode {
             stress_kills(&mut steps, Build::Release, kills, seed, exhaustive);
             steps.finish()
         }
-    }
-}
-
-/// With what all builds have in common: a libclang for the binding generators of other packages, if the system has none.
-fn build_with(timings: bool) {
-    if timings {
-        steps::keep_timings();
-    }
-    if let Ok(variables) = r2r::libclang() {
-        steps::build_with(variables);
     }
 }
 

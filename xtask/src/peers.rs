@@ -23,10 +23,7 @@ pub fn run() -> ExitCode {
 /// Makes the environment and runs the tests, and if they are `built`, gateway and examples. Without a network the Python peer
 /// is left out, but not in CI.
 pub fn test(steps: &mut Steps, built: bool) {
-    let prepared = steps.step("peers: zenoh-ros2-sdk", || match prepare() {
-        Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
-        other => other,
-    });
+    let prepared = steps.step("peers: zenoh-ros2-sdk", || prepare().unless_ci());
     let mut tests = cargo("test --manifest-path transport/zenoh/peers/Cargo.toml --no-fail-fast");
     // The workspace's, with which it shares all but hiroz and hiroz's Zenoh.
     tests.env("CARGO_TARGET_DIR", machine::target_dir());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What it takes to build a program of r2r's: a ROS 2 to link with and libclang.
 
-use crate::steps::{self, Outcome};
+use crate::steps::{self, Outcome, Steps};
 use crate::{machine, ros};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -80,6 +80,21 @@ pub fn libclang() -> Result<Vec<(&'static str, String)>, String> {
         true => Ok(pypi_libclang()?.into_iter().collect()),
         false => Ok(Vec::new()),
     }
+}
+
+/// Has all builds use one libclang, which bridge and RMW need; what looks for one is otherwise built anew for these, with all that needs it. Of
+/// PyPI's, that which is there or, with `fetch`, a new one.
+pub fn prepare_libclang(steps: &mut Steps, fetch: bool) {
+    if !fetch && !native().exists() {
+        return;
+    }
+    steps.step("libclang", || match libclang() {
+        Ok(variables) => {
+            steps::build_with(variables);
+            Outcome::Ok
+        }
+        Err(reason) => Outcome::Failed(reason).unless_ci(),
+    });
 }
 
 /// The ROS 2 that the user has sourced, else the one under the target directory, which is made first: `include` and `lib`.
@@ -168,9 +183,14 @@ fn is_libclang(name: &str) -> bool {
     (name.starts_with("libclang.so") || name.starts_with("libclang-")) && !name.starts_with("libclang-cpp")
 }
 
+/// PyPI's libclang, once it is there.
+fn native() -> PathBuf {
+    ros::venv().join("lib/python3.11/site-packages/clang/native")
+}
+
 fn pypi_libclang() -> Result<[(&'static str, String); 2], String> {
     done(ros::prepare())?;
-    let native = ros::venv().join("lib/python3.11/site-packages/clang/native");
+    let native = native();
     if !native.exists() {
         let mut install = Command::new(ros::venv().join("bin/pip"));
         done(steps::execute(install.args(["install", "--quiet", "--disable-pip-version-check", LIBCLANG])))?;

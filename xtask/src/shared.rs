@@ -64,7 +64,10 @@ fn graph(packages: &str) -> Result<Vec<Unit>, String> {
             let unit = &units[index];
             Ok(Unit {
                 name: name(unit),
-                settings: format!("{} {}", unit["features"], unit["profile"]["debuginfo"]),
+                settings: format!(
+                    "{} {} {}",
+                    unit["features"], unit["profile"]["debuginfo"], unit["profile"]["opt_level"]
+                ),
                 hash: hash(units, index, &mut hashes),
                 needs: needs(unit).map(|index| hash(units, index, &mut hashes)).collect(),
             })

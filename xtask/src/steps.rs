@@ -12,6 +12,16 @@ pub enum Outcome {
     Skipped(String),
 }
 
+impl Outcome {
+    /// Of what needs a network or a program that not every machine has: where CI is not set, that it failed is a reason to go without.
+    pub fn unless_ci(self) -> Outcome {
+        match self {
+            Outcome::Failed(reason) if !crate::machine::is_ci() => Outcome::Skipped(reason),
+            other => other,
+        }
+    }
+}
+
 /// The steps of a task. One that fails does not stop those after it.
 pub struct Steps {
     start: Instant,
@@ -83,9 +93,12 @@ pub fn build_with(variables: Vec<(&'static str, String)>) {
 /// Whether cargo writes down where the time of a build goes.
 static TIMINGS: OnceLock<()> = OnceLock::new();
 
-/// From now on builds leave a report each under `cargo-timings` in the target directory.
-pub fn keep_timings() {
-    let _ = TIMINGS.set(());
+/// If it is asked for, builds leave a report each from now on, under `cargo-timings` in the target directory.
+pub fn keep_timings(asked: bool) {
+    if asked {
+        // The first one stays.
+        let _ = TIMINGS.set(());
+    }
 }
 
 /// `cargo` with these arguments, which contain no spaces.
@@ -138,7 +151,8 @@ pub fn announce(command: &Command) {
 }
 
 fn quoted(word: &str) -> String {
-    if word.contains(' ') { format!("'{word}'") } else { word.to_owned() }
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "_./:=,@%+-".contains(letter);
+    if word.chars().all(is_plain) { word.to_owned() } else { format!("'{word}'") }
 }
 
 #[cfg(test)]
