@@ -58,7 +58,6 @@ pub fn run(scope: &Scope) -> ExitCode {
 /// Systems, benches and what may be killed.
 fn of_the_build(steps: &mut Steps) {
     reference_system(steps);
-    lane_keeping(steps);
     two_hosts(steps);
     systemd(steps);
     stress_kills(steps, Build::Tests, KILLS, None, false);
@@ -124,9 +123,16 @@ fn rest_of_tests(steps: &mut Steps) {
     steps.command("doc tests: all", &mut cargo(&format!("test {WHOLE} --no-fail-fast --doc")));
 }
 
-/// The README's first command, for three seconds, and its examples as a user builds them.
+/// The README's demo, for three seconds, and its examples as a user builds them.
 fn release(steps: &mut Steps) {
-    steps.command("release: demo", &mut cargo("run --release -- demo --seconds 3"));
+    // With the lane keeping system, which loses messages while slower code begins.
+    if steps.command("release: build", &mut cargo("build --release -p taut -p alks")) {
+        let mut demo = Command::new(Build::Release.folder().join("taut"));
+        steps.command("release: demo", demo.args(["demo", "--seconds", "3"]));
+        lane_keeping(steps);
+    } else {
+        steps.skip("lane keeping", "not built");
+    }
     // With no more messages than each names.
     let examples = "check -p tautline-examples -p own-messages --examples --bins";
     steps.command("examples by themselves", &mut cargo(examples));
@@ -175,7 +181,7 @@ fn lane_keeping(steps: &mut Steps) {
     let (json, page) = (target.join("alks.json"), target.join("alks.html"));
     let run = |arguments: &[&str]| {
         let _ = std::fs::remove_file(&json);
-        let mut command = Command::new(Build::Tests.folder().join("alks"));
+        let mut command = Command::new(Build::Release.folder().join("alks"));
         command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
         if !machine::is_ci() && !machine::realtime_permitted() {
             command.arg("--no-rt");
