@@ -238,8 +238,9 @@ impl Surface {
         }
         let Some((other, original)) = self.crates[owner].definition(id) else { return };
         if !self.crates.contains_key(&other) || other == GENERATED {
-            self.lines
-                .insert(format!("use {path}::{name} = {}", inner["source"].as_str().unwrap_or_default()));
+            let (name, all) = if inner["is_glob"] == true { ("*", "::*") } else { (name, "") };
+            let source = inner["source"].as_str().unwrap_or_default();
+            self.lines.insert(format!("use {path}::{name} = {source}{all}"));
             return;
         }
         if other == original {
@@ -251,25 +252,15 @@ impl Surface {
             self.lines.insert(format!("mod {path}::{name} = {other}"));
             return self.module(&other, &root, &format!("{path}::{name}"));
         }
-        let of_name = |(id, item): (&String, &Value)| {
-            let is_it = item["name"] == original.as_str() && item["visibility"] == "public";
-            let kinds = [
-                "struct",
-                "enum",
-                "trait",
-                "function",
-                "type_alias",
-                "constant",
-                "union",
-                "macro",
-                "proc_macro",
-            ];
-            let kind = item["inner"].as_object()?.keys().next()?;
-            (is_it && kinds.contains(&kind.as_str())).then(|| id.clone())
+        let kind = self.crates[owner].paths[&id.to_string()]["kind"].clone();
+        let is_it = |(id, told): &(&String, &Value)| {
+            let last = told["path"].as_array().and_then(|path| path.last());
+            told["kind"] == kind
+                && last.is_some_and(|last| *last == original.as_str())
+                && self.crates[&other].index.get(*id).is_some_and(|item| item["visibility"] == "public")
         };
-        let found: Vec<String> = self.crates[&other].index.iter().filter_map(of_name).collect();
-        for id in found {
-            let id = serde_json::from_str(&id).unwrap_or(Value::Null);
+        let found = self.crates[&other].paths.iter().filter(is_it).map(|(id, _)| id.clone()).min();
+        if let Some(id) = found.and_then(|id| serde_json::from_str(&id).ok()) {
             self.item(&other, &id, path, Some(name));
         }
     }
