@@ -190,7 +190,14 @@ fn lane_keeping(steps: &mut Steps) {
         let _ = execute(&mut command);
         check_lane(&json)
     };
-    steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
+    // As tests: once more, if the machine did something else meanwhile.
+    steps.step(name, || match run(&["--seconds", "3", "--without-r2r", "a step of its own"]) {
+        Outcome::Failed(reason) => {
+            println!("FLAKY: {reason}; once more:");
+            run(&["--seconds", "3", "--without-r2r", "a step of its own"])
+        }
+        other => other,
+    });
     let name = "lane keeping: beside r2r";
     if !r2r::is_built(alks::PROGRAM) {
         return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
