@@ -36,7 +36,9 @@ fn detect(jobs: u64) -> Result<()> {
     let ended = context.clone();
     let callback = node.spawn_callback(options, async move {
         for job in 1..=jobs {
-            timer.next_tick().await;
+            if timer.tick().await.is_err() {
+                return;
+            }
             if let before @ 1.. = too_much.swap(0, Ordering::Relaxed) {
                 println!("job {before} used more than its budget");
             }
@@ -46,7 +48,7 @@ fn detect(jobs: u64) -> Result<()> {
             }
             burn_cpu(Duration::from_millis(15) * detail);
         }
-        timer.next_tick().await; // ends the last job
+        let _ = timer.tick().await; // ends the last job
         ended.shutdown();
     })?;
     node.spin()?;

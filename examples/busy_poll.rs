@@ -6,7 +6,7 @@
 use futures::StreamExt;
 use std::process::ExitCode;
 use tautline::rt::set_affinity;
-use tautline::{CallbackOptions, Context, CoreSet, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Context, CoreSet, Node, Qos, Result};
 use tautline_examples::{SKIPPED, UInt64, exit_code};
 
 const MESSAGES: u64 = 1000;
@@ -25,9 +25,8 @@ fn show(own: usize, others: CoreSet) -> Result<()> {
     set_affinity(others)?;
 
     let mut node = Node::create(Context::create()?, "busy_poll", "")?;
-    let subscription =
-        node.subscribe_loaned::<UInt64>("/counter", QosProfile::default().keep_last(MESSAGES as usize))?;
-    let publisher = node.create_publisher::<UInt64>("/counter", QosProfile::default())?;
+    let subscription = node.subscribe_loaned::<UInt64>("/counter", Qos::keep_last(MESSAGES as usize))?;
+    let publisher = node.create_publisher::<UInt64>("/counter", Qos::default())?;
     let counters = subscription.counters();
 
     let options = CallbackOptions::fifo(10).core(own).busy_poll().execution_time(false).name("/counter");

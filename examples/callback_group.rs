@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline::{CallbackGroup, CallbackOptions, Node, QosProfile, Result, Sample, Tick};
+use tautline::{CallbackGroup, CallbackOptions, Node, Qos, Result, Sample, Tick};
 use tautline_examples::{UInt64, context, exit_code};
 
 fn main() -> ExitCode {
@@ -16,10 +16,10 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "group", "")?;
-    let odometry = node.subscribe_loaned::<UInt64>("/odometry", QosProfile::default())?;
-    let scan = node.subscribe_loaned::<UInt64>("/scan", QosProfile::default())?;
-    let to_odometry = node.create_publisher::<UInt64>("/odometry", QosProfile::default())?;
-    let to_scan = node.create_publisher::<UInt64>("/scan", QosProfile::default())?;
+    let odometry = node.subscribe_loaned::<UInt64>("/odometry", Qos::default())?;
+    let scan = node.subscribe_loaned::<UInt64>("/scan", Qos::default())?;
+    let to_odometry = node.create_publisher::<UInt64>("/odometry", Qos::default())?;
+    let to_scan = node.create_publisher::<UInt64>("/scan", Qos::default())?;
 
     let start_ns = monotonic_ns();
     let at_ns = move |ms: u64| start_ns + ms * 1_000_000;

@@ -3,7 +3,7 @@
 
 use futures::StreamExt;
 use std::process::ExitCode;
-use tautline::{CallbackOptions, Context, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Context, Node, Qos, Result};
 use tautline_examples::{UInt64, context, exit_code};
 
 fn main() -> ExitCode {
@@ -16,7 +16,7 @@ fn show() -> Result<()> {
     doubler(Node::create(context.clone(), "doubler", "")?)?;
     printer(Node::create(context.clone(), "printer", "")?, context.clone())?;
     let mut counter = Node::create(context.clone(), "counter", "")?;
-    let publisher = counter.create_publisher::<UInt64>("count", QosProfile::default())?;
+    let publisher = counter.create_publisher::<UInt64>("count", Qos::default())?;
     for data in 1..=3 {
         publisher.publish(&UInt64 { data })?;
     }
@@ -25,8 +25,8 @@ fn show() -> Result<()> {
 }
 
 fn doubler(mut node: Node) -> Result<()> {
-    let counts = node.subscribe_loaned::<UInt64>("count", QosProfile::default())?;
-    let publisher = node.create_publisher::<UInt64>("doubled", QosProfile::default())?;
+    let counts = node.subscribe_loaned::<UInt64>("count", Qos::default())?;
+    let publisher = node.create_publisher::<UInt64>("doubled", Qos::default())?;
     let double = counts.for_each(move |count| {
         let mut loan = publisher.loan().expect("a loan is free");
         loan.data = count.data * 2;
@@ -38,7 +38,7 @@ fn doubler(mut node: Node) -> Result<()> {
 }
 
 fn printer(mut node: Node, context: Context) -> Result<()> {
-    let doubled = node.subscribe_loaned::<UInt64>("doubled", QosProfile::default())?;
+    let doubled = node.subscribe_loaned::<UInt64>("doubled", Qos::default())?;
     let events = context.events().clone();
     let print = doubled.for_each(move |message| {
         println!("{}", message.data);

@@ -4,7 +4,7 @@
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 use tautline::lifecycle::{CallbackReturn, State};
-use tautline::{LifecycleCallbacks, LifecycleNode, ManagedNode, Node, Publisher, QosProfile, Result};
+use tautline::{LifecycleCallbacks, LifecycleNode, ManagedNode, Node, Publisher, Qos, Result};
 use tautline_examples::{UInt64, context, exit_code};
 
 /// Shared with the thread that does the work.
@@ -17,7 +17,7 @@ struct Drive {
 impl LifecycleCallbacks for Drive {
     fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
         println!("configuring");
-        let Ok(publisher) = node.create_publisher("~/speed", QosProfile::default()) else {
+        let Ok(publisher) = node.create_publisher("~/speed", Qos::default()) else {
             return CallbackReturn::Failure;
         };
         *self.speed.lock().expect("nobody panics") = Some(publisher);
@@ -42,7 +42,7 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context()?;
     let mut listener = Node::create(context.clone(), "listener", "")?;
-    let speeds = listener.subscribe_loaned::<UInt64>("/drive/speed", QosProfile::default())?;
+    let speeds = listener.subscribe_loaned::<UInt64>("/drive/speed", Qos::default())?;
 
     let speed = Speed::default();
     let drive = LifecycleNode::create(context, "drive", "", Drive { speed: speed.clone() })?;

@@ -5,7 +5,7 @@
 
 use futures::StreamExt;
 use std::process::ExitCode;
-use tautline::{CallbackOptions, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Node, Qos, Result};
 use tautline_examples::{UInt64, context, exit_code};
 
 fn main() -> ExitCode {
@@ -16,7 +16,7 @@ fn main() -> ExitCode {
 fn listen(messages: usize) -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "listener", "")?;
-    let subscription = node.subscribe_loaned::<UInt64>("/counter", QosProfile::default())?;
+    let subscription = node.subscribe_loaned::<UInt64>("/counter", Qos::default())?;
     let counters = subscription.counters();
     println!("listening on {}", subscription.topic());
 

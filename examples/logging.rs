@@ -9,7 +9,7 @@ use std::time::Duration;
 use tautline::logging::TracingLayer;
 use tautline::rcl_interfaces::msg::Log;
 use tautline::{
-    CallbackOptions, Context, LogSeverity, Node, QosProfile, Result, log_debug, log_error, log_info, log_warn,
+    CallbackOptions, Context, LogSeverity, Node, Qos, Result, log_debug, log_error, log_info, log_warn,
 };
 use tautline_examples::{context_of, exit_code};
 use tracing_subscriber::layer::SubscriberExt;
@@ -22,7 +22,7 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context_of(Context::builder().args(std::env::args()))?;
     let mut node = Node::create(context.clone(), "arm", "/robot")?;
-    let qos = QosProfile::default().keep_last(100).transient_local();
+    let qos = Qos::keep_last(100).transient_local();
     let lines = node.subscribe::<Log>("/rosout", qos)?;
 
     let logger = node.logger().clone();

@@ -7,7 +7,7 @@
 use futures::StreamExt;
 use std::process::ExitCode;
 use std::time::Duration;
-use tautline::{CallbackOptions, Context, CoreSet, Node, QosProfile, Realtime, Result};
+use tautline::{CallbackOptions, Context, CoreSet, Node, Qos, Realtime, Result};
 use tautline_examples::{UInt64, exit_code};
 
 fn main() -> ExitCode {
@@ -23,7 +23,7 @@ fn show() -> Result<()> {
     let mut node = Node::create(context.clone(), "priorities", "")?;
     let on_core = |name, priority| CallbackOptions::fifo(priority).core(core).name(name);
 
-    let mut messages = node.subscribe_loaned::<UInt64>("/alarm", QosProfile::default())?;
+    let mut messages = node.subscribe_loaned::<UInt64>("/alarm", Qos::default())?;
     let alarm = node.spawn_callback(on_core("alarm", 30), async move {
         if let Some(message) = messages.next().await {
             println!("    alarm {} begins", message.data);
@@ -31,7 +31,7 @@ fn show() -> Result<()> {
         }
     })?;
 
-    let mut messages = node.subscribe_loaned::<UInt64>("/log", QosProfile::default())?;
+    let mut messages = node.subscribe_loaned::<UInt64>("/log", Qos::default())?;
     let log = node.spawn_callback(on_core("log", 10), async move {
         if let Some(message) = messages.next().await {
             println!("log {} begins", message.data);
@@ -40,8 +40,8 @@ fn show() -> Result<()> {
         context.shutdown();
     })?;
 
-    let to_alarm = node.create_publisher::<UInt64>("/alarm", QosProfile::default())?;
-    let to_log = node.create_publisher::<UInt64>("/log", QosProfile::default())?;
+    let to_alarm = node.create_publisher::<UInt64>("/alarm", Qos::default())?;
+    let to_log = node.create_publisher::<UInt64>("/log", Qos::default())?;
     let timer = node.create_wall_timer(Duration::from_millis(500))?;
     let work = timer.for_each(move |_| {
         println!("  work begins");

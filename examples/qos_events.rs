@@ -4,7 +4,7 @@
 use futures::{Stream, StreamExt};
 use std::process::ExitCode;
 use std::time::Duration;
-use tautline::{Node, PublisherEvent, QosProfile, Result, SubscriptionEvent};
+use tautline::{Node, PublisherEvent, Qos, Result, SubscriptionEvent};
 use tautline_examples::{UInt64, context, exit_code};
 
 fn main() -> ExitCode {
@@ -22,12 +22,12 @@ fn show() -> Result<()> {
         }
     });
     let mut node = Node::create(context.clone(), "qos_events", "")?;
-    let qos = QosProfile::default().keep_last(2).deadline(Duration::from_millis(50));
+    let qos = Qos::keep_last(2).deadline(Duration::from_millis(50));
     let subscription = node.subscribe_loaned::<UInt64>("/speed", qos)?;
     let mut events = node.subscription_events(&subscription)?;
 
     // A publisher without a deadline promises less than is requested: it is not matched.
-    let lax = node.create_publisher::<UInt64>("/speed", QosProfile::default())?;
+    let lax = node.create_publisher::<UInt64>("/speed", Qos::default())?;
     let mut lax_events = node.publisher_events(&lax)?;
     if let Some(PublisherEvent::OfferedIncompatibleQos(found)) = next(&mut lax_events) {
         println!("offered     the {} is not what is requested", found.last_policy_kind);

@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use tautline::sensor_msgs::msg::{Image, ImageSizes};
 use tautline::std_msgs::msg::HeaderSizes;
-use tautline::{CallbackOptions, Context, Limits, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Context, Limits, Node, Qos, Result};
 use tautline_examples::{context, exit_code};
 
 const WIDTH: u32 = 1280;
@@ -37,8 +37,7 @@ fn node(context: &Context, name: &str) -> Result<Node> {
 
 fn send(context: Context, images: usize) -> Result<()> {
     let mut node = node(&context, "camera")?;
-    let publisher =
-        node.create_publisher::<Image>("/camera/image_raw", QosProfile::default().keep_last(2))?;
+    let publisher = node.create_publisher::<Image>("/camera/image_raw", Qos::keep_last(2))?;
     let mut timer = node.create_wall_timer(Duration::from_millis(100))?;
     let sizes =
         ImageSizes { header: HeaderSizes { frame_id: 6 }, encoding: 4, data: (WIDTH * HEIGHT * 3) as usize };
@@ -71,7 +70,7 @@ fn send(context: Context, images: usize) -> Result<()> {
 
 fn receive(context: Context, count: usize) -> Result<()> {
     let mut node = node(&context, "viewer")?;
-    let images = node.subscribe_loaned::<Image>("/camera/image_raw", QosProfile::default().keep_last(2))?;
+    let images = node.subscribe_loaned::<Image>("/camera/image_raw", Qos::keep_last(2))?;
     let mut images = images.take(count);
     let viewer = node.spawn_callback(CallbackOptions::fifo(10).name("viewer"), async move {
         while let Some(sample) = images.next().await {

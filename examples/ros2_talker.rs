@@ -10,7 +10,7 @@ use futures::StreamExt;
 use std::process::ExitCode;
 use std::time::Duration;
 use tautline::std_msgs::msg::String as Text;
-use tautline::{CallbackOptions, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Node, Qos, Result};
 use tautline_examples::{context, exit_code};
 
 fn main() -> ExitCode {
@@ -20,7 +20,7 @@ fn main() -> ExitCode {
 fn talk() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context, "talker", "")?;
-    let publisher = node.create_publisher::<Text>("/chatter", QosProfile::default())?;
+    let publisher = node.create_publisher::<Text>("/chatter", Qos::default())?;
     let timer = node.create_wall_timer(Duration::from_millis(500))?;
     let mut number = 0;
     node.spawn_callback(

@@ -5,7 +5,7 @@ use futures::StreamExt;
 use std::process::ExitCode;
 use std::time::Duration;
 use tautline::example_interfaces::srv::AddTwoInts;
-use tautline::{CallbackOptions, Error, Node, QosProfile, Result, ServiceError};
+use tautline::{CallbackOptions, Error, Node, Qos, Result, ServiceError};
 use tautline_examples::{context, exit_code};
 
 fn main() -> ExitCode {
@@ -15,7 +15,7 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "service", "")?;
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let client = node.create_client::<AddTwoInts::Service>("add_two_ints", qos)?;
 
     // Nobody serves it yet: that is said, rather than waited for.

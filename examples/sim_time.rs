@@ -8,7 +8,7 @@ use futures::task::LocalSpawnExt;
 use std::process::ExitCode;
 use std::time::Duration;
 use tautline::rosgraph_msgs::msg::Clock as ClockMessage;
-use tautline::{Clock, Context, JumpThreshold, Node, QosProfile, Result};
+use tautline::{Clock, Context, JumpThreshold, Node, Qos, Result};
 use tautline_examples::{context_of, exit_code};
 
 fn main() -> ExitCode {
@@ -19,8 +19,7 @@ fn show() -> Result<()> {
     // As `--ros-args -p use_sim_time:=true` on the command line.
     let context = context_of(Context::builder().args(["--ros-args", "-p", "use_sim_time:=true"]))?;
     let mut simulator = Node::create(context.clone(), "simulator", "")?;
-    let to_clock =
-        simulator.create_publisher::<ClockMessage>("/clock", QosProfile::default().keep_last(1))?;
+    let to_clock = simulator.create_publisher::<ClockMessage>("/clock", Qos::keep_last(1))?;
 
     let mut robot = Node::create(context, "robot", "")?;
     let mut timer = robot.create_timer(Duration::from_secs(1))?;
@@ -29,8 +28,7 @@ fn show() -> Result<()> {
     })?;
     let mut pool = LocalPool::new();
     let task = async move {
-        loop {
-            let tick = timer.next_tick().await;
+        while let Ok(tick) = timer.tick().await {
             println!(
                 "tick {} of second {}, {} missed",
                 tick.index,

@@ -7,7 +7,7 @@
 use futures::StreamExt;
 use std::process::ExitCode;
 use std::time::Duration;
-use tautline::{CallbackOptions, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Node, Qos, Result};
 use tautline_examples::{UInt64, context, exit_code};
 
 fn main() -> ExitCode {
@@ -18,7 +18,7 @@ fn main() -> ExitCode {
 fn talk(messages: u64) -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "talker", "")?;
-    let publisher = node.create_publisher::<UInt64>("/counter", QosProfile::default())?;
+    let publisher = node.create_publisher::<UInt64>("/counter", Qos::default())?;
     let mut timer = node.create_wall_timer(Duration::from_millis(100))?;
 
     let talker = node.spawn_callback(CallbackOptions::fifo(10).name("talker"), async move {

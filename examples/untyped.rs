@@ -8,7 +8,7 @@ use futures::StreamExt;
 use serde_json::json;
 use std::process::ExitCode;
 use tautline::sensor_msgs::msg::JointState;
-use tautline::{CallbackOptions, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Node, Qos, Result};
 use tautline_examples::{context, exit_code};
 
 const TYPE: &str = "sensor_msgs/msg/JointState";
@@ -20,7 +20,7 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "untyped", "")?;
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let mut bytes = node.subscribe_raw("/joints", TYPE, qos)?;
     let mut json = node.subscribe_untyped("/relayed", TYPE, qos)?;
     let mut typed = node.subscribe_loaned::<JointState>("/relayed", qos)?;

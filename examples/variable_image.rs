@@ -8,7 +8,7 @@ use futures::StreamExt;
 use std::process::ExitCode;
 use tautline::sensor_msgs::msg::{Image, ImageSizes};
 use tautline::std_msgs::msg::HeaderSizes;
-use tautline::{CallbackOptions, Limits, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Limits, Node, Qos, Result};
 use tautline_examples::{context, exit_code};
 
 const WIDTH: u32 = 4096;
@@ -24,7 +24,7 @@ fn show() -> Result<()> {
     // Room for the largest image from the start, so that the first one is as fast as the others.
     let limits = Limits { message_bytes: 9 << 20, ..Limits::default() };
     node.set_topic_limits("/image_raw", limits)?;
-    let qos = QosProfile::default().keep_last(1);
+    let qos = Qos::keep_last(1);
     let mut images = node.subscribe_loaned::<Image>("/image_raw", qos)?;
     let publisher = node.create_publisher::<Image>("/image_raw", qos)?;
     let counters = publisher.counters();

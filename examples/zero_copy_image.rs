@@ -7,7 +7,7 @@
 use futures::StreamExt;
 use std::process::ExitCode;
 use std::sync::mpsc;
-use tautline::{CallbackOptions, Limits, Message, Node, QosProfile, Result};
+use tautline::{CallbackOptions, Limits, Message, Node, Qos, Result};
 use tautline_examples::{context, exit_code};
 
 #[derive(Message, Clone, Copy)]
@@ -26,7 +26,7 @@ fn show() -> Result<()> {
     let mut node = Node::create(context.clone(), "camera", "")?;
     // The memory of all images that can be in flight is claimed at the start: these are few.
     node.set_topic_limits("/image", Limits { held: 1, loans: 1, ..Limits::default() })?;
-    let qos = QosProfile::default().keep_last(1);
+    let qos = Qos::keep_last(1);
     let mut images = node.subscribe_loaned::<Image>("/image", qos)?;
     let publisher = node.create_publisher::<Image>("/image", qos)?;
 

@@ -50,7 +50,7 @@ async fn pursue(goal: &ActionServerGoal<Fibonacci::Action>, timer: &mut Timer) -
     let order = usize::try_from(goal.goal.order).unwrap();
     for len in 2..=order {
         goal.publish_feedback(Fibonacci::Feedback { sequence: fibonacci(len - 1) }).unwrap();
-        timer.next_tick().await;
+        timer.tick().await;
     }
     fibonacci(order)
 }
@@ -104,7 +104,7 @@ fn goals_from_here_are_pursued_in_ros() {
     assert_eq!((status, result.sequence), (GoalStatus::Succeeded, fibonacci(8)));
     let expected: Vec<_> = (2..=8).map(|len| fibonacci(len - 1)).collect();
     assert_eq!(told, expected);
-    assert_eq!(goal.get_status().unwrap(), GoalStatus::Succeeded);
+    assert_eq!(goal.status(), GoalStatus::Succeeded);
 
     let sent = client.send_goal_request(Fibonacci::Goal { order: 5000 }).unwrap();
     let (goal, result, mut feedback) = here.wait("a goal", sent).unwrap();

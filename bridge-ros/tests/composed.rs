@@ -15,7 +15,7 @@ use tautline::rcl_interfaces::msg::{Parameter, ParameterValue};
 use tautline::rcl_interfaces::srv::{GetParameters, SetParameters};
 use tautline::test_msgs::action::Fibonacci;
 use tautline::test_msgs::srv::BasicTypes;
-use tautline::{GoalStatus, QosProfile};
+use tautline::{GoalStatus, Qos};
 use tautline_transport::{
     EndpointKind, Limits, Participant, Qos, RawPublisher, RawSubscription, TopicEndpoint, TopicType,
 };
@@ -351,7 +351,7 @@ fn services_cross_bridges_and_gateways() {
 
     // The other host asks ROS.
     peer.tell(json!({ "do": "service", "name": "/there/echo", "type": BASIC_TYPES, "behaviour": "echo" }));
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let client = here.node.create_client::<BasicTypes::Service>("/there/echo", qos).unwrap();
     here.available(&client);
     let numbers: Vec<i64> = (0..REQUESTS).collect();
@@ -408,7 +408,7 @@ fn goals_from_another_host_are_pursued_in_ros() {
         let (result, told) = here.wait("a result", join(result, told));
         let (status, result) = result.unwrap();
         assert_eq!((status, result.sequence), (GoalStatus::Succeeded, fibonacci(order)));
-        assert_eq!(goal.get_status().unwrap(), GoalStatus::Succeeded);
+        assert_eq!(goal.status(), GoalStatus::Succeeded);
         let expected: Vec<_> = (2..=order).map(|len| fibonacci(len - 1)).collect();
         if is_first {
             assert!(!told.is_empty() && expected.ends_with(&told), "{told:?}");
@@ -428,7 +428,7 @@ fn parameters_of_a_node_in_ros_are_got_and_set_from_another_host() {
     let mut here = Spinning::new(B, "here");
     let mut peer = Peer::start_with_services(&venv, A, "there");
     peer.tell(json!({ "do": "serve_parameters", "values": { "gain": 1.5 } }));
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let get = here.node.create_client::<GetParameters::Service>("/there/get_parameters", qos).unwrap();
     let set = here.node.create_client::<SetParameters::Service>("/there/set_parameters", qos).unwrap();
     here.available(&get);

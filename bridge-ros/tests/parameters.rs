@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use support::node::Spinning;
 use support::{BridgeProcess, Peer, ros, wait_until};
 use tautline::geometry_msgs::msg::TransformStamped;
-use tautline::{CallbackHandle, CallbackOptions, Clock, ParameterDescriptor, QosProfile};
+use tautline::{CallbackHandle, CallbackOptions, Clock, ParameterDescriptor, Qos};
 
 const TRANSFORM: &str = "geometry_msgs/msg/TransformStamped";
 
@@ -116,7 +116,7 @@ fn late_joiners_get_latched_transforms_on_both_sides() {
     let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let mut here = Spinning::new(DOMAIN, "here");
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
-    let latched = QosProfile::default().transient_local().keep_last(10);
+    let latched = Qos::default().transient_local();
 
     let publisher = here.node.create_publisher::<TransformStamped>("/tf_static", latched).unwrap();
     let transform = |child: &str, x: f64| {

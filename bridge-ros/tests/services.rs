@@ -13,14 +13,14 @@ use support::node::{Spinning, serve_echo};
 use support::{BridgeProcess, Peer, recovers, ros, wait_until};
 use tautline::std_srvs::srv::SetBool;
 use tautline::test_msgs::srv::BasicTypes;
-use tautline::{CallbackOptions, Client, Node, QosProfile, ServiceError};
+use tautline::{CallbackOptions, Client, Node, Qos, ServiceError};
 use tautline_transport::{Limits, Participant, ServiceType};
 
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
 
-fn qos() -> QosProfile {
-    QosProfile::default()
+fn qos() -> Qos {
+    Qos::default()
 }
 
 /// Answers on a thread of its own.

@@ -12,10 +12,10 @@ use std::process::{Child, ChildStderr, Command, Stdio};
 use std::time::Duration;
 use support::Here;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline::{CallbackOptions, QosProfile};
+use tautline::{CallbackOptions, Qos};
 use tautline_bag::{BagError, Event, FileReader, files_of};
 use tautline_msgs::Message;
-use tautline_transport::{EndpointKind, Limits, Participant, Publisher, Qos, Visitor};
+use tautline_transport::{EndpointKind, Limits, Participant, Publisher, Visitor};
 use tempfile::TempDir;
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
@@ -212,8 +212,8 @@ fn child_main() {
     }
     let here = Here::new(51);
     let mut node = here.node("doomed", "");
-    let publisher = node.create_publisher::<Count>("/last", QosProfile::default()).unwrap();
-    let words = node.subscribe::<Count>("/last", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Count>("/last", Qos::default()).unwrap();
+    let words = node.subscribe::<Count>("/last", Qos::default()).unwrap();
     let options = CallbackOptions::other().name("last_words");
     let _heard = node.spawn_callback(options, words.for_each(|_| std::future::ready(()))).unwrap();
     for n in 0.. {
@@ -275,8 +275,8 @@ fn a_missed_deadline_is_a_reason_and_trace_and_statistics_are_beside_it() {
     let here = Here::new(43);
     let mut recorder = Recorder::start(43, &["/work", "--black-box", "60s", "--on", "deadline"]);
     let mut node = here.node("worker", "");
-    let publisher = node.create_publisher::<Count>("/work", QosProfile::default()).unwrap();
-    let work = node.subscribe::<Count>("/work", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Count>("/work", Qos::default()).unwrap();
+    let work = node.subscribe::<Count>("/work", Qos::default()).unwrap();
     let late = work.for_each(|message| {
         let until_ns = monotonic_ns() + message.n * MS;
         sleep_until_monotonic(until_ns);

@@ -11,9 +11,9 @@ use tautline::example_interfaces::action::Fibonacci;
 use tautline::lifecycle::CallbackReturn;
 use tautline::rcl_interfaces::srv::ListParameters;
 use tautline::std_srvs::srv::{SetBool, Trigger};
-use tautline::{Context, LifecycleCallbacks, LifecycleNode, ManagedNode, Node, QosProfile, Realtime};
+use tautline::{Context, LifecycleCallbacks, LifecycleNode, ManagedNode, Node, Qos, Realtime};
 use tautline_schema::Schema;
-use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
+use tautline_transport::{Limits, Participant, RawPublisher, TopicType};
 
 const DOMAIN: u32 = 69;
 /// Nobody is there.
@@ -90,7 +90,7 @@ fn names_of_what_exists_are_offered() {
     let participant = Participant::new(DOMAIN).unwrap();
     let topics = ["/image", "/robot/imu", "/robot/map"].map(|topic| publisher(&participant, topic));
     let mut arm = here.node("arm", "/robot");
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let _lights = arm.create_service::<SetBool::Service>("/robot/lights", qos).unwrap();
     let _reset = arm.create_service::<Trigger::Service>("/reset", qos).unwrap();
     let _client = arm.create_client::<Trigger::Service>("/unserved", qos).unwrap();
@@ -193,7 +193,7 @@ fn nodes_are_asked_and_the_silent_ones_are_left_out() {
     let states = camera.serve_states().unwrap();
     camera.with_node(|node| here.serve(node, states)).unwrap();
     let mut asleep = here.node("asleep", "");
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let _silent = asleep.create_service::<ListParameters::Service>("~/list_parameters", qos).unwrap();
     // This one does not spin.
     let context = Context::builder().domain(DOMAIN).realtime(Realtime::Off).build().unwrap();

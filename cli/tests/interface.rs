@@ -6,7 +6,7 @@ mod support;
 use serde_json::json;
 use std::fs;
 use support::{Here, said};
-use tautline::{Message, QosProfile};
+use tautline::{Message, Qos};
 
 /// Known to nobody but the domain.
 #[derive(Message, Clone, Copy)]
@@ -21,7 +21,7 @@ struct Spot {
 fn types_are_listed_and_shown() {
     let here = Here::new(66);
     let mut node = here.node("owner", "");
-    let _publisher = node.create_publisher::<Spot>("/spot", QosProfile::default()).unwrap();
+    let _publisher = node.create_publisher::<Spot>("/spot", Qos::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().to_str().unwrap();
     for (file, text) in [

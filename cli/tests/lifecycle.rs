@@ -7,7 +7,7 @@ use serde_json::json;
 use support::{Here, said};
 use tautline::lifecycle::CallbackReturn;
 use tautline::lifecycle_msgs::srv::GetState;
-use tautline::{LifecycleCallbacks, LifecycleNode, ManagedNode, QosProfile};
+use tautline::{LifecycleCallbacks, LifecycleNode, ManagedNode, Qos};
 
 /// What it has begun cannot be undone.
 struct Camera;
@@ -56,7 +56,7 @@ fn states_are_told_and_changed() {
     said(&refused(&["get", "/robot/camra"]), 1, "did you mean /robot/camera?");
 
     let mut asleep = here.node("asleep", "");
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let _silent = asleep.create_service::<GetState::Service>("~/get_state", qos).unwrap();
     let (code, out, words) = refused(&["get", "--timeout", "3s"]);
     assert_eq!((code, &*out), (1, "/lidar: unconfigured [1]\n/robot/camera: inactive [2]\n"), "{words}");

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use support::{Here, said};
 use tautline::rcl_interfaces::msg::{Log, LoggerLevel};
 use tautline::rcl_interfaces::srv::SetLoggerLevels;
-use tautline::{Client, LogSeverity, Logger, Node, QosProfile, log_debug, log_error, log_info, log_warn};
+use tautline::{Client, LogSeverity, Logger, Node, Qos, log_debug, log_error, log_info, log_warn};
 
 /// A line without its time.
 fn timeless(line: &str) -> String {
@@ -64,7 +64,7 @@ fn lines_are_printed_by_node_and_level() {
 fn a_node_that_keeps_no_lines_is_named() {
     let here = Here::new(70);
     let mut brief = here.node("brief", "");
-    let publisher = brief.create_publisher::<Log>("/rosout", QosProfile::default()).unwrap();
+    let publisher = brief.create_publisher::<Log>("/rosout", Qos::default()).unwrap();
     let (code, _, words) = here.refused(&["log", "-n", "1", "--timeout", "100ms"]);
     assert!(
         code == 1 && words.contains("lines of /brief do not come, for it keeps none (its durability"),
@@ -106,8 +106,7 @@ fn levels_are_read_and_set_while_a_node_runs() {
 
     let mut asking = here.node("asking", "");
     let name = "/robot/leg/set_logger_levels";
-    let client =
-        asking.create_client::<SetLoggerLevels::Service>(name, QosProfile::services_default()).unwrap();
+    let client = asking.create_client::<SetLoggerLevels::Service>(name, Qos::services_default()).unwrap();
     let (done, reason) = set(&client, "robot.leg", 11);
     assert!(!done && reason.starts_with("11 is no level: 0 unset, 10 debug"), "{reason}");
     // Each makes every log statement slower, so nobody may have any number of them.

@@ -7,7 +7,7 @@ use serde_json::json;
 use std::fs;
 use support::{Here, said};
 use tautline::rcl_interfaces::srv::ListParameters;
-use tautline::{Node, ParameterDescriptor, QosProfile};
+use tautline::{Node, ParameterDescriptor, Qos};
 
 fn parameters(here: &mut Here, name: &str, namespace: &str) -> Node {
     let mut node = here.node(name, namespace);
@@ -98,7 +98,7 @@ fn parameters_are_listed_read_and_set() {
 
     // One that never answers, and one that tells nothing.
     let mut asleep = here.node("asleep", "");
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let _silent = asleep.create_service::<ListParameters::Service>("~/list_parameters", qos).unwrap();
     let _mute = here.node("mute", "");
     let (code, out, words) = refused(&["list", "--timeout", "3s"]);

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
 use support::Here;
-use tautline::QosProfile;
+use tautline::Qos;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
@@ -25,8 +25,8 @@ use tautline_bag::{BagError, Event, FileReader, Stamp, files_of};
 use tautline_msgs::Message;
 use tautline_schema::{DynamicMessage, Kind};
 use tautline_transport::{
-    EndpointKind, Gid, Limits, Participant, Publisher, Qos, RawPublisher, ServiceKind, ServiceType,
-    TopicEndpoint, TopicType, Visitor,
+    EndpointKind, Gid, Limits, Participant, Publisher, RawPublisher, ServiceKind, ServiceType, TopicEndpoint,
+    TopicType, Visitor,
 };
 use tempfile::TempDir;
 
@@ -625,7 +625,7 @@ fn services_and_actions_are_recorded_as_events() {
     let place = Place::new(36);
     let mut here = Here::new(place.domain);
     let mut node = here.node("robot", "");
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let requests = node.create_service::<AddTwoInts::Service>("/add", qos).unwrap();
     here.serve(
         &mut node,

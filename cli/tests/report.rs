@@ -11,7 +11,7 @@ use std::time::Duration;
 use futures::StreamExt;
 use serde_json::Value;
 use tautline::rt::clock;
-use tautline::{CallbackOptions, Context, Message, Node, Publisher, QosProfile, Realtime, Sample};
+use tautline::{CallbackOptions, Context, Message, Node, Publisher, Qos, Realtime, Sample};
 
 #[derive(Message, Clone, Copy)]
 #[repr(C)]
@@ -121,7 +121,7 @@ impl Running {
     }
 
     fn publisher(&mut self, topic: &str) -> Publisher<Work> {
-        self.node.create_publisher(topic, QosProfile::default()).unwrap()
+        self.node.create_publisher(topic, Qos::default()).unwrap()
     }
 
     /// A callback that burns what its messages say. They are there already: it takes them in one go.
@@ -137,8 +137,7 @@ impl Running {
         depth: usize,
         messages: &[(Duration, u64)],
     ) {
-        let subscription =
-            self.node.subscribe_loaned::<Work>(topic, QosProfile::default().keep_last(depth)).unwrap();
+        let subscription = self.node.subscribe_loaned::<Work>(topic, Qos::keep_last(depth)).unwrap();
         let publisher = self.publisher(topic);
         for (burn, release_ns) in messages {
             publish(&publisher, *burn, *release_ns);
@@ -419,7 +418,7 @@ fn a_job_that_does_not_end_is_late() {
     let scratch = Scratch::new("stuck");
     let system = scratch.write("system.toml", SYSTEM);
     let mut running = Running::start(198, Realtime::Off, &system);
-    let numbers = running.node.subscribe_loaned::<Work>("fine", QosProfile::default()).unwrap();
+    let numbers = running.node.subscribe_loaned::<Work>("fine", Qos::default()).unwrap();
     // Released when the machine was started, and never done while this test looks.
     let publisher = running.publisher("fine");
     publish(&publisher, LITTLE, 1);
@@ -693,8 +692,7 @@ fn a_node_that_is_played_from_a_bag_is_told_of() {
     writer.finish(BTreeMap::new()).unwrap();
 
     let mut running = Running::start(48, Realtime::Off, &system);
-    let subscription =
-        running.node.subscribe_loaned::<Work>("fine", QosProfile::default().keep_last(1)).unwrap();
+    let subscription = running.node.subscribe_loaned::<Work>("fine", Qos::keep_last(1)).unwrap();
     let done = running.done.0.clone();
     let work = subscription.for_each(move |work: Sample<Work>| {
         drop(work);

@@ -6,14 +6,14 @@ mod support;
 use futures::{FutureExt, StreamExt};
 use serde_json::json;
 use support::{Here, said};
-use tautline::QosProfile;
+use tautline::Qos;
 use tautline::std_srvs::srv::{SetBool, Trigger};
 
 #[test]
 fn services_are_found_and_asked() {
     let mut here = Here::new(83);
     let mut node = here.node("lights", "/robot");
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let requests = node.create_service::<SetBool::Service>("/robot/lights", qos).unwrap();
     let answer = requests.for_each(|request| {
         let is_on = request.message.data;

@@ -7,9 +7,9 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline::{Context, Node, QosProfile, Realtime};
+use tautline::{Context, Node, Qos, Realtime};
 use tautline_schema::{DynamicMessage, Schema};
-use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
+use tautline_transport::{Limits, Participant, RawPublisher, TopicType};
 
 thread_local! {
     /// Each test has one of its own.
@@ -297,7 +297,7 @@ fn own_types_are_printed_like_those_of_ros() {
     let _participant = enter(100);
     let context = Context::builder().domain(100).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context, "car", "").unwrap();
-    let publisher = node.create_publisher::<Car>("/car", QosProfile::default().transient_local()).unwrap();
+    let publisher = node.create_publisher::<Car>("/car", Qos::default().transient_local()).unwrap();
     let stamp = tautline::builtin_interfaces::msg::Time { sec: 7, nanosec: 8 };
     let wheels = [Wheel { speed: 1.0, slip: 0.5 }, Wheel { speed: 2.0, slip: 0.25 }];
     let modes = [Mode::Idle, Mode::Driving];

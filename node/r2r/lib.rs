@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The programs of the test `r2r_programs` of the package `tautline`, run on r2r.
+//! The programs of the test `programs` of the package `tautline-r2r`, run on r2r.
 #![cfg(test)]
 
-#[path = "../tests/r2r_programs/programs/mod.rs"]
+#[path = "../tautline-r2r/tests/programs/programs/mod.rs"]
 mod programs;

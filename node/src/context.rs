@@ -6,7 +6,6 @@ use crate::args::Arguments;
 use crate::error::{Error, Result};
 use crate::logging::{self, FlushOnDrop, Rosout};
 use crate::parameters::EventTopic;
-use crate::qos::QosProfile;
 use crate::reload::{CurrentSystem, Reload};
 use crate::remap::RemapRules;
 use crate::subscription::thread_parkers;
@@ -21,6 +20,7 @@ use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Wait};
 use tautline_trace::TraceSettings;
 use tautline_transport::Participant;
+use tautline_transport::Qos;
 
 /// Membership of a domain, with the sampler and the callback threads of its nodes. A clone is the same context.
 ///
@@ -36,7 +36,7 @@ use tautline_transport::Participant;
 /// let mut timer = node.create_wall_timer(Duration::from_millis(1))?;
 /// let events = ctx.events().clone();
 /// node.spawn_callback(CallbackOptions::fifo(20), async move {
-///     timer.next_tick().await;
+///     timer.tick().await;
 ///     events.stop();
 /// })?;
 /// ctx.spin()?; // until the timer's first tick
@@ -422,7 +422,7 @@ impl Context {
     ///
     /// # Errors
     /// As [`callback`](Self::callback); [`Error::NoCapacity`] if the callback has no bound.
-    pub fn callback_qos(&self, name: &str) -> Result<QosProfile> {
+    pub fn callback_qos(&self, name: &str) -> Result<Qos> {
         self.system_for(name)?.qos(name)
     }
 

@@ -7,7 +7,7 @@ use tautline_executor::ExecutorError;
 use tautline_msgs::cdr::{DecodeError, EncodeError, WriteError};
 use tautline_rt::RtError;
 use tautline_transport::{
-    LoanError, PublishCdrError, PublishError, ServiceError, TakeError, TransportError, Unpublished, Unsent,
+    LoanError, PublishCdrError, PublishError, SendError, ServiceError, TakeError, TransportError,
 };
 
 /// What can go wrong while a node is set up or publishes. Each message names the thing, the limit and the fix.
@@ -373,17 +373,17 @@ impl From<LoanError> for Error {
     }
 }
 
-/// The loan is dropped: take it from [`Unsent::loan`] to keep it.
-impl<L> From<Unsent<L>> for Error {
-    fn from(unsent: Unsent<L>) -> Self {
+/// The loan is dropped: take it from [`SendError::loan`] to keep it.
+impl<L> From<SendError<L, ServiceError>> for Error {
+    fn from(unsent: SendError<L, ServiceError>) -> Self {
         Error::Service(unsent.error)
     }
 }
 
-/// The loan is dropped: match on [`Unpublished::Full`] to keep it.
-impl<L> From<Unpublished<L>> for Error {
-    fn from(unpublished: Unpublished<L>) -> Self {
-        Error::Publish(unpublished.into())
+/// The loan is dropped: take it from [`SendError::loan`] to keep it.
+impl<L> From<SendError<L>> for Error {
+    fn from(unsent: SendError<L>) -> Self {
+        Error::Publish(unsent.error)
     }
 }
 

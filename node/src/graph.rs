@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The graph as a node sees it: nodes, topics, services and actions of its domain, on this host and on others, with the
-//! names that r2r, rclcpp and rclpy give the questions.
+//! names that rclcpp and rclpy give the questions.
 
 use crate::error::Result;
 use crate::node::Node;
-use crate::qos::QosProfile;
 use futures::StreamExt;
 use std::collections::HashMap;
 use std::future::Future;
 use std::sync::Arc;
 use tautline_transport::{
-    EndpointKind, GraphEvents, GraphSnapshot, NodeInfo, NodeName, Participant, ServiceKind, TopicEndpoint,
+    EndpointKind, GraphEvents, GraphSnapshot, NodeInfo, NodeName, Participant, Qos, ServiceKind,
+    TopicEndpoint,
 };
 
 /// What ROS 2 calls the node of an endpoint that has none.
 const UNKNOWN_NAME: &str = "_NODE_NAME_UNKNOWN_";
 const UNKNOWN_NAMESPACE: &str = "_NODE_NAMESPACE_UNKNOWN_";
 
-/// A publisher or a subscription of a topic, as in r2r.
+/// A publisher or a subscription of a topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicEndpointInfo {
     /// Its node's name.
@@ -31,7 +31,7 @@ pub struct TopicEndpointInfo {
     /// Its identifier, which is that of its messages if it is a publisher.
     pub endpoint_gid: [u8; 16],
     /// The quality of service that was asked for.
-    pub qos_profile: QosProfile,
+    pub qos: Qos,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
     /// Whether it is on another host.
@@ -43,18 +43,18 @@ pub struct TopicEndpointInfo {
 ///
 /// ```
 /// use futures::executor::block_on;
-/// use tautline::{Context, Node, QosProfile, Realtime, std_msgs::msg::String as Text};
+/// use tautline::{Context, Node, Qos, Realtime, std_msgs::msg::String as Text};
 ///
 /// let ctx = Context::builder().domain(108).realtime(Realtime::Off).build()?;
 /// let mut talker = Node::create(ctx.clone(), "talker", "/robot")?;
 /// let listener = Node::create(ctx, "listener", "/robot")?;
 /// let found = listener.wait_for_publishers("chatter", 1)?;
-/// let _publisher = talker.create_publisher::<Text>("chatter", QosProfile::default())?;
+/// let _publisher = talker.create_publisher::<Text>("chatter", Qos::default())?;
 /// block_on(found)?;
 ///
 /// assert_eq!(listener.get_node_names()?, ["/robot/listener", "/robot/talker"]);
 /// assert_eq!(listener.get_topic_names_and_types()?["/robot/chatter"], ["std_msgs/msg/String"]);
-/// let publishers = listener.get_publishers_info_by_topic("chatter", false)?;
+/// let publishers = listener.get_publishers_info_by_topic("chatter")?;
 /// assert_eq!(publishers[0].node_name, "talker");
 /// # Ok::<(), tautline::Error>(())
 /// ```
@@ -182,29 +182,19 @@ impl Node {
         Ok(services(&*self.graph()?, kind, |of| of == Some(&node)))
     }
 
-    /// The publishers of a topic. Nothing is mangled in Tautline, so `no_mangle` changes nothing.
+    /// The publishers of a topic.
     ///
     /// # Errors
     /// [`Error::Name`](crate::Error::Name); as [`graph`](Self::graph).
-    pub fn get_publishers_info_by_topic(
-        &self,
-        topic_name: &str,
-        no_mangle: bool,
-    ) -> Result<Vec<TopicEndpointInfo>> {
-        let _ = no_mangle;
+    pub fn get_publishers_info_by_topic(&self, topic_name: &str) -> Result<Vec<TopicEndpointInfo>> {
         self.ends(topic_name, EndpointKind::Publisher)
     }
 
-    /// The subscriptions of a topic. Nothing is mangled in Tautline, so `no_mangle` changes nothing.
+    /// The subscriptions of a topic.
     ///
     /// # Errors
     /// As [`get_publishers_info_by_topic`](Self::get_publishers_info_by_topic).
-    pub fn get_subscriptions_info_by_topic(
-        &self,
-        topic_name: &str,
-        no_mangle: bool,
-    ) -> Result<Vec<TopicEndpointInfo>> {
-        let _ = no_mangle;
+    pub fn get_subscriptions_info_by_topic(&self, topic_name: &str) -> Result<Vec<TopicEndpointInfo>> {
         self.ends(topic_name, EndpointKind::Subscription)
     }
 
@@ -327,7 +317,7 @@ impl From<&TopicEndpoint> for TopicEndpointInfo {
             topic_type: end.topic_type.name.to_string(),
             topic_type_hash: end.topic_type.hash.as_deref().map(Into::into),
             endpoint_gid: end.gid.0,
-            qos_profile: QosProfile::from_transport(&end.qos),
+            qos: end.qos,
             pid: end.pid,
             is_remote: end.is_remote,
         }

@@ -7,7 +7,7 @@
 //!
 //! ```no_run
 //! use futures::StreamExt;
-//! use tautline::{CallbackOptions, Context, Message, Node, QosProfile};
+//! use tautline::{CallbackOptions, Context, Message, Node, Qos};
 //!
 //! #[derive(Message, Clone, Copy)]
 //! #[repr(C)]
@@ -16,7 +16,7 @@
 //!
 //! let ctx = Context::create()?;
 //! let mut node = Node::create(ctx, "example", "")?;
-//! let odometry = node.subscribe_loaned::<Odometry>("/odom", QosProfile::default())?;
+//! let odometry = node.subscribe_loaned::<Odometry>("/odom", Qos::default())?;
 //! node.spawn_callback(CallbackOptions::fifo(20).core(1), odometry.for_each(|msg| async move {
 //!     let _speed = msg.x; // msg derefs into shared memory
 //! }))?;
@@ -27,7 +27,7 @@
 //! Real-time set-up that the system refuses is an error which names the fix. To run without is a choice that is made
 //! explicitly: [`Realtime::Off`], or `TAUT_REALTIME=off` in the environment.
 //!
-//! The names are those of `r2r`, whose programs compile with a changed `use` line where a feature exists here.
+//! Programs that were written for `r2r` compile unchanged on the crate `tautline-r2r`, which has its names.
 #![forbid(unsafe_code)]
 
 #[cfg(feature = "action_msgs")]
@@ -42,7 +42,6 @@ mod names;
 mod node;
 mod parameters;
 mod qos_events;
-mod r2r;
 mod reload;
 mod remap;
 mod service;
@@ -58,7 +57,6 @@ mod untyped;
 #[cfg(feature = "lifecycle_msgs")]
 pub mod lifecycle;
 pub mod logging;
-pub mod qos;
 #[cfg(feature = "tf2_msgs")]
 pub mod tf;
 
@@ -83,11 +81,9 @@ pub use parameters::{
     ParameterType, ParameterValue, ParameterVariant, Parameters, RosParams, UnknownParameterType,
     WrongParameterType, parameters_of_file,
 };
-pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
 pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
 };
-pub use r2r::{NativeMsg, ROS_DISTRO, WrappedTypesupport};
 pub use reload::apply_system;
 pub use remap::RemapRules;
 pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
@@ -100,10 +96,7 @@ pub use system::CallbackJoin;
 pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
-pub use untyped::{
-    Bundled, PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, WrappedNativeMsgUntyped, find_schema,
-    type_of,
-};
+pub use untyped::{Bundled, PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema, type_of};
 
 pub use indexmap;
 pub use tautline_derive::RosParams;
@@ -123,8 +116,6 @@ pub use tautline_executor::{
 pub use tautline_join as join;
 pub use tautline_msgs as msgs;
 pub use tautline_msgs::{Action, HasStamp, Message, Plain, Service};
-/// By r2r's names.
-pub use tautline_msgs::{Action as WrappedActionTypeSupport, Service as WrappedServiceTypeSupport};
 #[cfg(feature = "ros_msgs")]
 #[doc(no_inline)]
 pub use tautline_ros_msgs::*;
@@ -133,12 +124,12 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Claim, Client as ClientLoaned, Counters, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot,
-    IncompatibleQos, IncompatibleType, Limits, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS,
-    Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError,
-    PublishError, Publisher, PublisherCounters, QosPolicyKind, Request, RequestId, Response, Sample,
-    ServiceEndpoint, ServiceError, ServiceKind, TakeError, TopicEndpoint, TopicMemory, TransportError,
-    Unpublished, Unsent, Unwritten, UnwrittenResponse, topic_memory,
+    Claim, Client as ClientLoaned, Counters, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot,
+    History, IncompatibleQos, IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError,
+    MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse,
+    PublishCdrError, PublishError, Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request,
+    RequestId, Response, Sample, SendError, ServiceEndpoint, ServiceError, ServiceKind, TakeError,
+    TopicEndpoint, TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
 };
 
 /// Below messages: ends of topics and services that carry bytes, what the sampler serves, what the domain knows of its members. For tools,
@@ -147,11 +138,10 @@ pub mod raw {
     pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
     pub use tautline_trace::ObjectId;
     pub use tautline_transport::{
-        Arena, ArenaId, Availability, Doorbell, DoorbellError, Durability, Flags, GrowArena, History, Joined,
-        Liveliness, MatchedCount, Origin, PublisherChanges, PublisherMonitor, Pulse, PulseOf, Qos, Rank,
-        RawClient, RawLoan, RawPending, RawPublisher, RawResponse, RawSample, RawSubscription, Reliability,
-        SamplerSeat, Signal, Sleeper, Slot, SubscriptionChanges, SubscriptionMonitor, ThreadBell, TopicType,
-        TracedPort, Wakeable,
+        Arena, ArenaId, Availability, Doorbell, DoorbellError, Flags, GrowArena, Joined, MatchedCount,
+        Origin, PublisherChanges, PublisherMonitor, Pulse, PulseOf, Rank, RawClient, RawLoan, RawPending,
+        RawPublisher, RawResponse, RawSample, RawSubscription, SamplerSeat, Signal, Sleeper, Slot,
+        SubscriptionChanges, SubscriptionMonitor, ThreadBell, TopicType, TracedPort, Wakeable,
     };
 }
 
@@ -160,6 +150,13 @@ pub mod raw {
 pub mod __private {
     pub use crate::logging::Site;
     pub use crate::parameters::{field, no_field};
+
+    /// For r2r's programs, which put parameters there themselves.
+    pub fn parameter_map(
+        node: &crate::Node,
+    ) -> std::sync::Arc<std::sync::Mutex<indexmap::IndexMap<String, crate::Parameter>>> {
+        node.parameters.map()
+    }
 }
 
 /// The README's program compiles.

@@ -6,22 +6,20 @@ use crate::context::Context;
 use crate::error::{Error, Result};
 use crate::logging::{self, Logger};
 use crate::names;
-use crate::parameters::{self, Parameter, ParameterEvents, ParameterValue, Parameters};
-use crate::qos::QosProfile;
+use crate::parameters::{self, ParameterEvents, ParameterValue, Parameters};
 use crate::remap::{NameKind, RemapRules};
 use crate::subscription::Subscription;
 #[cfg(feature = "rosgraph_msgs")]
-use crate::time::{Clock, TimeSource};
+use crate::time::TimeSource;
 use crate::timer::Timer;
 use futures::{Stream, StreamExt};
-use indexmap::IndexMap;
 use std::collections::HashMap;
 use std::future::Future;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TopicType};
+use tautline_transport::{Limits, NodeHandle, Participant, Publisher, Qos, TopicType};
 
 /// A node. It ends when it is dropped and its callbacks, those that were spawned through it, have ended. What was made through it ends
 /// with it: streams give out what had come and end, timers end, nothing can be published or asked any more. Its context lives as long
@@ -32,7 +30,7 @@ use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TopicType};
 /// ```
 /// use futures::{StreamExt, executor::LocalPool, task::LocalSpawnExt};
 /// use std::time::Duration;
-/// use tautline::{Context, Message, Node, QosProfile, Realtime};
+/// use tautline::{Context, Message, Node, Qos, Realtime};
 ///
 /// #[derive(Message, Clone, Copy)]
 /// #[repr(C)]
@@ -41,8 +39,8 @@ use tautline_transport::{Limits, NodeHandle, Participant, Publisher, TopicType};
 ///
 /// let ctx = Context::builder().domain(229).realtime(Realtime::Off).build()?;
 /// let mut node = Node::create(ctx.clone(), "example", "/robot")?;
-/// let mut speeds = node.subscribe::<Speed>("~/speed", QosProfile::default())?; // /robot/example/speed
-/// let publisher = node.create_publisher::<Speed>("~/speed", QosProfile::default())?;
+/// let mut speeds = node.subscribe::<Speed>("~/speed", Qos::default())?; // /robot/example/speed
+/// let publisher = node.create_publisher::<Speed>("~/speed", Qos::default())?;
 /// publisher.publish(&Speed { metres_per_second: 1.5 }).unwrap();
 ///
 /// let mut pool = LocalPool::new();
@@ -66,6 +64,7 @@ pub struct Node {
     pub(crate) participant: Participant,
     name: String,
     namespace: String,
+    full_name: String,
     remap: RemapRules,
     limits: HashMap<String, Limits>,
     pub(crate) service_limits: HashMap<String, Limits>,
@@ -75,11 +74,6 @@ pub struct Node {
     logger: Logger,
     #[cfg(feature = "rosgraph_msgs")]
     pub(crate) time_source: TimeSource,
-    #[cfg(feature = "rosgraph_msgs")]
-    pub(crate) ros_clock: Arc<Mutex<Clock>>,
-    /// The parameters that were declared, or given by the command line. What is put here directly, as r2r's programs do, is
-    /// neither checked nor seen by readers: others use [`set_parameter`](Self::set_parameter).
-    pub params: Arc<Mutex<IndexMap<String, Parameter>>>,
 }
 
 /// What a node is to have of its own, beside its context's.
@@ -166,9 +160,8 @@ impl Node {
         let rules = &ctx.shared.arguments.parameters;
         let rules = if options.use_global_arguments { &rules[..] } else { &[] };
         let given = parameters::given(rules, &options.parameter_overrides, &full_name);
-        let params = Arc::new(Mutex::new(given));
         let events = ParameterEvents::new(full_name.clone(), ctx.shared.parameter_events.clone());
-        let parameters = Parameters::new(params.clone(), events);
+        let parameters = Parameters::new(given, events);
         let logger = Logger::of_node(&full_name);
         if ctx.shared.arguments.outputs.rosout != Some(false) {
             logging::add_topic(&logger, Arc::downgrade(&ctx.shared.rosout));
@@ -189,6 +182,7 @@ impl Node {
             participant,
             name,
             namespace,
+            full_name,
             remap,
             limits,
             service_limits: HashMap::new(),
@@ -197,35 +191,23 @@ impl Node {
             callbacks: NodeCallbacks::default(),
             logger,
             #[cfg(feature = "rosgraph_msgs")]
-            ros_clock: Arc::new(Mutex::new(Clock::of_source(time_source.clone()))),
-            #[cfg(feature = "rosgraph_msgs")]
             time_source,
-            params,
         })
     }
 
     /// The node's name.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn name(&self) -> Result<String> {
-        Ok(self.name.clone())
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// The node's namespace.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn namespace(&self) -> Result<String> {
-        Ok(self.namespace.clone())
+    pub fn namespace(&self) -> &str {
+        &self.namespace
     }
 
     /// The node's name with its namespace.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn fully_qualified_name(&self) -> Result<String> {
-        Ok(format!("{}/{}", self.namespace.trim_end_matches('/'), self.name))
+    pub fn fully_qualified_name(&self) -> &str {
+        &self.full_name
     }
 
     /// The node's logger: its name is the node's, with `.` for `/`. For the log macros.
@@ -286,20 +268,11 @@ impl Node {
     ///
     /// # Errors
     /// [`Error::Name`]; [`Error::Transport`]: a QoS that cannot be kept, no memory left in /dev/shm.
-    pub fn create_publisher<T: Message>(
-        &mut self,
-        topic: &str,
-        qos_profile: QosProfile,
-    ) -> Result<Publisher<T>> {
+    pub fn create_publisher<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Publisher<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let topic_type = topic_type_of::<T>();
-        Ok(self.participant.create_publisher_of(&topic, &topic_type, qos_profile.to_transport(), limits)?)
-    }
-
-    /// Ends a publisher, by r2r's name. Dropping it does the same.
-    pub fn destroy_publisher<T: Message>(&mut self, publisher: Publisher<T>) {
-        drop(publisher);
+        Ok(self.participant.create_publisher_of(&topic, &topic_type, qos, limits)?)
     }
 
     /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
@@ -309,9 +282,9 @@ impl Node {
     pub fn subscribe<T: Message>(
         &mut self,
         topic: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<impl Stream<Item = T> + Unpin + Send + use<T>> {
-        Ok(self.subscribe_loaned::<T>(topic, qos_profile)?.map(|sample| sample.to_owned()))
+        Ok(self.subscribe_loaned::<T>(topic, qos)?.map(|sample| sample.to_owned()))
     }
 
     /// Subscribes to a topic: a stream of samples, read in shared memory: through [`Sample::view`](crate::Sample::view), or
@@ -319,15 +292,11 @@ impl Node {
     ///
     /// # Errors
     /// As [`create_publisher`](Self::create_publisher).
-    pub fn subscribe_loaned<T: Message>(
-        &mut self,
-        topic: &str,
-        qos_profile: QosProfile,
-    ) -> Result<Subscription<T>> {
+    pub fn subscribe_loaned<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let (topic_type, qos) = (topic_type_of::<T>(), qos_profile.to_transport());
-        let subscription = self.participant.create_subscription_of(&topic, &topic_type, qos, limits)?;
+        let subscription =
+            self.participant.create_subscription_of(&topic, &topic_type_of::<T>(), qos, limits)?;
         Ok(Subscription::new(subscription))
     }
 

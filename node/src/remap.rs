@@ -22,7 +22,7 @@ use crate::names;
 /// let rules = RemapRules::parse(&["__ns:=/robot", "camera:~/image:=/front"])?;
 /// let ctx = Context::builder().domain(101).realtime(Realtime::Off).remap(rules).build()?;
 /// let node = Node::create(ctx, "camera", "")?;
-/// assert_eq!(node.fully_qualified_name()?, "/robot/camera");
+/// assert_eq!(node.fully_qualified_name(), "/robot/camera");
 /// assert_eq!(node.resolve_topic_name("~/image")?, "/front");
 /// # Ok::<(), tautline::Error>(())
 /// ```

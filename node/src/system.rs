@@ -2,7 +2,6 @@
 //! The system file at run time: the priorities, cores and capacities that `taut check` computed are those that are set.
 
 use crate::error::{Error, Result};
-use crate::qos::QosProfile;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_analysis::Reservation;
@@ -10,6 +9,7 @@ use tautline_analysis::file::{self, CheckedCallback, CheckedSystem, SystemFile};
 use tautline_executor::{CallbackOptions, OverrunPolicy, Policy, ProcessInfo};
 use tautline_join::{ApproximateTime, ExactTime};
 use tautline_transport::Limits;
+use tautline_transport::Qos;
 
 /// A system file, checked, as one host sees it.
 #[derive(Debug)]
@@ -208,14 +208,14 @@ impl LoadedSystem {
     }
 
     /// The queue of the callback `name`: as deep as the file says, else as the analysis computed.
-    pub(crate) fn qos(&self, name: &str) -> Result<QosProfile> {
+    pub(crate) fn qos(&self, name: &str) -> Result<Qos> {
         let callback = self.find(name)?;
         let depth = match callback.entry.depth {
             Some(depth) => usize::try_from(depth).ok(),
             None => callback.capacity,
         };
         match depth {
-            Some(depth) => Ok(QosProfile::default().keep_last(depth.max(1))),
+            Some(depth) => Ok(Qos::keep_last(depth.max(1))),
             None => Err(Error::NoCapacity { name: name.into(), path: self.path.clone() }),
         }
     }

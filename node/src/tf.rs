@@ -26,7 +26,6 @@
 
 use crate::error::Result;
 use crate::node::Node;
-use crate::qos::QosProfile;
 use crate::{Logger, log_warn};
 use futures::task::AtomicWaker;
 use futures::{StreamExt, stream};
@@ -39,6 +38,7 @@ use tautline_executor::{CallbackHandle, CallbackOptions};
 use tautline_msgs::time_ns;
 use tautline_ros_msgs::geometry_msgs::msg;
 use tautline_ros_msgs::tf2_msgs::msg::TFMessage;
+use tautline_transport::Qos;
 use tautline_transport::{PublishError, Publisher, Sample};
 
 pub use tautline_tf::*;
@@ -69,8 +69,8 @@ impl TransformListener {
     /// [`Node::create_publisher`](crate::Node::create_publisher) and [`Node::spawn_callback`](crate::Node::spawn_callback).
     pub fn new(node: &mut Node, options: CallbackOptions, limits: Limits) -> Result<TransformListener> {
         let (mut writer, buffer) = Buffer::new(limits)?;
-        let moving = node.subscribe_loaned::<TFMessage>("/tf", QosProfile::default().keep_last(DEPTH))?;
-        let fixed = QosProfile::default().keep_last(DEPTH).transient_local();
+        let moving = node.subscribe_loaned::<TFMessage>("/tf", Qos::keep_last(DEPTH))?;
+        let fixed = Qos::keep_last(DEPTH).transient_local();
         let fixed = node.subscribe_loaned::<TFMessage>("/tf_static", fixed)?;
         let leap = Arc::new(Leap::default());
         #[cfg(feature = "rosgraph_msgs")]
@@ -185,7 +185,7 @@ impl TransformBroadcaster {
     /// # Errors
     /// As [`Node::create_publisher`](crate::Node::create_publisher).
     pub fn new(node: &mut Node) -> Result<Self> {
-        let publisher = node.create_publisher("/tf", QosProfile::default().keep_last(DEPTH))?;
+        let publisher = node.create_publisher("/tf", Qos::keep_last(DEPTH))?;
         Ok(TransformBroadcaster { publisher })
     }
 
@@ -222,7 +222,7 @@ impl StaticTransformBroadcaster {
     /// # Errors
     /// As [`Node::create_publisher`](crate::Node::create_publisher).
     pub fn new(node: &mut Node) -> Result<Self> {
-        let qos = QosProfile::default().keep_last(1).transient_local();
+        let qos = Qos::keep_last(1).transient_local();
         let publisher = node.create_publisher("/tf_static", qos)?;
         Ok(StaticTransformBroadcaster { publisher, all: TFMessage::default() })
     }

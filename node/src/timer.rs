@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A timer as in r2r, which measures its callback.
+//! A timer, which measures its callback.
 
 use crate::error::{Error, Result};
 #[cfg(feature = "rosgraph_msgs")]
@@ -25,7 +25,6 @@ pub struct Timer {
     job: Option<job::Job>,
     trace: tautline_trace::Object,
     _timer: tautline_trace::Object,
-    last_release_ns: Option<u64>,
 }
 
 enum Inner {
@@ -76,35 +75,23 @@ impl Timer {
         let timer = tautline_trace::timer_init(inner.period_ns());
         let name = format!("timer {:?}", Duration::from_nanos(inner.period_ns()));
         let trace = tautline_trace::timer_callback_init(timer.id(), &name);
-        Timer { inner, node: node.clone(), job: None, trace, _timer: timer, last_release_ns: None }
+        Timer { inner, node: node.clone(), job: None, trace, _timer: timer }
     }
 
-    /// Waits for the next release and returns the time since the one before, as r2r does: one period, or several if
-    /// releases were missed. The first time: one period.
+    /// Waits for the next release.
     ///
     /// # Real-time
     /// Each poll wait-free; no allocation.
     ///
     /// # Errors
     /// [`Error::NodeEnded`]: the node was dropped.
-    pub async fn tick(&mut self) -> Result<Duration> {
-        let period_ns = self.inner.period_ns();
-        let last = self.last_release_ns;
-        let tick = poll_fn(|context| self.poll_tick(context)).await.ok_or(Error::NodeEnded)?;
-        let elapsed_ns = last.map_or(period_ns, |last| tick.release_ns.saturating_sub(last));
-        Ok(Duration::from_nanos(elapsed_ns))
+    pub async fn tick(&mut self) -> Result<Tick> {
+        poll_fn(|context| self.poll_tick(context)).await.ok_or(Error::NodeEnded)
     }
 
-    /// Waits for the next release. There is none when the node was dropped.
-    ///
-    /// # Real-time
-    /// Each poll wait-free; no allocation.
-    pub async fn next_tick(&mut self) -> Tick {
-        let next = |timer: &mut Timer, context: &mut Context<'_>| match timer.poll_tick(context) {
-            Poll::Ready(Some(tick)) => Poll::Ready(tick),
-            Poll::Ready(None) | Poll::Pending => Poll::Pending,
-        };
-        poll_fn(|context| next(self, context)).await
+    /// The period.
+    pub fn period(&self) -> Duration {
+        Duration::from_nanos(self.inner.period_ns())
     }
 
     /// Releases that nobody took.
@@ -126,7 +113,6 @@ impl Timer {
             return Poll::Ready(None);
         }
         poll.map(|(tick, since_ns)| {
-            self.last_release_ns = Some(tick.release_ns);
             // A timer queues nothing: what is released while its callback is busy is missed, but for the latest.
             job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
             self.job = Some(job::begin_due(self.trace.id(), since_ns));

@@ -15,7 +15,7 @@ use tautline::action_msgs::srv::CancelGoal;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::{
     ActionClient, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest, ActionServerOptions,
-    CallbackOptions, Context, Error, GoalStatus, MAX_PENDING_REQUESTS, Node, QosProfile,
+    CallbackOptions, Context, Error, GoalStatus, MAX_PENDING_REQUESTS, Node, Qos,
 };
 
 type Goal = ActionServerGoal<Fibonacci::Action>;
@@ -58,9 +58,9 @@ fn serve(node: &mut Node, name: &str) {
                     cancel.reject();
                     goal.succeed(Fibonacci::Result { sequence: vec![200] }).unwrap();
                 } else {
-                    assert!(!goal.is_cancelling().unwrap());
+                    assert!(!goal.is_cancelling());
                     cancel.accept();
-                    assert!(goal.is_cancelling().unwrap());
+                    assert!(goal.is_cancelling());
                     goal.publish_feedback(Fibonacci::Feedback { sequence: vec![101] }).unwrap();
                     goal.cancel(Fibonacci::Result { sequence: vec![100] }).unwrap();
                 }
@@ -97,7 +97,7 @@ fn goals_and_their_ends() {
             let (goal, result, feedback) = sent.await?;
             let feedback: Vec<_> = feedback.map(|feedback| feedback.sequence).collect().await;
             let (status, result) = result.await?;
-            assert_eq!(goal.get_status().unwrap(), status);
+            assert_eq!(goal.status(), status);
             // A goal that has ended.
             let error = goal.cancel().unwrap().await.unwrap_err();
             assert!(matches!(error, Error::GoalCancelAlreadyTerminated), "{error}");
@@ -275,8 +275,7 @@ fn feedback_that_nobody_reads_is_not_kept_for_ever() {
     let (request, _goals) = block_on(goals.into_future());
     let (mut goal, _cancels): (Goal, _) = request.unwrap().accept().unwrap();
     let (_handle, result, feedback) = block_on(sent).unwrap();
-    let all =
-        node.subscribe::<Fibonacci::FeedbackMessage>("talkative/_action/feedback", QosProfile::default());
+    let all = node.subscribe::<Fibonacci::FeedbackMessage>("talkative/_action/feedback", Qos::default());
     let mut all = all.unwrap();
     for n in 0..2500 {
         goal.publish_feedback(Fibonacci::Feedback { sequence: vec![n] }).unwrap();
@@ -296,14 +295,14 @@ fn feedback_waits_in_a_queue_of_a_thousand() {
     let ctx = context(50);
     let mut node = node(&ctx);
     let depths = |node: &Node, topic: &str| -> Vec<_> {
-        let ends = node.get_subscriptions_info_by_topic(topic, false).unwrap();
-        ends.iter().map(|end| end.qos_profile.depth).collect()
+        let ends = node.get_subscriptions_info_by_topic(topic).unwrap();
+        ends.iter().map(|end| end.qos.depth).collect()
     };
     let _goals = node.create_action_server::<Fibonacci::Action>("deep").unwrap();
     let _client = node.create_action_client::<Fibonacci::Action>("deep").unwrap();
     assert_eq!(depths(&node, "/deep/_action/feedback"), [1000]);
     let topic = "shallow/_action/feedback";
-    let _first = node.create_publisher::<Fibonacci::FeedbackMessage>(topic, QosProfile::default()).unwrap();
+    let _first = node.create_publisher::<Fibonacci::FeedbackMessage>(topic, Qos::default()).unwrap();
     let _client = node.create_action_client::<Fibonacci::Action>("shallow").unwrap();
     assert_eq!(depths(&node, "/shallow/_action/feedback"), [1000]);
 }
@@ -319,7 +318,7 @@ fn all_who_ask_to_cancel_before_a_decision_share_it() {
     let (goal, mut cancels) = block_on(accept(&mut goals));
     let _waiting = block_on(sent).unwrap();
     let service = "asked/_action/cancel_goal";
-    let canceller = node.create_client::<CancelGoal::Service>(service, QosProfile::default()).unwrap();
+    let canceller = node.create_client::<CancelGoal::Service>(service, Qos::default()).unwrap();
     let ask = |uuid: [u8; 16]| {
         let mut request = CancelGoal::Request::default();
         request.goal_info.goal_id.uuid = uuid;
@@ -453,7 +452,7 @@ fn goals_as_json() {
         assert_eq!((feedback.len(), &feedback[0]), (4, &json!({ "sequence": [0, 1, 1] })));
         let (status, result) = result.await.unwrap();
         assert_eq!((status, result.unwrap()), (GoalStatus::Succeeded, json!({ "sequence": numbers(5) })));
-        assert_eq!(goal.get_status().unwrap(), GoalStatus::Succeeded);
+        assert_eq!(goal.status(), GoalStatus::Succeeded);
         assert!(goal.cancel().unwrap().await.is_err());
         let error = client.send_goal_request(json!({ "orders": 5 })).err().unwrap().to_string();
         assert!(error.contains("orders"), "{error}");

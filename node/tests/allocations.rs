@@ -16,7 +16,7 @@ use std::time::Duration;
 use common::Number;
 use futures::StreamExt;
 use tautline::rt::clock::monotonic_ns;
-use tautline::{CallbackOptions, Context, Node, Publisher, QosProfile, Realtime, Sample, TraceMode};
+use tautline::{CallbackOptions, Context, Node, Publisher, Qos, Realtime, Sample, TraceMode};
 use tautline_trace::{Record, Recorder};
 
 /// Heap calls of one thread.
@@ -116,15 +116,15 @@ fn allocate_nothing(options: CallbackOptions) {
     let context =
         Context::builder().domain(227).realtime(Realtime::Off).trace(TraceMode::On).build().unwrap();
     let mut node = Node::create(context.clone(), "frugal", "").unwrap();
-    let publisher = node.create_publisher::<Number>("/frugal", QosProfile::default()).unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/frugal", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/frugal", Qos::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/frugal", Qos::default()).unwrap();
     let callback = node.spawn_callback(options, numbers.for_each(answer)).unwrap();
     // Two threads that are always ready need no sampler, and keep it from starting: only it serves a timer.
     let hour = Duration::from_secs(3_600);
     let mut timer = node.create_wall_timer_at(monotonic_ns(), hour).unwrap();
     let (sampler_serves, served) = channel();
     let waits = async move {
-        timer.next_tick().await;
+        timer.tick().await.unwrap();
         sampler_serves.send(()).unwrap();
         pending::<()>().await;
     };

@@ -9,8 +9,8 @@ use common::{Log, Number, context, cores, realtime, run_again, spin};
 use futures::StreamExt;
 use static_assertions::{assert_impl_all, assert_not_impl_any};
 use tautline::{
-    CallbackOptions, Context, LoanError, Message, Node, PublishError, Publisher, QosProfile, Sample,
-    Subscription, Timer,
+    CallbackOptions, Context, LoanError, Message, Node, PublishError, Publisher, Qos, Sample, Subscription,
+    Timer,
 };
 
 #[derive(Message, Clone, Copy)]
@@ -40,14 +40,14 @@ fn program(
 ) -> tautline::Result<()> {
     let ctx = Context::create()?;
     let mut node = Node::create(ctx, "example", "")?;
-    let odometry = node.subscribe_loaned::<Odometry>("/odom", QosProfile::default())?;
+    let odometry = node.subscribe_loaned::<Odometry>("/odom", Qos::default())?;
     node.spawn_callback(
         CallbackOptions::fifo(20).core(core),
         odometry.for_each(|msg| async move {
             ODOMETRY.add((msg.x, msg.heading));
         }),
     )?;
-    let publisher = node.create_publisher::<Odometry>("/odom", QosProfile::default())?;
+    let publisher = node.create_publisher::<Odometry>("/odom", Qos::default())?;
     let ctx = node.context().clone();
     let thread = std::thread::spawn(|| publish_and_end(publisher, ctx));
     node.spin()?;
@@ -80,14 +80,14 @@ fn two_contexts_of_a_process_share_a_domain_and_no_more() {
     let (here, there, elsewhere) = (context(201), context(201), context(202));
     let nodes = [("there", &there), ("elsewhere", &elsewhere)].map(|(name, context)| {
         let mut node = Node::create(context.clone(), name, "").unwrap();
-        let numbers = node.subscribe_loaned::<Number>("/two", QosProfile::default()).unwrap();
+        let numbers = node.subscribe_loaned::<Number>("/two", Qos::default()).unwrap();
         let log = move |sample: Sample<Number>| async move { HEARD.add((name, sample.value)) };
         node.spawn_callback(CallbackOptions::other(), numbers.for_each(log)).unwrap();
         node
     });
     let publish = |context: &Context, value| {
         let mut node = Node::create(context.clone(), "talker", "").unwrap();
-        let publisher = node.create_publisher::<Number>("/two", QosProfile::default()).unwrap();
+        let publisher = node.create_publisher::<Number>("/two", Qos::default()).unwrap();
         assert_eq!(publisher.subscription_count(), 1);
         publisher.publish(&Number { value }).unwrap();
         publisher
@@ -108,8 +108,8 @@ fn two_contexts_of_a_process_share_a_domain_and_no_more() {
 #[test]
 fn publishers_and_samples_may_end_on_other_threads() {
     let mut node = Node::create(context(203), "mover", "").unwrap();
-    let publisher = node.create_publisher::<Number>("/moved", QosProfile::default()).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/moved", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/moved", Qos::default()).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/moved", Qos::default()).unwrap();
     let publisher = std::thread::spawn(move || {
         publisher.publish(&Number { value: 7 }).unwrap();
         publisher
@@ -131,7 +131,7 @@ fn publishers_and_samples_may_end_on_other_threads() {
 fn what_is_made_through_a_node_ends_with_it() {
     let context = context(204);
     let mut node = Node::create(context.clone(), "brief", "").unwrap();
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let publisher = node.create_publisher::<Number>("/brief", qos).unwrap();
     let numbers = node.subscribe::<Number>("/brief", qos).unwrap();
     let mut silent = node.subscribe_loaned::<Number>("/silent", qos).unwrap();
@@ -162,6 +162,6 @@ fn names_of_contexts_and_nodes_are_what_was_asked_for() {
     );
     let nodes = [("a", ""), ("a", "/robot"), ("b", "robot/left")]
         .map(|(name, namespace)| Node::create(context.clone(), name, namespace).unwrap());
-    let names = nodes.iter().map(|node| node.fully_qualified_name().unwrap()).collect::<HashSet<_>>();
-    assert_eq!(names, HashSet::from(["/a", "/robot/a", "/robot/left/b"].map(String::from)));
+    let names = nodes.iter().map(|node| node.fully_qualified_name()).collect::<HashSet<_>>();
+    assert_eq!(names, HashSet::from(["/a", "/robot/a", "/robot/left/b"]));
 }

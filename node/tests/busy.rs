@@ -9,7 +9,7 @@ use common::{Gate, Log, Number, context, cores, leave_a_thread, realtime, spin};
 use futures::{FutureExt, StreamExt};
 use tautline::rt::{clock, current_affinity, current_policy, set_affinity};
 use tautline::{
-    CallbackOptions, Context, CoreSet, Error, ExecutorError, Node, Publisher, QosProfile, Realtime, Sample,
+    CallbackOptions, Context, CoreSet, Error, ExecutorError, Node, Publisher, Qos, Realtime, Sample,
 };
 
 fn publish(publisher: &Publisher<Number>, values: impl IntoIterator<Item = u64>) {
@@ -31,8 +31,8 @@ fn messages_come_without_a_sampler(
     gate: &'static Gate,
 ) {
     let mut node = Node::create(context.clone(), "busy", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/busy", QosProfile::default().keep_last(4)).unwrap();
-    let publisher = node.create_publisher::<Number>("/busy", QosProfile::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/busy", Qos::keep_last(4)).unwrap();
+    let publisher = node.create_publisher::<Number>("/busy", Qos::default()).unwrap();
     let counters = numbers.counters();
     let callback = numbers.for_each(move |sample: Sample<Number>| async move {
         log.add(sample.value);
@@ -82,15 +82,15 @@ fn rings(node: &mut Node, timeout: Duration, publish: impl FnOnce()) -> bool {
     node.spin_once(Duration::ZERO);
     publish();
     node.spin_once(Duration::from_secs(3600));
-    timer.next_tick().now_or_never().is_none()
+    timer.tick().now_or_never().is_none()
 }
 
 #[test]
 fn publishers_do_not_ring_it() {
     static LOG: Log<u64> = Log::new();
     let mut node = Node::create(context(222), "quiet", "").unwrap();
-    let publisher = node.create_publisher::<Number>("/quiet", QosProfile::default()).unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/quiet", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/quiet", Qos::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/quiet", Qos::default()).unwrap();
     let is_rung = rings(&mut node, Duration::from_secs(60), || publish(&publisher, [0]));
     assert!(is_rung, "an ordinary subscription is rung");
     let callback = numbers.for_each(|sample| async move { LOG.add(sample.value) });
@@ -147,7 +147,7 @@ fn whoever_would_starve_the_sampler_is_refused() {
     let mut node = Node::create(context.clone(), "server", "").unwrap();
     let mut timer = node.create_wall_timer(Duration::from_millis(1)).unwrap();
     let served = async move {
-        timer.next_tick().await;
+        timer.tick().await.unwrap();
         SERVED.open();
     };
     node.spawn_callback(CallbackOptions::fifo(5).core(sampler_core), served).unwrap();

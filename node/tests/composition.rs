@@ -9,7 +9,7 @@ use common::{Log, Number, context, spin};
 use futures::StreamExt;
 use std::sync::Arc;
 use support::{Place, place_of};
-use tautline::{CallbackOptions, Error, Node, QosProfile};
+use tautline::{CallbackOptions, Error, Node, Qos};
 
 const NODES: usize = 20;
 
@@ -20,7 +20,7 @@ fn a_message_goes_through_twenty_nodes_on_one_sampler() {
     let mut nodes: Vec<Node> = (0..NODES)
         .map(|n| Node::create(context.clone(), &format!("node_{n}"), "/composed").unwrap())
         .collect();
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     for (index, node) in nodes.iter_mut().enumerate() {
         let numbers = node.subscribe_loaned::<Number>(&format!("hop_{index}"), qos).unwrap();
         let next = node.create_publisher::<Number>(&format!("hop_{}", index + 1), qos).unwrap();
@@ -47,8 +47,8 @@ fn what_one_node_writes_another_of_the_process_reads_in_place() {
     let context = context(119);
     let [mut writer, mut reader] =
         ["writer", "reader"].map(|name| Node::create(context.clone(), name, "/placed").unwrap());
-    let publisher = writer.create_publisher::<Number>("place", QosProfile::default()).unwrap();
-    let subscription = reader.subscribe_loaned::<Number>("place", QosProfile::default()).unwrap();
+    let publisher = writer.create_publisher::<Number>("place", Qos::default()).unwrap();
+    let subscription = reader.subscribe_loaned::<Number>("place", Qos::default()).unwrap();
     let mut loan = publisher.loan().unwrap();
     loan.value = 7;
     let Place { inode, offset, .. } = place_of(&raw const *loan);

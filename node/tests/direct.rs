@@ -9,8 +9,8 @@ use common::{Log, Number, context, leave_a_thread, realtime, spin};
 use futures::future::{FutureExt, join};
 use futures::stream::{FuturesUnordered, StreamExt};
 use tautline::{
-    CallbackGroup, CallbackOptions, Context, Error, ExecutorError, Node, Publisher, QosProfile, Realtime,
-    Sample, Tick,
+    CallbackGroup, CallbackOptions, Context, Error, ExecutorError, Node, Publisher, Qos, Realtime, Sample,
+    Tick,
 };
 
 fn publish(publisher: &Publisher<Number>, value: u64) {
@@ -24,8 +24,8 @@ fn direct() -> CallbackOptions {
 /// Each message is published when the one before has been received, so that the thread sleeps before most.
 fn one_by_one(context: &Context, options: CallbackOptions, log: &'static Log<u64>) {
     let mut node = Node::create(context.clone(), "direct", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/direct", QosProfile::default()).unwrap();
-    let publisher = node.create_publisher::<Number>("/direct", QosProfile::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/direct", Qos::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/direct", Qos::default()).unwrap();
     let callback = numbers.for_each(move |sample| async move { log.add(sample.value) });
     let callback = node.spawn_callback(options, callback).unwrap();
     for value in 1..=1000 {
@@ -63,11 +63,9 @@ fn several_streams_share_a_thread_however_they_are_polled() {
     let context = context(93);
     let mut node = Node::create(context.clone(), "combined", "").unwrap();
     let topics = ["/a", "/b", "/c", "/d"];
-    let publishers =
-        topics.map(|topic| node.create_publisher::<Number>(topic, QosProfile::default()).unwrap());
-    let mut streams = topics
-        .map(|topic| node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap())
-        .into_iter();
+    let publishers = topics.map(|topic| node.create_publisher::<Number>(topic, Qos::default()).unwrap());
+    let mut streams =
+        topics.map(|topic| node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap()).into_iter();
     let mut next = move || streams.next().unwrap();
     let add = |sample: Sample<Number>| async move { LOG.add(sample.value) };
     // The first two are polled whenever the thread is woken, the others only if they themselves were.
@@ -89,8 +87,8 @@ fn groups_and_timers_wake_it_too() {
     static LOG: Log<&str> = Log::new();
     let context = context(94);
     let mut node = Node::create(context.clone(), "group", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/group", QosProfile::default()).unwrap();
-    let publisher = node.create_publisher::<Number>("/group", QosProfile::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/group", Qos::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/group", Qos::default()).unwrap();
     let timer = node.create_wall_timer(Duration::from_millis(1)).unwrap();
     let mut group = CallbackGroup::new();
     let released_ns = |sample: &Sample<Number>| sample.info().released_ns;
@@ -125,8 +123,8 @@ fn what_is_beyond_the_limits_goes_through_the_sampler_or_is_refused() {
     let all: FuturesUnordered<_> = topics
         .iter()
         .map(|topic| {
-            publishers.push(node.create_publisher::<Number>(topic, QosProfile::default()).unwrap());
-            let numbers = node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap();
+            publishers.push(node.create_publisher::<Number>(topic, Qos::default()).unwrap());
+            let numbers = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
             numbers.for_each(|sample| async move { LOG.add(sample.value) })
         })
         .collect();

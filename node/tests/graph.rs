@@ -8,8 +8,7 @@ use futures::executor::block_on;
 use futures::{FutureExt, StreamExt};
 use std::collections::HashMap;
 use tautline::{
-    Context, HistoryPolicy, LoanError, Node, NodeOptions, PublishError, QosProfile, Realtime, RemapRules,
-    Service,
+    Context, History, LoanError, Node, NodeOptions, PublishError, Qos, Realtime, RemapRules, Service,
 };
 
 /// A service of whatever type.
@@ -42,9 +41,9 @@ fn a_node_sees_what_others_have() {
     let ctx = context(109);
     let mut talker = Node::create(ctx.clone(), "talker", "/robot").unwrap();
     let mut listener = Node::create(ctx, "listener", "").unwrap();
-    let qos = QosProfile::default().keep_last(7).best_effort().transient_local();
+    let qos = Qos::keep_last(7).best_effort().transient_local();
     let publisher = talker.create_publisher::<Number>("count", qos).unwrap();
-    let _subscription = listener.subscribe_loaned::<Number>("/robot/count", QosProfile::default()).unwrap();
+    let _subscription = listener.subscribe_loaned::<Number>("/robot/count", Qos::default()).unwrap();
     let service = "/robot/turn/_action/send_goal";
     let _turn = talker.create_service_loaned::<Turn>(service, qos).unwrap();
     let _add = talker.create_service_loaned::<Add>("add", qos).unwrap();
@@ -64,16 +63,14 @@ fn a_node_sees_what_others_have() {
     assert!(listener.get_subscriber_names_and_types_by_node("talker", "/robot").unwrap().is_empty());
     assert_eq!(listener.get_subscriber_names_and_types_by_node("listener", "/").unwrap(), topics);
 
-    let [found] = &*talker.get_publishers_info_by_topic("count", false).unwrap() else { panic!("not one") };
+    let [found] = &*talker.get_publishers_info_by_topic("count").unwrap() else { panic!("not one") };
     assert_eq!((&*found.node_name, &*found.node_namespace), ("talker", "/robot"));
     assert_eq!((&*found.topic_type, found.endpoint_gid), ("test_msgs/msg/Number", publisher.gid().0));
     assert_eq!((found.pid, found.is_remote), (Some(std::process::id()), false));
-    let expected = QosProfile::default().keep_last(7).best_effort().transient_local();
-    assert_eq!(found.qos_profile, expected);
-    let [found] = &*talker.get_subscriptions_info_by_topic("count", false).unwrap() else {
-        panic!("not one")
-    };
-    assert_eq!((&*found.node_name, found.qos_profile.history), ("listener", HistoryPolicy::KeepLast));
+    let expected = Qos::keep_last(7).best_effort().transient_local();
+    assert_eq!(found.qos, expected);
+    let [found] = &*talker.get_subscriptions_info_by_topic("count").unwrap() else { panic!("not one") };
+    assert_eq!((&*found.node_name, found.qos.history), ("listener", History::KeepLast));
     assert_eq!(
         (talker.count_publishers("count").unwrap(), talker.count_subscribers("count").unwrap()),
         (1, 1)
@@ -108,10 +105,9 @@ fn a_node_waits_for_others() {
 
     let comes = std::thread::spawn(|| {
         let mut node = Node::create(context(110), "comes", "/robot").unwrap();
-        let publishers =
-            [(); 2].map(|()| node.create_publisher::<Number>("count", QosProfile::default()).unwrap());
-        let subscription = node.subscribe_loaned::<Number>("count", QosProfile::default()).unwrap();
-        let service = node.create_service_loaned::<Add>("/robot/add", QosProfile::default()).unwrap();
+        let publishers = [(); 2].map(|()| node.create_publisher::<Number>("count", Qos::default()).unwrap());
+        let subscription = node.subscribe_loaned::<Number>("count", Qos::default()).unwrap();
+        let service = node.create_service_loaned::<Add>("/robot/add", Qos::default()).unwrap();
         (node, publishers, subscription, service)
     });
     block_on(all);
@@ -127,13 +123,13 @@ fn nodes_are_remapped_from_end_to_end() {
     let rules = RemapRules::parse(&["__ns:=/robot", "first:__node:=renamed", "count:=/all/count"]).unwrap();
     let ctx = Context::builder().domain(111).realtime(Realtime::Off).remap(rules).build().unwrap();
     let mut first = Node::create(ctx.clone(), "first", "/ignored").unwrap();
-    assert_eq!(first.fully_qualified_name().unwrap(), "/robot/renamed");
-    let publisher = first.create_publisher::<Number>("count", QosProfile::default()).unwrap();
+    assert_eq!(first.fully_qualified_name(), "/robot/renamed");
+    let publisher = first.create_publisher::<Number>("count", Qos::default()).unwrap();
     assert_eq!(publisher.topic(), "/all/count");
 
     let own = NodeOptions::default().remap(RemapRules::parse(&["count:=~/count"]).unwrap());
     let mut second = Node::create_with_options(ctx.clone(), "second", "", own.clone()).unwrap();
-    let publisher = second.create_publisher::<Number>("count", QosProfile::default()).unwrap();
+    let publisher = second.create_publisher::<Number>("count", Qos::default()).unwrap();
     assert_eq!(publisher.topic(), "/robot/second/count");
     assert_eq!(second.get_node_names().unwrap(), ["/robot/renamed", "/robot/second"]);
 

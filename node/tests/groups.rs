@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use common::{Log, Number, context, spin};
 use tautline::rt::clock;
-use tautline::{CallbackGroup, CallbackOptions, Node, Publisher, QosProfile, Sample, Tick};
+use tautline::{CallbackGroup, CallbackOptions, Node, Publisher, Qos, Sample, Tick};
 
 const HOUR: Duration = Duration::from_secs(3600);
 
@@ -23,8 +23,8 @@ fn jobs_run_in_order_of_release_across_topics_and_a_timer() {
     let context = context(219);
     let mut node = Node::create(context.clone(), "grouped", "").unwrap();
     let [a, b] = ["/a", "/b"].map(|topic| {
-        let subscription = node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap();
-        (subscription, node.create_publisher::<Number>(topic, QosProfile::default()).unwrap())
+        let subscription = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
+        (subscription, node.create_publisher::<Number>(topic, Qos::default()).unwrap())
     });
     // Everything is released before the group starts, and not in the order in which it was published.
     let start_ns = clock::monotonic_ns();

@@ -5,7 +5,7 @@ mod common;
 
 use common::{Log, Number, context, spin};
 use futures::StreamExt;
-use tautline::{CallbackOptions, Node, QosProfile};
+use tautline::{CallbackOptions, Node, Qos};
 
 const DOMAIN: u32 = 226;
 /// `TAUT_LEAK_CYCLES` says otherwise.
@@ -32,8 +32,8 @@ fn possessions() -> [usize; 4] {
 fn live_once(log: &'static Log<u64>, value: u64) {
     let context = context(DOMAIN);
     let mut node = Node::create(context.clone(), "mayfly", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/life", QosProfile::default()).unwrap();
-    let publisher = node.create_publisher::<Number>("/life", QosProfile::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/life", Qos::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/life", Qos::default()).unwrap();
     let _timer = node.create_wall_timer(std::time::Duration::from_millis(1)).unwrap();
     let note = move |sample: tautline::Sample<Number>| async move { log.add(sample.value) };
     node.spawn_callback(CallbackOptions::other(), numbers.for_each(note)).unwrap();

@@ -13,7 +13,7 @@ use tautline::lifecycle::{
 };
 use tautline::lifecycle_msgs::msg::TransitionEvent;
 use tautline::lifecycle_msgs::srv::{ChangeState, GetAvailableStates, GetAvailableTransitions, GetState};
-use tautline::{CallbackOptions, Node, Publisher, QosProfile};
+use tautline::{CallbackOptions, Node, Publisher, Qos};
 
 const DOMAIN: u32 = 217;
 
@@ -49,8 +49,7 @@ impl Script {
 
 impl LifecycleCallbacks for Script {
     fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
-        *self.publisher.lock().unwrap() =
-            Some(node.create_publisher("~/number", QosProfile::default()).unwrap());
+        *self.publisher.lock().unwrap() = Some(node.create_publisher("~/number", Qos::default()).unwrap());
         self.call("configure", CallbackReturn::Success)
     }
 
@@ -92,7 +91,7 @@ fn done(result: CallbackReturn, state: State) -> Result<Transitioned, LifecycleE
 fn publishers_are_silent_unless_the_node_is_active() {
     let (node, script) = managed("quiet");
     let mut other = Node::create(context(DOMAIN), "other", "").unwrap();
-    let numbers = other.subscribe_loaned::<Number>("/quiet/number", QosProfile::default()).unwrap();
+    let numbers = other.subscribe_loaned::<Number>("/quiet/number", Qos::default()).unwrap();
     // In another context: they may take a moment.
     let take = |count: usize| {
         let mut taken: Vec<u64> = Vec::new();
@@ -134,7 +133,7 @@ fn publishers_are_silent_unless_the_node_is_active() {
 fn the_way_through_all_states_is_told() {
     let (node, script) = managed("teller");
     let mut other = Node::create(context(DOMAIN), "listener", "").unwrap();
-    let qos = QosProfile::default().keep_last(20);
+    let qos = Qos::keep_last(20);
     let events = other.subscribe_loaned::<TransitionEvent>("/teller/transition_event", qos).unwrap();
     // In another context: they may take a moment.
     let told = |count: usize| {
@@ -249,7 +248,7 @@ fn its_state_is_told_while_a_callback_runs() {
     };
     let callbacks = [spawn(changes.boxed()), spawn(states.boxed())];
     let mut other = Node::create(context, "manager", "").unwrap();
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let change = other.create_client::<ChangeState::Service>("/slow/change_state", qos).unwrap();
     let state = other.create_client::<GetState::Service>("/slow/get_state", qos).unwrap();
     for available in
@@ -280,7 +279,7 @@ fn its_state_is_told_while_a_callback_runs() {
 fn untyped_publishers_are_silent_while_it_is_not_active() {
     let node = LifecycleNode::create(context(55), "untyped", "", Script::default()).unwrap();
     let create = |node: &mut ManagedNode| {
-        node.create_publisher_untyped("~/text", "std_msgs/msg/String", QosProfile::default())
+        node.create_publisher_untyped("~/text", "std_msgs/msg/String", Qos::default())
     };
     let publisher = node.with_node(create).unwrap().unwrap();
     let say = || publisher.publish(serde_json::json!({ "data": "here" })).unwrap();
@@ -310,7 +309,7 @@ fn its_services_are_ros_2s() {
         .unwrap();
 
     let mut other = Node::create(context.clone(), "manager", "").unwrap();
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let change = other.create_client::<ChangeState::Service>("/served/change_state", qos).unwrap();
     let state = other.create_client::<GetState::Service>("/served/get_state", qos).unwrap();
     let states =

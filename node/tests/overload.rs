@@ -9,7 +9,7 @@ use std::time::Duration;
 use common::{Gate, Log, Number, context, spin};
 use futures::StreamExt;
 use tautline::rt::clock;
-use tautline::{CallbackOptions, Node, QosProfile, Sample};
+use tautline::{CallbackOptions, Node, Qos, Sample};
 
 #[test]
 fn published_is_received_and_lost_and_queued() {
@@ -18,7 +18,7 @@ fn published_is_received_and_lost_and_queued() {
     const DEPTH: u64 = 5;
     let context = context(224);
     let mut node = Node::create(context.clone(), "slow", "").unwrap();
-    let qos = QosProfile::default().keep_last(DEPTH as usize);
+    let qos = Qos::keep_last(DEPTH as usize);
     let numbers = node.subscribe_loaned::<Number>("/fast", qos).unwrap();
     let publisher = node.create_publisher::<Number>("/fast", qos).unwrap();
     let counters = numbers.counters();
@@ -56,7 +56,7 @@ fn a_stream_that_is_never_empty_lets_its_callback_end() {
     static LAST: AtomicU64 = AtomicU64::new(0);
     let (fast, slow) = (context(225), context(225));
     let mut node = Node::create(slow.clone(), "slow", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/flood", QosProfile::default().keep_last(3)).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/flood", Qos::keep_last(3)).unwrap();
     let counters = numbers.counters();
     let work = |sample: Sample<Number>| async move {
         clock::burn_cpu(Duration::from_millis(1));
@@ -65,7 +65,7 @@ fn a_stream_that_is_never_empty_lets_its_callback_end() {
     };
     let callback = node.spawn_callback(CallbackOptions::other(), numbers.for_each(work)).unwrap();
     let mut fast = Node::create(fast.clone(), "fast", "").unwrap();
-    let publisher = fast.create_publisher::<Number>("/flood", QosProfile::default()).unwrap();
+    let publisher = fast.create_publisher::<Number>("/flood", Qos::default()).unwrap();
     let over = &AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(move || {

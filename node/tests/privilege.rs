@@ -52,7 +52,7 @@ fn spinning_without_privilege_names_the_fix() {
     let callback = {
         let context = context.clone();
         node.spawn_callback(CallbackOptions::fifo(20), async move {
-            timer.next_tick().await;
+            timer.tick().await.unwrap();
             context.shutdown();
         })
     };
@@ -64,5 +64,5 @@ fn spinning_without_privilege_names_the_fix() {
 /// A slot is free again: another timer can be had, and has not ticked.
 fn timer_is_gone(node: &mut Node) -> bool {
     let mut timer = node.create_wall_timer(std::time::Duration::from_secs(3600)).unwrap();
-    timer.next_tick().now_or_never().is_none()
+    timer.tick().now_or_never().is_none()
 }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{
-    CallbackOptions, Context, LivelinessPolicy, Node, PublisherEvent, QosPolicyKind, QosProfile, Realtime,
+    CallbackOptions, Context, Liveliness, Node, PublisherEvent, Qos, QosPolicyKind, Realtime,
     SubscriptionEvent,
 };
 
@@ -34,14 +34,14 @@ fn both_ends_hear_of_a_match_of_what_does_not_fit_and_of_the_end() {
     let context = context(200);
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "matches", "").unwrap();
-    let sensor = QosProfile::default().best_effort();
+    let sensor = Qos::default().best_effort();
     let publisher = node.create_publisher::<Number>("/m", sensor).unwrap();
     let mut offered = node.publisher_events(&publisher).unwrap();
     let fitting = node.subscribe_loaned::<Number>("/m", sensor).unwrap();
     let PublisherEvent::Matched(matched) = next(&mut offered) else { panic!() };
     assert_eq!((matched.current_count, matched.current_count_change), (1, 1));
 
-    let strict = node.subscribe_loaned::<Number>("/m", QosProfile::default()).unwrap();
+    let strict = node.subscribe_loaned::<Number>("/m", Qos::default()).unwrap();
     let mut requested = node.subscription_events(&strict).unwrap();
     let PublisherEvent::OfferedIncompatibleQos(found) = next(&mut offered) else { panic!() };
     assert_eq!((found.total_count, found.last_policy_kind), (1, QosPolicyKind::Reliability));
@@ -64,7 +64,7 @@ fn a_deadline_is_missed_once_for_each_period_at_both_ends() {
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "deadline", "").unwrap();
     let period_ns = 20 * MS;
-    let qos = QosProfile::default().deadline(Duration::from_nanos(period_ns));
+    let qos = Qos::default().deadline(Duration::from_nanos(period_ns));
     let publisher = node.create_publisher::<Number>("/d", qos).unwrap();
     let subscription = node.subscribe_loaned::<Number>("/d", qos).unwrap();
     let (mut offered, mut requested) =
@@ -103,10 +103,7 @@ fn lost_messages_and_leases_are_told() {
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "lost", "").unwrap();
     let lease = Duration::from_millis(20);
-    let manual = QosProfile::default()
-        .keep_last(1)
-        .liveliness(LivelinessPolicy::ManualByTopic)
-        .liveliness_lease_duration(lease);
+    let manual = Qos::keep_last(1).liveliness(Liveliness::ManualByTopic).liveliness_lease_duration(lease);
     let publisher = node.create_publisher::<Number>("/l", manual).unwrap();
     let subscription = node.subscribe_loaned::<Number>("/l", manual).unwrap();
     let (mut offered, mut requested) =
@@ -144,7 +141,7 @@ fn a_deadline_of_no_time_does_not_keep_the_sampler_busy() {
     let context = context(84);
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "hasty", "").unwrap();
-    let qos = QosProfile::default().deadline(Duration::from_nanos(1));
+    let qos = Qos::default().deadline(Duration::from_nanos(1));
     let publisher = node.create_publisher::<Number>("/h", qos).unwrap();
     let subscription = node.subscribe_loaned::<Number>("/h", qos).unwrap();
     let mut requested = node.subscription_events(&subscription).unwrap();
@@ -166,19 +163,19 @@ fn a_deadline_of_no_time_does_not_keep_the_sampler_busy() {
 #[test]
 fn times_of_any_length_can_be_asked_for() {
     let mut node = Node::create(context(200), "times", "").unwrap();
-    let all = QosProfile::default()
+    let all = Qos::default()
         .deadline(Duration::from_nanos(1))
         .lifespan(Duration::MAX)
         .liveliness_lease_duration(Duration::MAX)
-        .liveliness(LivelinessPolicy::ManualByTopic);
+        .liveliness(Liveliness::ManualByTopic);
     let publisher = node.create_publisher::<Number>("/t", all).unwrap();
     let _events = node.publisher_events(&publisher).unwrap();
     // A lease that is over before anybody can look: the stream ends a look all the same.
-    let brief = QosProfile::default()
+    let brief = Qos::default()
         .liveliness_lease_duration(Duration::from_nanos(1))
-        .liveliness(LivelinessPolicy::ManualByTopic);
+        .liveliness(Liveliness::ManualByTopic);
     let _brief = node.create_publisher::<Number>("/brief", brief).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/brief", QosProfile::default()).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/brief", Qos::default()).unwrap();
     let mut told = node.subscription_events(&subscription).unwrap();
     while told.poll_next_unpin(&mut std::task::Context::from_waker(std::task::Waker::noop())).is_ready() {}
     // More than a context has places at the start: there is no limit of them.
@@ -197,7 +194,7 @@ fn two_hundred_topics_at_100_hz_on_one_sampler() {
     let sampler = spin(&context);
     let mut node = Node::create(context.clone(), "many", "").unwrap();
     let (period_ns, rounds) = (10 * MS, 100);
-    let qos = QosProfile::default().keep_last(1).deadline(Duration::from_nanos(period_ns + period_ns / 2));
+    let qos = Qos::keep_last(1).deadline(Duration::from_nanos(period_ns + period_ns / 2));
     let mut publishers = Vec::new();
     let mut streams = Vec::new();
     for index in 0..TOPICS {
@@ -274,8 +271,8 @@ fn liveliness_is_lost_after_kill_9_of_the_publisher() {
     // The child publishes, and is killed by itself.
     if std::env::var_os("TAUT_TEST_CHILD").is_some() {
         let mut node = Node::create(common::context(118), "victim", "").unwrap();
-        let _publisher = node.create_publisher::<Number>("/victim", QosProfile::default()).unwrap();
-        let subscription = node.subscribe_loaned::<Number>("/go", QosProfile::default()).unwrap();
+        let _publisher = node.create_publisher::<Number>("/victim", Qos::default()).unwrap();
+        let subscription = node.subscribe_loaned::<Number>("/go", Qos::default()).unwrap();
         while subscription.try_take().unwrap().is_none() {
             std::thread::yield_now();
         }
@@ -284,9 +281,9 @@ fn liveliness_is_lost_after_kill_9_of_the_publisher() {
     let context = tautline::Context::builder().domain(118).realtime(Realtime::Off).build().unwrap();
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "watcher", "").unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/victim", QosProfile::default()).unwrap();
+    let subscription = node.subscribe_loaned::<Number>("/victim", Qos::default()).unwrap();
     let mut events = node.subscription_events(&subscription).unwrap();
-    let go = node.create_publisher::<Number>("/go", QosProfile::default().transient_local()).unwrap();
+    let go = node.create_publisher::<Number>("/go", Qos::default().transient_local()).unwrap();
     let mut go_events = node.publisher_events(&go).unwrap();
     let child =
         std::thread::spawn(|| run_again("liveliness_is_lost_after_kill_9_of_the_publisher", &[]).unwrap());

@@ -13,7 +13,7 @@ use common::context;
 use futures::StreamExt;
 use futures::executor::block_on;
 use tautline::example_interfaces::srv::AddTwoInts;
-use tautline::{CallbackOptions, Node, QosProfile};
+use tautline::{CallbackOptions, Node, Qos};
 
 /// Heap allocations of one thread.
 static CLIENT: AtomicU64 = AtomicU64::new(0);
@@ -57,7 +57,7 @@ const ROUND_TRIPS: u64 = 10_000;
 fn ten_thousand_round_trips_allocate_nothing() {
     let ctx = context(159);
     let mut node = Node::create(ctx.clone(), "frugal", "").unwrap();
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let mut service = node.create_service_loaned::<AddTwoInts::Service>("frugal", qos).unwrap();
     let client = node.create_client_loaned::<AddTwoInts::Service>("frugal", qos).unwrap();
     node.spawn_callback(CallbackOptions::other(), async move {

@@ -12,7 +12,7 @@ use common::{context, spin};
 use futures::executor::block_on;
 use futures::{FutureExt, StreamExt};
 use tautline::example_interfaces::srv::AddTwoInts;
-use tautline::{Error, Node, QosProfile, ServiceError};
+use tautline::{Error, Node, Qos, ServiceError};
 
 const DOMAIN: u32 = 154;
 const PART: &str = "TAUT_TEST_PART";
@@ -27,7 +27,7 @@ fn child_main() {
     let Ok(part) = std::env::var(PART) else { return };
     let ctx = context(DOMAIN);
     let mut node = Node::create(ctx.clone(), "child", "").unwrap();
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let _spinning = spin(&ctx);
     match part.as_str() {
         "killed_client" => {
@@ -90,7 +90,7 @@ fn a_killed_server_ends_its_requests_and_a_new_one_takes_over() {
     let ctx = context(DOMAIN);
     let mut node = Node::create(ctx.clone(), "parent", "").unwrap();
     let name = service("killed_server");
-    let client = node.create_client::<AddTwoInts::Service>(&name, QosProfile::default()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>(&name, Qos::default()).unwrap();
     let _spinning = spin(&ctx);
     for round in 0..3 {
         let mut server = Peer::start("killed_server");
@@ -116,8 +116,8 @@ fn a_killed_client_is_forgotten() {
     let ctx = context(DOMAIN);
     let mut node = Node::create(ctx.clone(), "parent", "").unwrap();
     let name = service("killed_client");
-    let mut requests = node.create_service::<AddTwoInts::Service>(&name, QosProfile::default()).unwrap();
-    let own = node.create_client::<AddTwoInts::Service>(&name, QosProfile::default()).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>(&name, Qos::default()).unwrap();
+    let own = node.create_client::<AddTwoInts::Service>(&name, Qos::default()).unwrap();
     let _spinning = spin(&ctx);
     for _ in 0..3 {
         let mut client = Peer::start("killed_client");

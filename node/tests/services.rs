@@ -13,9 +13,9 @@ use futures::future::join_all;
 use futures::{FutureExt, StreamExt};
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::std_srvs::srv::SetBool;
-use tautline::{CallbackOptions, Context, Error, Node, QosProfile, ServiceError, ServiceRequest};
+use tautline::{CallbackOptions, Context, Error, Node, Qos, ServiceError, ServiceRequest};
 
-const QOS: fn() -> QosProfile = QosProfile::default;
+const QOS: fn() -> Qos = Qos::default;
 
 fn node(ctx: &Context, name: &str) -> Node {
     Node::create(ctx.clone(), name, "").unwrap()
@@ -181,7 +181,7 @@ fn time_outs_and_requests_that_are_dropped() {
     let ctx = context(39);
     let mut node = node(&ctx, "slow");
     let client = node.create_client::<AddTwoInts::Service>("slow", QOS()).unwrap();
-    let mut requests = node.create_service::<AddTwoInts::Service>("slow", QOS().keep_last(100)).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>("slow", Qos::keep_last(100)).unwrap();
     // No time at all needs no sampler to pass.
     let error =
         client.request_timeout(&question(1, 1), Duration::ZERO).unwrap().now_or_never().unwrap().unwrap_err();
@@ -208,7 +208,7 @@ fn full_queues_are_errors_and_lose_nothing() {
     let ctx = context(41);
     let mut node = node(&ctx, "full");
     let client = node.create_client_loaned::<AddTwoInts::Service>("full", QOS()).unwrap();
-    let mut requests = node.create_service::<AddTwoInts::Service>("full", QOS().keep_last(3)).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>("full", Qos::keep_last(3)).unwrap();
     let _spinning = spin(&ctx);
     let ask = |a| {
         let mut request = client.loan().unwrap();
@@ -238,7 +238,7 @@ fn full_queues_are_errors_and_lose_nothing() {
 fn more_pending_requests_than_a_client_can_have() {
     let ctx = context(43);
     let mut node = node(&ctx, "many");
-    let mut requests = node.create_service::<AddTwoInts::Service>("many", QOS().keep_last(100)).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>("many", Qos::keep_last(100)).unwrap();
     let client = node.create_client::<AddTwoInts::Service>("many", QOS()).unwrap();
     let _spinning = spin(&ctx);
     let mut answers: Vec<_> =
@@ -277,7 +277,7 @@ fn another_type_is_another_service() {
 fn answers_come_from_any_thread_and_in_any_order() {
     let ctx = context(46);
     let mut node = node(&ctx, "threads");
-    let requests = node.create_service::<AddTwoInts::Service>("threads", QOS().keep_last(100)).unwrap();
+    let requests = node.create_service::<AddTwoInts::Service>("threads", Qos::keep_last(100)).unwrap();
     let client = node.create_client::<AddTwoInts::Service>("threads", QOS()).unwrap();
     let _spinning = spin(&ctx);
     std::thread::scope(|scope| {

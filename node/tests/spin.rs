@@ -8,7 +8,7 @@ use std::sync::mpsc;
 use common::{Log, Number, context, cores, realtime};
 use futures::StreamExt;
 use tautline::rt::{current_affinity, current_policy, current_tid, threads};
-use tautline::{CallbackOptions, Context, CoreSet, Error, Node, Policy, QosProfile, Sample};
+use tautline::{CallbackOptions, Context, CoreSet, Error, Node, Policy, Qos, Sample};
 
 /// What the kernel says of this thread.
 fn settings() -> (Policy, CoreSet) {
@@ -27,13 +27,13 @@ fn callbacks(
     log: &'static Log<(u32, String)>,
 ) -> [tautline::Publisher<Number>; 2] {
     [("/high", 30), ("/low", 29)].map(|(topic, priority)| {
-        let numbers = node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap();
+        let numbers = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
         let note = |_: Sample<Number>| async {
             log.add((current_tid(), std::thread::current().name().unwrap_or_default().to_owned()));
         };
         node.spawn_callback(CallbackOptions::fifo(priority).core(core).name(topic), numbers.for_each(note))
             .unwrap();
-        node.create_publisher(topic, QosProfile::default()).unwrap()
+        node.create_publisher(topic, Qos::default()).unwrap()
     })
 }
 

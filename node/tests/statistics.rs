@@ -9,7 +9,7 @@ use common::{Log, Number, run_again, spin};
 use futures::StreamExt;
 use tautline::rt::clock;
 use tautline::{
-    CallbackGroup, CallbackSnapshot, Context, MomentKind, Node, ProcessSnapshot, QosProfile, Realtime,
+    CallbackGroup, CallbackSnapshot, Context, MomentKind, Node, ProcessSnapshot, Qos, Realtime,
     shared_statistics,
 };
 
@@ -63,9 +63,9 @@ fn what_callbacks_do_is_seen_from_outside() {
     static DONE: Log<u64> = Log::new();
     let (context, path) = context(DOMAIN, "outside");
     let mut node = Node::create(context.clone(), "driver", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/n", QosProfile::default().keep_last(2)).unwrap();
-    let also = node.subscribe_loaned::<Number>("/n", QosProfile::default().keep_last(3)).unwrap();
-    let publisher = node.create_publisher::<Number>("/n", QosProfile::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/n", Qos::keep_last(2)).unwrap();
+    let also = node.subscribe_loaned::<Number>("/n", Qos::keep_last(3)).unwrap();
+    let publisher = node.create_publisher::<Number>("/n", Qos::default()).unwrap();
     let first_ns = clock::monotonic_ns();
     for value in 0..5 {
         let mut loan = publisher.loan().unwrap();
@@ -137,8 +137,8 @@ fn late_jobs_are_kept_with_their_instants() {
     let context = builder.account_core_time(Some(std::time::Duration::from_millis(1))).build().unwrap();
     std::fs::remove_file(&path).unwrap();
     let mut node = Node::create(context.clone(), "driver", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/n", QosProfile::default().keep_last(2)).unwrap();
-    let publisher = node.create_publisher::<Number>("/n", QosProfile::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/n", Qos::keep_last(2)).unwrap();
+    let publisher = node.create_publisher::<Number>("/n", Qos::default()).unwrap();
     // An hour ago, and not yet.
     let (hour_ns, now_ns) = (3_600_000_000_000, clock::monotonic_ns());
     let releases = [now_ns.saturating_sub(hour_ns), now_ns + hour_ns];

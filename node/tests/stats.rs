@@ -8,7 +8,7 @@ use std::time::Duration;
 use common::{Log, Number, context, spin};
 use futures::StreamExt;
 use tautline::rt::clock;
-use tautline::{CallbackOptions, Node, QosProfile};
+use tautline::{CallbackOptions, Node, Qos};
 
 const WORK: Duration = Duration::from_millis(1);
 const DAY: Duration = Duration::from_secs(86_400);
@@ -18,11 +18,11 @@ fn each_message_is_a_job() {
     static DONE: Log<u64> = Log::new();
     let context = context(210);
     let mut node = Node::create(context.clone(), "measured", "").unwrap();
-    let publisher = node.create_publisher::<Number>("/m", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/m", Qos::default()).unwrap();
     let _spinning = spin(&context);
     // (deadline, jobs that miss it)
     for (deadline, misses) in [(WORK / 2, 10), (DAY, 0)] {
-        let numbers = node.subscribe_loaned::<Number>("/m", QosProfile::default()).unwrap();
+        let numbers = node.subscribe_loaned::<Number>("/m", Qos::default()).unwrap();
         let options = CallbackOptions::other().name("/m").deadline(deadline);
         let work = |sample: tautline::Sample<Number>| async move {
             clock::burn_cpu(WORK);
@@ -57,8 +57,8 @@ fn responses_count_from_the_release() {
     const LATE: Duration = Duration::from_secs(3);
     let context = context(211);
     let mut node = Node::create(context.clone(), "late", "").unwrap();
-    let publisher = node.create_publisher::<Number>("/late", QosProfile::default()).unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/late", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/late", Qos::default()).unwrap();
+    let numbers = node.subscribe_loaned::<Number>("/late", Qos::default()).unwrap();
     // A period is the deadline unless another one is set; no execution times.
     let options = CallbackOptions::other().period(LATE).execution_time(false);
     let note = |sample: tautline::Sample<Number>| async move { DONE.add(sample.info().released_ns) };

@@ -16,7 +16,7 @@ use tautline::tf::{
     to_message,
 };
 use tautline::tf2_msgs::msg::TFMessage;
-use tautline::{CallbackOptions, Context, Node, QosProfile};
+use tautline::{CallbackOptions, Context, Node, Qos};
 
 /// Heap calls of the listener's thread, which is told by its name once it is asked.
 static CALLS: AtomicU64 = AtomicU64::new(0);
@@ -118,7 +118,7 @@ fn simulated_time_that_leaps_back_forgets_what_moved() {
     let context = context(62);
     let (mut node, listener) = listen(&context);
     node.set_parameter("use_sim_time", true).unwrap();
-    let clock = node.create_publisher::<Clock>("/clock", QosProfile::default()).unwrap();
+    let clock = node.create_publisher::<Clock>("/clock", Qos::default()).unwrap();
     let mut fixed = StaticTransformBroadcaster::new(&mut node).unwrap();
     let moving = TransformBroadcaster::new(&mut node).unwrap();
     let _spinning = spin(&context);

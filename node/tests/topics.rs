@@ -5,7 +5,7 @@ mod common;
 
 use common::{Number, context, spin};
 use futures::StreamExt;
-use tautline::{Limits, LoanError, Node, PublishError, QosProfile, Subscription, TakeError};
+use tautline::{Limits, LoanError, Node, PublishError, Qos, Subscription, TakeError};
 
 fn node(domain: u32, name: &str, namespace: &str) -> Node {
     Node::create(context(domain), name, namespace).unwrap()
@@ -27,9 +27,9 @@ fn names_are_those_of_ros_2_from_end_to_end() {
         ("/image", "/image", "/image"),
         ("{node}/raw", "/robot/cam/raw", "/robot/cam/raw"),
     ] {
-        let subscription = other.subscribe_loaned::<Number>(full, QosProfile::default()).unwrap();
-        let relative = other.subscribe_loaned::<Number>(seen, QosProfile::default()).unwrap();
-        let publisher = cam.create_publisher::<Number>(topic, QosProfile::default()).unwrap();
+        let subscription = other.subscribe_loaned::<Number>(full, Qos::default()).unwrap();
+        let relative = other.subscribe_loaned::<Number>(seen, Qos::default()).unwrap();
+        let publisher = cam.create_publisher::<Number>(topic, Qos::default()).unwrap();
         publisher.publish(&Number { value: 3 }).unwrap();
         assert_eq!((publisher.topic(), subscription.topic(), relative.topic()), (full, full, full));
         assert_eq!((take_all(&subscription), take_all(&relative)), (vec![3], vec![3]), "{topic}");
@@ -55,9 +55,9 @@ fn bad_names_are_refused_with_the_reason() {
         [("a//b", "nothing between two '/'"), ("~image", "followed by '/'"), ("a-b", "not allowed")]
     {
         let errors = [
-            node.create_publisher::<Number>(topic, QosProfile::default()).err().unwrap(),
-            node.subscribe::<Number>(topic, QosProfile::default()).err().unwrap(),
-            node.subscribe_loaned::<Number>(topic, QosProfile::default()).err().unwrap(),
+            node.create_publisher::<Number>(topic, Qos::default()).err().unwrap(),
+            node.subscribe::<Number>(topic, Qos::default()).err().unwrap(),
+            node.subscribe_loaned::<Number>(topic, Qos::default()).err().unwrap(),
             node.set_topic_limits(topic, Limits::default()).err().unwrap(),
         ];
         for error in errors {
@@ -71,7 +71,7 @@ fn bad_names_are_refused_with_the_reason() {
 #[test]
 fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
     let mut node = node(214, "keeper", "");
-    let all = QosProfile::default().keep_all().depth(3);
+    let all = Qos::keep_all(3);
     let publisher = node.create_publisher::<Number>("/all", all).unwrap();
     let subscription = node.subscribe_loaned::<Number>("/all", all).unwrap();
     let publish = |value| publisher.publish(&Number { value });
@@ -82,7 +82,7 @@ fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
     assert_eq!(take_all(&subscription), [2, 3, 6]);
     assert_eq!(subscription.counters().lost(), 0);
 
-    let last = QosProfile::default().keep_last(3);
+    let last = Qos::keep_last(3);
     let publisher = node.create_publisher::<Number>("/last", last).unwrap();
     let subscription = node.subscribe_loaned::<Number>("/last", last).unwrap();
     (1..=5).for_each(|value| publisher.publish(&Number { value }).unwrap());
@@ -95,10 +95,10 @@ fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
 fn a_transient_local_late_joiner_gets_the_last_and_a_volatile_one_does_not() {
     let context = context(215);
     let mut node = Node::create(context.clone(), "latch", "").unwrap();
-    let latched = QosProfile::default().keep_last(2).transient_local();
+    let latched = Qos::keep_last(2).transient_local();
     let publisher = node.create_publisher::<Number>("/map", latched).unwrap();
     (1..=5).for_each(|value| publisher.publish(&Number { value }).unwrap());
-    let volatile = node.subscribe_loaned::<Number>("/map", QosProfile::default()).unwrap();
+    let volatile = node.subscribe_loaned::<Number>("/map", Qos::default()).unwrap();
     let late = node.subscribe::<Number>("/map", latched).unwrap();
     let _spinning = spin(&context);
     let history = late.take(2).map(|number| number.value).collect::<Vec<_>>();
@@ -110,14 +110,14 @@ fn a_transient_local_late_joiner_gets_the_last_and_a_volatile_one_does_not() {
 fn limits_are_each_ends_own_and_exceeding_one_names_it() {
     let mut node = node(216, "limited", "/ns");
     let limits = Limits { held: 2, loans: 2, ..Limits::default() };
-    let qos = QosProfile::default().keep_last(4);
+    let qos = Qos::keep_last(4);
     // By any of the topic's names.
     node.set_topic_limits("t", limits).unwrap();
     let publisher = node.create_publisher::<Number>("/ns/t", qos).unwrap();
     assert_eq!(publisher.limits(), Limits { message_bytes: 8, may_grow: false, ..limits }, "of a fixed size");
-    let deep = node.subscribe_loaned::<Number>("t", qos.keep_last(5)).unwrap();
+    let deep = node.subscribe_loaned::<Number>("t", qos.depth(5)).unwrap();
     let subscription = node.subscribe_loaned::<Number>("t", qos).unwrap();
-    let _another = node.create_publisher::<Number>("t", qos.keep_last(7)).unwrap();
+    let _another = node.create_publisher::<Number>("t", qos.depth(7)).unwrap();
 
     let loans = [publisher.loan().unwrap(), publisher.loan().unwrap()];
     assert_eq!(publisher.loan().err(), Some(LoanError::Exhausted));

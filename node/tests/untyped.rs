@@ -10,10 +10,8 @@ use serde_json::{Value, json};
 use tautline::schema::{DynamicMessage, Schema};
 use tautline::sensor_msgs::msg::Image;
 use tautline::std_msgs::msg::{Empty, String as Text};
-use tautline::{
-    CallbackOptions, Error, IncompatibleType, Limits, Message, Node, QosProfile, SubscriptionEvent,
-};
-use tautline_transport::{Participant, Qos, SchemaStore, TopicType};
+use tautline::{CallbackOptions, Error, IncompatibleType, Limits, Message, Node, Qos, SubscriptionEvent};
+use tautline_transport::{Participant, SchemaStore, TopicType};
 
 const DOMAIN: u32 = 117;
 
@@ -21,8 +19,8 @@ fn node() -> Node {
     Node::create(context(DOMAIN), "testnode", "").unwrap()
 }
 
-fn qos() -> QosProfile {
-    QosProfile::default()
+fn qos() -> Qos {
+    Qos::default()
 }
 
 /// What has arrived, without waiting.

@@ -92,7 +92,7 @@ impl Asking {
         match self.raw.send(number, loan) {
             Ok(()) => Ok(number),
             Err(unsent) if is_to_wait(&unsent.error) => {
-                let body = unsent.loan.as_ref().map(|loan| loan.to_vec()).unwrap_or_default();
+                let body = unsent.loan.to_vec();
                 drop(unsent);
                 self.unsent.push_back((number, body));
                 Ok(number)

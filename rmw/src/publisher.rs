@@ -18,7 +18,7 @@ use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{PiGuard, PiMutex};
 use tautline_sampler::PublisherEvents;
-use tautline_transport::{Gid, MatchedCount, RawLoan, RawPublisher, Unpublished};
+use tautline_transport::{Gid, MatchedCount, RawLoan, PublishError, RawPublisher};
 
 pub(crate) struct Publisher {
     pub(crate) events: Sources,
@@ -97,16 +97,16 @@ impl Publisher {
             Err(unpublished) => unpublished,
         };
         let give_up_ns = monotonic_ns().saturating_add(FULL_NS);
-        while matches!(unpublished, Unpublished::Full(_)) && monotonic_ns() < give_up_ns {
+        while matches!(unpublished.error, PublishError::Full) && monotonic_ns() < give_up_ns {
             drop(side);
             std::thread::sleep(LOOK);
             side = self.side.lock();
-            unpublished = match unpublished.into_loan().publish() {
+            unpublished = match unpublished.loan.publish() {
                 Ok(()) => return Ok(()),
                 Err(unpublished) => unpublished,
             };
         }
-        let code = if matches!(unpublished, Unpublished::Full(_)) { RET_TIMEOUT } else { RET_BAD_ALLOC };
+        let code = if matches!(unpublished.error, PublishError::Full) { RET_TIMEOUT } else { RET_BAD_ALLOC };
         let error = Error::new(code, unpublished.to_string());
         // Given back with the lock.
         drop(unpublished);

@@ -2,6 +2,7 @@
 //! What can go wrong: [`TransportError`] while setting up, one small enum per operation while running.
 
 use crate::graph::record::{REQUESTS, RESPONSES};
+use std::fmt;
 use std::io;
 use std::path::PathBuf;
 use tautline_doorbell::DoorbellError;
@@ -183,6 +184,44 @@ pub enum PublishError {
     /// The message cannot be written: a string or sequence is longer than its bound.
     #[error(transparent)]
     Encode(#[from] EncodeError),
+}
+
+/// What was not sent, and why: a loan of a message, a request or a response, as it was. Nothing was sent to anybody.
+pub struct SendError<L, E = PublishError> {
+    /// Why.
+    pub error: E,
+    /// The loan, to be sent again or dropped.
+    pub loan: L,
+}
+
+impl<L, E> SendError<L, E> {
+    pub(crate) fn map<M>(self, change: impl FnOnce(L) -> M) -> SendError<M, E> {
+        SendError { error: self.error, loan: change(self.loan) }
+    }
+}
+
+impl<L, E: fmt::Debug> fmt::Debug for SendError<L, E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SendError").field("error", &self.error).finish_non_exhaustive()
+    }
+}
+
+impl<L, E: fmt::Display> fmt::Display for SendError<L, E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.error.fmt(f)
+    }
+}
+
+impl<L, E: std::error::Error> std::error::Error for SendError<L, E> {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.error.source()
+    }
+}
+
+impl<L> From<SendError<L>> for PublishError {
+    fn from(unsent: SendError<L>) -> Self {
+        unsent.error
+    }
 }
 
 /// Why the CDR of a message was not published.

@@ -49,7 +49,7 @@ mod tests;
 mod topic;
 
 pub use cleanup::{call_all, start_recorder};
-pub use error::{LoanError, PublishCdrError, PublishError, TakeError, TransportError};
+pub use error::{LoanError, PublishCdrError, PublishError, SendError, TakeError, TransportError};
 pub use graph::{
     Death, EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, Origin, Rank,
     RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicInfo, Visitor, graph_of,
@@ -59,7 +59,7 @@ pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};
 pub use schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
 pub use service::{
     Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, QueuedClient, RawClient, RawPending,
-    RawResponse, RawServer, Request, RequestId, Response, Server, ServiceError, ServiceType, Unsent,
+    RawResponse, RawServer, Request, RequestId, Response, Server, ServiceError, ServiceType,
     UnwrittenResponse,
 };
 pub use tautline_doorbell::{
@@ -74,7 +74,7 @@ pub use topic::monitor::{
     IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost, PublisherChanges,
     PublisherMonitor, SubscriptionChanges, SubscriptionMonitor,
 };
-pub use topic::publisher::{Gate, MatchedCount, PublisherCounters, RawLoan, RawPublisher, Unpublished};
+pub use topic::publisher::{Gate, MatchedCount, PublisherCounters, RawLoan, RawPublisher};
 pub use topic::subscription::{Counters, RawSample, RawSubscription};
 pub use topic::topic_type::TopicType;
 pub use topic::traced::{Passage, TracedPort, TracedSender};

@@ -46,11 +46,17 @@ pub enum Liveliness {
 
 /// Quality of service of a publisher or a subscription. A publisher offers it, a subscription requests it: see
 /// [`Qos::incompatibility`].
+///
+/// ```
+/// # use tautline_transport::{Durability, Qos};
+/// const LATCHED: Qos = Qos::keep_last(1).transient_local();
+/// assert_eq!((LATCHED.depth, LATCHED.durability), (1, Durability::TransientLocal));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Qos {
     /// See [`History`].
     pub history: History,
-    /// Queue length in samples, per publisher; with keep-all the bound of the queue.
+    /// Queue length in samples, per publisher; with keep-all the bound of the queue. 1 to [`Limits::MAX_DEPTH`].
     pub depth: usize,
     /// See [`Reliability`].
     pub reliability: Reliability,
@@ -84,21 +90,99 @@ impl Qos {
 
     /// Keep-all with this bound, reliable, volatile.
     pub const fn keep_all(bound: usize) -> Self {
-        Qos { history: History::KeepAll, ..Qos::keep_last(bound) }
+        Qos::keep_last(bound).history(History::KeepAll)
     }
 
-    /// The same with late joiners served.
-    #[must_use]
-    pub const fn transient_local(mut self) -> Self {
-        self.durability = Durability::TransientLocal;
-        self
+    /// ROS 2's profile for sensors: keep last 5, best effort, volatile.
+    pub const fn sensor_data() -> Self {
+        Qos::keep_last(5).best_effort()
     }
 
-    /// The same, best effort.
-    #[must_use]
-    pub const fn best_effort(mut self) -> Self {
-        self.reliability = Reliability::BestEffort;
-        self
+    /// ROS 2's profile for services: keep last 10, reliable, volatile.
+    pub const fn services_default() -> Self {
+        Qos::keep_last(10)
+    }
+
+    /// ROS 2's profile for parameter services: keep last 1000, reliable, volatile.
+    pub const fn parameters() -> Self {
+        Qos::keep_last(1000)
+    }
+
+    /// ROS 2's profile for `/parameter_events`: keep last 1000, reliable, volatile.
+    pub const fn parameter_events() -> Self {
+        Qos::keep_last(1000)
+    }
+
+    /// Sets the history policy.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn history(self, history: History) -> Self {
+        Qos { history, ..self }
+    }
+
+    /// Sets the depth, or the bound of keep-all.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn depth(self, depth: usize) -> Self {
+        Qos { depth, ..self }
+    }
+
+    /// Sets the reliability policy.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn reliability(self, reliability: Reliability) -> Self {
+        Qos { reliability, ..self }
+    }
+
+    /// Lost samples are sent again on the network.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn reliable(self) -> Self {
+        self.reliability(Reliability::Reliable)
+    }
+
+    /// The network may lose samples.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn best_effort(self) -> Self {
+        self.reliability(Reliability::BestEffort)
+    }
+
+    /// Sets the durability policy.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn durability(self, durability: Durability) -> Self {
+        Qos { durability, ..self }
+    }
+
+    /// Late joiners get what is published after they joined.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn volatile(self) -> Self {
+        self.durability(Durability::Volatile)
+    }
+
+    /// Late joiners get the last `depth` samples as well.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn transient_local(self) -> Self {
+        self.durability(Durability::TransientLocal)
+    }
+
+    /// Sets the deadline. Zero is refused when an end is created.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn deadline(self, deadline: Duration) -> Self {
+        Qos { deadline: Some(deadline), ..self }
+    }
+
+    /// Sets the lifespan. Zero is refused when an end is created.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn lifespan(self, lifespan: Duration) -> Self {
+        Qos { lifespan: Some(lifespan), ..self }
+    }
+
+    /// Sets the liveliness policy.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn liveliness(self, liveliness: Liveliness) -> Self {
+        Qos { liveliness, ..self }
+    }
+
+    /// Sets the lease duration of a publisher whose liveliness is manual. Zero is refused when an end is created.
+    #[must_use = "it returns the changed QoS"]
+    pub const fn liveliness_lease_duration(self, lease: Duration) -> Self {
+        Qos { liveliness_lease_duration: Some(lease), ..self }
     }
 
     pub(crate) fn check(&self, topic: &str) -> Result<(), TransportError> {

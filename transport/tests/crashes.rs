@@ -7,7 +7,7 @@ use support::{
     Count, Part, claimed, clean, domain, participants, say, shared_memory, take_all, wait_for,
     wait_for_the_end,
 };
-use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, Unpublished};
+use tautline_transport::{Limits, Participant, Publisher, Qos, SendError, Subscription};
 
 const CYCLES: usize = 20;
 const OURS: u64 = 1_000_000;
@@ -239,7 +239,7 @@ fn a_killed_keep_all_subscription_frees_the_publisher() {
         loan.n = 7;
         match loan.publish() {
             Ok(()) => sent += 1,
-            Err(Unpublished::Full(loan)) => break loan,
+            Err(SendError { error: PublishError::Full, loan }) => break loan,
             Err(other) => panic!("{other:?}"),
         }
     };
@@ -260,7 +260,7 @@ fn a_killed_keep_all_subscription_frees_the_publisher() {
 fn refused(loan: tautline_transport::Loan<'_, Count>) -> Option<tautline_transport::Loan<'_, Count>> {
     match loan.publish() {
         Ok(()) => None,
-        Err(Unpublished::Full(loan)) => Some(loan),
+        Err(SendError { error: PublishError::Full, loan }) => Some(loan),
         Err(other) => panic!("{other:?}"),
     }
 }

@@ -16,7 +16,7 @@ use tautline_ros_msgs::shape_msgs::msg::{SolidPrimitive, SolidPrimitiveSizes};
 use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
 use tautline_transport::{
     IncompatibleType, Limits, LoanError, Participant, PublishError, Publisher, Qos, RawPublisher, Sample,
-    Subscription, TakeError, TopicType, Unpublished,
+    SendError, Subscription, TakeError, TopicType,
 };
 
 const POINTS: usize = 100_000;
@@ -206,7 +206,7 @@ fn owned_plain_written_in_place_and_raw_ends_share_topics() {
     let mut twist = Twist::default();
     twist.angular.z = -0.5;
     ends.publisher.publish(&twist).unwrap();
-    let mut loan = ends.publisher.borrow_loaned_message().unwrap();
+    let mut loan = ends.publisher.loan().unwrap();
     *loan = twist;
     loan.publish().unwrap();
     ends.publisher
@@ -330,7 +330,9 @@ fn what_cannot_be_written_is_said_and_nothing_is_sent() {
     let subscription = participant.create_subscription::<Image>("/full", qos, LIMITS).unwrap();
     publisher.loan_with(image_sizes(7)).unwrap().write(write_image).unwrap().publish().unwrap();
     let loan = publisher.loan_with(image_sizes(9)).unwrap().write(write_image).unwrap();
-    let Err(Unpublished::Full(loan)) = loan.publish() else { panic!("a keep-all queue of 1 took 2") };
+    let Err(SendError { error: PublishError::Full, loan }) = loan.publish() else {
+        panic!("a keep-all queue of 1 took 2")
+    };
     assert_eq!(subscription.try_take().unwrap().unwrap().view().data().len(), 7);
     futures::executor::block_on(loan.publish_when_ready()).unwrap();
     assert_eq!(subscription.try_take().unwrap().unwrap().view().data().len(), 9);

@@ -10,7 +10,7 @@ use support::{
 };
 use tautline_msgs::Message;
 use tautline_transport::{
-    Limits, LoanError, Participant, PublishError, Qos, TakeError, TopicType, TransportError, Unpublished,
+    Limits, LoanError, Participant, PublishError, Qos, SendError, TakeError, TopicType, TransportError,
 };
 
 const DEFAULT: Limits = Limits {
@@ -493,7 +493,7 @@ fn keep_all_gives_the_loan_back() {
     loan.n = 4;
     for _ in 0..10 {
         loan = match loan.publish() {
-            Err(Unpublished::Full(loan)) => loan,
+            Err(SendError { error: PublishError::Full, loan }) => loan,
             other => panic!("{other:?}"),
         };
         assert_eq!(loan.n, 4, "untouched");

@@ -115,7 +115,7 @@ enum Verb {
     },
     /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
     Peers,
-    /// Runs the programs of the test r2r_programs on r2r, with the ROS 2 that is sourced or that under target/ros
+    /// Runs the programs of the tests of tautline-r2r on r2r, with the ROS 2 that is sourced or that under target/ros
     R2r,
     /// Builds r2r's own tests and examples, unchanged, on Tautline, and runs them; some minutes
     R2rTests,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The programs of the test `r2r_programs` on r2r itself: what they expect of Tautline is what they get there.
+//! The programs of the test `programs` of `tautline-r2r` on r2r itself: what they expect of Tautline is what they get there.
 
 use crate::steps::{Outcome, Steps, execute};
 use crate::{machine, r2r};

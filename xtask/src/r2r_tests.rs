@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline`.
+//! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline-r2r`.
 
 use crate::machine::{self, Scope};
 use crate::steps::{Outcome, Steps, announce};
@@ -271,9 +271,9 @@ impl Source {
         let root = machine::root();
         let manifest = format!(
             "[package]\nname = \"r2r-tests\"\nedition = \"{}\"\n\n[workspace]\n\n\
-             [dependencies]\nr2r = {{ package = \"tautline\", path = \"{}\", features = [\"ros_all\"] }}\n{}",
+             [dependencies]\nr2r = {{ package = \"tautline-r2r\", path = \"{}\", features = [\"ros_all\"] }}\n{}",
             self.edition,
-            root.join("node").display(),
+            root.join("node/tautline-r2r").display(),
             self.dependencies
         );
         fs::write(package.join("Cargo.toml"), manifest)?;

@@ -15,7 +15,7 @@ use std::thread::sleep;
 use std::time::Duration;
 use tautline::rcl_interfaces::msg::ParameterEvent;
 use tautline::std_msgs::msg::UInt64;
-use tautline::{CallbackOptions, Node, QosProfile};
+use tautline::{CallbackOptions, Node};
 use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, graph_of};
@@ -122,7 +122,7 @@ pub fn times(process: &mut Process<'_, Said>) -> Result<Vec<(String, Distributio
 fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>) -> Result<Vec<Row>> {
     let rounds = if bench.quick { 3 } else { 20 };
     let participant = Participant::new(DOMAIN)?;
-    let qos = QosProfile::parameter_events();
+    let qos = Qos::parameter_events();
     let publisher = participant.create_publisher::<ParameterEvent>(
         "/parameter_events",
         Qos::keep_last(qos.depth),
@@ -322,8 +322,8 @@ const FROM: &str = "/echo/from";
 pub fn echo() -> Result<()> {
     let context = ros_node::context()?;
     let mut node = Node::create(context.clone(), "echo", "")?;
-    let publisher = node.create_publisher::<UInt64>(FROM, QosProfile::default())?;
-    let mut messages = node.subscribe_loaned::<UInt64>(TO, QosProfile::default())?;
+    let publisher = node.create_publisher::<UInt64>(FROM, Qos::default())?;
+    let mut messages = node.subscribe_loaned::<UInt64>(TO, Qos::default())?;
     let options = CallbackOptions::fifo(tautline_exchange::APPLICATION_PRIORITY).name("echo");
     let _callback = node.spawn_callback(options, async move {
         while let Some(message) = messages.next().await {
@@ -477,7 +477,7 @@ fn in_the_crowd(
     processes: usize,
     rounds: usize,
 ) -> Result<(Distribution, Distribution)> {
-    let qos = Qos::keep_last(QosProfile::parameter_events().depth);
+    let qos = Qos::keep_last(Qos::parameter_events().depth);
     let (mut publishers, mut subscriptions) = (Distribution::new(), Distribution::new());
     for _ in 0..rounds {
         let publisher: Publisher<ParameterEvent> = timed(&mut publishers, || {

@@ -10,8 +10,8 @@ use std::time::Duration;
 use tautline::rcl_interfaces::msg::{Log, ParameterEvent};
 use tautline::type_description_interfaces::srv::GetTypeDescription;
 use tautline::{
-    CallbackHandle, CallbackOptions, Claim, Context, Limits, Node, Publisher, QosProfile, Realtime,
-    ServiceLoaned, Subscription,
+    CallbackHandle, CallbackOptions, Claim, Context, Limits, Node, Publisher, Qos, Realtime, ServiceLoaned,
+    Subscription,
 };
 use tautline_rt::clock::monotonic_ns;
 
@@ -46,13 +46,12 @@ impl RosNode {
         for topic in ["/rosout", "/parameter_events"] {
             node.set_topic_limits(topic, seldom())?;
         }
-        let rosout =
-            QosProfile::default().keep_last(1000).transient_local().lifespan(Duration::from_secs(10));
+        let rosout = Qos::keep_last(1000).transient_local().lifespan(Duration::from_secs(10));
         let rosout = node.create_publisher("/rosout", rosout)?;
-        let changes = node.create_publisher("/parameter_events", QosProfile::parameter_events())?;
-        let changes_of_all = node.subscribe_loaned("/parameter_events", QosProfile::parameter_events())?;
+        let changes = node.create_publisher("/parameter_events", Qos::parameter_events())?;
+        let changes_of_all = node.subscribe_loaned("/parameter_events", Qos::parameter_events())?;
         node.set_service_limits("~/get_type_description", seldom())?;
-        let description = QosProfile::services_default();
+        let description = Qos::services_default();
         let description = node.create_service_loaned("~/get_type_description", description)?;
         let (answers, changed) = node.make_parameter_handler()?;
         let answers = futures::future::join(answers, changed.for_each(|_| async {})).map(drop).boxed();

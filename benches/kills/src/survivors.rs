@@ -16,8 +16,8 @@ use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::std_msgs::msg::UInt64;
 use tautline::{
-    CallbackOptions, Context, EndpointKind, Error, Gid, GoalStatus, HistoryPolicy, Node, Publisher,
-    QosProfile, ServiceError, Unpublished,
+    CallbackOptions, Context, EndpointKind, Error, Gid, GoalStatus, Node, PublishError, Publisher, Qos,
+    SendError, ServiceError,
 };
 use tautline_transport::graph_of;
 
@@ -46,16 +46,16 @@ pub const KEPT_PERIOD: Duration = Duration::from_millis(10);
 /// What takes longer hangs: no actor lives as long.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-pub const fn numbers_qos() -> QosProfile {
-    QosProfile::default().keep_last(2000)
+pub const fn numbers_qos() -> Qos {
+    Qos::keep_last(2000)
 }
 
-pub const fn all_qos() -> QosProfile {
-    QosProfile::default().history(HistoryPolicy::KeepAll).depth(64)
+pub const fn all_qos() -> Qos {
+    Qos::keep_all(64)
 }
 
-pub const fn kept_qos() -> QosProfile {
-    QosProfile::default().keep_last(KEPT_DEPTH).transient_local()
+pub const fn kept_qos() -> Qos {
+    Qos::keep_last(KEPT_DEPTH).transient_local()
 }
 
 /// How many messages the publisher has sent.
@@ -139,8 +139,8 @@ impl Drop for Spinning {
 
 /// Answers what newcomers say.
 fn answer_pings(node: &mut Node) -> Result<()> {
-    let pings = node.subscribe_loaned::<UInt64>(PING, QosProfile::default())?;
-    let pongs = node.create_publisher::<UInt64>(PONG, QosProfile::default())?;
+    let pings = node.subscribe_loaned::<UInt64>(PING, Qos::default())?;
+    let pongs = node.create_publisher::<UInt64>(PONG, Qos::default())?;
     let answer = pings.for_each(move |ping| {
         let _ = pongs.publish(&UInt64 { data: ping.data });
         async {}
@@ -197,7 +197,7 @@ fn publisher(context: &Context) -> Result<()> {
                         sent.all += 1;
                         full_since = None;
                     }
-                    Err(Unpublished::Full(_)) => {
+                    Err(SendError { error: PublishError::Full, .. }) => {
                         let since = *full_since.get_or_insert_with(Instant::now);
                         sent.longest_full_ms = sent.longest_full_ms.max(since.elapsed().as_millis() as u64);
                         if since.elapsed() > PATIENCE {
@@ -306,7 +306,7 @@ fn subscription(context: &Context) -> Result<()> {
 
 fn server(context: &Context) -> Result<()> {
     let mut node = Node::create(context.clone(), "survivor_server", "")?;
-    let requests = node.create_service::<AddTwoInts::Service>(ADD, QosProfile::services_default())?;
+    let requests = node.create_service::<AddTwoInts::Service>(ADD, Qos::services_default())?;
     let serve = requests.for_each(|request| {
         let AddTwoInts::Request { a, b } = request.message;
         if let Err(error) = request.respond(AddTwoInts::Response { sum: a + b }) {
@@ -381,8 +381,7 @@ fn client(context: &Context) -> Result<()> {
     let (asked, stop, in_flight) = (Arc::default(), Arc::default(), Arc::default());
     let mut clients = Vec::new();
     for name in [ADD, ACTORS_ADD] {
-        clients
-            .push((name, node.create_client::<AddTwoInts::Service>(name, QosProfile::services_default())?));
+        clients.push((name, node.create_client::<AddTwoInts::Service>(name, Qos::services_default())?));
     }
     let actions = node.create_action_client::<Fibonacci::Action>(ACTORS_FIBONACCI)?;
     let _spinning = spin(context);

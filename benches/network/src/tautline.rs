@@ -8,9 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use ::tautline::{
-    CallbackOptions, Context, Limits, Node, Publisher, QosProfile, Realtime, Subscription, Timer,
-};
+use ::tautline::{CallbackOptions, Context, Limits, Node, Publisher, Qos, Realtime, Subscription, Timer};
 use futures::StreamExt;
 use futures::future::{Either, select};
 use tautline_exchange::{
@@ -45,7 +43,7 @@ pub fn run(job: &Job) -> Result<()> {
     for topic in [&to, &from] {
         node.set_topic_limits(topic, limits)?;
     }
-    let qos = QosProfile::default().keep_last(depth);
+    let qos = Qos::keep_last(depth);
     let publisher = node.create_publisher::<ByteMultiArray>(&to, qos)?;
     let messages = node.subscribe_loaned::<ByteMultiArray>(&from, qos)?;
     let period = match job.exchange {

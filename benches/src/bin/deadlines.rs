@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::std_msgs::msg::UInt64;
-use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, QosProfile, SubscriptionEvent};
+use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, Qos, SubscriptionEvent};
 use tautline_benches::{Distribution, Disturbance, Stage, Turns, machine, print_no_verdict, print_verdict};
 use tautline_rt::{CoreSet, Policy};
 
@@ -133,7 +133,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     let mut node = Node::create(stage.context.clone(), "deadlines_bench", "")?;
     let recorder = Arc::new(Recorder::default());
 
-    let qos = QosProfile::default().keep_last(1).deadline(Duration::from_nanos(DEADLINE_NS));
+    let qos = Qos::keep_last(1).deadline(Duration::from_nanos(DEADLINE_NS));
     let (mut publishers, mut subscriptions, mut events) = (Vec::new(), Vec::new(), Vec::new());
     for index in 0..TOPICS {
         let topic = format!("/deadlines_bench/topic_{index}");

@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline::{CallbackOptions, Node, ParameterReader, ParameterValue, Parameters};
+use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
 use tautline_benches::{Distribution, Disturbance, Stage, Turns, machine, print_no_verdict, print_verdict};
 use tautline_rt::CoreSet;
 use tautline_rt::host::steal_ticks;
@@ -276,7 +276,7 @@ impl Setter {
 type Work = fn(&mut Readers, &Parameters, &Node);
 
 /// What, its size, and the read. The first three are a callback's.
-const READS: [(&str, usize, Work); 5] = [
+const READS: [(&str, usize, Work); 4] = [
     ("f64", 8, |readers, _, _| {
         black_box(readers.gain.get());
     }),
@@ -288,12 +288,6 @@ const READS: [(&str, usize, Work); 5] = [
     }),
     ("f64 by name, cloned from a locked map", 8, |_, parameters, _| {
         black_box(parameters.get::<f64>("gain").ok());
-    }),
-    ("f64 as r2r's programs", 8, |_, _, node| {
-        let params = node.params.lock().expect("nobody panics");
-        if let Some(ParameterValue::Double(gain)) = params.get("gain").map(|parameter| &parameter.value) {
-            black_box(*gain);
-        }
     }),
 ];
 

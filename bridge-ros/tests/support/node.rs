@@ -9,7 +9,7 @@ use std::future::Future;
 use std::pin::pin;
 use std::thread::JoinHandle;
 use tautline::test_msgs::srv::BasicTypes;
-use tautline::{CallbackHandle, CallbackOptions, Context, IsAvailablePollable, Node, QosProfile, Realtime};
+use tautline::{CallbackHandle, CallbackOptions, Context, IsAvailablePollable, Node, Qos, Realtime};
 
 /// Its context spins until this is dropped.
 pub struct Spinning {
@@ -30,7 +30,7 @@ impl Spinning {
     /// Waits for it, with patience.
     pub fn wait<T>(&mut self, what: &str, future: impl Future<Output = T>) -> T {
         let mut timer = self.node.create_wall_timer(PATIENCE).unwrap();
-        match block_on(select(pin!(future), pin!(timer.next_tick()))) {
+        match block_on(select(pin!(future), pin!(timer.tick()))) {
             Either::Left((output, _)) => output,
             Either::Right(_) => panic!("{what}: not within {PATIENCE:?}"),
         }
@@ -45,7 +45,7 @@ impl Spinning {
 
 /// Answers each request with what it says, on a thread of its own.
 pub fn serve_echo(node: &mut Node, name: &str) -> CallbackHandle {
-    let requests = node.create_service::<BasicTypes::Service>(name, QosProfile::default()).unwrap();
+    let requests = node.create_service::<BasicTypes::Service>(name, Qos::default()).unwrap();
     let answer = requests.for_each(|request| async move {
         let json = serde_json::to_value(&request.message).unwrap();
         request.respond(serde_json::from_value(json).unwrap()).unwrap();

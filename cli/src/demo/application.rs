@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 use std::time::Duration;
-use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, Message, QosProfile, Realtime};
+use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, Message, Qos, Realtime};
 use tautline_analysis::Task;
 use tautline_analysis::file::{CheckedCallback, SystemFile};
 
@@ -66,8 +66,8 @@ impl Topic {
 }
 
 /// The paper's quality of service.
-pub fn qos() -> QosProfile {
-    QosProfile::default().keep_last(100)
+pub fn qos() -> Qos {
+    Qos::keep_last(100)
 }
 
 /// What both processes' contexts have in common.

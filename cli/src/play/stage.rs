@@ -13,7 +13,7 @@ use rtrb::chunks::ReadChunk;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline_transport::{MessageInfo, PublishError, RawLoan, RawPublisher, Unpublished};
+use tautline_transport::{MessageInfo, PublishError, RawLoan, RawPublisher, SendError};
 
 /// In the place of a topic: from here on times count anew.
 pub const BEGIN: u32 = u32::MAX;
@@ -197,7 +197,7 @@ fn publish(
         match loan.publish_again(source) {
             Ok(()) => break,
             // Both ends keep all.
-            Err(Unpublished::Full(again)) => {
+            Err(SendError { error: PublishError::Full, loan: again }) => {
                 // It is over, or the message was leapt over.
                 if control.is_stopped() || control.generation.load(Ordering::Acquire) != generation {
                     return;
@@ -205,7 +205,7 @@ fn publish(
                 loan = again;
                 sleep_until_monotonic(monotonic_ns() + LOOK_NS);
             }
-            Err(refused) => return played.refuse(refused.error()),
+            Err(refused) => return played.refuse(refused.error),
         }
     }
     played.late.record(monotonic_ns().saturating_sub(due_ns));

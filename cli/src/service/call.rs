@@ -8,7 +8,7 @@ use crate::manners::{End, Failure, Manners, Outcome};
 use clap::Args;
 use std::io::{self, Write};
 use std::sync::Arc;
-use tautline::{ClientUntyped, Error, Node, QosProfile};
+use tautline::{ClientUntyped, Error, Node, Qos};
 use tautline_schema::{DynamicMessage, Schema};
 use tautline_transport::graph_of;
 
@@ -37,7 +37,7 @@ pub fn run(args: &CallArgs, manners: &Manners) -> Outcome {
     let graph = graph_of(domain)?;
     let type_name = type_to_ask("service", &service, &super::services(&graph), type_name)?;
     let mut asking = Asking::new(domain, end)?;
-    let client = asking.node.create_client_untyped(&service, &type_name, QosProfile::services_default())?;
+    let client = asking.node.create_client_untyped(&service, &type_name, Qos::services_default())?;
     let request = DynamicMessage::from_yaml(&part(&client, &type_name, "Request")?, values)?.to_json_value();
     let answer = asking.wait(|| format!("'{service}' to answer"), async {
         Node::is_available(&client)?.await?;

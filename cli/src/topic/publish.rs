@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline::rt::{Policy, set_policy};
-use tautline::{Context, EndpointKind, Node, PublisherUntyped, QosProfile, Realtime, TopicEndpoint};
+use tautline::{Context, EndpointKind, Node, PublisherUntyped, Qos, Realtime, TopicEndpoint};
 use tautline_schema::DynamicMessage;
 use tautline_transport::{Visitor, graph_of};
 
@@ -90,8 +90,8 @@ fn rate(text: &str) -> Result<f64, String> {
 }
 
 impl PubArgs {
-    fn qos(&self) -> QosProfile {
-        let qos = QosProfile::default().keep_last(self.qos_depth.into());
+    fn qos(&self) -> Qos {
+        let qos = Qos::keep_last(self.qos_depth.into());
         let qos = match self.qos_reliability {
             Reliability::Reliable => qos,
             Reliability::BestEffort => qos.best_effort(),

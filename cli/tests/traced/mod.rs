@@ -6,7 +6,7 @@ use futures::StreamExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU64, Ordering};
-use tautline::{CallbackGroup, CallbackOptions, Context, Message, Node, QosProfile, Realtime, Sample};
+use tautline::{CallbackGroup, CallbackOptions, Context, Message, Node, Qos, Realtime, Sample};
 
 /// Messages that the program publishes, each when the one before has been dealt with.
 pub const MESSAGES: usize = 200;
@@ -112,8 +112,8 @@ fn listen_as_a_group() {
     let mut group = CallbackGroup::new();
     let mut publishers = Vec::new();
     for topic in ["~/first", "~/second"] {
-        publishers.push(node.create_publisher::<Number>(topic, QosProfile::default()).unwrap());
-        let numbers = node.subscribe_loaned::<Number>(topic, QosProfile::default()).unwrap();
+        publishers.push(node.create_publisher::<Number>(topic, Qos::default()).unwrap());
+        let numbers = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
         let release = |number: &Sample<Number>| number.info().released_ns;
         group.add(topic, numbers, release, async |_| {});
     }
@@ -130,7 +130,7 @@ fn talk_and_listen() {
     static BURST: AtomicU64 = AtomicU64::new(0);
     let context = Context::builder().realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "traced", "").unwrap();
-    let qos = QosProfile::default();
+    let qos = Qos::default();
     let publisher = node.create_publisher::<Number>("~/numbers", qos).unwrap();
     let numbers = node.subscribe_loaned::<Number>("~/numbers", qos).unwrap();
     let counters = numbers.counters();

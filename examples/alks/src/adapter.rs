@@ -186,7 +186,7 @@ impl Fasts {
 
 /// Of the topic with this number.
 pub fn publisher<T: Message>(node: &mut Node, topic: usize) -> Result<Publisher<T>> {
-    Ok(node.create_publisher(TOPICS[topic], tautline::QosProfile::default())?)
+    Ok(node.create_publisher(TOPICS[topic], tautline::Qos::default())?)
 }
 
 /// A message that cannot be published is not counted as sent, and is missed by nobody who waits for the next one.

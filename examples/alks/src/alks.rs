@@ -140,8 +140,7 @@ fn control(
     let records = records.clone();
     let future = async move {
         let mut controller = Controller::default();
-        loop {
-            timer.next_tick().await;
+        while timer.tick().await.is_ok() {
             let begin_ns = monotonic_ns();
             let inputs = view.snapshot();
             let output = controller.run(&inputs, now_s());

@@ -7,7 +7,7 @@ use std::time::Duration;
 use tautline::rt::clock::monotonic_ns;
 use tautline::std_msgs::msg::Float64MultiArray;
 use tautline::visualization_msgs::msg::MarkerArray;
-use tautline::{CallbackGroup, Context, Message, Node, Publisher, QosProfile, Sample, Tick, nav_msgs};
+use tautline::{CallbackGroup, Context, Message, Node, Publisher, Qos, Sample, Tick, nav_msgs};
 use tautline_alks::inputs::Inputs;
 use tautline_alks::job::{Job, WARM_UP_NS, ready, tell, until_told};
 use tautline_alks::markers::Scene;
@@ -109,7 +109,7 @@ fn odometry(Adding { node, context, group, known, records }: &mut Adding) -> Res
 
 fn draw(Adding { node, context, group, known, records }: &mut Adding) -> Result<()> {
     let timer = node.create_wall_timer(Duration::from_millis(40))?;
-    let markers: Publisher<MarkerArray> = node.create_publisher(MARKERS, QosProfile::default())?;
+    let markers: Publisher<MarkerArray> = node.create_publisher(MARKERS, Qos::default())?;
     let (known, records) = (known.clone(), records.clone());
     let mut scene = Scene::default();
     group.add(

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::thread;
 use tautline::rt::clock::monotonic_ns;
-use tautline::{Admission, Context, Node, Publisher, QosProfile, Realtime, Sample, Subscription, Timer};
+use tautline::{Admission, Context, Node, Publisher, Qos, Realtime, Sample, Subscription, Timer};
 use tautline_reference::graph::{Callback, NODES, Trigger};
 use tautline_reference::{DEPTH, Input, Job, Kpis, Load, Message4kb, Output, Records, conduct, window};
 
@@ -64,7 +64,7 @@ struct Ends {
 
 impl Ends {
     fn open(node: &mut Node, callback: &Callback, first_ns: u64) -> Result<Ends> {
-        let qos = QosProfile::default().keep_last(DEPTH);
+        let qos = Qos::keep_last(DEPTH);
         let mut inputs = Vec::new();
         for topic in callback.inputs {
             inputs.push(Receiver(node.subscribe_loaned(&format!("/{topic}"), qos)?));

@@ -85,7 +85,7 @@ impl Container {
             .use_global_arguments(load.use_global_arguments);
         let node = Node::create_with_options(self.context.clone(), &name, &load.namespace, options);
         let node = node.map_err(not_made)?;
-        let full_name = node.fully_qualified_name().map_err(not_made)?;
+        let full_name = node.fully_qualified_name().to_owned();
         let logger = load.log_level.map(|level| {
             let logger = node.logger().clone();
             let before = logger.level();

@@ -7,7 +7,7 @@ use std::future::{Future, ready};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
 use tautline::rcl_interfaces::msg;
-use tautline::{LogSeverity, Node, ParameterValue, QosProfile, RemapRules};
+use tautline::{LogSeverity, Node, ParameterValue, Qos, RemapRules};
 
 /// A container for several threads.
 pub type SharedContainer = Arc<Mutex<Container>>;
@@ -25,7 +25,7 @@ pub fn serve(
     container: &SharedContainer,
     node: &mut Node,
 ) -> tautline::Result<impl Future<Output = ()> + Send + use<>> {
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let loads = node.create_service::<LoadNode::Service>("~/_container/load_node", qos)?;
     let unloads = node.create_service::<UnloadNode::Service>("~/_container/unload_node", qos)?;
     let lists = node.create_service::<ListNodes::Service>("~/_container/list_nodes", qos)?;

@@ -31,10 +31,12 @@ fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let set = arms(fields.iter(), &quote!(set_parameter(rest, param_val)));
     let check = arms(fields.iter(), &quote!(check_parameter(rest, param_val)));
     // The crate may have another name where the struct is.
-    let name_of_crate = match proc_macro_crate::crate_name("tautline") {
-        Ok(FoundCrate::Name(name)) => format_ident!("{name}"),
-        Ok(FoundCrate::Itself) | Err(_) => format_ident!("tautline"),
+    let name_of_crate = |name: &str| match proc_macro_crate::crate_name(name).ok()? {
+        FoundCrate::Name(name) => Some(name),
+        FoundCrate::Itself => Some(name.replace('-', "_")),
     };
+    let name_of_crate = ["tautline", "tautline-r2r"].into_iter().find_map(name_of_crate);
+    let name_of_crate = format_ident!("{}", name_of_crate.as_deref().unwrap_or("tautline"));
     Ok(quote! {
         const _: () = {
         extern crate #name_of_crate as tautline;

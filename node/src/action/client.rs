@@ -462,7 +462,7 @@ impl<T: Action> ActionClient<T> {
     /// # Errors
     /// [`Error::TooManyGoals`], and nothing was sent; [`Error::Service`]: there is no server. The future's:
     /// [`Error::GoalRejected`]; [`Error::Service`] if the server goes; [`Error::GoalUnheard`] if the result cannot be asked for.
-    #[allow(clippy::type_complexity, reason = "it is r2r's")]
+    #[allow(clippy::type_complexity, reason = "a future of a goal, its result and its feedback")]
     pub fn send_goal_request(
         &self,
         goal: T::Goal,
@@ -496,11 +496,8 @@ impl<T: Action> ActionClientGoal<T> {
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn get_status(&self) -> Result<GoalStatus> {
-        Ok(self.held.status.get())
+    pub fn status(&self) -> GoalStatus {
+        self.held.status.get()
     }
 
     /// Asks the server to cancel the goal. The future ends when the server has decided.

@@ -19,9 +19,9 @@ pub use untyped::{ActionClientGoalUntyped, ActionClientUntyped};
 use crate::error::Error;
 use crate::error::Result;
 use crate::node::Node;
-use crate::qos::QosProfile;
 use futures::Stream;
 use tautline_msgs::Action;
+use tautline_transport::Qos;
 
 /// Each action server and each action client is a callback of its own, on a thread of ordinary priority named after the
 /// action, which answers and listens while goals are pursued elsewhere.
@@ -123,16 +123,16 @@ impl Names {
 const FEEDBACK_DEPTH: usize = 1000;
 
 /// Of a client's subscription to feedback.
-fn feedback_qos() -> QosProfile {
-    QosProfile::default().keep_last(FEEDBACK_DEPTH)
+fn feedback_qos() -> Qos {
+    Qos::keep_last(FEEDBACK_DEPTH)
 }
 
 /// Many results may be waited for at once.
-fn qos() -> QosProfile {
-    QosProfile::default().keep_last(100)
+fn qos() -> Qos {
+    Qos::keep_last(100)
 }
 
 /// The newest status, for those who come later, too.
-fn status_qos() -> QosProfile {
-    QosProfile::default().keep_last(1).transient_local()
+fn status_qos() -> Qos {
+    Qos::keep_last(1).transient_local()
 }

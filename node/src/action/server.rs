@@ -485,11 +485,8 @@ impl<T: Action> ActionServerGoal<T> {
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn is_cancelling(&self) -> Result<bool> {
-        Ok(self.pursued.status.get() == GoalStatus::Canceling)
+    pub fn is_cancelling(&self) -> bool {
+        self.pursued.status.get() == GoalStatus::Canceling
     }
 
     /// Publishes feedback to all clients; that of this goal passes it on.

@@ -98,7 +98,7 @@ impl ActionClientUntyped {
     /// # Errors
     /// [`Error::Message`] if it is not a goal of the type; as
     /// [`ActionClient::send_goal_request`](crate::ActionClient::send_goal_request).
-    #[allow(clippy::type_complexity, reason = "it is r2r's")]
+    #[allow(clippy::type_complexity, reason = "a future of a goal, its result and its feedback")]
     pub fn send_goal_request(
         &self,
         goal: Value,
@@ -134,11 +134,8 @@ pub struct ActionClientGoalUntyped {
 
 impl ActionClientGoalUntyped {
     /// What was last heard of the goal.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn get_status(&self) -> Result<GoalStatus> {
-        Ok(self.held.status.get())
+    pub fn status(&self) -> GoalStatus {
+        self.held.status.get()
     }
 
     /// As [`ActionClientGoal::cancel`](crate::ActionClientGoal::cancel).

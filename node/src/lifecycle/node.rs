@@ -4,7 +4,6 @@ use super::machine::{CallbackReturn, InvalidTransition, State, StateMachine, Tra
 use crate::context::Context;
 use crate::error::Result;
 use crate::node::Node;
-use crate::qos::QosProfile;
 use std::ops::{Deref, DerefMut};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -12,6 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 use tautline_msgs::Message;
 use tautline_ros_msgs::lifecycle_msgs::msg;
 use tautline_rt::clock::wall_ns;
+use tautline_transport::Qos;
 use tautline_transport::{Gate, Publisher};
 
 /// What a managed node does on its way. Whatever is not written succeeds, but for `on_error`, which fails: the node is then
@@ -67,12 +67,8 @@ impl ManagedNode {
     ///
     /// # Errors
     /// As [`Node::create_publisher`].
-    pub fn create_publisher<T: Message>(
-        &mut self,
-        topic: &str,
-        qos_profile: QosProfile,
-    ) -> Result<Publisher<T>> {
-        Ok(self.node.create_publisher(topic, qos_profile)?.with_gate(self.gate.clone()))
+    pub fn create_publisher<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Publisher<T>> {
+        Ok(self.node.create_publisher(topic, qos)?.with_gate(self.gate.clone()))
     }
 
     /// As [`create_publisher`](Self::create_publisher), for a type that is known by name.
@@ -84,9 +80,9 @@ impl ManagedNode {
         &mut self,
         topic: &str,
         topic_type: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<crate::PublisherUntyped> {
-        let publisher = self.node.create_publisher_untyped(topic, topic_type, qos_profile)?;
+        let publisher = self.node.create_publisher_untyped(topic, topic_type, qos)?;
         Ok(publisher.with_gate(self.gate.clone()))
     }
 }
@@ -135,7 +131,7 @@ pub struct Transitioned {
 ///
 /// ```
 /// use tautline::lifecycle::{CallbackReturn, LifecycleCallbacks, LifecycleNode, ManagedNode, State};
-/// # use tautline::{Context, Message, Publisher, QosProfile, Realtime};
+/// # use tautline::{Context, Message, Publisher, Qos, Realtime};
 /// # #[derive(Message, Clone, Copy)] #[repr(C)] #[message(name = "demo_msgs/msg/Speed")] struct Speed { v: f64 }
 ///
 /// #[derive(Default)]
@@ -143,7 +139,7 @@ pub struct Transitioned {
 ///
 /// impl LifecycleCallbacks for Drive {
 ///     fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
-///         self.speed = node.create_publisher("~/speed", QosProfile::default()).ok();
+///         self.speed = node.create_publisher("~/speed", Qos::default()).ok();
 ///         if self.speed.is_some() { CallbackReturn::Success } else { CallbackReturn::Failure }
 ///     }
 /// }
@@ -192,7 +188,7 @@ impl LifecycleNode {
     /// # Errors
     /// [`Error::Transport`](crate::Error::Transport) if the topic of its transitions cannot be had.
     pub fn of_node(mut node: Node, callbacks: impl LifecycleCallbacks) -> Result<LifecycleNode> {
-        let events = node.create_publisher("~/transition_event", QosProfile::default())?;
+        let events = node.create_publisher("~/transition_event", Qos::default())?;
         let (machine, gate) = (StateMachine::new(), Gate::new());
         let state = AtomicU8::new(machine.state().id());
         let (node, callbacks) = (ManagedNode { node, gate }, Box::new(callbacks));

@@ -4,12 +4,12 @@
 use super::machine::{CallbackReturn, State, Transition};
 use super::node::{LifecycleError, LifecycleNode, Transitioned, described};
 use crate::error;
-use crate::qos::QosProfile;
 use crate::service::ServiceRequest;
 use futures::{FutureExt, StreamExt};
 use std::future::{Future, Ready, ready};
 use tautline_msgs::Service;
 use tautline_ros_msgs::lifecycle_msgs::{msg, srv};
+use tautline_transport::Qos;
 
 impl LifecycleNode {
     /// Offers the node's services, as in ROS 2: `~/change_state`, `~/get_state`, `~/get_available_states`,
@@ -31,7 +31,7 @@ impl LifecycleNode {
     /// # Errors
     /// As [`serve`](Self::serve).
     pub fn serve_changes(&self) -> error::Result<impl Future<Output = ()> + Send + use<>> {
-        let qos = QosProfile::services_default();
+        let qos = Qos::services_default();
         let changes =
             self.with_node(|node| node.create_service::<srv::ChangeState::Service>("~/change_state", qos))??;
         let node = self.clone();
@@ -50,7 +50,7 @@ impl LifecycleNode {
     /// # Errors
     /// As [`serve`](Self::serve).
     pub fn serve_states(&self) -> error::Result<impl Future<Output = ()> + Send + use<>> {
-        let qos = QosProfile::services_default();
+        let qos = Qos::services_default();
         let services = self.with_node(|node| -> error::Result<_> {
             Ok((
                 node.create_service::<srv::GetState::Service>("~/get_state", qos)?,

@@ -11,7 +11,7 @@ pub(crate) use topic::Rosout;
 mod topic {
     use super::super::line::floor_char_boundary;
     use super::{Line, Participant};
-    use crate::QosProfile;
+    use crate::Qos;
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
     use tautline_ros_msgs::rcl_interfaces::msg::Log;
@@ -59,9 +59,9 @@ mod topic {
         }
 
         fn open(&self) -> Result<Publisher<Log>, TransportError> {
-            let qos = QosProfile::default().keep_last(DEPTH).transient_local();
+            let qos = Qos::keep_last(DEPTH).transient_local();
             let limits = Limits { may_grow: false, claim: Claim::OnUse, ..Limits::default() };
-            self.participant.create_publisher("/rosout", qos.to_transport(), limits)
+            self.participant.create_publisher("/rosout", qos, limits)
         }
     }
 }

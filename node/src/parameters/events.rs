@@ -50,7 +50,7 @@ pub(crate) use topic::EventTopic;
 #[cfg(feature = "rcl_interfaces")]
 mod topic {
     use super::{Changes, ParameterValue, Participant};
-    use crate::QosProfile;
+    use crate::Qos;
     use std::sync::{Mutex, PoisonError};
     use tautline_ros_msgs::builtin_interfaces::msg::Time;
     use tautline_ros_msgs::rcl_interfaces::msg::{Parameter, ParameterEvent};
@@ -109,9 +109,9 @@ mod topic {
         }
 
         fn open(&self) -> Result<Publisher<ParameterEvent>, TransportError> {
-            let qos = QosProfile::parameter_events();
+            let qos = Qos::parameter_events();
             let limits = Limits { claim: Claim::OnUse, ..Limits::default() };
-            self.participant.create_publisher("/parameter_events", qos.to_transport(), limits)
+            self.participant.create_publisher("/parameter_events", qos, limits)
         }
     }
 }

@@ -5,7 +5,6 @@ use super::services::{self, Changed};
 use super::{ParameterValue, RosParams};
 use crate::error::Result;
 use crate::node::Node;
-use crate::qos::QosProfile;
 use futures::channel::mpsc;
 use futures::future::{BoxFuture, join_all, ready};
 use futures::{FutureExt, Stream, StreamExt};
@@ -16,6 +15,7 @@ use tautline_ros_msgs::rcl_interfaces::srv::{
     DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
     SetParametersAtomically,
 };
+use tautline_transport::Qos;
 use tautline_transport::{Claim, Limits};
 
 /// Changes that wait in the stream; of more the newest are left out, and that is said in the log.
@@ -99,7 +99,7 @@ impl Node {
         // Asked by no real-time thread: until then it takes no memory for answers, unless somebody wants it to.
         let limits = Limits { claim: Claim::OnUse, ..Limits::default() };
         self.service_limits.entry(self.resolve_service_name(&name)?).or_insert(limits);
-        let requests = self.create_service::<S>(&name, QosProfile::parameters())?;
+        let requests = self.create_service::<S>(&name, Qos::parameters())?;
         let answers = requests.for_each(move |request| {
             let response = answer(request.message.clone());
             if let Err(error) = request.respond(response) {

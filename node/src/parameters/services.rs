@@ -140,11 +140,9 @@ fn descriptor(
 mod tests {
     use super::super::{ParameterEvents, ParameterMap};
     use super::*;
-    use std::sync::{Arc, Mutex};
 
     fn parameters() -> Parameters {
-        let parameters =
-            Parameters::new(Arc::new(Mutex::new(ParameterMap::new())), ParameterEvents::nowhere());
+        let parameters = Parameters::new(ParameterMap::new(), ParameterEvents::nowhere());
         let gain = ParameterDescriptor::new().description("of the controller").range(0.0..=2.0).step(0.5);
         parameters.declare("gain", 1.0, gain).unwrap();
         parameters.declare("arm.speed", 3, ParameterDescriptor::new().range(0..=9)).unwrap();

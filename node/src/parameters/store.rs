@@ -22,7 +22,7 @@ pub(crate) type ParameterMap = IndexMap<String, Parameter>;
 
 /// A node's parameters: a handle for any thread. A clone is of the same parameters.
 ///
-/// A node that declares parameters refuses to set others; one that declares none lets any be set, as one of r2r's does.
+/// A node that declares parameters refuses to set others; one that declares none lets any be set.
 #[derive(Clone)]
 pub struct Parameters {
     shared: Arc<Shared>,
@@ -72,11 +72,17 @@ fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Parameters {
-    pub(crate) fn new(map: Arc<Mutex<ParameterMap>>, events: ParameterEvents) -> Parameters {
+    pub(crate) fn new(map: ParameterMap, events: ParameterEvents) -> Parameters {
+        let map = Arc::new(Mutex::new(map));
         let hooks = Hooks { feeds: Vec::new(), structs: Vec::new(), events };
         let shared =
             Shared { map, hooks: Mutex::new(hooks), checks: Mutex::default(), changing: Mutex::new(None) };
         Parameters { shared: Arc::new(shared) }
+    }
+
+    /// The map itself. What is put there directly is neither checked nor seen by readers.
+    pub(crate) fn map(&self) -> Arc<Mutex<ParameterMap>> {
+        self.shared.map.clone()
     }
 
     /// Declares a parameter. It starts with the value from the command line or a parameter file, else with `default`.

@@ -17,11 +17,11 @@ pub use untyped::{ClientUntyped, ServiceRequestUntyped};
 use crate::error::Error;
 use crate::error::Result;
 use crate::node::Node;
-use crate::qos::QosProfile;
 use futures::{FutureExt, Stream};
 use std::future::Future;
 use tautline_msgs::Service;
 use tautline_transport::Limits;
+use tautline_transport::Qos;
 
 /// A service's queues keep all: of the quality of service the depth counts, which is how many requests of one client can
 /// wait at a server.
@@ -37,12 +37,12 @@ impl Node {
     /// # #[cfg(feature = "example_interfaces")] {
     /// use futures::{StreamExt, executor::LocalPool, task::LocalSpawnExt};
     /// use tautline::example_interfaces::srv::AddTwoInts;
-    /// # use tautline::{Context, Node, QosProfile, Realtime};
+    /// # use tautline::{Context, Node, Qos, Realtime};
     /// # use std::time::Duration;
     /// # let ctx = Context::builder().domain(129).realtime(Realtime::Off).build()?;
     /// # let mut node = Node::create(ctx.clone(), "example", "")?;
-    /// let requests = node.create_service::<AddTwoInts::Service>("/add", QosProfile::default())?;
-    /// let client = node.create_client::<AddTwoInts::Service>("/add", QosProfile::default())?;
+    /// let requests = node.create_service::<AddTwoInts::Service>("/add", Qos::default())?;
+    /// let client = node.create_client::<AddTwoInts::Service>("/add", Qos::default())?;
     /// let mut pool = LocalPool::new();
     /// pool.spawner().spawn_local(requests.for_each(|request| async move {
     ///     let sum = request.message.a + request.message.b;
@@ -66,9 +66,9 @@ impl Node {
     pub fn create_service<T: Service>(
         &mut self,
         service_name: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T>> {
-        Ok(server::Requests::new(self.create_service_loaned(service_name, qos_profile)?))
+        Ok(server::Requests::new(self.create_service_loaned(service_name, qos)?))
     }
 
     /// Creates a service whose requests are read, and whose responses are written, in shared memory.
@@ -78,24 +78,20 @@ impl Node {
     pub fn create_service_loaned<T: Service>(
         &mut self,
         service_name: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<ServiceLoaned<T>> {
-        let (name, limits) = self.resolve_service(service_name, qos_profile)?;
-        let depth = qos_profile.to_transport().depth;
+        let (name, limits) = self.resolve_service(service_name)?;
+        let depth = qos.depth;
         let _node = tautline_trace::in_node(self.trace.id());
         Ok(ServiceLoaned::new(self.participant.create_server(&name, depth, limits)?))
     }
 
-    /// Creates a client of a service.
+    /// Creates a client of a service. Requests are reliable whatever `qos` says, and [`Limits`] say for how many there is room.
     ///
     /// # Errors
     /// As [`create_service`](Self::create_service).
-    pub fn create_client<T: Service>(
-        &mut self,
-        service_name: &str,
-        qos_profile: QosProfile,
-    ) -> Result<Client<T>> {
-        let client = self.create_client_loaned(service_name, qos_profile)?;
+    pub fn create_client<T: Service>(&mut self, service_name: &str, qos: Qos) -> Result<Client<T>> {
+        let client = self.create_client_loaned(service_name, qos)?;
         Ok(Client::new(client, self.context.events()))
     }
 
@@ -106,9 +102,10 @@ impl Node {
     pub fn create_client_loaned<T: Service>(
         &mut self,
         service_name: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<tautline_transport::Client<T>> {
-        let (name, limits) = self.resolve_service(service_name, qos_profile)?;
+        let _ = qos;
+        let (name, limits) = self.resolve_service(service_name)?;
         let _node = tautline_trace::in_node(self.trace.id());
         Ok(self.participant.create_client(&name, limits)?)
     }
@@ -136,11 +133,7 @@ impl Node {
         Ok(futures::future::try_join_all(all).map(|available| Ok(available.map(drop)?)))
     }
 
-    pub(crate) fn resolve_service(
-        &self,
-        service_name: &str,
-        _qos_profile: QosProfile,
-    ) -> Result<(String, Limits)> {
+    pub(crate) fn resolve_service(&self, service_name: &str) -> Result<(String, Limits)> {
         let name = self.resolve_service_name(service_name)?;
         let limits = self.service_limits.get(&name).copied().unwrap_or_default();
         Ok((name, limits))

@@ -24,11 +24,11 @@ use tautline_transport::{
 /// # #[cfg(feature = "example_interfaces")] {
 /// use futures::StreamExt;
 /// use tautline::example_interfaces::srv::AddTwoInts;
-/// use tautline::{CallbackOptions, Context, Node, QosProfile, Realtime};
+/// use tautline::{CallbackOptions, Context, Node, Qos, Realtime};
 ///
 /// let ctx = Context::builder().domain(129).realtime(Realtime::Off).build()?;
 /// let mut node = Node::create(ctx.clone(), "example", "")?;
-/// let mut service = node.create_service_loaned::<AddTwoInts::Service>("/sum", QosProfile::default())?;
+/// let mut service = node.create_service_loaned::<AddTwoInts::Service>("/sum", Qos::default())?;
 /// node.spawn_callback(CallbackOptions::fifo(20), async move {
 ///     while let Some(request) = service.next().await {
 ///         let mut response = service.loan(&request).expect("the client waits");
@@ -36,7 +36,7 @@ use tautline_transport::{
 ///         response.send().expect("the client takes what it asked for");
 ///     }
 /// })?;
-/// let client = node.create_client_loaned::<AddTwoInts::Service>("/sum", QosProfile::default())?;
+/// let client = node.create_client_loaned::<AddTwoInts::Service>("/sum", Qos::default())?;
 /// let stop = ctx.events().clone();
 /// node.spawn_callback(CallbackOptions::fifo(10), async move {
 ///     let response = client.request_with(|request| (request.a, request.b) = (1, 2)).expect("there is a server");

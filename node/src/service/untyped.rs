@@ -4,7 +4,6 @@
 use super::client::{IsAvailablePollable, Limit};
 use crate::error::{Error, Result};
 use crate::node::Node;
-use crate::qos::QosProfile;
 use crate::subscription::{Samples, Source};
 use crate::untyped::{find_schema, type_of};
 use futures::Stream;
@@ -15,6 +14,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_sampler::Events;
 use tautline_schema::{DynamicMessage, Endian, Schema, TypeName};
+use tautline_transport::Qos;
 use tautline_transport::{
     Availability, RawClient, RawPending, RawSample, RawServer, RawSubscription, RequestId, ServiceError,
     ServiceType, TakeError, TopicType,
@@ -50,9 +50,10 @@ impl Node {
         &mut self,
         service_name: &str,
         service_type: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<ClientUntyped> {
-        let (name, limits) = self.resolve_service(service_name, qos_profile)?;
+        let _ = qos;
+        let (name, limits) = self.resolve_service(service_name)?;
         let definitions = self.service_definitions(&name, service_type)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let participant = &self.participant;
@@ -68,11 +69,11 @@ impl Node {
         &mut self,
         service_name: &str,
         service_type: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<impl Stream<Item = ServiceRequestUntyped> + Unpin + Send + use<>> {
-        let (name, limits) = self.resolve_service(service_name, qos_profile)?;
+        let (name, limits) = self.resolve_service(service_name)?;
         let definitions = self.service_definitions(&name, service_type)?;
-        let depth = qos_profile.to_transport().depth;
+        let depth = qos.depth;
         let _node = tautline_trace::in_node(self.trace.id());
         let participant = &self.participant;
         let server = participant.create_raw_server(&name, &definitions.service_type(), depth, limits)?;

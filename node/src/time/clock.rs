@@ -26,11 +26,9 @@ pub enum ClockType {
 /// ```
 /// use tautline::{Clock, ClockType};
 ///
-/// let mut clock = Clock::create(ClockType::SystemTime)?;
-/// let now = clock.get_now()?;
-/// let stamp = Clock::to_builtin_time(&now); // for the header of a message
+/// let clock = Clock::new(ClockType::SystemTime);
+/// let stamp = Clock::to_builtin_time(&clock.now()); // for the header of a message
 /// # assert!(stamp.sec > 0);
-/// # Ok::<(), tautline::Error>(())
 /// ```
 #[derive(Clone)]
 pub struct Clock {
@@ -39,36 +37,13 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// A clock of this type. One of [`ClockType::RosTime`] shows the system's time until it is
-    /// [attached](TimeSource::attach_ros_clock) to a node's time source: see [`Node::get_ros_clock`](crate::Node::get_ros_clock).
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn create(ct: ClockType) -> Result<Clock> {
-        Ok(Clock { kind: ct, source: None })
+    /// A clock of this type. One of [`ClockType::RosTime`] shows the system's time: that of a node is [`Node::clock`](crate::Node::clock).
+    pub fn new(kind: ClockType) -> Clock {
+        Clock { kind, source: None }
     }
 
     pub(crate) fn of_source(source: TimeSource) -> Clock {
         Clock { kind: ClockType::RosTime, source: Some(source) }
-    }
-
-    pub(super) fn attach(&mut self, source: TimeSource) -> Result<()> {
-        if self.kind != ClockType::RosTime {
-            return Err(Error::ClockTypeNotRosTime);
-        }
-        self.source = Some(source);
-        Ok(())
-    }
-
-    /// The time, as r2r has it.
-    ///
-    /// # Real-time
-    /// As [`now`](Self::now).
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn get_now(&mut self) -> Result<Duration> {
-        Ok(self.now())
     }
 
     /// The time.
@@ -98,7 +73,7 @@ impl Clock {
     }
 
     /// What it shows.
-    pub fn get_clock_type(&self) -> ClockType {
+    pub fn clock_type(&self) -> ClockType {
         self.kind
     }
 

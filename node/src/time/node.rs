@@ -7,22 +7,16 @@ use crate::error::Error;
 use crate::error::Result;
 use crate::node::{Node, check_period};
 use crate::timer::Timer;
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 impl Node {
     /// The node's ROS clock: the system's time or, with `use_sim_time`, that of `/clock`.
-    pub fn get_ros_clock(&self) -> Arc<Mutex<Clock>> {
-        self.ros_clock.clone()
-    }
-
-    /// The node's ROS clock, without a lock.
     pub fn clock(&self) -> Clock {
         Clock::of_source(self.time_source.clone())
     }
 
     /// What gives the node's ROS clock its time.
-    pub fn get_time_source(&self) -> TimeSource {
+    pub fn time_source(&self) -> TimeSource {
         self.time_source.clone()
     }
 

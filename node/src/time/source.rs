@@ -6,8 +6,6 @@
 
 use super::Clock;
 use crate::error::{Error, Result};
-use crate::node::Node;
-use crate::qos::QosProfile;
 use futures::task::{ArcWake, AtomicWaker, waker};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
@@ -16,7 +14,7 @@ use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use tautline_ros_msgs::rosgraph_msgs::msg::Clock as ClockMessage;
 use tautline_rt::PiMutex;
-use tautline_transport::{Limits, Participant, Subscription};
+use tautline_transport::{Limits, Participant, Qos, Subscription};
 
 /// Gives a node's ROS clock the time of `/clock` when the parameter `use_sim_time` is set, at the start or later, or after
 /// [`enable_sim_time`](Self::enable_sim_time). Until the first message the time is 0. A clone is of the same node.
@@ -161,22 +159,16 @@ impl TimeSource {
         TimeSource { shared: Arc::new(shared) }
     }
 
-    /// From now on `clock`, of type [`ClockType::RosTime`](super::ClockType::RosTime), shows what the node's ROS clock does.
-    ///
-    /// # Errors
-    /// [`Error::ClockTypeNotRosTime`].
-    pub fn attach_ros_clock(&self, clock: Weak<Mutex<Clock>>) -> Result<()> {
-        match clock.upgrade() {
-            Some(clock) => lock(&clock).attach(self.clone()),
-            None => Ok(()),
-        }
+    /// A clock that shows what the node's ROS clock does.
+    pub fn clock(&self) -> Clock {
+        Clock::of_source(self.clone())
     }
 
-    /// Shows the time of `/clock`, for `node`, whose time source this is.
+    /// Shows the time of `/clock`.
     ///
     /// # Errors
     /// [`Error::Transport`]: `/clock` cannot be subscribed to.
-    pub fn enable_sim_time(&self, _node: &mut Node) -> Result<()> {
+    pub fn enable_sim_time(&self) -> Result<()> {
         self.set_enabled(true)
     }
 
@@ -197,7 +189,7 @@ impl TimeSource {
         if enabled == self.is_enabled() {
             return Ok(());
         }
-        let qos = QosProfile::default().keep_last(1).best_effort().to_transport();
+        let qos = Qos::keep_last(1).best_effort();
         // Made and dropped while nobody who reads the time waits for it.
         let mut subscription = match enabled {
             true => Some(participant.create_subscription(topic, qos, Limits::default())?),

@@ -3,19 +3,16 @@
 
 mod bundled;
 mod definitions;
-mod native;
 mod publisher;
 mod subscription;
 
 pub use bundled::Bundled;
 pub use definitions::find_schema;
-pub use native::WrappedNativeMsgUntyped;
 pub use publisher::PublisherUntyped;
 pub use subscription::{SubscriptionRaw, SubscriptionUntyped};
 
 use crate::error::{Error, Result};
 use crate::node::Node;
-use crate::qos::QosProfile;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tautline_schema::{Layout, Schema, Size, TypeName};
@@ -34,10 +31,10 @@ impl Node {
     ///
     /// ```
     /// # use futures::{StreamExt, executor::block_on};
-    /// # use tautline::{Context, Node, QosProfile, Realtime};
+    /// # use tautline::{Context, Node, Qos, Realtime};
     /// # let ctx = Context::builder().domain(196).realtime(Realtime::Off).build()?;
     /// # let mut node = Node::create(ctx, "example", "")?;
-    /// let qos = QosProfile::default();
+    /// let qos = Qos::default();
     /// let mut points = node.subscribe_untyped("/point", "geometry_msgs/msg/Point", qos)?;
     /// let publisher = node.create_publisher_untyped("/point", "geometry_msgs/msg/Point", qos)?;
     /// publisher.publish(serde_json::json!({ "x": 1.5 }))?; // what is left out has its default
@@ -53,10 +50,10 @@ impl Node {
         &mut self,
         topic: &str,
         topic_type: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<SubscriptionUntyped> {
         let schema = self.find_schema(topic, topic_type)?;
-        let raw = self.raw_subscription(topic, &type_of(&schema), qos_profile)?;
+        let raw = self.raw_subscription(topic, &type_of(&schema), qos)?;
         Ok(SubscriptionUntyped::new(raw, schema))
     }
 
@@ -67,12 +64,7 @@ impl Node {
     /// # Errors
     /// [`Error::Schema`] and [`Error::StoredDefinition`] if there is a definition but it is wrong; as
     /// [`create_publisher`](Self::create_publisher).
-    pub fn subscribe_raw(
-        &mut self,
-        topic: &str,
-        topic_type: &str,
-        qos_profile: QosProfile,
-    ) -> Result<SubscriptionRaw> {
+    pub fn subscribe_raw(&mut self, topic: &str, topic_type: &str, qos: Qos) -> Result<SubscriptionRaw> {
         let full = self.resolve_topic_name(topic)?;
         let existing = self.participant.topic_type(&full)?.filter(|existing| existing.name == topic_type);
         let topic_type = match find_schema(&full, &topic_type.parse()?, existing.as_ref()) {
@@ -80,7 +72,7 @@ impl Node {
             Err(Error::UnknownType { type_name, .. }) => existing.unwrap_or(TopicType::new(type_name)),
             Err(error) => return Err(error),
         };
-        Ok(SubscriptionRaw::new(self.raw_subscription(topic, &topic_type, qos_profile)?))
+        Ok(SubscriptionRaw::new(self.raw_subscription(topic, &topic_type, qos)?))
     }
 
     /// Creates a publisher of messages as JSON or CDR, checked with the type's definition.
@@ -91,19 +83,13 @@ impl Node {
         &mut self,
         topic: &str,
         topic_type: &str,
-        qos_profile: QosProfile,
+        qos: Qos,
     ) -> Result<PublisherUntyped> {
         let schema = self.find_schema(topic, topic_type)?;
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let qos = qos_profile.to_transport();
         let raw = self.participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
         Ok(PublisherUntyped::new(raw, schema))
-    }
-
-    /// Ends a publisher, by r2r's name. Dropping it does the same.
-    pub fn destroy_publisher_untyped(&mut self, publisher: PublisherUntyped) {
-        drop(publisher);
     }
 
     /// The definition of the type `topic_type` for `topic`, looked for as [`find_schema`] does. If only nodes of other hosts
@@ -143,20 +129,10 @@ impl Node {
         Ok(())
     }
 
-    fn raw_subscription(
-        &self,
-        topic: &str,
-        topic_type: &TopicType,
-        qos_profile: QosProfile,
-    ) -> Result<RawSubscription> {
+    fn raw_subscription(&self, topic: &str, topic_type: &TopicType, qos: Qos) -> Result<RawSubscription> {
         let (topic, limits): (String, Limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.participant.create_raw_subscription(
-            &topic,
-            topic_type,
-            qos_profile.to_transport(),
-            limits,
-        )?)
+        Ok(self.participant.create_raw_subscription(&topic, topic_type, qos, limits)?)
     }
 }
 

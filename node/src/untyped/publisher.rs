@@ -89,21 +89,11 @@ impl PublisherUntyped {
         self.raw.subscription_count()
     }
 
-    /// [`subscription_count`](Self::subscription_count) by r2r's name: those of this process count, too.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn get_inter_process_subscription_count(&self) -> Result<usize> {
-        Ok(self.subscription_count())
-    }
-
-    /// [`RawPublisher::wait_for_subscriptions`] by r2r's name.
+    /// Waits for a matching subscription: see [`RawPublisher::wait_for_subscriptions`].
     ///
     /// # Errors
     /// As there.
-    pub fn wait_for_inter_process_subscribers(
-        &self,
-    ) -> Result<impl Future<Output = Result<()>> + Send + use<>> {
+    pub fn wait_for_subscriptions(&self) -> Result<impl Future<Output = Result<()>> + Send + use<>> {
         Ok(self.raw.wait_for_subscriptions()?.map_err(Error::from))
     }
 }

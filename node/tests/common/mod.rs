@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use futures::StreamExt;
 use tautline::rt::permission::realtime_permitted;
-use tautline::{CallbackOptions, Context, CoreSet, Message, Node, QosProfile, Realtime};
+use tautline::{CallbackOptions, Context, CoreSet, Message, Node, Qos, Realtime};
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
@@ -148,8 +148,8 @@ pub fn leave_a_thread(domain: u32, options: CallbackOptions) {
     let log: &'static Log<u64> = Box::leak(Box::new(Log::new()));
     let context = context(domain);
     let mut node = Node::create(context.clone(), "mover", "").unwrap();
-    let publisher = node.create_publisher::<Number>("/moved", QosProfile::default()).unwrap();
-    let mut numbers = node.subscribe_loaned::<Number>("/moved", QosProfile::default()).unwrap();
+    let publisher = node.create_publisher::<Number>("/moved", Qos::default()).unwrap();
+    let mut numbers = node.subscribe_loaned::<Number>("/moved", Qos::default()).unwrap();
     let (leave, left) = std::sync::mpsc::channel();
     let once = async move {
         log.add(numbers.next().await.unwrap().value);

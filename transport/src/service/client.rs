@@ -3,7 +3,7 @@
 
 use super::pending::Table;
 use super::{RESPONSES_DEPTH, ServiceError, ServiceType, response_limits, topics};
-use crate::error::TransportError;
+use crate::error::{SendError, TransportError};
 use crate::participant::Participant;
 use crate::qos::{Limits, Qos};
 use crate::topic::ends::EndList;
@@ -42,36 +42,8 @@ pub struct Availability {
     pub(super) place: Option<usize>,
 }
 
-/// A request that was not sent.
-pub struct Unsent<L> {
-    /// Why.
-    pub error: ServiceError,
-    /// The loan, untouched, unless it was spent on the attempt.
-    pub loan: Option<L>,
-}
-
-impl<L> Unsent<L> {
-    pub(crate) fn map<M>(self, change: impl FnOnce(L) -> M) -> Unsent<M> {
-        Unsent { error: self.error, loan: self.loan.map(change) }
-    }
-}
-
-impl<L> fmt::Debug for Unsent<L> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Unsent").field("error", &self.error).finish_non_exhaustive()
-    }
-}
-
-impl<L> fmt::Display for Unsent<L> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.error.fmt(f)
-    }
-}
-
-impl<L> std::error::Error for Unsent<L> {}
-
-impl<L> From<Unsent<L>> for ServiceError {
-    fn from(unsent: Unsent<L>) -> Self {
+impl<L> From<SendError<L, ServiceError>> for ServiceError {
+    fn from(unsent: SendError<L, ServiceError>) -> Self {
         unsent.error
     }
 }

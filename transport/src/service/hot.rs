@@ -3,13 +3,13 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Availability, Inbox, RawClient, RawPending, Shared, Unsent};
+use super::client::{Availability, Inbox, RawClient, RawPending, Shared};
 use super::pending::Outcome;
 use super::server::{RawResponse, RawServer, RequestId};
 use super::{RESPONSES_DEPTH, ServiceError};
-use crate::error::{LoanError, TakeError};
+use crate::error::{LoanError, PublishError, SendError, TakeError};
 use crate::topic::header::{Gid, MessageInfo, SampleKind};
-use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, Unpublished, WhenFull};
+use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, WhenFull};
 use crate::topic::subscription::{Patience, RawSample};
 use core::future::Future;
 use core::ops::{Deref, DerefMut};
@@ -44,19 +44,22 @@ impl RawClient {
     /// whose thread sleeps. A thread that takes responses right now is waited for, and has this one's priority meanwhile.
     ///
     /// # Errors
-    /// [`Unsent`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`],
+    /// [`SendError`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`],
     /// [`ServiceError::Loan`].
-    pub fn send<'c>(&'c self, request: RawLoan<'c>) -> Result<RawPending, Unsent<RawLoan<'c>>> {
+    pub fn send<'c>(
+        &'c self,
+        request: RawLoan<'c>,
+    ) -> Result<RawPending, SendError<RawLoan<'c>, ServiceError>> {
         let shared = &self.shared;
         // What came in makes room for what comes next.
         shared.collect();
         let service = || shared.service.clone();
-        let unsent = |error, loan| Err(Unsent { error, loan });
+        let unsent = |error, loan| Err(SendError { error, loan });
         if shared.table.alive() == 0 {
-            return unsent(ServiceError::NoServer { service: service() }, Some(request));
+            return unsent(ServiceError::NoServer { service: service() }, request);
         }
         let Some(place) = shared.table.claim() else {
-            return unsent(ServiceError::TooManyPending { service: service() }, Some(request));
+            return unsent(ServiceError::TooManyPending { service: service() }, request);
         };
         let sequence_number = self.sequence_number.get() + 1;
         self.sequence_number.set(sequence_number);
@@ -66,11 +69,11 @@ impl RawClient {
         let sending = Sending { stamp, when_full: WhenFull::Ask, kind: SampleKind::Message, to: None };
         if let Err(unpublished) = request.publish_with(sending) {
             shared.table.release(place);
-            let error = match &unpublished {
-                Unpublished::Full(_) => ServiceError::RequestsFull { service: service() },
-                Unpublished::OutOfMemory(_) => shared.loan_error(LoanError::OutOfMemory),
+            let error = match unpublished.error {
+                PublishError::Full => ServiceError::RequestsFull { service: service() },
+                _ => shared.loan_error(LoanError::OutOfMemory),
             };
-            return unsent(error, Some(unpublished.into_loan()));
+            return unsent(error, unpublished.loan);
         }
         shared.table.sent(place);
         Ok(RawPending { shared: shared.clone(), place: Some(place), sequence_number })
@@ -273,7 +276,11 @@ impl RawServer {
     }
 
     /// Sends a response.
-    pub(super) fn send<'s>(&'s self, id: RequestId, loan: RawLoan<'s>) -> Result<(), Unsent<RawLoan<'s>>> {
+    pub(super) fn send<'s>(
+        &'s self,
+        id: RequestId,
+        loan: RawLoan<'s>,
+    ) -> Result<(), SendError<RawLoan<'s>, ServiceError>> {
         self.publish(id, loan, SampleKind::Message)
     }
 
@@ -282,19 +289,19 @@ impl RawServer {
         id: RequestId,
         loan: RawLoan<'s>,
         kind: SampleKind,
-    ) -> Result<(), Unsent<RawLoan<'s>>> {
+    ) -> Result<(), SendError<RawLoan<'s>, ServiceError>> {
         let to = match self.subscription_of(id.client) {
             Ok(to) => Some(to),
-            Err(error) => return Err(Unsent { error, loan: Some(loan) }),
+            Err(error) => return Err(SendError { error, loan }),
         };
         let stamp = Stamp::OfRequest(stamped(id.sequence_number, id.client));
         let sent = loan.publish_with(Sending { stamp, when_full: WhenFull::Leave, kind, to });
         sent.map_err(|unpublished| {
-            let error = match &unpublished {
-                Unpublished::Full(_) => ServiceError::ResponsesFull { service: self.service.clone() },
-                Unpublished::OutOfMemory(_) => self.loan_error(LoanError::OutOfMemory),
+            let error = match unpublished.error {
+                PublishError::Full => ServiceError::ResponsesFull { service: self.service.clone() },
+                _ => self.loan_error(LoanError::OutOfMemory),
             };
-            Unsent { error, loan: Some(unpublished.into_loan()) }
+            SendError { error, loan: unpublished.loan }
         })
     }
 }
@@ -314,10 +321,10 @@ impl RawResponse<'_> {
     /// As [`RawLoan::publish`], and O(clients).
     ///
     /// # Errors
-    /// [`Unsent`], with the response: [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`],
+    /// [`SendError`], with the response: [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`],
     /// [`ServiceError::ResponsesFull`], [`ServiceError::Loan`].
     #[allow(clippy::result_large_err, reason = "it gives the response back")]
-    pub fn send(self) -> Result<(), Unsent<Self>> {
+    pub fn send(self) -> Result<(), SendError<Self, ServiceError>> {
         let RawResponse { server, loan, id } = self;
         let unsent = server.send(id, loan);
         unsent.map_err(|unsent| unsent.map(|loan| RawResponse { server, loan, id }))

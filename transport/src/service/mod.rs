@@ -16,7 +16,7 @@ mod queued;
 mod server;
 mod typed;
 
-pub use client::{Availability, RawClient, RawPending, Unsent};
+pub use client::{Availability, RawClient, RawPending};
 pub use pending::MAX_PENDING_REQUESTS;
 pub use queued::QueuedClient;
 pub use server::{RawResponse, RawServer, RequestId};

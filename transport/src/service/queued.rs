@@ -3,14 +3,14 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Ends, Servers, Unsent};
+use super::client::{Ends, Servers};
 use super::hot::stamped;
 use super::{ServiceError, ServiceType};
-use crate::error::{LoanError, TakeError, TransportError};
+use crate::error::{LoanError, PublishError, SendError, TakeError, TransportError};
 use crate::participant::Participant;
 use crate::qos::Limits;
 use crate::topic::header::{Gid, SampleKind};
-use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, Unpublished, WhenFull};
+use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, WhenFull};
 use crate::topic::subscription::{Patience, RawSample, RawSubscription};
 use core::cell::{Cell, RefCell};
 use core::fmt;
@@ -127,20 +127,24 @@ impl QueuedClient {
     /// a server that sleeps and is woken directly.
     ///
     /// # Errors
-    /// [`Unsent`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::Loan`].
-    pub fn send<'c>(&'c self, number: u64, request: RawLoan<'c>) -> Result<(), Unsent<RawLoan<'c>>> {
+    /// [`SendError`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::Loan`].
+    pub fn send<'c>(
+        &'c self,
+        number: u64,
+        request: RawLoan<'c>,
+    ) -> Result<(), SendError<RawLoan<'c>, ServiceError>> {
         if self.server_count() == 0 {
             let error = ServiceError::NoServer { service: self.service.clone() };
-            return Err(Unsent { error, loan: Some(request) });
+            return Err(SendError { error, loan: request });
         }
         let stamp = Stamp::OfRequest(stamped(number, self.gid()));
         let sending = Sending { stamp, when_full: WhenFull::Ask, kind: SampleKind::Message, to: None };
         request.publish_with(sending).map_err(|unpublished| {
-            let error = match &unpublished {
-                Unpublished::Full(_) => ServiceError::RequestsFull { service: self.service.clone() },
-                Unpublished::OutOfMemory(_) => self.loan_error(LoanError::OutOfMemory),
+            let error = match unpublished.error {
+                PublishError::Full => ServiceError::RequestsFull { service: self.service.clone() },
+                _ => self.loan_error(LoanError::OutOfMemory),
             };
-            Unsent { error, loan: Some(unpublished.into_loan()) }
+            SendError { error, loan: unpublished.loan }
         })
     }
 

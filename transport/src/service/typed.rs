@@ -3,10 +3,10 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Availability, RawClient, RawPending, Unsent};
+use super::client::{Availability, RawClient, RawPending};
 use super::server::{RawServer, RequestId};
 use super::{ServiceError, ServiceType};
-use crate::error::{TakeError, TransportError};
+use crate::error::{SendError, TakeError, TransportError};
 use crate::participant::Participant;
 use crate::qos::Limits;
 use crate::topic::header::MessageInfo;
@@ -170,7 +170,7 @@ impl<S: Service> Client<S> {
     pub fn send<'c>(
         &'c self,
         request: Loan<'c, S::Request>,
-    ) -> Result<PendingResponse<S>, Unsent<Loan<'c, S::Request>>> {
+    ) -> Result<PendingResponse<S>, SendError<Loan<'c, S::Request>, ServiceError>> {
         let sent = self.raw.send(request.ready());
         sent.map(PendingResponse::of).map_err(|unsent| unsent.map(Loan::back))
     }
@@ -377,7 +377,7 @@ impl<S: Service> Response<'_, S> {
     /// # Errors
     /// As [`RawResponse::send`](crate::RawResponse::send).
     #[allow(clippy::result_large_err, reason = "it gives the response back")]
-    pub fn send(self) -> Result<(), Unsent<Self>> {
+    pub fn send(self) -> Result<(), SendError<Self, ServiceError>> {
         let Response { server, id, loan } = self;
         let unsent = server.send(id, loan.ready());
         unsent.map_err(|unsent| unsent.map(|loan| Response { server, id, loan: Loan::back(loan) }))

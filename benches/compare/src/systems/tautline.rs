@@ -9,8 +9,8 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use ::tautline::{
-    CallbackOptions, Context, Limits, Loan, Message, Node, Publisher, QosProfile, Realtime, Sample,
-    Subscription, Timer, Unpublished,
+    CallbackOptions, Context, Limits, Loan, Message, Node, PublishError, Publisher, Qos, Realtime, Sample,
+    SendError, Subscription, Timer,
 };
 use futures::future::{Either, select};
 use futures::stream::FuturesUnordered;
@@ -108,8 +108,8 @@ fn publish<T: Message>(mut loan: Loan<'_, T>) -> Result<()> {
     loop {
         match loan.publish() {
             Ok(()) => return Ok(()),
-            Err(Unpublished::Full(back)) => loan = back,
-            Err(unpublished @ Unpublished::OutOfMemory(_)) => return Err(unpublished.to_string().into()),
+            Err(SendError { error: PublishError::Full, loan: back }) => loan = back,
+            Err(unsent) => return Err(unsent.to_string().into()),
         }
         std::thread::yield_now();
     }
@@ -262,10 +262,10 @@ impl<T: Payload> End<T> {
         }
     }
 
-    fn qos(&self) -> QosProfile {
+    fn qos(&self) -> Qos {
         match self.job.exchange {
-            Exchange::Stream { .. } => QosProfile::default().keep_all().depth(self.job.depth()),
-            _ => QosProfile::default().keep_last(self.job.depth()),
+            Exchange::Stream { .. } => Qos::keep_all(self.job.depth()),
+            _ => Qos::keep_last(self.job.depth()),
         }
     }
 

@@ -7,7 +7,7 @@ use futures::TryStreamExt;
 use futures::stream::FuturesUnordered;
 use std::sync::mpsc;
 use tautline::{
-    CallbackOptions, Context, Limits, Message, Node, Plain, Publisher, QosProfile, Realtime, Subscription,
+    CallbackOptions, Context, Limits, Message, Node, Plain, Publisher, Qos, Realtime, Subscription,
 };
 use tautline_exchange::{
     APPLICATION_PRIORITY, Inlet, Job, Line, Measured, Result, Role, Sink, Source, Stamp, on_stop, say,
@@ -83,7 +83,7 @@ fn send<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Callbac
     for topic in 0..job.way.topics {
         let topic = format!("{}/t{topic}", job.topic);
         node.set_topic_limits(&topic, limits())?;
-        publishers.push(node.create_publisher(&topic, QosProfile::default().keep_last(job.depth()))?);
+        publishers.push(node.create_publisher(&topic, Qos::keep_last(job.depth()))?);
     }
     let (own, end) = (job.clone(), context.events().clone());
     let (sender, outcome) = mpsc::channel();
@@ -120,7 +120,7 @@ fn receive<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Call
     for (topic, inlet) in sink.inlets(job) {
         let topic = format!("{}/t{topic}", job.topic);
         node.set_topic_limits(&topic, limits())?;
-        ends.push((node.subscribe_loaned(&topic, QosProfile::default().keep_last(job.depth()))?, inlet));
+        ends.push((node.subscribe_loaned(&topic, Qos::keep_last(job.depth()))?, inlet));
     }
     let (sender, outcome) = mpsc::channel();
     // A callback that had the context would keep it alive.

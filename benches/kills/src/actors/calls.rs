@@ -15,8 +15,7 @@ use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::rcl_interfaces::msg;
 use tautline::rcl_interfaces::srv::{GetParameters, SetParameters};
 use tautline::{
-    ActionServerGoalRequest, CallbackHandle, CallbackOptions, Node, ParameterValue, QosProfile,
-    ServiceRequest,
+    ActionServerGoalRequest, CallbackHandle, CallbackOptions, Node, ParameterValue, Qos, ServiceRequest,
 };
 
 /// Longer than most actors live.
@@ -37,7 +36,7 @@ fn end(callback: Option<CallbackHandle>) -> Result<()> {
 
 /// Answers requests: some late, some never.
 fn serve(node: &mut Node, service: &str) -> Result<CallbackHandle> {
-    let requests = node.create_service::<AddTwoInts::Service>(service, QosProfile::services_default())?;
+    let requests = node.create_service::<AddTwoInts::Service>(service, Qos::services_default())?;
     let mut count = 0;
     let serve = requests.for_each(move |request: ServiceRequest<AddTwoInts::Service>| {
         count += 1;
@@ -68,8 +67,7 @@ pub fn serve_and_ask(actor: &mut Actor) -> Result<()> {
                 }
             }
             let service = actor.one_of(&[ADD, ACTORS_ADD]);
-            let client =
-                node.create_client::<AddTwoInts::Service>(service, QosProfile::services_default())?;
+            let client = node.create_client::<AddTwoInts::Service>(service, Qos::services_default())?;
             for _ in 0..actor.up_to(4) {
                 if let Ok(response) = client.request_timeout(&AddTwoInts::Request { a: 1, b: 2 }, LIMIT) {
                     // Some are not waited for.
@@ -127,7 +125,7 @@ pub fn pursue(actor: &mut Actor) -> Result<()> {
                     }
                     result.await.map(drop)
                 };
-                block_on(select(pin!(asked), pin!(timer.next_tick())));
+                block_on(select(pin!(asked), pin!(timer.tick())));
             }
             actor.rest();
         }
@@ -148,7 +146,7 @@ pub fn set_parameters(actor: &mut Actor) -> Result<()> {
         node.spawn_callback(options().name("answer"), answer)?;
         node.spawn_callback(options().name("changes"), changes.for_each(|_| async {}))?;
         let of = actor.one_of(&[PARAMETERS, "/actors/parameters"]);
-        let qos = QosProfile::services_default();
+        let qos = Qos::services_default();
         let set = node.create_client::<SetParameters::Service>(&format!("{of}/set_parameters"), qos)?;
         let get = node.create_client::<GetParameters::Service>(&format!("{of}/get_parameters"), qos)?;
         for n in 0..=actor.up_to(6) as i64 {

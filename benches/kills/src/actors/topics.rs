@@ -8,19 +8,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tautline::lifecycle::CallbackReturn;
 use tautline::std_msgs::msg::{String as Text, UInt64};
 use tautline::{
-    HistoryPolicy, LifecycleCallbacks, LifecycleNode, ManagedNode, Message, Publisher, QosProfile, Sample,
-    Subscription,
+    LifecycleCallbacks, LifecycleNode, ManagedNode, Message, Publisher, Qos, Sample, Subscription,
 };
 
 const TEXTS: [&str; 3] = ["/actors/a", "/actors/b", "/actors/c"];
 /// Longest text: longer than a publisher has memory for at first.
 const LONGEST: usize = 20_000;
 
-const QOS: [QosProfile; 4] = [
-    QosProfile::default(),
-    QosProfile::default().keep_last(100).best_effort(),
-    QosProfile::default().keep_last(5).transient_local(),
-    QosProfile::default().history(HistoryPolicy::KeepAll).depth(8),
+const QOS: [Qos; 4] = [
+    Qos::keep_last(10),
+    Qos::keep_last(100).best_effort(),
+    Qos::keep_last(5).transient_local(),
+    Qos::keep_all(8),
 ];
 
 /// A subscription, and what was taken from it and is held.
@@ -66,7 +65,7 @@ pub fn play(actor: &mut Actor) -> Result<()> {
             }
             5 | 6 if number_takers.len() < 4 => {
                 let kinds = [
-                    (NUMBERS, QosProfile::default()),
+                    (NUMBERS, Qos::default()),
                     (SHARED, numbers_qos()),
                     (ALL, all_qos()),
                     (KEPT, kept_qos()),
@@ -124,7 +123,7 @@ impl Managed {
 
 impl LifecycleCallbacks for Managed {
     fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
-        match node.create_publisher(TEXTS[0], QosProfile::default()) {
+        match node.create_publisher(TEXTS[0], Qos::default()) {
             Ok(publisher) => {
                 self.set(Some(publisher));
                 CallbackReturn::Success

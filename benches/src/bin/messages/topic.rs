@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use tautline::msgs::cdr::{Fill, WriteError};
-use tautline::{Limits, Message, Plain, Publisher, Unpublished};
+use tautline::{Limits, Message, Plain, Publisher, SendError};
 use tautline_transport::{Participant, Qos, Sample, Subscription};
 
 use crate::Result;
@@ -65,6 +65,6 @@ impl<T: Message> Topic<T> {
     }
 }
 
-fn sent<L>(published: std::result::Result<(), Unpublished<L>>) -> Result<()> {
+fn sent<L>(published: std::result::Result<(), SendError<L>>) -> Result<()> {
     published.map_err(|error| error.to_string().into())
 }

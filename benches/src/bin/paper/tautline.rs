@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use ::tautline::{CallbackOptions, Context, Message, Node, Publisher, QosProfile, Realtime, Timer};
+use ::tautline::{CallbackOptions, Context, Message, Node, Publisher, Qos, Realtime, Timer};
 use futures::StreamExt;
 use futures::future::join_all;
 use tautline_paper::{
@@ -40,8 +40,8 @@ fn realtime(job: &Job) -> Realtime {
     if job.realtime { Realtime::Required } else { Realtime::Off }
 }
 
-fn qos(depth: usize) -> QosProfile {
-    QosProfile::default().keep_last(depth)
+fn qos(depth: usize) -> Qos {
+    Qos::keep_last(depth)
 }
 
 /// A subscriber: five subscriptions of one node, executed as the variant says.

@@ -7,8 +7,8 @@ use std::sync::mpsc;
 use futures::StreamExt;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use tautline::{
-    CallbackOptions, ClientLoaned, Context, Limits, Message, Node, PendingResponse, Plain, Publisher,
-    QosProfile, Realtime, Request, Service, ServiceLoaned, ServiceRequest, Subscription,
+    CallbackOptions, ClientLoaned, Context, Limits, Message, Node, PendingResponse, Plain, Publisher, Qos,
+    Realtime, Request, Service, ServiceLoaned, ServiceRequest, Subscription,
 };
 use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
@@ -143,7 +143,7 @@ where
         .build()?;
     let mut node = Node::create(context.clone(), "services", &format!("/pair{}", job.pair))?;
     let options = CallbackOptions::fifo(PRIORITY).core(job.core).name("bench");
-    let qos = QosProfile::default().keep_last(2);
+    let qos = Qos::keep_last(2);
     if job.system == System::Topics {
         let (to, from) = if job.asks { ("ping", "pong") } else { ("pong", "ping") };
         if job.asks {

@@ -7,9 +7,7 @@
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use ::tautline::{
-    CallbackOptions, Context, Message, Node, Plain, Publisher, QosProfile, Realtime, Subscription,
-};
+use ::tautline::{CallbackOptions, Context, Message, Node, Plain, Publisher, Qos, Realtime, Subscription};
 use futures::StreamExt;
 
 use crate::Result;
@@ -83,7 +81,7 @@ fn play<T: Frame>(job: &Job, pinger: &mut Pinger) -> Result<()> {
         Role::Ping => ("ping", "pong"),
         Role::Pong => ("pong", "ping"),
     };
-    let qos = QosProfile::default().keep_last(2);
+    let qos = Qos::keep_last(2);
     let publisher = node.create_publisher::<T>(to, qos)?;
     let messages = node.subscribe_loaned::<T>(from, qos)?;
     if job.role == Role::Ping {

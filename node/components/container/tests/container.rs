@@ -10,7 +10,7 @@ use std::process::{Child, Command, Output, Stdio};
 use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
 use tautline::rcl_interfaces::msg::{Log, Parameter};
 use tautline::std_msgs::msg::UInt64;
-use tautline::{Context, Node, ParameterValue, QosProfile, Realtime};
+use tautline::{Context, Node, ParameterValue, Qos, Realtime};
 use tautline_components::{ComponentError, Container, Load, STAMP};
 
 /// Where cargo puts what it builds. Container and components are built in one go, so that they have the same features.
@@ -61,7 +61,7 @@ impl Drop for Running {
 fn components_of_one_process_work_together_until_it_ends() {
     let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "test", "").unwrap();
-    let doubled = node.subscribe_loaned::<UInt64>("/robot/doubled", QosProfile::default()).unwrap();
+    let doubled = node.subscribe_loaned::<UInt64>("/robot/doubled", Qos::default()).unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
     let library = demo();
     let loads =
@@ -152,15 +152,15 @@ fn a_process_that_does_not_share_its_tautline_loads_nothing() {
 fn components_come_and_go_by_service() {
     let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "manager", "").unwrap();
-    let qos = QosProfile::services_default();
+    let qos = Qos::services_default();
     let [load, unload, list] = ["load", "unload", "list"]
         .map(|verb| format!("/served/_container/{verb}_node").replace("list_node", "list_nodes"));
     let load = node.create_client::<LoadNode::Service>(&load, qos).unwrap();
     let unload = node.create_client::<UnloadNode::Service>(&unload, qos).unwrap();
     let list = node.create_client::<ListNodes::Service>(&list, qos).unwrap();
-    let counts = node.subscribe_loaned::<UInt64>("/moved/count", QosProfile::default()).unwrap();
-    let global = node.subscribe_loaned::<UInt64>("/global/count", QosProfile::default()).unwrap();
-    let lines = node.subscribe::<Log>("/rosout", QosProfile::default().transient_local()).unwrap();
+    let counts = node.subscribe_loaned::<UInt64>("/moved/count", Qos::default()).unwrap();
+    let global = node.subscribe_loaned::<UInt64>("/global/count", Qos::default()).unwrap();
+    let lines = node.subscribe::<Log>("/rosout", Qos::default().transient_local()).unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
 
     let mut command = container(59, &[]);
@@ -244,10 +244,7 @@ fn a_library_that_was_replaced_is_not_taken_for_the_one_that_is_loaded() {
     let context = Context::builder().domain(76).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "manager", "").unwrap();
     let load = node
-        .create_client::<LoadNode::Service>(
-            "/ComponentManager/_container/load_node",
-            QosProfile::services_default(),
-        )
+        .create_client::<LoadNode::Service>("/ComponentManager/_container/load_node", Qos::services_default())
         .unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
     let running = Running(container(76, &[]).spawn().unwrap());

@@ -9,7 +9,7 @@
 
 use super::RawPublisher;
 use super::sender::{Live, Sender};
-use crate::error::{LoanError, PublishError};
+use crate::error::{LoanError, PublishError, SendError};
 use crate::qos::Claim;
 use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
 use crate::topic::memory::{padded, sample_bytes};
@@ -32,60 +32,6 @@ pub struct RawLoan<'p> {
     index: usize,
     payload: NonNull<[u8]>,
     len_bytes: usize,
-}
-
-/// A loan `L` that was not published. Nothing was sent; the loan is untouched.
-pub enum Unpublished<L> {
-    /// A keep-all subscription has no room.
-    Full(L),
-    /// There is no shared memory for the queue of a subscription of a publisher whose memory is claimed on use.
-    OutOfMemory(L),
-}
-
-impl<L> Unpublished<L> {
-    pub(crate) fn map<M>(self, change: impl FnOnce(L) -> M) -> Unpublished<M> {
-        match self {
-            Unpublished::Full(loan) => Unpublished::Full(change(loan)),
-            Unpublished::OutOfMemory(loan) => Unpublished::OutOfMemory(change(loan)),
-        }
-    }
-
-    /// The loan.
-    pub fn into_loan(self) -> L {
-        let (Unpublished::Full(loan) | Unpublished::OutOfMemory(loan)) = self;
-        loan
-    }
-
-    /// Why it was not published.
-    pub fn error(&self) -> PublishError {
-        match self {
-            Unpublished::Full(_) => PublishError::Full,
-            Unpublished::OutOfMemory(_) => PublishError::Loan(LoanError::OutOfMemory),
-        }
-    }
-}
-
-impl<L> core::fmt::Display for Unpublished<L> {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        self.error().fmt(f)
-    }
-}
-
-impl<L> core::error::Error for Unpublished<L> {}
-
-impl<L> core::fmt::Debug for Unpublished<L> {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Unpublished::Full(_) => "Full",
-            Unpublished::OutOfMemory(_) => "OutOfMemory",
-        })
-    }
-}
-
-impl<L> From<Unpublished<L>> for PublishError {
-    fn from(unpublished: Unpublished<L>) -> Self {
-        unpublished.error()
-    }
 }
 
 /// What is left behind where there is no room.
@@ -219,7 +165,7 @@ impl RawPublisher {
         &'p self,
         loan: RawLoan<'p>,
         sending: Sending,
-    ) -> Result<(), Unpublished<RawLoan<'p>>> {
+    ) -> Result<(), SendError<RawLoan<'p>>> {
         if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
             self.counters.silenced.fetch_add(1, Ordering::Relaxed);
             return Ok(());
@@ -228,10 +174,10 @@ impl RawPublisher {
         let mut live = self.live.borrow_mut();
         live.refresh(core.history.as_ref());
         if self.keep_all && !has_room(&live, sending) {
-            return Err(Unpublished::Full(loan));
+            return Err(SendError { error: PublishError::Full, loan });
         }
         if live.table().claims_on_use && !self.claim_queues(&live, sending.to) {
-            return Err(Unpublished::OutOfMemory(loan));
+            return Err(SendError { error: LoanError::OutOfMemory.into(), loan });
         }
         let number = live.next_number(sending.to);
         let (source, lifespan_ns) = match sending.stamp {
@@ -446,7 +392,7 @@ impl<'p> RawLoan<'p> {
         (loan.segment, loan.index)
     }
 
-    pub(crate) fn publish_with(self, sending: Sending) -> Result<(), Unpublished<RawLoan<'p>>> {
+    pub(crate) fn publish_with(self, sending: Sending) -> Result<(), SendError<RawLoan<'p>>> {
         self.publisher.publish_loan(self, sending)
     }
 
@@ -461,8 +407,8 @@ impl<'p> RawLoan<'p> {
     /// is claimed on use may make system calls.
     ///
     /// # Errors
-    /// [`Unpublished`], with the loan: nothing was sent.
-    pub fn publish(self) -> Result<(), Unpublished<RawLoan<'p>>> {
+    /// [`SendError`], with the loan: nothing was sent.
+    pub fn publish(self) -> Result<(), SendError<RawLoan<'p>>> {
         self.publish_with(Sending::of(Stamp::Now))
     }
 
@@ -474,7 +420,7 @@ impl<'p> RawLoan<'p> {
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
-    pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<RawLoan<'p>>> {
+    pub fn publish_released_at(self, released_ns: u64) -> Result<(), SendError<RawLoan<'p>>> {
         self.publish_with(Sending::of(Stamp::ReleasedAt(released_ns)))
     }
 
@@ -487,7 +433,7 @@ impl<'p> RawLoan<'p> {
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
-    pub fn publish_as(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
+    pub fn publish_as(self, source: MessageInfo) -> Result<(), SendError<RawLoan<'p>>> {
         self.publish_with(Sending::of(Stamp::As(source, NEVER)))
     }
 
@@ -503,7 +449,7 @@ impl<'p> RawLoan<'p> {
         self,
         source: MessageInfo,
         left: core::time::Duration,
-    ) -> Result<(), Unpublished<RawLoan<'p>>> {
+    ) -> Result<(), SendError<RawLoan<'p>>> {
         let left_ns = u64::try_from(left.as_nanos()).unwrap_or(NEVER);
         self.publish_with(Sending::of(Stamp::As(source, left_ns)))
     }
@@ -516,7 +462,7 @@ impl<'p> RawLoan<'p> {
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
-    pub fn publish_again(self, source: MessageInfo) -> Result<(), Unpublished<RawLoan<'p>>> {
+    pub fn publish_again(self, source: MessageInfo) -> Result<(), SendError<RawLoan<'p>>> {
         self.publish_with(Sending::of(Stamp::Again(source)))
     }
 
@@ -535,11 +481,11 @@ impl<'p> RawLoan<'p> {
             loan.publisher.core.slot.waker().register(context.waker());
             match loan.publish_with(Sending { when_full: WhenFull::Ask, ..Sending::of(Stamp::Now) }) {
                 Ok(()) => Poll::Ready(Ok(())),
-                Err(Unpublished::Full(loan)) => {
+                Err(SendError { error: PublishError::Full, loan }) => {
                     waiting = Some(loan);
                     Poll::Pending
                 }
-                Err(refused) => Poll::Ready(Err(refused.error())),
+                Err(refused) => Poll::Ready(Err(refused.error)),
             }
         })
         .await

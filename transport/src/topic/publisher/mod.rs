@@ -8,7 +8,7 @@ mod hot;
 mod sender;
 
 pub use gate::Gate;
-pub use hot::{RawLoan, Unpublished};
+pub use hot::RawLoan;
 pub(crate) use hot::{Sending, Stamp, WhenFull};
 
 use crate::error::TransportError;

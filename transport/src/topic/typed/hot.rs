@@ -4,9 +4,9 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use super::{Publisher, Subscription};
-use crate::error::{LoanError, PublishError, TakeError};
+use crate::error::{LoanError, PublishError, SendError, TakeError};
 use crate::topic::header::MessageInfo;
-use crate::topic::publisher::{RawLoan, RawPublisher, Unpublished};
+use crate::topic::publisher::{RawLoan, RawPublisher};
 use crate::topic::subscription::{Patience, RawSample, RawSubscription};
 use core::fmt;
 use core::marker::PhantomData;
@@ -38,20 +38,6 @@ impl<T: Message> Publisher<T> {
         Loan::of_plain(&self.raw)
     }
 
-    /// [`loan`](Self::loan) by r2r's name. The loan is published with its own [`publish`](Loan::publish).
-    ///
-    /// # Real-time
-    /// As [`loan`](Self::loan).
-    ///
-    /// # Errors
-    /// As [`loan`](Self::loan).
-    pub fn borrow_loaned_message(&self) -> Result<Loan<'_, T>, LoanError>
-    where
-        T: Plain,
-    {
-        self.loan()
-    }
-
     /// Loans a sample for a message of these lengths, to be [written](Unwritten::write) in place.
     ///
     /// # Real-time
@@ -79,17 +65,6 @@ impl<T: Message> Publisher<T> {
         let mut raw = self.raw.loan(message.cdr_len())?;
         message.encode(&mut raw)?;
         raw.publish().map_err(PublishError::from)
-    }
-
-    /// [`publish`](Self::publish) by r2r's name, for a message in the form that r2r has for C.
-    ///
-    /// # Real-time
-    /// As [`publish`](Self::publish).
-    ///
-    /// # Errors
-    /// As [`publish`](Self::publish).
-    pub fn publish_native(&self, message: &mut impl AsRef<T>) -> Result<(), PublishError> {
-        self.publish((*message).as_ref())
     }
 }
 
@@ -207,8 +182,8 @@ impl<'p, T: Message> Loan<'p, T> {
     /// padding between its fields, O(number of these) to zero it.
     ///
     /// # Errors
-    /// [`Unpublished`], with the loan: nothing was sent.
-    pub fn publish(self) -> Result<(), Unpublished<Loan<'p, T>>> {
+    /// [`SendError`], with the loan: nothing was sent.
+    pub fn publish(self) -> Result<(), SendError<Loan<'p, T>>> {
         let published = self.ready().publish();
         published.map_err(|unpublished| unpublished.map(Loan::back))
     }
@@ -221,7 +196,7 @@ impl<'p, T: Message> Loan<'p, T> {
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
-    pub fn publish_released_at(self, released_ns: u64) -> Result<(), Unpublished<Loan<'p, T>>> {
+    pub fn publish_released_at(self, released_ns: u64) -> Result<(), SendError<Loan<'p, T>>> {
         let published = self.ready().publish_released_at(released_ns);
         published.map_err(|unpublished| unpublished.map(Loan::back))
     }

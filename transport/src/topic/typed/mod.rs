@@ -83,19 +83,11 @@ impl<T: Message> Publisher<T> {
         self.raw.subscription_count()
     }
 
-    /// [`subscription_count`](Self::subscription_count) by r2r's name: those of this process count, too.
-    ///
-    /// # Errors
-    /// None; the result is r2r's.
-    pub fn get_inter_process_subscription_count(&self) -> Result<usize, TransportError> {
-        Ok(self.subscription_count())
-    }
-
-    /// [`RawPublisher::wait_for_subscriptions`] by r2r's name.
+    /// Waits for a matching subscription: see [`RawPublisher::wait_for_subscriptions`].
     ///
     /// # Errors
     /// As there.
-    pub fn wait_for_inter_process_subscribers(
+    pub fn wait_for_subscriptions(
         &self,
     ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<T>, TransportError> {
         self.raw.wait_for_subscriptions()

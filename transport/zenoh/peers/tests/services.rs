@@ -21,7 +21,7 @@ use tautline::action_msgs::srv::CancelGoal;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::std_srvs::srv::SetBool;
 use tautline::{
-    ActionServerGoalRequest, CallbackOptions, Context, GoalStatus, Node, QosProfile, Realtime, Service,
+    ActionServerGoalRequest, CallbackOptions, Context, GoalStatus, Node, Qos, Realtime, Service,
     ServiceRequest,
 };
 
@@ -113,7 +113,7 @@ fn a_service_each_way() {
     let mut pair = Pair::new(68);
     let mut server = pair.theirs.create_service::<TheirSetBool>("/theirs/switch").build().unwrap();
     let client =
-        pair.ours.create_client::<SetBool::Service>("/theirs/switch", QosProfile::default()).unwrap();
+        pair.ours.create_client::<SetBool::Service>("/theirs/switch", Qos::default()).unwrap();
     block_on(Node::is_available(&client).unwrap()).unwrap();
     for data in [true, false] {
         let response = client.request(&SetBool::Request { data }).unwrap();
@@ -125,7 +125,7 @@ fn a_service_each_way() {
     }
 
     let requests =
-        pair.ours.create_service::<SetBool::Service>("/ours/switch", QosProfile::default()).unwrap();
+        pair.ours.create_service::<SetBool::Service>("/ours/switch", Qos::default()).unwrap();
     let answer = |request: ServiceRequest<SetBool::Service>| async move {
         let success = request.message.data;
         request.respond(SetBool::Response { success, message: "Grüße".into() }).unwrap();
@@ -158,7 +158,7 @@ fn our_goals_for_their_server() {
     let (goal, result, feedback) = block_on(goal).unwrap();
     let (status, result) = block_on(result).unwrap();
     assert_eq!((status, result.sequence), (GoalStatus::Succeeded, numbers(5)));
-    assert_eq!(goal.get_status().unwrap(), GoalStatus::Succeeded);
+    assert_eq!(goal.status(), GoalStatus::Succeeded);
     // What was published before the network knew of us, or was overtaken by the result, is lost.
     let feedback: Vec<_> = block_on(feedback.map(|feedback| feedback.sequence).collect());
     assert!(feedback.iter().all(|heard| (2..=5).any(|n| *heard == numbers(n))), "{feedback:?}");

@@ -10,7 +10,6 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use tautline as r2r;
 
 #[derive(RosParams, Default, Debug)]
 struct Params {

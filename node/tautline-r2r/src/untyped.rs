@@ -1,21 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use super::find_schema;
-use crate::error::Result;
 use std::cell::RefCell;
 use std::sync::Arc;
-use tautline_schema::{DynamicMessage, Schema};
+use tautline::schema::{DynamicMessage, Schema};
+use tautline::{Result, find_schema};
 
-/// A message of a type that is known by name, between CDR and JSON, by r2r's name.
+/// A message of a type that is known by name, between CDR and JSON.
 /// [`DynamicMessage`] has more.
 ///
 /// ```
-/// use tautline::WrappedNativeMsgUntyped;
+/// use tautline_r2r::WrappedNativeMsgUntyped;
 ///
 /// let message = WrappedNativeMsgUntyped::new_from("geometry_msgs/msg/Point")?;
 /// message.from_json(serde_json::json!({ "x": 1.5 }))?; // what is left out has its default
 /// assert_eq!(message.to_json()?, serde_json::json!({ "x": 1.5, "y": 0.0, "z": 0.0 }));
-/// # Ok::<(), tautline::Error>(())
+/// # Ok::<(), tautline_r2r::Error>(())
 /// ```
 #[derive(Debug)]
 pub struct WrappedNativeMsgUntyped {
@@ -27,7 +26,7 @@ impl WrappedNativeMsgUntyped {
     /// A message of defaults of the type `package/msg/Name`. Its definition is looked for as [`find_schema`] does.
     ///
     /// # Errors
-    /// [`Error::UnknownType`](crate::Error::UnknownType) if the definition is not found, [`Error::Schema`](crate::Error::Schema)
+    /// [`Error::UnknownType`](tautline::Error::UnknownType) if the definition is not found, [`Error::Schema`](tautline::Error::Schema)
     /// if it, or the name, is wrong.
     pub fn new_from(typename: &str) -> Result<Self> {
         let schema = find_schema("", &typename.parse()?, None)?;
@@ -38,7 +37,7 @@ impl WrappedNativeMsgUntyped {
     /// Reads the CDR of a message, with its encapsulation header.
     ///
     /// # Errors
-    /// [`Error::Message`](crate::Error::Message) with field and byte if it is none of the type; this one is then what it was.
+    /// [`Error::Message`](tautline::Error::Message) with field and byte if it is none of the type; this one is then what it was.
     pub fn from_serialized_bytes(&mut self, data: &[u8]) -> Result<()> {
         *self.message.get_mut() = DynamicMessage::from_cdr(&self.schema, data)?;
         Ok(())
@@ -47,7 +46,7 @@ impl WrappedNativeMsgUntyped {
     /// The message as JSON.
     ///
     /// # Errors
-    /// None; the result is r2r's.
+    /// None.
     pub fn to_json(&self) -> Result<serde_json::Value> {
         Ok(self.message.borrow().to_json_value())
     }
@@ -55,7 +54,7 @@ impl WrappedNativeMsgUntyped {
     /// Reads a message from JSON: an object of its fields, those left out having their defaults.
     ///
     /// # Errors
-    /// [`Error::Message`](crate::Error::Message) with the field if it is none of the type; this one is then what it was.
+    /// [`Error::Message`](tautline::Error::Message) with the field if it is none of the type; this one is then what it was.
     #[allow(clippy::wrong_self_convention, reason = "the name is r2r's")]
     pub fn from_json(&self, json: serde_json::Value) -> Result<()> {
         *self.message.borrow_mut() = DynamicMessage::from_json_value(&self.schema, json)?;

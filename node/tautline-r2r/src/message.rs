@@ -1,26 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What programs for r2r use by names that nothing else here has.
 
-use crate::error::Result;
 use std::fmt::Debug;
 use std::ops::{Deref, DerefMut};
-use tautline_msgs::Message;
-use tautline_msgs::serde::{Serialize, de::DeserializeOwned};
+use tautline::msgs::serde::{Serialize, de::DeserializeOwned};
+use tautline::{Message, Result};
 
 /// A message as r2r's programs know it. Every generated type is one.
 ///
 /// ```
-/// use tautline::{WrappedTypesupport, std_msgs::msg::String as Text};
+/// use tautline_r2r::{WrappedTypesupport, std_msgs::msg::String as Text};
 ///
 /// let bytes = Text { data: "taut".into() }.to_serialized_bytes()?;
 /// assert_eq!(Text::from_serialized_bytes(&bytes)?.data, "taut");
-/// # Ok::<(), tautline::Error>(())
+/// # Ok::<(), tautline_r2r::Error>(())
 /// ```
 pub trait WrappedTypesupport: Message + Serialize + DeserializeOwned + Default + Debug + Clone {
     /// [`Message::to_cdr`] by r2r's name.
     ///
     /// # Errors
-    /// [`Error::Serialize`](crate::Error::Serialize) if a string or sequence is longer than its bound.
+    /// [`Error::Serialize`](tautline::Error::Serialize) if a string or sequence is longer than its bound.
     fn to_serialized_bytes(&self) -> Result<Vec<u8>> {
         Ok(self.to_cdr()?)
     }
@@ -28,7 +27,7 @@ pub trait WrappedTypesupport: Message + Serialize + DeserializeOwned + Default +
     /// [`Message::from_cdr`] by r2r's name.
     ///
     /// # Errors
-    /// [`Error::Deserialize`](crate::Error::Deserialize) with field and byte if these are no message of the type.
+    /// [`Error::Deserialize`](tautline::Error::Deserialize) with field and byte if these are no message of the type.
     fn from_serialized_bytes(data: &[u8]) -> Result<Self> {
         Ok(Self::from_cdr(data)?)
     }
@@ -44,12 +43,12 @@ impl<T: Message + Serialize + DeserializeOwned + Default + Debug + Clone> Wrappe
 /// A message in the form in which r2r hands it to C. Here it is the message.
 ///
 /// ```
-/// use tautline::{NativeMsg, std_msgs::msg::Int32};
+/// use tautline_r2r::{NativeMsg, std_msgs::msg::Int32};
 ///
 /// let mut native = NativeMsg::<Int32>::new();
 /// native.data = 7;
 /// assert_eq!(Int32::from_native(&native).data, 7);
-/// # use tautline::WrappedTypesupport;
+/// # use tautline_r2r::WrappedTypesupport;
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NativeMsg<T>(T);
@@ -90,18 +89,8 @@ impl<T> AsRef<T> for NativeMsg<T> {
 /// The ROS 2 whose message definitions are bundled.
 pub const ROS_DISTRO: &str = "jazzy";
 
-/// A compile-time error unless there is simulated time.
-#[cfg(feature = "rosgraph_msgs")]
+/// Nothing: there always is simulated time.
 #[macro_export]
 macro_rules! assert_compiled_with_use_sim_time_support {
     () => {};
-}
-
-/// A compile-time error unless there is simulated time.
-#[cfg(not(feature = "rosgraph_msgs"))]
-#[macro_export]
-macro_rules! assert_compiled_with_use_sim_time_support {
-    () => {
-        ::core::compile_error!("there is no simulated time: give tautline the feature rosgraph_msgs");
-    };
 }

@@ -1,26 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Programs in r2r's style: one thread that spins and runs a pool, owned messages, `tautline` for `r2r`.
-
-mod common;
+//! Programs in r2r's style: one thread that spins and runs a pool, owned messages, `tautline-r2r` for `r2r`.
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Duration;
 
-use common::{Number, context};
 use futures::executor::LocalPool;
 use futures::future;
 use futures::stream::StreamExt;
 use futures::task::LocalSpawnExt;
 use r2r::QosProfile;
-use tautline as r2r;
+use r2r::std_msgs::msg::UInt64;
 
 /// `examples/subscriber.rs` of r2r 0.9.7: a task forwards every other message to a second topic of the same node.
 #[test]
 fn publishers_subscriptions_and_spin_once_in_one_thread() {
-    let mut node = r2r::Node::create(context(205), "testnode", "").unwrap();
-    let mut sub = node.subscribe::<Number>("/topic", QosProfile::default()).unwrap();
-    let p = node.create_publisher::<Number>("/topic2", QosProfile::default()).unwrap();
+    let mut node = r2r::Node::create(super::context(205, ""), "testnode", "").unwrap();
+    let mut sub = node.subscribe::<UInt64>("/topic", QosProfile::default()).unwrap();
+    let p = node.create_publisher::<UInt64>("/topic2", QosProfile::default()).unwrap();
 
     let mut pool = LocalPool::new();
     let spawner = pool.spawner();
@@ -29,29 +26,29 @@ fn publishers_subscriptions_and_spin_once_in_one_thread() {
             let mut x: i32 = 0;
             while let Some(msg) = sub.next().await {
                 if x % 2 == 0 {
-                    p.publish(&Number { value: msg.value * 10 }).unwrap();
+                    p.publish(&UInt64 { data: msg.data * 10 }).unwrap();
                 }
                 x += 1;
             }
         })
         .unwrap();
 
-    let sub2 = node.subscribe::<Number>("/topic2", QosProfile::default()).unwrap();
+    let sub2 = node.subscribe::<UInt64>("/topic2", QosProfile::default()).unwrap();
     let heard = Rc::new(RefCell::new(Vec::new()));
     let log = heard.clone();
     spawner
         .spawn_local(async move {
             sub2.for_each(|msg| {
-                log.borrow_mut().push(msg.value);
+                log.borrow_mut().push(msg.data);
                 future::ready(())
             })
             .await
         })
         .unwrap();
 
-    let source = node.create_publisher::<Number>("/topic", QosProfile::default()).unwrap();
-    for value in 1..=5 {
-        source.publish(&Number { value }).unwrap();
+    let source = node.create_publisher::<UInt64>("/topic", QosProfile::default()).unwrap();
+    for data in 1..=5 {
+        source.publish(&UInt64 { data }).unwrap();
     }
     while heard.borrow().len() < 3 {
         node.spin_once(Duration::from_millis(100));
@@ -61,17 +58,16 @@ fn publishers_subscriptions_and_spin_once_in_one_thread() {
 }
 
 /// Messages by r2r's paths, owned and of any length; beside them what r2r lacks: the same read where they lie.
-#[cfg(feature = "sensor_msgs")]
 #[test]
 fn messages_of_any_length_by_their_ros_paths() {
     use r2r::sensor_msgs::msg::{JointState, JointStateSizes};
-    let mut node = r2r::Node::create(context(199), "testnode", "").unwrap();
+    let mut node = r2r::Node::create(super::context(199, ""), "testnode", "").unwrap();
     let qos = QosProfile::default();
     let words = node.subscribe::<r2r::std_msgs::msg::String>("/words", qos).unwrap();
-    let joints = node.subscribe::<JointState>("/joints", qos).unwrap();
-    let in_place = node.subscribe_loaned::<JointState>("/joints", qos).unwrap();
+    let joints = node.subscribe::<JointState>("/joints", qos.into()).unwrap();
+    let in_place = node.subscribe_loaned::<JointState>("/joints", qos.into()).unwrap();
     let word_publisher = node.create_publisher::<r2r::std_msgs::msg::String>("/words", qos).unwrap();
-    let joint_publisher = node.create_publisher::<JointState>("/joints", qos).unwrap();
+    let joint_publisher = node.create_publisher::<JointState>("/joints", qos.into()).unwrap();
 
     let said = ["", "taut", "a longer word"].map(|data| r2r::std_msgs::msg::String { data: data.into() });
     said.iter().for_each(|word| word_publisher.publish(word).unwrap());
@@ -122,10 +118,9 @@ fn messages_of_any_length_by_their_ros_paths() {
 }
 
 /// `examples/rostopic_echo.rs` of r2r 0.9.7, its topic and type given: messages go on as they come, as JSON.
-#[cfg(all(feature = "untyped", feature = "std_msgs"))]
 #[test]
 fn an_echo_of_a_type_known_by_name() {
-    let mut node = r2r::Node::create(context(190), "echo", "").unwrap();
+    let mut node = r2r::Node::create(super::context(190, ""), "echo", "").unwrap();
     let (topic, type_name) = ("/thetopic", "std_msgs/msg/String");
     let mut pool = LocalPool::new();
     let spawner = pool.spawner();
@@ -167,11 +162,10 @@ fn an_echo_of_a_type_known_by_name() {
 
 /// `examples/tokio_raw_publisher.rs` and `tokio_raw_subscriber.rs` of r2r 0.9.7, on a pool. (`to_cdr` and `from_cdr` are
 /// r2r's `to_serialized_bytes` and `from_serialized_bytes`.)
-#[cfg(all(feature = "untyped", feature = "std_msgs"))]
 #[test]
 fn raw_bytes_there_and_back() {
     use r2r::Message;
-    let mut node = r2r::Node::create(context(190), "testnode", "").unwrap();
+    let mut node = r2r::Node::create(super::context(190, ""), "testnode", "").unwrap();
     let publisher =
         node.create_publisher_untyped("/topic", "std_msgs/msg/String", QosProfile::default()).unwrap();
     let sub = node.subscribe_raw("/topic", "std_msgs/msg/String", QosProfile::default()).unwrap();
@@ -208,7 +202,7 @@ async fn timer_task(mut t: r2r::Timer) -> Result<Vec<Duration>, Box<dyn std::err
 #[test]
 fn a_wall_timer_ticks() {
     const PERIOD: Duration = Duration::from_millis(3);
-    let mut node = r2r::Node::create(context(206), "testnode", "").unwrap();
+    let mut node = r2r::Node::create(super::context(206, ""), "testnode", "").unwrap();
     let timer = node.create_wall_timer(PERIOD).unwrap();
     let mut pool = LocalPool::new();
     let spawner = pool.spawner();
@@ -232,8 +226,8 @@ fn a_wall_timer_ticks() {
 
 #[test]
 fn a_timer_without_period_is_refused() {
-    let mut node = r2r::Node::create(context(206), "testnode", "").unwrap();
-    for timer in [node.create_wall_timer(Duration::ZERO), node.create_wall_timer_at(0, Duration::ZERO)] {
+    let mut node = r2r::Node::create(super::context(206, ""), "testnode", "").unwrap();
+    for timer in [node.create_wall_timer(Duration::ZERO), node.create_timer(Duration::ZERO)] {
         let message = timer.err().unwrap().to_string();
         assert!(message.contains("period of zero"), "{message}");
     }
@@ -241,7 +235,7 @@ fn a_timer_without_period_is_refused() {
 
 #[test]
 fn spin_once_returns_without_events_and_after_shutdown() {
-    let context = context(206);
+    let context = super::context(206, "");
     let mut node = r2r::Node::create(context.clone(), "testnode", "").unwrap();
     node.spin_once(Duration::ZERO);
     node.spin_once(Duration::from_millis(1));

@@ -2,7 +2,7 @@
 //! r2r's quality-of-service profile.
 
 use std::time::Duration;
-use tautline_transport::{Durability, History, Liveliness, Qos, Reliability};
+use tautline::{Durability, History, Liveliness, Qos, Reliability};
 
 /// How many samples stay for a slow subscription.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,7 +51,7 @@ pub enum LivelinessPolicy {
 /// Quality of service of a publisher or a subscription, as in r2r: plain data and setters.
 ///
 /// ```
-/// use tautline::QosProfile;
+/// use tautline_r2r::QosProfile;
 /// let latched = QosProfile::default().keep_last(1).transient_local();
 /// assert_eq!(latched.depth, 1);
 /// ```
@@ -222,37 +222,39 @@ impl QosProfile {
     pub const fn avoid_ros_namespace_conventions(self, avoid_ros_namespace_conventions: bool) -> Self {
         QosProfile { avoid_ros_namespace_conventions, ..self }
     }
+}
 
-    /// The transport's view of this profile.
-    pub(crate) fn to_transport(self) -> Qos {
+impl From<QosProfile> for Qos {
+    fn from(profile: QosProfile) -> Self {
         let set = |duration: Duration| (duration != Duration::ZERO).then_some(duration);
-        let (history, default_depth) = match self.history {
+        let (history, default_depth) = match profile.history {
             HistoryPolicy::KeepAll => (History::KeepAll, DEFAULT_BOUND),
             HistoryPolicy::KeepLast | HistoryPolicy::SystemDefault => (History::KeepLast, DEFAULT_DEPTH),
         };
         Qos {
             history,
-            depth: if self.depth == 0 { default_depth } else { self.depth },
-            reliability: match self.reliability {
+            depth: if profile.depth == 0 { default_depth } else { profile.depth },
+            reliability: match profile.reliability {
                 ReliabilityPolicy::BestEffort => Reliability::BestEffort,
                 ReliabilityPolicy::Reliable | ReliabilityPolicy::SystemDefault => Reliability::Reliable,
             },
-            durability: match self.durability {
+            durability: match profile.durability {
                 DurabilityPolicy::TransientLocal => Durability::TransientLocal,
                 DurabilityPolicy::Volatile | DurabilityPolicy::SystemDefault => Durability::Volatile,
             },
-            deadline: set(self.deadline),
-            lifespan: set(self.lifespan),
-            liveliness: match self.liveliness {
+            deadline: set(profile.deadline),
+            lifespan: set(profile.lifespan),
+            liveliness: match profile.liveliness {
                 LivelinessPolicy::ManualByTopic => Liveliness::ManualByTopic,
                 LivelinessPolicy::Automatic | LivelinessPolicy::SystemDefault => Liveliness::Automatic,
             },
-            liveliness_lease_duration: set(self.liveliness_lease_duration),
+            liveliness_lease_duration: set(profile.liveliness_lease_duration),
         }
     }
+}
 
-    /// The profile that [`to_transport`](Self::to_transport) makes `qos` of.
-    pub(crate) fn from_transport(qos: &Qos) -> Self {
+impl From<Qos> for QosProfile {
+    fn from(qos: Qos) -> Self {
         QosProfile {
             history: match qos.history {
                 History::KeepAll => HistoryPolicy::KeepAll,

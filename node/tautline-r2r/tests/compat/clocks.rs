@@ -7,7 +7,6 @@ use r2r::{Clock, ClockType, QosProfile};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
-use tautline as r2r;
 
 #[test]
 fn clocks() -> Result<(), Box<dyn std::error::Error>> {

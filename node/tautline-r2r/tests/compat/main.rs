@@ -1,14 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Programs written for r2r 0.9.7 with a changed `use` line, where they need arguments or more than r2r has; all others are in
-//! `r2r_programs`.
+//! Programs in r2r's style that need arguments, a context of their own or more than r2r has; all others are in `programs`.
+
+extern crate tautline_r2r as r2r;
 
 mod clocks;
+mod idioms;
 mod parameters;
 
-use tautline::{Context, Realtime};
+use r2r::{Context, Realtime};
 
 /// What `Context::create` makes, but for the tests' domain, arguments and privileges.
 fn context(domain: u32, arguments: &str) -> Context {
+    if std::env::var_os("TAUT_SCOPE").is_none() {
+        r2r::rt::domain::set_scope("test").unwrap();
+    }
     let arguments = arguments.split_whitespace();
     Context::builder().domain(domain).realtime(Realtime::Off).args(arguments).build().unwrap()
 }

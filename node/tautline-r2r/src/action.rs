@@ -1,0 +1,208 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use futures::Stream;
+use serde_json::Value;
+use std::ops::{Deref, DerefMut};
+use tautline::raw::Availability;
+use tautline::{Action, ActionServerCancelRequest, GoalStatus, IsAvailablePollable, Result};
+
+/// An action client as r2r has it; beneath it is a [`tautline::ActionClient`]. A clone is the same client.
+#[derive(Debug)]
+pub struct ActionClient<T: Action>(tautline::ActionClient<T>);
+
+impl<T: Action> ActionClient<T> {
+    /// As [`tautline::ActionClient::send_goal_request`].
+    ///
+    /// # Errors
+    /// As there.
+    #[allow(clippy::type_complexity, reason = "it is r2r's")]
+    pub fn send_goal_request(
+        &self,
+        goal: T::Goal,
+    ) -> Result<
+        impl Future<
+            Output = Result<(
+                ActionClientGoal<T>,
+                impl Future<Output = Result<(GoalStatus, T::Result)>> + Unpin + Send + use<T>,
+                impl Stream<Item = T::Feedback> + Unpin + Send + use<T>,
+            )>,
+        > + Send
+        + use<T>,
+    > {
+        let sent = self.0.send_goal_request(goal)?;
+        Ok(async move {
+            let (goal, result, feedback) = sent.await?;
+            Ok((goal.into(), result, feedback))
+        })
+    }
+}
+
+/// A goal as r2r has it; beneath it is a [`tautline::ActionClientGoal`]. A clone is the same goal.
+#[derive(Debug)]
+pub struct ActionClientGoal<T: Action>(tautline::ActionClientGoal<T>);
+
+impl<T: Action> ActionClientGoal<T> {
+    /// What was last heard of the goal.
+    ///
+    /// # Errors
+    /// None.
+    pub fn get_status(&self) -> Result<GoalStatus> {
+        Ok(self.0.status())
+    }
+}
+
+/// An action client of a type that is known by name, as r2r has it; beneath it is a [`tautline::ActionClientUntyped`]. A clone is the
+/// same client.
+#[derive(Clone, Debug)]
+pub struct ActionClientUntyped(tautline::ActionClientUntyped);
+
+impl ActionClientUntyped {
+    /// As [`tautline::ActionClientUntyped::send_goal_request`].
+    ///
+    /// # Errors
+    /// As there.
+    #[allow(clippy::type_complexity, reason = "it is r2r's")]
+    pub fn send_goal_request(
+        &self,
+        goal: Value,
+    ) -> Result<
+        impl Future<
+            Output = Result<(
+                ActionClientGoalUntyped,
+                impl Future<Output = Result<(GoalStatus, Result<Value>)>> + Unpin + Send + use<>,
+                impl Stream<Item = Result<Value>> + Unpin + Send + use<>,
+            )>,
+        > + Send
+        + use<>,
+    > {
+        let sent = self.0.send_goal_request(goal)?;
+        Ok(async move {
+            let (goal, result, feedback) = sent.await?;
+            Ok((goal.into(), result, feedback))
+        })
+    }
+}
+
+/// A goal of a type that is known by name, as r2r has it; beneath it is a [`tautline::ActionClientGoalUntyped`]. A clone is the same
+/// goal.
+#[derive(Clone, Debug)]
+pub struct ActionClientGoalUntyped(tautline::ActionClientGoalUntyped);
+
+impl ActionClientGoalUntyped {
+    /// What was last heard of the goal.
+    ///
+    /// # Errors
+    /// None.
+    pub fn get_status(&self) -> Result<GoalStatus> {
+        Ok(self.0.status())
+    }
+}
+
+/// A goal that a client sent, to be accepted or rejected, as r2r has it; beneath it is a [`tautline::ActionServerGoalRequest`]. Dropping it
+/// rejects it.
+#[derive(Debug)]
+pub struct ActionServerGoalRequest<T: Action>(tautline::ActionServerGoalRequest<T>);
+
+impl<T: Action> ActionServerGoalRequest<T> {
+    /// As [`tautline::ActionServerGoalRequest::accept`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn accept(
+        self,
+    ) -> Result<(ActionServerGoal<T>, impl Stream<Item = ActionServerCancelRequest> + Unpin + Send + use<T>)>
+    {
+        let (goal, cancels) = self.0.accept()?;
+        Ok((goal.into(), cancels))
+    }
+
+    /// As [`tautline::ActionServerGoalRequest::reject`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn reject(self) -> Result<()> {
+        self.0.reject()
+    }
+}
+
+/// A goal that was accepted, as r2r has it; beneath it is a [`tautline::ActionServerGoal`].
+#[derive(Debug)]
+pub struct ActionServerGoal<T: Action>(tautline::ActionServerGoal<T>);
+
+impl<T: Action> ActionServerGoal<T> {
+    /// Whether a request to cancel this goal was accepted.
+    ///
+    /// # Errors
+    /// None.
+    pub fn is_cancelling(&self) -> Result<bool> {
+        Ok(self.0.is_cancelling())
+    }
+}
+
+impl<T: Action> Clone for ActionClient<T> {
+    fn clone(&self) -> Self {
+        ActionClient(self.0.clone())
+    }
+}
+
+impl<T: Action> Clone for ActionClientGoal<T> {
+    fn clone(&self) -> Self {
+        ActionClientGoal(self.0.clone())
+    }
+}
+
+impl<T: Action> Clone for ActionServerGoal<T>
+where
+    T::Goal: Clone,
+{
+    fn clone(&self) -> Self {
+        ActionServerGoal(self.0.clone())
+    }
+}
+
+impl<T: Action> IsAvailablePollable for ActionClient<T> {
+    fn availability(&self) -> Result<Vec<Availability>> {
+        self.0.availability()
+    }
+}
+
+impl IsAvailablePollable for ActionClientUntyped {
+    fn availability(&self) -> Result<Vec<Availability>> {
+        self.0.availability()
+    }
+}
+
+macro_rules! beneath {
+    ($($name:ident $(<$type:ident>)?),+) => {
+        $(
+            impl$(<$type: Action>)? From<tautline::$name$(<$type>)?> for $name$(<$type>)? {
+                fn from(inner: tautline::$name$(<$type>)?) -> Self {
+                    $name(inner)
+                }
+            }
+
+            impl$(<$type: Action>)? Deref for $name$(<$type>)? {
+                type Target = tautline::$name$(<$type>)?;
+
+                fn deref(&self) -> &Self::Target {
+                    &self.0
+                }
+            }
+
+            impl$(<$type: Action>)? DerefMut for $name$(<$type>)? {
+                fn deref_mut(&mut self) -> &mut Self::Target {
+                    &mut self.0
+                }
+            }
+        )+
+    };
+}
+
+beneath!(
+    ActionClient<T>,
+    ActionClientGoal<T>,
+    ActionClientUntyped,
+    ActionClientGoalUntyped,
+    ActionServerGoalRequest<T>,
+    ActionServerGoal<T>
+);

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The API of [r2r](https://docs.rs/r2r) 0.9.7 on Tautline.
+//!
+//! A program that was written for r2r compiles and runs unchanged with this line in its `Cargo.toml`:
+//!
+//! ```toml
+//! r2r = { package = "tautline-r2r", version = "0.1", features = ["ros_all"] }
+//! ```
+//!
+//! What is here exists for r2r's sake alone: its [`QosProfile`], getters that return a `Result`, a mutex of parameters, second names.
+//! Everything else is [`tautline`]'s, to which [`Node`], [`Publisher`] and the others dereference, so that a program moves over line by
+//! line. docs/r2r.md compares the two name by name.
+//!
+//! ```
+//! use futures::{StreamExt, executor::LocalPool, task::LocalSpawnExt};
+//! use tautline_r2r::{self as r2r, QosProfile, std_msgs::msg::String as Text};
+//!
+//! # let ctx = r2r::Context::builder().domain(228).realtime(r2r::Realtime::Off).build()?;
+//! # /*
+//! let ctx = r2r::Context::create()?;
+//! # */
+//! let mut node = r2r::Node::create(ctx, "testnode", "")?;
+//! let mut words = node.subscribe::<Text>("/words", QosProfile::default())?;
+//! let publisher = node.create_publisher::<Text>("/words", QosProfile::default())?;
+//! publisher.publish(&Text { data: "taut".into() })?;
+//!
+//! let mut pool = LocalPool::new();
+//! let heard = pool.spawner().spawn_local_with_handle(async move { words.next().await }).unwrap();
+//! node.spin_once(std::time::Duration::from_millis(100));
+//! assert_eq!(pool.run_until(heard).unwrap().data, "taut");
+//! # Ok::<(), r2r::Error>(())
+//! ```
+#![forbid(unsafe_code)]
+
+mod action;
+mod message;
+mod node;
+mod publisher;
+mod qos;
+mod time;
+mod untyped;
+
+pub use action::{
+    ActionClient, ActionClientGoal, ActionClientGoalUntyped, ActionClientUntyped, ActionServerGoal,
+    ActionServerGoalRequest,
+};
+pub use message::{NativeMsg, ROS_DISTRO, WrappedTypesupport};
+pub use node::{Node, TopicEndpointInfo};
+pub use publisher::{Publisher, PublisherUntyped};
+pub use qos::{DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QosProfile, ReliabilityPolicy};
+pub use tautline::msgs::{Action as WrappedActionTypeSupport, Service as WrappedServiceTypeSupport};
+pub use tautline::*;
+pub use time::{Clock, TimeSource, Timer};
+pub use untyped::WrappedNativeMsgUntyped;
+
+/// What the macros' code calls.
+#[doc(hidden)]
+pub mod __private {
+    pub use tautline::__private::{Site, field, no_field};
+}

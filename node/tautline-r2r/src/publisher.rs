@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use crate::message::NativeMsg;
+use futures::TryFutureExt;
+use std::ops::Deref;
+use tautline::{Error, Loan, Message, Plain, Result};
+
+/// A publisher as r2r has it; beneath it is a [`tautline::Publisher`].
+#[derive(Debug)]
+pub struct Publisher<T: Message>(tautline::Publisher<T>);
+
+impl<T: Message> Publisher<T> {
+    /// As [`tautline::Publisher::publish`].
+    ///
+    /// # Errors
+    /// [`Error::Publish`].
+    pub fn publish(&self, msg: &T) -> Result<()> {
+        Ok(self.0.publish(msg)?)
+    }
+
+    /// [`tautline::Publisher::loan`]. The loan is published with its own [`publish`](Loan::publish).
+    ///
+    /// # Errors
+    /// [`Error::Publish`]: as many loans are out as may be.
+    pub fn borrow_loaned_message(&self) -> Result<Loan<'_, T>>
+    where
+        T: Plain,
+    {
+        Ok(self.0.loan()?)
+    }
+
+    /// Publishes a message in the form that r2r has for C.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_native(&self, msg: &mut NativeMsg<T>) -> Result<()> {
+        self.publish(msg)
+    }
+
+    /// Number of subscriptions on this host; those of this process count, too.
+    ///
+    /// # Errors
+    /// None.
+    pub fn get_inter_process_subscription_count(&self) -> Result<usize> {
+        Ok(self.0.subscription_count())
+    }
+
+    /// As [`tautline::Publisher::wait_for_subscriptions`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn wait_for_inter_process_subscribers(
+        &self,
+    ) -> Result<impl Future<Output = Result<()>> + Send + use<T>> {
+        Ok(self.0.wait_for_subscriptions()?.map_err(Error::from))
+    }
+}
+
+/// A publisher of a type that is known by its definition, as r2r has it; beneath it is a [`tautline::PublisherUntyped`].
+#[derive(Debug)]
+pub struct PublisherUntyped(tautline::PublisherUntyped);
+
+impl PublisherUntyped {
+    /// Number of subscriptions on this host; those of this process count, too.
+    ///
+    /// # Errors
+    /// None.
+    pub fn get_inter_process_subscription_count(&self) -> Result<usize> {
+        Ok(self.0.subscription_count())
+    }
+
+    /// As [`tautline::PublisherUntyped::wait_for_subscriptions`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn wait_for_inter_process_subscribers(
+        &self,
+    ) -> Result<impl Future<Output = Result<()>> + Send + use<>> {
+        self.0.wait_for_subscriptions()
+    }
+}
+
+impl<T: Message> From<tautline::Publisher<T>> for Publisher<T> {
+    fn from(publisher: tautline::Publisher<T>) -> Self {
+        Publisher(publisher)
+    }
+}
+
+impl<T: Message> Deref for Publisher<T> {
+    type Target = tautline::Publisher<T>;
+
+    fn deref(&self) -> &tautline::Publisher<T> {
+        &self.0
+    }
+}
+
+impl From<tautline::PublisherUntyped> for PublisherUntyped {
+    fn from(publisher: tautline::PublisherUntyped) -> Self {
+        PublisherUntyped(publisher)
+    }
+}
+
+impl Deref for PublisherUntyped {
+    type Target = tautline::PublisherUntyped;
+
+    fn deref(&self) -> &tautline::PublisherUntyped {
+        &self.0
+    }
+}

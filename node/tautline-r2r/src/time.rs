@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+
+use crate::node::Node;
+use futures::StreamExt;
+use std::ops::{Deref, DerefMut};
+use std::sync::{Mutex, PoisonError, Weak};
+use std::time::Duration;
+use tautline::builtin_interfaces::msg::Time;
+use tautline::{ClockType, Error, Result};
+
+/// A clock as r2r has it; beneath it is a [`tautline::Clock`]. A clone shows the same time.
+///
+/// ```
+/// use tautline_r2r::{Clock, ClockType};
+///
+/// let mut clock = Clock::create(ClockType::SystemTime)?;
+/// let now = clock.get_now()?;
+/// let stamp = Clock::to_builtin_time(&now); // for the header of a message
+/// # assert!(stamp.sec > 0);
+/// # Ok::<(), tautline_r2r::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Clock(tautline::Clock);
+
+impl Clock {
+    /// A clock of this type. One of [`ClockType::RosTime`] shows the system's time until it is
+    /// [attached](TimeSource::attach_ros_clock) to a node's time source: see [`Node::get_ros_clock`].
+    ///
+    /// # Errors
+    /// None.
+    pub fn create(ct: ClockType) -> Result<Clock> {
+        Ok(Clock(tautline::Clock::new(ct)))
+    }
+
+    /// The time.
+    ///
+    /// # Errors
+    /// None.
+    pub fn get_now(&mut self) -> Result<Duration> {
+        Ok(self.0.now())
+    }
+
+    /// What it shows.
+    pub fn get_clock_type(&self) -> ClockType {
+        self.0.clock_type()
+    }
+
+    /// As [`tautline::Clock::to_builtin_time`].
+    pub fn to_builtin_time(d: &Duration) -> Time {
+        tautline::Clock::to_builtin_time(d)
+    }
+}
+
+/// A time source as r2r has it; beneath it is a [`tautline::TimeSource`].
+#[derive(Clone, Debug)]
+pub struct TimeSource(tautline::TimeSource);
+
+impl TimeSource {
+    /// From now on `clock`, of type [`ClockType::RosTime`], shows what the node's ROS clock does.
+    ///
+    /// # Errors
+    /// [`Error::ClockTypeNotRosTime`].
+    pub fn attach_ros_clock(&self, clock: Weak<Mutex<Clock>>) -> Result<()> {
+        let Some(clock) = clock.upgrade() else { return Ok(()) };
+        let mut clock = clock.lock().unwrap_or_else(PoisonError::into_inner);
+        if clock.get_clock_type() != ClockType::RosTime {
+            return Err(Error::ClockTypeNotRosTime);
+        }
+        *clock = self.0.clock().into();
+        Ok(())
+    }
+
+    /// Shows the time of `/clock`, for `node`, whose time source this is.
+    ///
+    /// # Errors
+    /// As [`tautline::TimeSource::enable_sim_time`].
+    pub fn enable_sim_time(&self, _node: &mut Node) -> Result<()> {
+        self.0.enable_sim_time()
+    }
+}
+
+/// A timer as r2r has it; beneath it is a [`tautline::Timer`].
+#[derive(Debug)]
+#[must_use = "nothing happens unless it is awaited; dropping it ends it"]
+pub struct Timer {
+    inner: tautline::Timer,
+    last_release_ns: Option<u64>,
+}
+
+impl Timer {
+    /// Waits for the next release and returns the time since the one before: one period, or several if releases were missed.
+    /// The first time: one period.
+    ///
+    /// # Errors
+    /// [`Error::NodeEnded`]: the node was dropped.
+    pub async fn tick(&mut self) -> Result<Duration> {
+        let release_ns = self.inner.next().await.ok_or(Error::NodeEnded)?.release_ns;
+        let last = self.last_release_ns.replace(release_ns);
+        Ok(match last {
+            Some(last_ns) => Duration::from_nanos(release_ns.saturating_sub(last_ns)),
+            None => self.inner.period(),
+        })
+    }
+}
+
+macro_rules! beneath {
+    ($($name:ident),+) => {
+        $(
+            impl From<tautline::$name> for $name {
+                fn from(inner: tautline::$name) -> Self {
+                    $name(inner)
+                }
+            }
+
+            impl Deref for $name {
+                type Target = tautline::$name;
+
+                fn deref(&self) -> &tautline::$name {
+                    &self.0
+                }
+            }
+
+            impl DerefMut for $name {
+                fn deref_mut(&mut self) -> &mut tautline::$name {
+                    &mut self.0
+                }
+            }
+        )+
+    };
+}
+
+beneath!(Clock, TimeSource);
+
+impl From<tautline::Timer> for Timer {
+    fn from(inner: tautline::Timer) -> Self {
+        Timer { inner, last_release_ns: None }
+    }
+}
+
+impl Deref for Timer {
+    type Target = tautline::Timer;
+
+    fn deref(&self) -> &tautline::Timer {
+        &self.inner
+    }
+}
+
+impl DerefMut for Timer {
+    fn deref_mut(&mut self) -> &mut tautline::Timer {
+        &mut self.inner
+    }
+}
