@@ -4,6 +4,7 @@
 mod random;
 
 use std::collections::HashMap;
+use std::ops::Range;
 use std::time::Duration;
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
@@ -368,8 +369,8 @@ struct Seen {
 
 const UNTIL: i64 = 6_000;
 
-/// Runs a system for a while. Stamps are nominal releases, real ones, or the ends of the first jobs.
-fn simulate(system: &System, rng: &mut StdRng, join: usize) -> Seen {
+/// Runs a system for a while, in which each core stops once. Stamps are nominal releases, real ones, or the ends of the first jobs.
+fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]) -> Seen {
     let count = system.callbacks.len();
     let matching = system.callbacks[join].join.as_ref().unwrap();
     let inputs = matching.inputs.len();
@@ -447,8 +448,10 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize) -> Seen {
             }
             ready.push(job);
         }
-        let next = pending.iter().map(|job| job.arrival).min();
+        let edges = stops.iter().flat_map(|stop| [stop.start, stop.end]).filter(|edge| *edge > now);
+        let next = pending.iter().map(|job| job.arrival).chain(edges).min();
         let running: Vec<usize> = (0..system.cores.len())
+            .filter(|core| !stops[*core].contains(&now))
             .filter_map(|core| {
                 let here = (0..ready.len()).filter(|j| system.callbacks[ready[*j].callback].core == core);
                 // A set is worked on before the next message is taken.
@@ -600,12 +603,20 @@ fn simulated_joins_stay_within_their_bounds() {
     let mut close = [0_i64; 3];
     for round in 0..count {
         let system = random_system(&mut rng);
-        let report = system.analyse().unwrap();
+        // In half of them each core stands still once: all is as if it had been blocked for that long.
+        let longest = if rng.random_bool(0.5) { 150 } else { 0 };
+        let mut stop = |from: i64| from..from + rng.random_range(0..=longest);
+        let stops = [stop(1_000), stop(1_050), stop(1_150)];
+        let mut blocked = system.clone();
+        for callback in &mut blocked.callbacks {
+            callback.task.blocking_ns += (stops[callback.core].end - stops[callback.core].start) as u64;
+        }
+        let report = blocked.analyse().unwrap();
         if report.callbacks.iter().any(Result::is_err) {
             continue;
         }
         let join = system.callbacks.iter().position(|callback| callback.join.is_some()).unwrap();
-        let seen = simulate(&system, &mut rng, join);
+        let seen = simulate(&system, &mut rng, join, &stops);
         check(&system, &report, &seen, join, &|| format!("seed {seed}, system {round}: {system:#?}"));
         let bound = report.joins[join].as_ref().unwrap();
         let share = |worst: i64, bound: u64| if bound > 20 { worst * 100 / bound as i64 } else { 0 };

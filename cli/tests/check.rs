@@ -73,6 +73,24 @@ fn json_is_the_contract() {
 }
 
 #[test]
+fn a_stall_that_makes_queues_deeper_is_said() {
+    let alks = systems().join("../alks");
+    let out = text(&taut(&["check", "system.toml"], &alks).stdout);
+    assert!(
+        out.contains(
+            "\nQueues outlast a stall of 50 ms of host robot: 20 of 20 capacities are larger for it.\n"
+        ),
+        "{out}"
+    );
+    let json: Value =
+        serde_json::from_slice(&taut(&["check", "system.toml", "--json"], &alks).stdout).unwrap();
+    assert_eq!(json["stalls"], serde_json::json!([{ "host": "robot", "stall_ms": 50.0 }]));
+    let callbacks = json["callbacks"].as_array().unwrap();
+    let take = callbacks.iter().find(|callback| callback["name"] == "take_command").unwrap();
+    assert_eq!((&take["capacity"], &take["capacity_without_stall"]), (&7.into(), &1.into()));
+}
+
+#[test]
 fn the_timeline_is_a_picture() {
     let directory = scratch("timeline");
     let file = systems().join("two-hosts.toml");

@@ -7,7 +7,7 @@ use support::{
     Count, Part, claimed, clean, domain, participants, say, shared_memory, take_all, wait_for,
     wait_for_the_end,
 };
-use tautline_transport::{Limits, Participant, Publisher, Qos, SendError, Subscription};
+use tautline_transport::{Limits, Participant, PublishError, Publisher, Qos, SendError, Subscription};
 
 const CYCLES: usize = 20;
 const OURS: u64 = 1_000_000;

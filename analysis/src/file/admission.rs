@@ -282,10 +282,11 @@ impl Union {
     /// A thread is a task of its own: on each core of the machine, if it may run on several.
     fn add_thread(&mut self, origin: Origin, thread: &LooseThread) {
         let here = |entry: &(usize, &CoreEntry)| entry.1.host == HERE;
+        let core = |number| CoreEntry { host: HERE.to_owned(), number, sampler_priority: 99, stall_ns: 0 };
         let cores: Vec<usize> = match thread.core {
-            Some(number) => vec![self.core(HERE, number, 99, Overheads::NONE)],
+            Some(number) => vec![self.core(core(number), Overheads::NONE)],
             None => {
-                self.core(HERE, 0, 99, Overheads::NONE);
+                self.core(core(0), Overheads::NONE);
                 self.file.cores.iter().enumerate().filter(here).map(|(index, _)| index).collect()
             }
         };
@@ -328,24 +329,27 @@ impl Union {
     }
 
     fn core_of(&mut self, file: &SystemFile, core: usize, here: &str) -> usize {
-        let CoreEntry { host, number, sampler_priority } = &file.cores[core];
-        let host = if host == here { HERE } else { host };
-        self.core(host, *number, *sampler_priority, file.system.cores[core].overheads)
+        let mut entry = file.cores[core].clone();
+        if entry.host == here {
+            HERE.clone_into(&mut entry.host);
+        }
+        self.core(entry, file.system.cores[core].overheads)
     }
 
-    /// A core costs what the most careful of all says, and its lowest sampler is what callbacks have to be below.
-    fn core(&mut self, host: &str, number: usize, sampler_priority: u8, costs: Overheads) -> usize {
-        let is_it = |entry: &CoreEntry| entry.host == host && entry.number == number;
+    /// A core costs, and stalls, what the most careful of all says, and its lowest sampler is what callbacks have to be below.
+    fn core(&mut self, core: CoreEntry, costs: Overheads) -> usize {
+        let is_it = |entry: &CoreEntry| (&entry.host, entry.number) == (&core.host, core.number);
         match self.file.cores.iter().position(is_it) {
             Some(index) => {
                 let entry = &mut self.file.cores[index];
-                entry.sampler_priority = entry.sampler_priority.min(sampler_priority);
+                entry.sampler_priority = entry.sampler_priority.min(core.sampler_priority);
+                entry.stall_ns = entry.stall_ns.max(core.stall_ns);
                 let overheads = &mut self.file.system.cores[index].overheads;
                 *overheads = worse(overheads, &costs);
                 index
             }
             None => {
-                self.file.cores.push(CoreEntry { host: host.to_owned(), number, sampler_priority });
+                self.file.cores.push(core);
                 self.file.system.cores.push(Core { overheads: costs });
                 self.file.cores.len() - 1
             }

@@ -264,7 +264,8 @@ impl Builder<'_> {
 
     fn core_entry(&self, host: usize, number: usize) -> CoreEntry {
         let host = &self.file.hosts[host];
-        CoreEntry { host: host.name.clone(), number, sampler_priority: host.sampler_priority }
+        let (sampler_priority, stall_ns) = (host.sampler_priority, host.stall);
+        CoreEntry { host: host.name.clone(), number, sampler_priority, stall_ns }
     }
 
     /// The topics that the file declares, then those that are only published.

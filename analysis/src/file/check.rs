@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The verdict on a system file.
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use super::{CallbackEntry, Client, OverrunPolicy, SystemFile};
 use crate::system::{Core, SystemReport};
@@ -49,8 +50,10 @@ pub struct CheckedCallback {
     pub jitter_ns: u64,
     /// Whether the response is within the deadline.
     pub met: bool,
-    /// The queue depth at which no message is lost; `None` without a bound.
+    /// The queue depth at which no message is lost, even if hosts stall; `None` without a bound.
     pub capacity: Option<usize>,
+    /// The same on hosts that never stall.
+    pub capacity_without_stall: Option<usize>,
     /// What it waits for, if it waits for several topics and has a bound.
     pub join: Option<CheckedJoin>,
 }
@@ -99,6 +102,23 @@ pub struct CheckedCore {
     pub tasks: Vec<Task>,
     /// What the machine costs there.
     pub overheads: Overheads,
+    /// Longest time for which it may stand still.
+    pub stall_ns: u64,
+}
+
+impl CheckedSystem {
+    /// The hosts that stall, each with its longest time in nanoseconds; none if no queue is deeper for it.
+    #[must_use]
+    pub fn stalls(&self) -> Vec<(&str, u64)> {
+        if self.callbacks.iter().all(|callback| callback.capacity == callback.capacity_without_stall) {
+            return Vec::new();
+        }
+        let stalled = self.cores.iter().filter(|core| core.stall_ns > 0);
+        let mut hosts: Vec<_> = stalled.map(|core| (core.host.as_str(), core.stall_ns)).collect();
+        hosts.sort_unstable();
+        hosts.dedup_by_key(|host| host.0);
+        hosts
+    }
 }
 
 pub(super) fn check(file: &SystemFile) -> CheckedSystem {
@@ -108,7 +128,10 @@ pub(super) fn check(file: &SystemFile) -> CheckedSystem {
         Err(error) => return refused(file, &error),
     };
     let free = free.ok();
-    let callback = |entry: &CallbackEntry| checked_callback(file, entry, &report, free.as_ref());
+    let stalled = file.system_with_stalls().map(|system| system.analyse());
+    let stalled = stalled.map(|stalled| stalled.unwrap_or_else(|error| without_bounds(file, &error)));
+    let queues = stalled.as_ref().unwrap_or(&report);
+    let callback = |entry: &CallbackEntry| checked_callback(file, entry, &report, queues, free.as_ref());
     let callbacks: Vec<_> = file.callbacks.iter().map(callback).collect();
     let chains: Vec<_> = (0..file.chains.len()).map(|i| checked_chain(file, i, &report)).collect();
     let cores = cores(file, &report);
@@ -119,17 +142,22 @@ pub(super) fn check(file: &SystemFile) -> CheckedSystem {
 
 /// A system without problems is refused only for times that do not fit the arithmetic.
 fn refused(file: &SystemFile, error: &AnalysisError) -> CheckedSystem {
-    let empty = SystemReport {
+    let empty = without_bounds(file, error);
+    let callback = |entry: &CallbackEntry| checked_callback(file, entry, &empty, &empty, None);
+    let callbacks = file.callbacks.iter().map(callback).collect();
+    let chains = (0..file.chains.len()).map(|i| checked_chain(file, i, &empty)).collect();
+    let (cores, warnings) = (cores(file, &empty), vec![error.to_string()]);
+    CheckedSystem { schedulable: false, callbacks, chains, cores, warnings }
+}
+
+fn without_bounds(file: &SystemFile, error: &AnalysisError) -> SystemReport {
+    SystemReport {
         callbacks: file.system.callbacks.iter().map(|_| Err(error.clone())).collect(),
         chains: file.system.chains.iter().map(|_| Err(error.clone())).collect(),
         joins: vec![None; file.system.callbacks.len()],
         throttled: vec![false; file.cores.len()],
         rounds: 0,
-    };
-    let callbacks = file.callbacks.iter().map(|entry| checked_callback(file, entry, &empty, None)).collect();
-    let chains = (0..file.chains.len()).map(|i| checked_chain(file, i, &empty)).collect();
-    let (cores, warnings) = (cores(file, &empty), vec![error.to_string()]);
-    CheckedSystem { schedulable: false, callbacks, chains, cores, warnings }
+    }
 }
 
 /// Whether its jobs may have to wait for the next period of their reservation.
@@ -148,22 +176,30 @@ fn response(file: &SystemFile, entry: &CallbackEntry, report: &SystemReport) -> 
     entry.tasks.clone().map(of_stream).try_fold(0, |longest, response| Some(longest.max(response?)))
 }
 
+/// What takes its messages: of a join, not the task that runs when all are there.
+fn takers(entry: &CallbackEntry) -> Range<usize> {
+    entry.tasks.start + usize::from(entry.joins)..entry.tasks.end
+}
+
+fn capacity(entry: &CallbackEntry, report: &SystemReport) -> Option<usize> {
+    let capacity = |i: usize| report.callbacks[i].as_ref().ok()?.queue_capacity().ok();
+    let mut capacities = takers(entry).map(capacity);
+    match entry.joins {
+        // One queue for each topic.
+        true => capacities.try_fold(0, |most: usize, next| Some(most.max(next?))),
+        false => capacities.try_fold(0, |sum: usize, next| sum.checked_add(next?)),
+    }
+}
+
+/// `queues` is the report that sizes them: with stalls, if there are any.
 fn checked_callback(
     file: &SystemFile,
     entry: &CallbackEntry,
     report: &SystemReport,
+    queues: &SystemReport,
     free: Option<&SystemReport>,
 ) -> CheckedCallback {
     let response_overhead_ns = response(file, entry, report);
-    let capacity = |i: usize| report.callbacks[i].as_ref().ok()?.queue_capacity().ok();
-    // What takes its messages: of a join, not the task that runs when all are there.
-    let taken = entry.tasks.start + usize::from(entry.joins)..entry.tasks.end;
-    let mut capacities = taken.clone().map(capacity);
-    let capacity = match entry.joins {
-        // One queue for each topic.
-        true => capacities.try_fold(0, |most: usize, next| Some(most.max(next?))),
-        false => capacities.try_fold(0, |sum: usize, next| sum.checked_add(next?)),
-    };
     let tasks = &file.system.callbacks[entry.tasks.clone()];
     let overheads = &file.system.cores[entry.core].overheads;
     let charged = |task: &Task| {
@@ -178,21 +214,23 @@ fn checked_callback(
             Err(_) => task.release(),
         }
     };
+    let join = |of: &SystemReport| of.joins[entry.tasks.start].clone();
     CheckedCallback {
         host: file.cores[entry.core].host.clone(),
         core: file.cores[entry.core].number,
         period_ns: tasks.iter().map(|callback| callback.task.period_ns).min().unwrap_or(0),
         wcet_ns: tasks.first().map_or(0, |callback| callback.task.wcet_ns),
         charged_ns: tasks.first().map_or(0, |callback| charged(&callback.task)),
-        releases: taken.map(release).collect(),
+        releases: takers(entry).map(release).collect(),
         response_ns: free.and_then(|free| response(file, entry, free)),
         response_overhead_ns,
         jitter_ns: tasks.iter().filter(|c| !c.is_triggered()).map(|c| c.task.jitter_ns).max().unwrap_or(0),
         met: response_overhead_ns.is_some_and(|response| response <= entry.deadline_ns),
-        capacity,
-        join: report.joins[entry.tasks.start].as_ref().map(|join| CheckedJoin {
+        capacity: capacity(entry, queues),
+        capacity_without_stall: capacity(entry, report),
+        join: join(report).zip(join(queues)).map(|(join, queues)| CheckedJoin {
             window_ns: entry.window_ns,
-            queue_size: usize::try_from(join.queue_size).unwrap_or(usize::MAX),
+            queue_size: usize::try_from(queues.queue_size).unwrap_or(usize::MAX),
             inputs: entry.topics.iter().cloned().zip(join.wait_ns.iter().copied()).collect(),
         }),
         entry: entry.clone(),
@@ -240,7 +278,8 @@ fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
             period => overheads.tick_ns as f64 / period as f64,
         };
         let utilisation = utilisation(&tasks.iter().map(costs).collect::<Vec<_>>()) + ticks;
-        CheckedCore { host: entry.host.clone(), number: entry.number, utilisation, tasks, overheads }
+        let (host, stall_ns) = (entry.host.clone(), entry.stall_ns);
+        CheckedCore { host, number: entry.number, utilisation, tasks, overheads, stall_ns }
     };
     file.cores.iter().enumerate().map(core).filter(|core| !core.tasks.is_empty()).collect()
 }
@@ -324,6 +363,12 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
             warnings.push(format!(
                 "callback `{name}` needs a queue of {capacity}, but its topic keeps {depth}: messages may be \
                  overwritten; set `depth = \"auto\"`, or {capacity}"
+            ));
+        }
+        if callback.capacity.is_none() && callback.capacity_without_stall.is_some() {
+            warnings.push(format!(
+                "callback `{name}` has no capacity: nothing bounds how long the system needs to catch up after a stall; lower the \
+                 `stall` of its hosts, lower the load, or state the `depth` of its topics"
             ));
         }
         let sampler = file.cores[entry.core].sampler_priority;

@@ -29,6 +29,7 @@ pub(super) struct Host {
     pub cores: Vec<usize>,
     pub costs: Costs,
     pub sampler_priority: u8,
+    pub stall: u64,
 }
 
 pub(super) struct Node {

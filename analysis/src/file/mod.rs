@@ -207,6 +207,8 @@ pub struct CoreEntry {
     pub number: usize,
     /// Priority of the host's samplers.
     pub sampler_priority: u8,
+    /// Longest time for which it may stand still, in nanoseconds: queues outlast it, bounds do not contain it.
+    pub stall_ns: u64,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -315,7 +317,30 @@ impl SystemFile {
         free
     }
 
-    /// Bounds every callback and every chain, with and without overheads.
+    /// The same on machines that stand still, each core once until it has caught up, as [`taken`](crate::taken) puts it: as if every
+    /// task were blocked for its host's stall more. `None` if no host stalls.
+    fn system_with_stalls(&self) -> Option<System> {
+        let stall_ns = |core: usize| self.cores[core].stall_ns;
+        if self.cores.iter().all(|core| core.stall_ns == 0) {
+            return None;
+        }
+        let mut stalled = self.system.clone();
+        for callback in &mut stalled.callbacks {
+            let here = callback.core;
+            callback.task.blocking_ns = callback.task.blocking_ns.saturating_add(stall_ns(here));
+            if let Some((source, transfer)) = &mut callback.trigger {
+                let from = self.system.callbacks[*source].core;
+                if self.cores[from].host != self.cores[here].host {
+                    // The gateways of both hosts are on cores that the file does not name.
+                    let gateways_ns = stall_ns(from).saturating_add(stall_ns(here));
+                    transfer.most_ns = transfer.most_ns.saturating_add(gateways_ns);
+                }
+            }
+        }
+        Some(stalled)
+    }
+
+    /// Bounds every callback and every chain, with and without overheads, and sizes the queues.
     #[must_use]
     pub fn check(&self) -> CheckedSystem {
         check::check(self)

@@ -135,9 +135,25 @@ fn host(name: String, mut section: Section<'_>, problems: &mut Collector) -> Hos
         }
     };
     let sampler_priority = priority(&mut section, "sampler_priority", problems).map_or(90, |p| p.value);
+    let stall = stall(&mut section, problems);
     let costs = costs(&mut section, problems);
     section.finish(problems);
-    Host { name, cores, costs, sampler_priority }
+    Host { name, cores, costs, sampler_priority, stall }
+}
+
+/// No queue is made to outlast more than 10 s: that is no stall, but a machine that is off.
+fn stall(section: &mut Section<'_>, problems: &mut Collector) -> u64 {
+    const MOST_NS: u64 = 10_000_000_000;
+    let Some(stall) = section.time("stall", problems) else { return 0 };
+    if stall.value > MOST_NS {
+        let message = format!(
+            "`stall` of {} is {} s, out of range: set it to 10s at most, the longest time for which the machine may stand still",
+            section.title,
+            stall.value as f64 / 1e9
+        );
+        problems.add(stall.at, message);
+    }
+    stall.value
 }
 
 fn node(name: String, mut section: Section<'_>, problems: &mut Collector) -> Node {

@@ -7,7 +7,7 @@ use crate::{AnalysisError, Response, Task, level};
 /// Ends the search where chains that delay each other let jitter grow for ever.
 const MAX_ROUNDS: u32 = 1_000;
 
-/// No jitter of more periods is followed further: as many messages would have to be queued.
+/// No jitter of more periods, and times for which the task is blocked, is followed further: as many messages would have to be queued.
 const MAX_JITTER_PERIODS: u64 = 100;
 
 pub(super) type Outcomes = Vec<Result<Response, AnalysisError>>;
@@ -65,7 +65,10 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
             }
         }
         let (grown, timings, mut joins) = pass_on(system, &order, &mut tasks, &outcomes);
-        let endless = |i: &usize| tasks[*i].jitter_ns / MAX_JITTER_PERIODS > tasks[*i].period_ns;
+        let endless = |i: &usize| {
+            let Task { jitter_ns, period_ns, blocking_ns, .. } = tasks[*i];
+            jitter_ns / MAX_JITTER_PERIODS > period_ns.saturating_add(blocking_ns)
+        };
         if grown.is_empty() || rounds == MAX_ROUNDS || grown.iter().any(endless) {
             grown.into_iter().for_each(|i| outcomes[i] = Err(diverges(&tasks[i], &outcomes[i], rounds)));
             without_bound(system, &order, &mut outcomes);

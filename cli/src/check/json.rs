@@ -13,6 +13,8 @@ struct Verdict<'a> {
     schedulable: bool,
     callbacks: Vec<Callback<'a>>,
     chains: Vec<Chain<'a>>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    stalls: Vec<Stall<'a>>,
     warnings: &'a [String],
     #[serde(skip_serializing_if = "Option::is_none")]
     sensitivity: Option<&'a Growth>,
@@ -34,6 +36,9 @@ struct Callback<'a> {
     response_overhead_ms: Option<f64>,
     deadline_ms: f64,
     capacity: Option<usize>,
+    /// Where a stall makes it larger.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    capacity_without_stall: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     join: Option<Join<'a>>,
 }
@@ -67,6 +72,13 @@ struct Chain<'a> {
     deadline_ms: f64,
 }
 
+/// What the queues outlast.
+#[derive(Serialize)]
+struct Stall<'a> {
+    host: &'a str,
+    stall_ms: f64,
+}
+
 /// Writes one JSON object and a newline; `sensitivity` and `admission` are there only if they were asked for.
 pub fn write(
     checked: &CheckedSystem,
@@ -90,6 +102,9 @@ pub fn write(
         response_overhead_ms: callback.response_overhead_ns.map(ms),
         deadline_ms: ms(callback.entry.deadline_ns),
         capacity: callback.capacity,
+        capacity_without_stall: callback
+            .capacity_without_stall
+            .filter(|_| callback.capacity != callback.capacity_without_stall),
         join: callback.join.as_ref().map(|join| Join {
             window_ms: join.window_ns.map(ms),
             queue_size: join.queue_size,
@@ -109,6 +124,7 @@ pub fn write(
         schedulable: checked.schedulable,
         callbacks: callbacks.collect(),
         chains: chains.collect(),
+        stalls: checked.stalls().into_iter().map(|(host, ns)| Stall { host, stall_ms: ms(ns) }).collect(),
         warnings: &checked.warnings,
         sensitivity: growth,
         admission,

@@ -30,6 +30,22 @@ fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> 
     write_table(&["waits", "for stamps", "of topic", "queue\nsize", "wait\nms"], 3, rows, out)
 }
 
+/// What makes queues deeper than bounds alone would.
+fn write_stalls(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
+    let stall = |(host, ns): (&str, u64)| {
+        let host = if host.is_empty() { "this host".to_owned() } else { format!("host {host}") };
+        format!("a stall of {} ms of {host}", ns as f64 / 1e6)
+    };
+    let stalls: Vec<_> = checked.stalls().into_iter().map(stall).collect();
+    if stalls.is_empty() {
+        return Ok(());
+    }
+    let is_deeper = |callback: &&CheckedCallback| callback.capacity != callback.capacity_without_stall;
+    let deeper = checked.callbacks.iter().filter(is_deeper).count();
+    let (stalls, all) = (stalls.join(" and "), checked.callbacks.len());
+    writeln!(out, "Queues outlast {stalls}: {deeper} of {all} capacities are larger for it.")
+}
+
 /// Writes all there is to know; lines that fail are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let several = checked.cores.iter().any(|core| core.host != checked.cores[0].host);
@@ -67,6 +83,7 @@ pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     ];
     let rows = checked.callbacks.iter().map(|callback| (callback.met, row(callback)));
     write_table(&head, 3, rows.collect(), out)?;
+    write_stalls(checked, out)?;
     if !checked.chains.is_empty() {
         writeln!(out)?;
         let rows = checked.chains.iter().map(|chain| {
